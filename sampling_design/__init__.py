@@ -16,8 +16,8 @@ _FRONT_DOOR = {
     "plants.plant": ("Plant", "Signals"),
     "plants.modes": ("split_modes",),
     "plants.sparse": ("SparsePlant", "split_sparse"),
-    "plants.uncertain": ("UncertainPlant",),
-    "plants.uncertain_parameter": ("UncertainParameter",),
+    "uncertain.plants.uncertain_plant": ("UncertainPlant",),
+    "uncertain.plants.parameter": ("UncertainParameter",),
     "plants.files": ("read_plant", "write_plant"),
     "plants.library": ("named_plant",),
     "plants": ("library",),
@@ -41,7 +41,7 @@ _FRONT_DOOR = {
     "certificates.families.family_certificate": ("FamilyCertificate",),
     "certificates.compare.robustness": ("robustness",),
     "certificates.existence.counterexample": ("find_counterexample",),
-    "certificates.existence.largest_box": ("largest_box",),
+    "uncertain.existence.largest_box": ("largest_box",),
     "certificates.existence.periodic": ("certificate_exists", "smallest_repair"),
     "certificates.compare.four_horizons": ("four_horizons",),
     "certificates.exact.bound_weights": ("weights_from_bounds",),
@@ -107,6 +107,7 @@ _ROOMS = (
     "recovery",
     "schedules",
     "sweeps",
+    "uncertain",
     "validation",
 )
 __getattr__, __dir__, _ = lazy(__name__, _FRONT_DOOR, modules=_ROOMS)

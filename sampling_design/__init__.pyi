@@ -15,6 +15,7 @@ from sampling_design import plotting as plotting
 from sampling_design import recovery as recovery
 from sampling_design import schedules as schedules
 from sampling_design import sweeps as sweeps
+from sampling_design import uncertain as uncertain
 from sampling_design import validation as validation
 from sampling_design.certificates.certify import certify as certify
 from sampling_design.certificates.compare.four_horizons import four_horizons as four_horizons
@@ -27,7 +28,6 @@ from sampling_design.certificates.exact.bound_weights import weights_from_bounds
 from sampling_design.certificates.exact.certificate import Certificate as Certificate
 from sampling_design.certificates.exact.information import information_curve as information_curve
 from sampling_design.certificates.existence.counterexample import find_counterexample as find_counterexample
-from sampling_design.certificates.existence.largest_box import largest_box as largest_box
 from sampling_design.certificates.existence.periodic import certificate_exists as certificate_exists
 from sampling_design.certificates.existence.periodic import smallest_repair as smallest_repair
 from sampling_design.certificates.families.certify_family import certify_family as certify_family
@@ -89,8 +89,6 @@ from sampling_design.plants.plant import Plant as Plant
 from sampling_design.plants.plant import Signals as Signals
 from sampling_design.plants.sparse import SparsePlant as SparsePlant
 from sampling_design.plants.sparse import split_sparse as split_sparse
-from sampling_design.plants.uncertain import UncertainPlant as UncertainPlant
-from sampling_design.plants.uncertain_parameter import UncertainParameter as UncertainParameter
 from sampling_design.recovery.accuracy import accuracy as accuracy
 from sampling_design.recovery.deviation import standard_deviation as standard_deviation
 from sampling_design.recovery.interval import interval as interval
@@ -108,6 +106,9 @@ from sampling_design.schedules.schedule import PeriodicSchedule as PeriodicSched
 from sampling_design.schedules.schedule import Schedule as Schedule
 from sampling_design.schedules.spaced_windows import SpacedWindows as SpacedWindows
 from sampling_design.schedules.time_stamps import import_time_stamps as import_time_stamps
+from sampling_design.uncertain.existence.largest_box import largest_box as largest_box
+from sampling_design.uncertain.plants.parameter import UncertainParameter as UncertainParameter
+from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant as UncertainPlant
 from sampling_design.validation.scenario import simulate_record as simulate_record
 from sampling_design.validation.schedule_log import compare_schedule as compare_schedule
 from sampling_design.validation.validate import validate as validate

@@ -34,6 +34,7 @@ _CALLED = {
     "Client": "a Dask client",
     "Executor": "a concurrent.futures.Executor",
     "Generator": "a numpy.random.Generator",
+    "OpenPlant": "a plant of another kind",
     "SampledCertificate": "a Certificate or FamilyCertificate",
 }
 """Classes whose bare name would not tell a caller what to pass."""

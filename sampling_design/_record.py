@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._door import doors, misfit, within
-from sampling_design.errors import MissingExtraError, UndecidedError
+from sampling_design._verbs import offered
+from sampling_design.errors import ArgumentError, MissingExtraError, UndecidedError
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -173,10 +174,17 @@ class Gridded(Record):
 
 
 def draw(record: object, ax: object = None, **beside: object) -> Any:
-    """Hand `record` to the plotting room; the one upward call of the house, made late."""
-    from sampling_design import plotting
+    """Hand `record` to the ring that draws.
 
-    return plotting.draw(record, ax, **beside)
+    Raises
+    ------
+    ArgumentError
+        If it is not there, or has no picture for this kind of record.
+    """
+    drawn = offered("plot", record, object)
+    if drawn is None:
+        raise ArgumentError(f"`record` has no picture: nothing that draws a {type(record).__name__} is installed.")
+    return drawn(record, ax, **beside)
 
 
 def counted(number: int, what: str) -> str:

@@ -22,7 +22,7 @@ MAKERS = {
     "certificates.exact.precise": ("_proven",),
     "certificates.families.certify_family": ("certified", "without_states"),
     "certificates.paper.proof_constants": ("ProofConstants.certificate",),
-    "certificates.inclusion.search": ("accepted",),
+    "uncertain.inclusion.search": ("accepted",),
     "certificates.detectability.best_rate": ("proven",),
 }
 """Functions that return a finished certificate; a law walks the package for constructors outside of them."""

@@ -13,7 +13,6 @@ _NAMES = {
     "exact.certificate": ("Certificate",),
     "exact.information": ("InformationCurve", "information_curve"),
     "existence.counterexample": ("Counterexample", "find_counterexample"),
-    "existence.largest_box": ("largest_box",),
     "existence.periodic": ("certificate_exists", "smallest_repair"),
     "families.certify_family": ("certify_family",),
     "families.family_certificate": ("FamilyCertificate",),
@@ -27,5 +26,5 @@ _NAMES = {
 __getattr__, __dir__, __all__ = lazy(
     __name__,
     _NAMES,
-    modules=("compare", "detectability", "exact", "existence", "families", "form", "inclusion", "paper", "rigorous"),
+    modules=("compare", "detectability", "exact", "existence", "families", "form", "paper", "rigorous"),
 )

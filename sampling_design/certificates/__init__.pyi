@@ -5,7 +5,6 @@ from sampling_design.certificates import exact as exact
 from sampling_design.certificates import existence as existence
 from sampling_design.certificates import families as families
 from sampling_design.certificates import form as form
-from sampling_design.certificates import inclusion as inclusion
 from sampling_design.certificates import paper as paper
 from sampling_design.certificates import rigorous as rigorous
 from sampling_design.certificates.compare.contraction import least_contracting as least_contracting
@@ -25,7 +24,6 @@ from sampling_design.certificates.exact.information import InformationCurve as I
 from sampling_design.certificates.exact.information import information_curve as information_curve
 from sampling_design.certificates.existence.counterexample import Counterexample as Counterexample
 from sampling_design.certificates.existence.counterexample import find_counterexample as find_counterexample
-from sampling_design.certificates.existence.largest_box import largest_box as largest_box
 from sampling_design.certificates.existence.periodic import certificate_exists as certificate_exists
 from sampling_design.certificates.existence.periodic import smallest_repair as smallest_repair
 from sampling_design.certificates.families.certify_family import certify_family as certify_family

@@ -11,8 +11,9 @@ import numpy.typing as npt
 from sampling_design import __version__, _checks
 from sampling_design._door import door
 from sampling_design._linalg import symmetrise
+from sampling_design._verbs import OpenPlant, registered
 from sampling_design.certificates.exact.canonical import Canonical, NoiseWeights, canonical, evened, followed, slip
-from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design.certificates.exact.certificate import Certificate, SampledCertificate
 from sampling_design.certificates.exact.efforts import ALL_WORK, BEYOND, LOOK_WORK, Efforts, TimeLimit
 from sampling_design.certificates.exact.given_weights import met, weights_of
 from sampling_design.certificates.exact.precise import precisely_chosen
@@ -30,14 +31,12 @@ from sampling_design.certificates.existence.periodic import certificate_exists, 
 from sampling_design.checkers.work import Work
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.evidence import SolverRecord
-from sampling_design.plants.inclusion import LinearInclusion
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 if TYPE_CHECKING:  # the families' programs are loaded when one is asked for
     from sampling_design.certificates.families.family_certificate import FamilyCertificate
-    from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -110,13 +109,13 @@ def certify(
 ) -> FamilyCertificate: ...  # fmt: skip
 @overload
 def certify(
-    plant: LinearInclusion, schedule: SamplingFamily | PeriodicSchedule, *, eta: float | None = ...,
+    plant: OpenPlant, schedule: SamplingFamily | PeriodicSchedule, *, eta: float | None = ...,
     Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
     noise_gain: float = ..., budget: float | None = ..., progress: Progress | None = ...,
-) -> InclusionCertificate: ...  # fmt: skip
+) -> SampledCertificate: ...  # fmt: skip
 @door
 def certify(
-    plant: Plant | LinearInclusion,
+    plant: Plant | OpenPlant,
     schedule: AnySchedule | SamplingFamily | None,
     *,
     eta: float | None = None,
@@ -128,7 +127,7 @@ def certify(
     budget: float | None = None,
     memory: int | None = None,
     progress: Progress | None = None,
-) -> Certificate | FamilyCertificate | InclusionCertificate:
+) -> SampledCertificate:
     """Certify that a schedule makes a plant sample-based exponentially i-iIOSS (Assumption 7), with the best lambda.
 
         lam = sup over real window starts and all later t of lambda_max(P2, Pi(t)),    P1 = (1 - 1e-3) P2/lam
@@ -202,13 +201,11 @@ def certify(
     >>> certificate.verify().passed
     True
     """
-    if isinstance(plant, LinearInclusion):
-        from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion, in_terms
-
-        schedules = in_terms(plant, schedule, P2=P2, memory=memory)
-        return certify_inclusion(
-            plant, schedules, eta=eta, Qw=Qw, R=R, Qv=Qv, noise_gain=noise_gain, budget=budget, progress=progress
-        )
+    if not isinstance(plant, Plant):
+        return registered("certify", plant, SampledCertificate)(  # type: ignore[type-abstract]
+            plant, schedule, eta=eta, P2=P2, Qw=Qw, R=R, Qv=Qv, noise_gain=noise_gain, budget=budget, memory=memory,
+            progress=progress,
+        )  # fmt: skip
     if isinstance(schedule, SamplingFamily):
         from sampling_design.certificates.families.certify_family import certify_family
 

@@ -10,25 +10,22 @@ import numpy as np
 
 from sampling_design import _checks, _files
 from sampling_design._door import door
+from sampling_design._verbs import offered
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
-from sampling_design.certificates.exact.certificate import MATRICES, NUMBERS, Certificate, Witness
+from sampling_design.certificates.exact.certificate import MATRICES, NUMBERS, Certificate, SampledCertificate, Witness
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
 from sampling_design.certificates.families.path_complete import Edge, PathCompleteGraph
-from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.checkers import claims, detectability, family_file, schedule_file
-from sampling_design.checkers.inclusion_file import Inclusion, Region
 from sampling_design.checkers.interval_file import OfInterval
 from sampling_design.checkers.strict import Altered, BadFile, Tree
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
 from sampling_design.evidence import SolverRecord
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant, first_difference
-from sampling_design.plants.uncertain import UncertainPlant
-from sampling_design.plants.uncertain_files import parts_of_model
 from sampling_design.schedules.family_files import family_from_dict
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
-AnyCertificate: TypeAlias = Certificate | FamilyCertificate | DetectabilityCertificate | InclusionCertificate
+AnyCertificate: TypeAlias = SampledCertificate | DetectabilityCertificate
 _RATES = ("eta", "c_w", "c_y", "margin")
 
 
@@ -107,31 +104,13 @@ def certificate_from_dict(data: Tree, where: str = "certificate") -> AnyCertific
         raise FileFormatError(
             f"{where}: holds an interval. Use Interval.load (sampling_design.recovery.interval).", where
         )
-    return READERS[type(found)](data, plant_from_dict(data["plant"], where), found)
-
-
-def _inclusion(data: Tree, plant: Plant, found: Inclusion) -> InclusionCertificate:
-    model = None
-    if not isinstance(found.model, Region):
-        model = UncertainPlant(**parts_of_model(plant, data["model"])._asdict())
-    periodic = data["times"]["kind"] == "periodic"
-    times = times_from_dict(data["times"]) if periodic else family_from_dict(data["times"])
-    assert not isinstance(times, Schedule)
-    return InclusionCertificate(
-        plant,
-        times,
-        **_values(data),
-        graph=graph_from(data["graph"]["words"], found.graph) if "graph" in data else None,
-        model=model,
-        model_data=data["model"],
-        nodes=found.nodes,
-        P=found.P,
-        multipliers=found.multipliers,
-    )
+    read = READERS.get(type(found)) or offered("load_certificate", data["claim"], SampledCertificate)
+    assert read is not None, "a claim that the auditor reads and nobody else"
+    return read(data, plant_from_dict(data["plant"], where), found)
 
 
 def _sampled(data: Tree, plant: Plant, found: schedule_file.Sampled) -> Certificate:
-    return Certificate(plant, times_from_dict(data["times"]), **_values(data))
+    return Certificate(plant, times_from_dict(data["times"]), **values_of(data))
 
 
 def graph_from(words: list[list[float]], read: family_file.Graph) -> PathCompleteGraph:
@@ -142,7 +121,7 @@ def graph_from(words: list[list[float]], read: family_file.Graph) -> PathComplet
 
 def _of_family(data: Tree, plant: Plant, found: family_file.OfFamily) -> FamilyCertificate:
     graph = graph_from(data["graph"]["words"], found.graph)
-    values = _values(data)
+    values = values_of(data)
     n = plant.n_states
     P = [_checks.definite("P2", values["P2"], n), *(_checks.definite("graph.P", M, n) for M in found.graph.P[1:])]
     return FamilyCertificate(plant, family_from_dict(data["times"]), **values, graph=graph, P=np.stack(P))
@@ -154,7 +133,7 @@ def _detectable(data: Tree, plant: Plant, found: detectability.Detectability) ->
     return DetectabilityCertificate(plant, **(values | {"P": data["P"] or np.zeros((0, 0))}), solver=solver)
 
 
-def _values(data: Tree) -> Tree:
+def values_of(data: Tree) -> Tree:
     """Weights, numbers, witness and solver record of a certificate about samples."""
     seen = data["witness"]
     return {
@@ -169,6 +148,5 @@ READERS: dict[type, Callable[..., AnyCertificate]] = {
     schedule_file.Sampled: _sampled,
     family_file.OfFamily: _of_family,
     detectability.Detectability: _detectable,
-    Inclusion: _inclusion,
 }
 """What the auditor read of a file -> the record that it is for everybody else."""

@@ -17,8 +17,8 @@ from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.equations import PlantEquations
 from sampling_design.nonlinear.instructions import instructions
 from sampling_design.nonlinear.region import drawn
-from sampling_design.plants.inclusion import Hull, Members
 from sampling_design.plants.plant import Plant
+from sampling_design.uncertain.plants.inclusion import Hull, Members
 
 if TYPE_CHECKING:
     from casadi import SX

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design._checks import freeze
-from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.online.estimator import Taken
@@ -24,6 +23,7 @@ from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.smoothed import SmoothedWindow, smoothed_window
 from sampling_design.nonlinear.weights import fit_covariance, output_slope, scaled_weights, warn_of_scales
 from sampling_design.nonlinear.window_search import WHOLE, WindowAnswer, WindowSearch
+from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 
 Array = npt.NDArray[np.float64]
 

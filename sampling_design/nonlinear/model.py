@@ -12,8 +12,8 @@ from sampling_design._record import Plain
 from sampling_design.nonlinear.equations import PlantEquations
 from sampling_design.nonlinear.functions import linear_model
 from sampling_design.nonlinear.jacobians import hull_of, linearisations_of, members_of, model_of
-from sampling_design.plants.inclusion import Hull, LinearInclusion, Members
 from sampling_design.plants.plant import Plant
+from sampling_design.uncertain.plants.inclusion import Hull, LinearInclusion, Members
 
 Array = npt.NDArray[np.float64]
 

@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._record import Plain
-from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import MATRICES, CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import noise_bound
@@ -20,6 +19,7 @@ from sampling_design.estimators.online.guarantee import own_horizon, too_short
 from sampling_design.nonlinear.jacobians import model_of
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.region import StateRegion
+from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 
 Array = npt.NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from sampling_design import _checks
 from sampling_design.errors import SolverError
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
-from sampling_design.plants.time_varying import TOLERANCE, MatrixOfTime, Spent, TimeVaryingPlant
+from sampling_design.uncertain.plants.time_varying import TOLERANCE, MatrixOfTime, Spent, TimeVaryingPlant
 
 Array = npt.NDArray[np.float64]
 

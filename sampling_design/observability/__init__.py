@@ -12,4 +12,4 @@ _NAMES = {
     "windows.window_sigma": ("WindowProfile", "WindowSigma", "WindowWitness", "window_sigma"),
     "worst_case.worst_case_sigma": ("WorstCaseProfile", "WorstCaseSigma", "worst_case_sigma"),
 }
-__getattr__, __dir__, __all__ = lazy(__name__, _NAMES, modules=("box", "count", "windows", "worst_case"))
+__getattr__, __dir__, __all__ = lazy(__name__, _NAMES, modules=("count", "windows", "worst_case"))

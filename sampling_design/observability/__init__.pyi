@@ -1,5 +1,4 @@
 # Written from the table in __init__.py by `python -m tests.house.front_door`.
-from sampling_design.observability import box as box
 from sampling_design.observability import count as count
 from sampling_design.observability import windows as windows
 from sampling_design.observability import worst_case as worst_case

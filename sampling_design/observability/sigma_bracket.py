@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 from sampling_design._record import Record, short
-from sampling_design.plants.plant import Plant
-from sampling_design.plants.time_varying import TimeVaryingPlant
 
 
 class SigmaBracket(Record):
@@ -38,7 +38,15 @@ class SigmaBracket(Record):
         return f"{claim}; {short(self.upper)} is attained, and {reasons[self.status]}. {where}."
 
 
-def coordinates_of(plant: Plant | TimeVaryingPlant) -> str:
+class HasScales(Protocol):
+    """A plant of any kind that says whether its states have scales."""
+
+    @property
+    def has_scales(self) -> bool:
+        """Whether they have."""
+
+
+def coordinates_of(plant: HasScales) -> str:
     """Which coordinates sigma of a plant refers to: those of its scales, where it has any."""
     return "scaled" if plant.has_scales else "physical"
 

@@ -9,7 +9,5 @@ _NAMES = {
     "modes": ("ModalSplit", "split_modes"),
     "plant": ("Plant", "Signals"),
     "sparse": ("SparsePlant", "split_sparse"),
-    "uncertain": ("UncertainPlant",),
-    "uncertain_parameter": ("UncertainParameter",),
 }
 __getattr__, __dir__, __all__ = lazy(__name__, _NAMES, modules=("library",))

@@ -11,5 +11,3 @@ from sampling_design.plants.plant import Plant as Plant
 from sampling_design.plants.plant import Signals as Signals
 from sampling_design.plants.sparse import SparsePlant as SparsePlant
 from sampling_design.plants.sparse import split_sparse as split_sparse
-from sampling_design.plants.uncertain import UncertainPlant as UncertainPlant
-from sampling_design.plants.uncertain_parameter import UncertainParameter as UncertainParameter

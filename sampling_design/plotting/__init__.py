@@ -11,6 +11,7 @@ import numpy as np
 
 from sampling_design import _files
 from sampling_design._checks import described
+from sampling_design._verbs import register
 from sampling_design.errors import ArgumentError
 
 # record -> (file of this room, function), also for what is derived from it; one without a picture is not listed
@@ -47,6 +48,8 @@ _PICTURES = {
     "ValidationReport": ("validation", "draw_validation"),
     "ScheduleLog": ("validation", "draw_schedule_log"),
 }
+
+register("plot", object, f"{__name__}:draw")
 
 
 def draw(record: object, ax: object = None, **beside: object) -> Any:

@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from sampling_design._record import short
-from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.plotting import style
+from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 
 
 def draw_inclusion(certificate: InclusionCertificate, ax: Axes | None = None) -> Axes:

@@ -11,14 +11,11 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._checks import freeze
 from sampling_design._door import door
-from sampling_design._record import Gridded, Plain, Variable, finite_or_nones, short
+from sampling_design._record import Gridded, Plain, Record, Variable, finite_or_nones, short
+from sampling_design._verbs import OpenPlant, registered
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.time_varying import TimeVaryingPlant
-from sampling_design.plants.uncertain import UncertainPlant
-from sampling_design.recovery.accuracy_over_box import AccuracyOverBox, accuracy_over_box, one_plant, refuse_others
-from sampling_design.recovery.accuracy_varying import AccuracyAlong, accuracy_along
 from sampling_design.recovery.bounds import Bound, SignalBounds
 from sampling_design.recovery.deviation import Intensity, StandardDeviation, deviations
 from sampling_design.recovery.profile import AccuracyProfile, GapProof
@@ -36,14 +33,23 @@ Array = npt.NDArray[np.float64]
 
 MARGIN = 5e-5
 """By how much an upper bound is raised, so that balls prove it too, whose derivatives are bounded a little worse."""
-RTOL, OVER_BOX = 0.01, 0.1
-"""Default widths of the brackets, relative: of one plant, and over a box of plants."""
+RTOL = 0.01
+"""Default width of the brackets, relative."""
 MOST_SOLVES = 2000
 """Programs for one row; a bracket that is not closed by then says so."""
 
 
+class AccuracyBracket(Record):
+    """The least guaranteed error of each wanted row, bracketed: `lower` attained, `upper` guaranteed."""
+
+    rows: WantedRows
+    lower: Array
+    upper: Array
+    closed: npt.NDArray[np.bool_]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Accuracy(Gridded):
+class Accuracy(AccuracyBracket, Gridded):
     """The least guaranteed error of each wanted row, bracketed, at the worst time of a schedule.
 
         lower <= sup over t of rho(c; t) <= upper
@@ -296,30 +302,7 @@ def accuracy(
 ) -> Accuracy: ...
 @overload
 def accuracy(
-    plant: UncertainPlant,
-    schedule: Schedule | PeriodicSchedule,
-    *,
-    w_bound: Bound = None,
-    v_bound: Bound = None,
-    of: Wanted = None,
-    rtol: float | None = None,
-) -> AccuracyOverBox: ...
-@overload
-def accuracy(
-    plant: TimeVaryingPlant,
-    schedule: Schedule,
-    *,
-    w_bound: Bound = None,
-    v_bound: Bound = None,
-    of: Wanted = None,
-    rtol: float | None = None,
-    initial_error: InitialError = None,
-    start: float | None = None,
-    end: float | None = None,
-) -> AccuracyAlong: ...
-@door
-def accuracy(
-    plant: Plant | UncertainPlant | TimeVaryingPlant,
+    plant: OpenPlant,
     schedule: Schedule | PeriodicSchedule,
     *,
     w_bound: Bound = None,
@@ -331,7 +314,22 @@ def accuracy(
     end: float | None = None,
     w_intensity: Intensity = None,
     v_deviation: Intensity = None,
-) -> Accuracy | AccuracyOverBox | AccuracyAlong:
+) -> AccuracyBracket: ...
+@door
+def accuracy(
+    plant: Plant | OpenPlant,
+    schedule: Schedule | PeriodicSchedule,
+    *,
+    w_bound: Bound = None,
+    v_bound: Bound = None,
+    of: Wanted = None,
+    rtol: float | None = None,
+    initial_error: InitialError = None,
+    start: float | None = None,
+    end: float | None = None,
+    w_intensity: Intensity = None,
+    v_deviation: Intensity = None,
+) -> AccuracyBracket:
     """Return the least error that any estimator can guarantee for wanted rows, at the worst time of a schedule.
 
         rho(c; t) = min over gains of  h(rest) + int h_W(G'g(s)) ds + sum h_V(lambda_j)
@@ -403,15 +401,12 @@ def accuracy(
     >>> found.verify()
     True
     """
-    if isinstance(plant, UncertainPlant):
-        others = {"initial_error": initial_error, "start": start, "end": end, "w_intensity": w_intensity}
-        refuse_others("over a box of parameters", **others, v_deviation=v_deviation)
-        aligned, share = meet(plant.nominal, schedule), _checks.positive("rtol", OVER_BOX if rtol is None else rtol)
-        return accuracy_over_box(plant, aligned, w_bound, v_bound, of, share, one_plant(accuracy, aligned))
+    if not isinstance(plant, Plant):
+        return registered("accuracy", plant, AccuracyBracket)(
+            plant, schedule, w_bound=w_bound, v_bound=v_bound, of=of, rtol=rtol, initial_error=initial_error,
+            start=start, end=end, w_intensity=w_intensity, v_deviation=v_deviation,
+        )  # fmt: skip
     tolerance = _checks.positive("rtol", RTOL if rtol is None else rtol)
-    if isinstance(plant, TimeVaryingPlant):
-        refuse_others("of a plant that varies", w_intensity=w_intensity, v_deviation=v_deviation)
-        return accuracy_along(plant, schedule, w_bound, v_bound, of, tolerance, initial_error, (start, end))
     schedule = meet(plant, schedule)
     rows = wanted_rows(plant, of)
     if isinstance(schedule, PeriodicSchedule):

@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from sampling_design import GapRange, Plant, UncertainParameter, UncertainPlant, load_certificate
-from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion, longest_gap
-from sampling_design.certificates.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.nonlinear import examples
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.thyroid_logs import DOSE, patient_in_tube, patient_under_therapy
+from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion, longest_gap
+from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 from tests.laws import test_no_pair_of_trajectories_violates_a_nonlinear_certificate as pairs
 from tests.oracles import patients
 from tests.oracles.inclusions import adversary

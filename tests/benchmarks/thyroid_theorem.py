@@ -6,9 +6,9 @@ import time
 import numpy as np
 
 from sampling_design import GapRange
-from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion
 from sampling_design.nonlinear.thyroid import NOISE_BOUND, PROCESS_BOUND
 from sampling_design.nonlinear.thyroid_logs import patient_in_tube, patient_under_therapy
+from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
 
 if __name__ == "__main__":
     began = time.process_time()

@@ -18,8 +18,9 @@ OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 KINDS = {"Certificate", "FamilyCertificate", "DetectabilityCertificate", "InclusionCertificate", "from_matrices"}
 NO_MAKERS = {
     "certificates.exact.proof": {"_made"},
-    "certificates.inclusion.search": {"certificate"},
-    "certificates.files": {"_sampled", "_of_family", "_detectable", "_inclusion"},
+    "uncertain.inclusion.search": {"certificate"},
+    "certificates.files": {"_sampled", "_of_family", "_detectable"},
+    "uncertain.inclusion.certificate_file": {"read_inclusion"},
 }
 """Functions whose certificates are still to be proven by the maker that asked for them, or are read from a file."""
 

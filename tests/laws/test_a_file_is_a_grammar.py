@@ -16,16 +16,16 @@ import pytest
 
 import sampling_design as sd
 from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, Schedule, SpacedWindows
-from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion
 from sampling_design.checkers import check
 from sampling_design.checkers.parts import digest
 from sampling_design.checkers.strict import BadFile, from_json
 from sampling_design.errors import SamplingDesignError
-from sampling_design.plants.uncertain import UncertainPlant
-from sampling_design.plants.uncertain_parameter import UncertainParameter
 from sampling_design.recovery.interval import Interval, interval
 from sampling_design.recovery.readings import Below, Mean
 from sampling_design.schedules.family_files import family_from_dict
+from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
+from sampling_design.uncertain.plants.parameter import UncertainParameter
+from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests import mutants
 from tests.oracles import dissipation, families, inclusions
 from tests.oracles.files import facts_of_plant, facts_of_requirement, facts_of_schedule, facts_of_table, same

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from sampling_design import GapRange
-from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion
 from sampling_design.nonlinear import examples
+from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
 
 PLANTS = {
     "pendulum": (examples.pendulum, 0.4, 1.0, 16, 5),

@@ -12,9 +12,9 @@ from scipy.linalg import expm
 from sampling_design import Plant
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.estimators.nominal import NominalFilter
-from sampling_design.plants.uncertain import UncertainPlant
-from sampling_design.plants.uncertain_parameter import UncertainParameter
+from sampling_design.uncertain.nominal_filter import NominalFilter
+from sampling_design.uncertain.plants.parameter import UncertainParameter
+from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests.oracles.boxes import drawn_values, matrices
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0]], B=[[0.0], [1.0]], G=[[0.0], [1.0]])

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from sampling_design import GapRange, Plant
-from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.online.estimator import GuaranteeWarning
@@ -19,8 +18,9 @@ from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.examples import pendulum
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.simulation import simulate
-from sampling_design.plants.uncertain import UncertainPlant
-from sampling_design.plants.uncertain_parameter import UncertainParameter
+from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
+from sampling_design.uncertain.plants.parameter import UncertainParameter
+from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 W, V, FIRST = 0.05, 0.02, 0.4
 PLANT = pendulum().with_bounds(disturbances=(-W, W), noises=(-V, V))

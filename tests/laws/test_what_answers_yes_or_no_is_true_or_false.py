@@ -12,12 +12,12 @@ import pytest
 import sampling_design
 from sampling_design import GapRange, PeriodicSchedule, certificate_exists, library
 from sampling_design.certificates.compare.robustness import FamilyTrial, Losses, TimingTrial
-from sampling_design.certificates.existence.existence_over_box import ExistenceOverBox
 from sampling_design.certificates.form.verdict import Verification
 from sampling_design.certificates.rigorous.decide import RigorousVerification
 from sampling_design.checkers.outcome import Undecided, Verdict
 from sampling_design.errors import UndecidedError
 from sampling_design.nonlinear.detectability import DetectabilityEvidence
+from sampling_design.uncertain.existence.existence_over_box import ExistenceOverBox
 from sampling_design.validation.report import Finding, ValidationReport
 
 ANSWERS = {"exists", "passed", "holds", "survives", "verdict"}

@@ -10,9 +10,9 @@ import pytest
 
 from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, SpacedWindows
 from sampling_design.certificates.existence.periodic import certificate_exists
-from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion
 from sampling_design.errors import CertificateError, UndecidedError
-from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
+from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
+from sampling_design.uncertain.plants.uncertain_plant import UncertainParameter, UncertainPlant
 from tests.oracles import inclusions
 
 W = np.pi

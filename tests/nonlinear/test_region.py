@@ -6,10 +6,6 @@ import pytest
 
 from sampling_design import GapRange, NonlinearPlant, certify, load_certificate
 from sampling_design.certificates.exact.given_weights import weights_of
-from sampling_design.certificates.inclusion.certify_inclusion import certify_inclusion, longest_gap
-from sampling_design.certificates.inclusion.layout import graph_for
-from sampling_design.certificates.inclusion.members import InclusionWeights
-from sampling_design.certificates.inclusion.search import InclusionSearch
 from sampling_design.certificates.rigorous.decide import judged
 from sampling_design.checkers import programs
 from sampling_design.checkers.intervals import Interval
@@ -19,6 +15,10 @@ from sampling_design.nonlinear.instructions import instructions
 from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.simulation import simulate
 from sampling_design.nonlinear.thyroid import thyroid
+from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion, longest_gap
+from sampling_design.uncertain.inclusion.layout import graph_for
+from sampling_design.uncertain.inclusion.members import InclusionWeights
+from sampling_design.uncertain.inclusion.search import InclusionSearch
 
 SIZES = {"states": 2, "disturbances": 1, "outputs": 1}
 

@@ -7,7 +7,7 @@ from sampling_design import PeriodicSchedule, Plant, Schedule, Signals, window_s
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.windows import bracket
 from sampling_design.plants import library
-from sampling_design.plants.uncertain import UncertainParameter, UncertainPlant
+from sampling_design.uncertain.plants.uncertain_plant import UncertainParameter, UncertainPlant
 from tests.oracles.observability import scan_windows, sigma_of_window
 
 J = np.array([[0.0, 1.0], [-1.0, 0.0]])
@@ -271,7 +271,7 @@ def test_progress_and_words():
         ({"rtol": 1.0}, "`rtol` must be less than 1"),
         ({"rtol": -0.1}, "`rtol` must be positive"),
         ({"budget": -1.0}, "`budget` must not be negative"),
-        ({"plant": J}, "`plant` must be a Plant or an UncertainPlant or a TimeVaryingPlant, got ndarray"),
+        ({"plant": J}, "`plant` must be a Plant or a plant of another kind, got ndarray"),
         ({"schedule": [0.0, 1.0]}, r"Use Schedule\(times\)"),
         ({"schedule": Schedule([0.0, 1.0])}, "`window` must fit into the schedule, which spans 1, got 1.5"),
         ({"schedule": Schedule([1.0, 2.0]), "start": 1.0}, "which ends 1 after `start`, got 1.5"),

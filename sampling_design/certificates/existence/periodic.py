@@ -8,18 +8,16 @@ from typing import TypedDict, overload
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
 from sampling_design._balance import balance, balanced, balanced_rows
 from sampling_design._door import door
 from sampling_design._linalg import expm_batch, positive_or_one
 from sampling_design._record import YesOrNo, short
-from sampling_design.certificates.existence.existence_over_box import ExistenceOverBox, Margin, existence_over_box
+from sampling_design._verbs import OpenPlant, registered
 from sampling_design.errors import CertificateError, UndecidedError
 from sampling_design.observability.count.period_modes import PeriodModes, Sight, period_modes
 from sampling_design.observability.meeting import meet
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.uncertain import UncertainPlant
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
@@ -44,8 +42,19 @@ REPAIR_FRACTIONS = np.geomspace(1e-3, 0.5, 28)
 """Changes of one gap that are tried, as fractions of that gap."""
 
 
+class ExistenceAnswer(YesOrNo):
+    """Whether a certificate exists for every plant that was asked about, `margin` from the answer no, and why."""
+
+    exists: bool
+    margin: float
+    reason: str
+
+    def _answer(self) -> bool:
+        return self.exists
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Existence(YesOrNo):
+class Existence(ExistenceAnswer):
     """Whether some certificate with rate eta exists on a schedule: true if one does.
 
     Attributes
@@ -72,9 +81,6 @@ class Existence(YesOrNo):
     period: float = 0.0
     reason: str = "every mode that does not fade by itself is seen within a period"
 
-    def _answer(self) -> bool:
-        return self.exists
-
     def _rows(self) -> list[tuple[str, str]]:
         return [
             ("exists", "yes" if self.exists else "no"),
@@ -91,13 +97,9 @@ class Existence(YesOrNo):
 @overload
 def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta: float) -> Existence: ...
 @overload
-def certificate_exists(
-    plant: UncertainPlant, schedule: PeriodicSchedule | Schedule, eta: float
-) -> ExistenceOverBox: ...
+def certificate_exists(plant: OpenPlant, schedule: PeriodicSchedule | Schedule, eta: float) -> ExistenceAnswer: ...
 @door
-def certificate_exists(
-    plant: Plant | UncertainPlant, schedule: PeriodicSchedule | Schedule, eta: float
-) -> Existence | ExistenceOverBox:
+def certificate_exists(plant: Plant | OpenPlant, schedule: PeriodicSchedule | Schedule, eta: float) -> ExistenceAnswer:
     """Decide whether some certificate with rate `eta` exists on a schedule, whatever the weights.
 
     Parameters
@@ -139,8 +141,8 @@ def certificate_exists(
     >>> certificate_exists(oscillator, PeriodicSchedule([np.pi]), 0.4).exists
     False
     """
-    if isinstance(plant, UncertainPlant):
-        return _over_box(plant, meet(plant.nominal, schedule), _checks.nonnegative("eta", eta))
+    if not isinstance(plant, Plant):
+        return registered("certificate_exists", plant, ExistenceAnswer)(plant, schedule, eta)
     schedule = meet(plant, schedule)
     if isinstance(schedule, Schedule):
         return Existence(True, float("inf"), period=0.0, reason="a finite schedule is certified to its last time")
@@ -167,29 +169,6 @@ def certificate_exists(
             margin=found.margin,
         )
     return found
-
-
-def _over_box(plant: UncertainPlant, schedule: PeriodicSchedule | Schedule, eta: float) -> ExistenceOverBox:
-    """Every plant of a box: a "no" is one plant's own."""
-    if isinstance(schedule, Schedule):
-        nominal = {each.name: each.nominal for each in plant.parameters}
-        return ExistenceOverBox(True, nominal, np.inf, "a finite schedule is certified to its last time", 0, plant)
-    return existence_over_box(plant, schedule, eta, margin_on(schedule, eta))
-
-
-def margin_on(schedule: PeriodicSchedule, eta: float) -> Margin:
-    """Whether a certificate exists for a plant, and by what margin, for searches over plants."""
-
-    def margin(member: Plant) -> tuple[bool, float, str]:
-        found = judged(member, schedule, eta)
-        if not found.exists:
-            try:
-                found = certificate_exists(member, schedule, eta)
-            except UndecidedError:  # beside a plant that has none: the descent goes on to that one
-                return True, found.margin, found.reason
-        return found.exists, found.margin, found.reason
-
-    return margin
 
 
 def judged(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Existence:

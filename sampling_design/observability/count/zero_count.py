@@ -11,14 +11,13 @@ import numpy as np
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Plain, Record, short
+from sampling_design._verbs import OpenPlant, registered
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
 from sampling_design.observability.count.critical_length import search
 from sampling_design.observability.count.pbh import observable_rank, require_observable, spectrum
-from sampling_design.observability.count.zero_count_over_box import ZeroCountOverBox, zero_count_over_box
 from sampling_design.plants.clusters import EigenvalueCluster, eigenvalue_clusters
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.uncertain import UncertainPlant
 
 ROUNDING_GUARD = 1e-9
 """k* within this of a whole number (relative above 1) counts as that number: floor(k* + guard) + 1, never ceil(k*)."""
@@ -27,8 +26,22 @@ MOST_SAMPLES = 1e15  # beyond, the next whole number is no double any more
 LARGEST_SUBSETS = 12  # outputs up to which every set of outputs is tried for the lower bound (2^12 rank decisions)
 
 
+class SampleCount(Record):
+    """How many samples in a closed window of length `duration` determine the state of every plant asked about."""
+
+    value: float
+    samples_needed: int
+    frequency_spread: float
+    duration: float
+
+    @property
+    def samples(self) -> int:
+        """This many distinct times suffice wherever they are placed in the window."""
+        return self.samples_needed
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class ZeroCountBound(Record):
+class ZeroCountBound(SampleCount):
     """Numbers of samples in a closed window of length `duration`, side by side.
 
     Attributes
@@ -119,9 +132,9 @@ class ZeroCountBound(Record):
 @overload
 def zero_count_bound(plant: Plant, duration: float) -> ZeroCountBound: ...
 @overload
-def zero_count_bound(plant: UncertainPlant, duration: float) -> ZeroCountOverBox: ...
+def zero_count_bound(plant: OpenPlant, duration: float) -> SampleCount: ...
 @door
-def zero_count_bound(plant: Plant | UncertainPlant, duration: float) -> ZeroCountBound | ZeroCountOverBox:
+def zero_count_bound(plant: Plant | OpenPlant, duration: float) -> SampleCount:
     """Return how many samples in a closed window of length `duration` determine the state, whatever the times.
 
         k* = r - 1 + T delta/(2 pi),    delta = 2 max |Im lambda|
@@ -168,8 +181,8 @@ def zero_count_bound(plant: Plant | UncertainPlant, duration: float) -> ZeroCoun
     (2.0, 3, 'zero count')
     """
     T = _checks.nonnegative("duration", duration)
-    if isinstance(plant, UncertainPlant):
-        return zero_count_over_box(plant, T)
+    if not isinstance(plant, Plant):
+        return registered("zero_count_bound", plant, SampleCount)(plant, T)
     n, p = plant.n_states, plant.n_outputs
     if not n:
         return _record(plant, T, -1.0, 0, 0, 0.0, None, 0)

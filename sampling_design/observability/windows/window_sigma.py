@@ -13,25 +13,22 @@ import numpy.typing as npt
 from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._record import Gridded, Plain, Record, Table, Variable, short
+from sampling_design._verbs import OpenPlant, registered
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
 from sampling_design.observability.meeting import meet
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of
 from sampling_design.observability.windows.bracket import Bracket, bracket_sigma
-from sampling_design.observability.windows.bracket_varying import bracket_varying
 from sampling_design.observability.windows.pieces import Pieces, window_pieces
-from sampling_design.observability.windows.window_sigma_over_box import WindowSigmaOverBox, window_sigma_over_box
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.time_varying import TimeVaryingPlant
-from sampling_design.plants.uncertain import UncertainPlant
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 
-RTOL, OVER_BOX = 0.001, 0.01
-"""Default widths of the bracket, relative: of one plant, and over a box of plants."""
+RTOL = 0.001
+"""Default width of the bracket, relative."""
 HIDING = 1e3
 """Growth within a window from which on a sigma that doubles lose is asked of balls: n eps |O| is then far above the
 n eps |C| below which sigma counts as zero."""
@@ -240,7 +237,7 @@ class WindowSigma(SigmaBracket, Table, Gridded):
 
 @overload
 def window_sigma(
-    plant: Plant | TimeVaryingPlant,
+    plant: Plant,
     schedule: Schedule | PeriodicSchedule,
     window: float,
     rtol: float | None = None,
@@ -251,7 +248,7 @@ def window_sigma(
 ) -> WindowSigma: ...
 @overload
 def window_sigma(
-    plant: UncertainPlant,
+    plant: OpenPlant,
     schedule: Schedule | PeriodicSchedule,
     window: float,
     rtol: float | None = None,
@@ -259,10 +256,10 @@ def window_sigma(
     progress: Progress | None = None,
     rigorous: bool = False,
     start: float | None = None,
-) -> WindowSigmaOverBox: ...
+) -> SigmaBracket: ...
 @door
 def window_sigma(
-    plant: Plant | UncertainPlant | TimeVaryingPlant,
+    plant: Plant | OpenPlant,
     schedule: Schedule | PeriodicSchedule,
     window: float,
     rtol: float | None = None,
@@ -270,7 +267,7 @@ def window_sigma(
     progress: Progress | None = None,
     rigorous: bool = False,
     start: float | None = None,
-) -> WindowSigma | WindowSigmaOverBox:
+) -> SigmaBracket:
     """Bound sigma over all real positions of a sliding window.
 
         sigma = inf over real t of sigma_n(rows C e^{A (tau - (t - T))}, tau in [t - T, t])
@@ -340,18 +337,30 @@ def window_sigma(
     >>> window_sigma(plant, PeriodicSchedule([1.0]), 1.0).upper
     0.0
     """
-    if isinstance(plant, TimeVaryingPlant):
-        return _varying(plant, schedule, window, rtol, budget, rigorous, start)
-    if not isinstance(plant, (Plant, UncertainPlant)):
-        raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
-    aligned = meet(plant.nominal if isinstance(plant, UncertainPlant) else plant, schedule)
-    length = _checks.positive("window", window)
-    tolerance = _tolerance(rtol, OVER_BOX if isinstance(plant, UncertainPlant) else RTOL)
-    seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
-    pieces = window_pieces(aligned, length, None if start is None else _checks.nonnegative("start", start))
-    if isinstance(plant, UncertainPlant):
-        return window_sigma_over_box(plant, aligned, pieces, tolerance, seconds, progress, rigorous=rigorous)
+    if not isinstance(plant, Plant):
+        other = registered("window_sigma", plant, SigmaBracket)
+        return other(plant, schedule, window, rtol, budget, progress, rigorous, start)
+    aligned = meet(plant, schedule)
+    pieces, tolerance, seconds = asked(aligned, window, start, RTOL if rtol is None else rtol, budget)
     return sigma_of_pieces(plant, aligned, pieces, tolerance, seconds, progress, rigorous=rigorous)
+
+
+def asked(
+    schedule: Schedule | PeriodicSchedule, window: float, start: float | None, rtol: float, budget: float | None
+) -> tuple[Pieces, float, float]:
+    """Return the window's pieces along a schedule in the plant's unit, the tolerance and the seconds, all checked.
+
+    Raises
+    ------
+    ArgumentError
+        If the window does not fit, or a number is out of range.
+    """
+    length, tolerance = _checks.positive("window", window), _checks.positive("rtol", rtol)
+    if tolerance >= 1:
+        raise ArgumentError(f"`rtol` must be less than 1, got {tolerance!r}.")
+    seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
+    first = None if start is None else _checks.nonnegative("start", start)
+    return window_pieces(schedule, length, first), tolerance, seconds
 
 
 def sigma_of_pieces(
@@ -371,43 +380,12 @@ def sigma_of_pieces(
     """
     own = plant.scaled() if plant.has_scales else plant
     found = bracket_sigma(own, pieces, rtol, seconds, progress, np.inf if reached is None else reached.upper)
-    result = _record(found, rtol, plant.time_unit, coordinates_of(plant))
+    result = record_of(found, rtol, plant.time_unit, coordinates_of(plant))
     if rigorous:
         return _in_balls(result, own, schedule, pieces, seconds)
     if _hidden(found) and find_spec("flint") is not None:
         return _in_balls(result, own, schedule, pieces, min(seconds, HANDED_OVER))
     return result
-
-
-def _tolerance(rtol: float | None, default: float) -> float:
-    tolerance = _checks.positive("rtol", default if rtol is None else rtol)
-    if tolerance >= 1:
-        raise ArgumentError(f"`rtol` must be less than 1, got {tolerance!r}.")
-    return tolerance
-
-
-def _varying(
-    plant: TimeVaryingPlant, schedule: object, window: float, rtol: float | None, budget: float | None,
-    rigorous: bool, start: float | None,
-) -> WindowSigma:  # fmt: skip
-    """The same of a plant that varies in time."""
-    if rigorous:
-        raise ArgumentError("`rigorous` is for plants that do not vary: of a table all rounding is counted anyway.")
-    if not isinstance(schedule, Schedule):
-        raise ArgumentError(
-            f"`schedule` must be a Schedule within the plant's horizon, got {_checks.described(schedule)}."
-        )
-    aligned = meet(plant.at(0.0), schedule)
-    outside = [t for t in aligned.times.tolist() if not 0 <= t <= plant.horizon]
-    if outside:
-        raise ArgumentError(
-            f"`schedule` must lie within the plant's horizon [0, {plant.horizon:.6g}], got a sample at {outside[0]!r}."
-        )
-    length, tolerance = _checks.positive("window", window), _tolerance(rtol, OVER_BOX)
-    seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
-    pieces = window_pieces(aligned, length, None if start is None else _checks.nonnegative("start", start))
-    bracket = bracket_varying(plant, pieces, tolerance, seconds)
-    return _record(bracket, tolerance, plant.time_unit, coordinates_of(plant))
 
 
 def _hidden(found: Bracket) -> bool:
@@ -435,7 +413,7 @@ def _in_balls(
     return replace(result, lower=proof.lower, status=status, closed=closed, rigorous=True, slack=proof.slack)
 
 
-def _record(found: Bracket, rtol: float, time_unit: str, coordinates: str) -> WindowSigma:
+def record_of(found: Bracket, rtol: float, time_unit: str, coordinates: str) -> WindowSigma:
     """The public record: window starts become window ends."""
     window = found.pieces.window
     witness = WindowWitness(found.start + window, found.side, found.samples, found.direction, found.upper)

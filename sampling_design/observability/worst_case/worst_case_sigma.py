@@ -14,6 +14,7 @@ from sampling_design import _checks
 from sampling_design._checks import Seed
 from sampling_design._door import door
 from sampling_design._record import Plain, counted, short
+from sampling_design._verbs import OpenPlant, registered
 from sampling_design.errors import ArgumentError
 from sampling_design.evidence import Claim
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of
@@ -23,9 +24,7 @@ from sampling_design.observability.worst_case.periodicity import within_periods
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.observability.worst_case.spaced_search import LEAST_CELLS, Attained, search_worst, worst_of
 from sampling_design.observability.worst_case.spaced_sphere import MOST_STATES, Proof, prove_worst
-from sampling_design.observability.worst_case.worst_case_over_box import WorstCaseOverBox, worst_case_over_box
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.uncertain import UncertainPlant
 from sampling_design.schedules.spaced_windows import SpacedWindows
 
 Array = npt.NDArray[np.float64]
@@ -34,8 +33,8 @@ Progress = Callable[[float, str], None]
 MOST_MEMORY = 2.0
 """GiB that a search over the times of all samples may take."""
 LEAST_SEARCH = 1.0  # seconds for the attained bound even where the budget is spent: without it nothing is said
-RTOL, OVER_BOX = 0.01, 0.1
-"""Default widths of the bracket, relative: of one plant, and over a box of plants."""
+RTOL = 0.01
+"""Default width of the bracket, relative."""
 _PICTURE = 401  # points of the profile
 _REASONS = {
     "budget": "the budget ran out before the bracket closed; more time narrows it",
@@ -182,24 +181,24 @@ def worst_case_sigma(
 ) -> WorstCaseSigma: ...
 @overload
 def worst_case_sigma(
-    plant: UncertainPlant,
+    plant: OpenPlant,
     family: SpacedWindows,
     rtol: float | None = None,
     budget: float | None = 60.0,
     rng: Seed = None,
     progress: Progress | None = None,
     rigorous: bool = False,
-) -> WorstCaseOverBox: ...
+) -> SigmaBracket: ...
 @door
 def worst_case_sigma(
-    plant: Plant | UncertainPlant,
+    plant: Plant | OpenPlant,
     family: SpacedWindows,
     rtol: float | None = None,
     budget: float | None = 60.0,
     rng: Seed = None,
     progress: Progress | None = None,
     rigorous: bool = False,
-) -> WorstCaseSigma | WorstCaseOverBox:
+) -> SigmaBracket:
     """Bracket the least sigma over all schedules with k samples, epsilon apart, in a window.
 
         sigma_bar = min of sigma_n(rows C e^{A tau_i}) over 0 <= tau_1, tau_i + epsilon <= tau_{i+1}, tau_k <= T
@@ -270,17 +269,10 @@ def worst_case_sigma(
     >>> bool(0.99 * sigma.upper <= sigma.lower <= sigma.upper)
     True
     """
-    if family.time_unit is not None and family.time_unit != plant.time_unit:
-        raise ArgumentError(
-            f"`family` is in {family.time_unit} and the plant in {plant.time_unit}. Give both in one unit of time."
-        )
-    default = OVER_BOX if isinstance(plant, UncertainPlant) else RTOL
-    tolerance = _checks.positive("rtol", default if rtol is None else rtol)
-    if tolerance >= 1:
-        raise ArgumentError(f"`rtol` must be less than 1, got {tolerance!r}.")
-    seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
-    if isinstance(plant, UncertainPlant):
-        return _over_box(plant, family, tolerance, seconds, rigorous)
+    if not isinstance(plant, Plant):
+        other = registered("worst_case_sigma", plant, SigmaBracket)
+        return other(plant, family, rtol, budget, rng, progress, rigorous)
+    tolerance, seconds = asked(plant, family, RTOL if rtol is None else rtol, budget)
     generator = _checks.generator(rng)
     require_moderate(plant)
     _require_memory(plant, family)
@@ -291,17 +283,22 @@ def worst_case_sigma(
     return replace(result, family=family, coordinates=coordinates_of(plant))
 
 
-def _over_box(
-    plant: UncertainPlant, family: SpacedWindows, rtol: float, seconds: float, rigorous: bool
-) -> WorstCaseOverBox:
-    """Each plant that is judged has a search of its own."""
+def asked(plant: OpenPlant, family: SpacedWindows, rtol: float, budget: float | None) -> tuple[float, float]:
+    """Return the tolerance and the seconds, checked as the family's unit is.
 
-    def one(member: Plant, tolerance: float, left: float) -> tuple[float, float, Array]:
-        limit = max(left, LEAST_SEARCH) if np.isfinite(left) else None
-        found = worst_case_sigma(member, replace(family, time_unit=None), tolerance, limit)
-        return found.lower, found.upper, found.witness
-
-    return worst_case_over_box(plant, family, rtol, seconds, one, rigorous=rigorous)
+    Raises
+    ------
+    ArgumentError
+        If plant and family have different units of time, or a number is out of range.
+    """
+    if family.time_unit is not None and family.time_unit != plant.time_unit:
+        raise ArgumentError(
+            f"`family` is in {family.time_unit} and the plant in {plant.time_unit}. Give both in one unit of time."
+        )
+    tolerance = _checks.positive("rtol", rtol)
+    if tolerance >= 1:
+        raise ArgumentError(f"`rtol` must be less than 1, got {tolerance!r}.")
+    return tolerance, np.inf if budget is None else _checks.nonnegative("budget", budget)
 
 
 def _require_memory(plant: Plant, family: SpacedWindows) -> None:

@@ -1,0 +1,34 @@
+"""Plants that are not exactly known: numbers in ranges, between vertices, or varying in time."""
+
+from sampling_design._lazy import lazy
+from sampling_design._verbs import register
+
+_NAMES = {
+    "existence.largest_box": ("largest_box",),
+    "inclusion.certify_inclusion": ("certify_inclusion", "longest_gap"),
+    "inclusion.inclusion_certificate": ("InclusionCertificate",),
+    "nominal_filter": ("NominalFilter",),
+    "plants.inclusion": ("LinearInclusion",),
+    "plants.parameter": ("UncertainParameter",),
+    "plants.time_varying": ("TimeVaryingPlant",),
+    "plants.uncertain_plant": ("UncertainPlant",),
+}
+__getattr__, __dir__, __all__ = lazy(
+    __name__, _NAMES, modules=("accuracy", "box", "existence", "inclusion", "observability", "plants")
+)
+
+_BOX, _VARYING = f"{__name__}.plants.uncertain_plant.UncertainPlant", f"{__name__}.plants.time_varying.TimeVaryingPlant"
+_REGISTERED = {
+    ("zero_count_bound", _BOX): "observability.zero_count_over_box:zero_count_over_box",
+    ("window_sigma", _BOX): "observability.window_sigma_over_box:window_sigma_over_box",
+    ("window_sigma", _VARYING): "observability.window_sigma_varying:window_sigma_varying",
+    ("worst_case_sigma", _BOX): "observability.worst_case_over_box:worst_case_over_box",
+    ("certificate_exists", _BOX): "existence.existence_over_box:existence_over_box",
+    ("accuracy", _BOX): "accuracy.accuracy_over_box:accuracy_over_box",
+    ("accuracy", _VARYING): "accuracy.accuracy_varying:accuracy_along",
+    ("certify", f"{__name__}.plants.inclusion.LinearInclusion"): "inclusion.certify_inclusion:certify_plant",
+    ("load_certificate", "inclusion"): "inclusion.certificate_file:read_inclusion",
+    ("verify_rigorously", "inclusion"): "inclusion.inclusion_balls:inclusion",
+}
+for (_verb, _kind), _does in _REGISTERED.items():
+    register(_verb, _kind, f"{__name__}.{_does}")

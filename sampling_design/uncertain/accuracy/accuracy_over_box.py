@@ -1,0 +1,294 @@
+"""The least error that an estimator can guarantee, for every plant of a box of constant parameters."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Plain, finite_or_nones, short
+from sampling_design.errors import ArgumentError, UndecidedError
+from sampling_design.evidence import Claim
+from sampling_design.observability.meeting import meet
+from sampling_design.plants.plant import Plant, Signals
+from sampling_design.recovery.accuracy import AccuracyBracket, accuracy
+from sampling_design.recovery.bounds import Bound
+from sampling_design.recovery.rows import Wanted, WantedRows, wanted_rows
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+from sampling_design.uncertain.box.model import require_constant_box
+from sampling_design.uncertain.box.question import at_parameters
+from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
+
+Array = npt.NDArray[np.float64]
+Both = tuple[Array, Array]
+OnePlant = Callable[[Plant, Array, Array, Array, float], Both]
+"""Lower and upper bounds of one plant: bounds on w and v, wanted rows, and a tolerance."""
+
+SECONDS = 120.0
+RTOL = 0.1
+"""Default width of the brackets, relative."""
+FINER = 0.4
+"""Share of the tolerance that the bracket of each single plant may take."""
+GUESSES = (1.02, 1.1, 1.4, 2.5)
+"""Factors by which what the mismatch moves is taken larger than at the centre, one after the other."""
+MOST_CORNERS = 2
+"""Parameters up to which the corners of the box are looked at first."""
+RANK = 1e-13
+SMALLEST = 1e-6
+"""Cells below this share of the box, along every parameter, are not halved further."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AccuracyOverBox(AccuracyBracket):
+    """The least guaranteed error of each wanted row at the worst time of a schedule, for the worst plant of a box.
+
+    Attributes
+    ----------
+    lower : (r,) array
+        Attained by the plant `worst[k]`: no estimator guarantees less for it, even one that knows its parameters.
+    upper : (r,) array
+        Proven: for every plant of the box an estimator that knows its parameters guarantees it, at all real times.
+    worst : tuple of mappings
+        Values of the parameters, one for each row.
+    closed : (r,) bool array
+    cells : int
+    """
+
+    rows: WantedRows
+    lower: Array
+    upper: Array
+    worst: tuple[Mapping[str, float], ...]
+    closed: npt.NDArray[np.bool_]
+    cells: int
+    plant: UncertainPlant
+    schedule: PeriodicSchedule
+
+    @property
+    def claim(self) -> Claim:
+        """What `upper` claims."""
+        return Claim(
+            f"for every plant of the box some estimator guarantees {short(self.upper)}",
+            "Theorem D for each plant of the box, the mismatch within a cell as a disturbance that bounds itself",
+            ("constant parameters in their ranges, known to the estimator", "bounded disturbance and noise"),
+        )
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data."""
+        return {
+            "rows": {"names": list(self.rows.names), "matrix": self.rows.matrix.tolist()},
+            "lower": self.lower.tolist(),
+            "upper": finite_or_nones(self.upper),
+            "worst": [dict(each) for each in self.worst],
+            "closed": self.closed.tolist(),
+            "cells": self.cells,
+            "claim": self.claim.to_dict(),
+        }
+
+    def _rows(self) -> list[tuple[str, str]]:
+        found = [
+            (name, f"{short(low)} to {short(up)}, worst at {at_parameters(where)}")
+            for name, low, up, where in zip(self.rows.labels(), self.lower, self.upper, self.worst, strict=True)
+        ]
+        return [*found, ("cells", str(self.cells))]
+
+    def explain(self) -> str:
+        """Say what can be guaranteed for every plant of the box."""
+        parts = [f"{n} within {short(u, 4)}" for n, u in zip(self.rows.labels(), self.upper, strict=True)]
+        return (
+            f"Whichever plant of the box it is, some estimator that knows it guarantees {', '.join(parts)}; for the "
+            f"worst plants none guarantees less than {short(self.lower, 4)}."
+        )
+
+
+def accuracy_over_box(
+    plant: UncertainPlant,
+    schedule: Schedule | PeriodicSchedule,
+    *,
+    w_bound: Bound = None,
+    v_bound: Bound = None,
+    of: Wanted = None,
+    rtol: float | None = None,
+    **others: object,
+) -> AccuracyOverBox:
+    """Bracket the worst accuracy over a box: see `accuracy`.
+
+    Within a cell about theta_0 the plant theta is that of theta_0 with the disturbance sum_k (theta_k - theta_0k) A_k x
+    and the noise of C_k x beside. If |r'x| <= beta for the rows r of A_k and C_k implies |r'x| < beta for them under
+    those disturbances and zero outputs, then the same implication bounds every wanted row (a small-gain argument: what
+    gains prove is affine in beta with a nonnegative matrix, whose spectral radius is then below 1).
+
+    Raises
+    ------
+    ArgumentError
+        If the schedule is finite, or a bound is not one number for each entry.
+    UndecidedError
+        If some plant of the box could not be bounded.
+    """
+    refuse_others("over a box of parameters", **others)
+    schedule, rtol = meet(plant.nominal, schedule), _checks.positive("rtol", RTOL if rtol is None else rtol)
+    require_constant_box(plant, "accuracy")
+    if not isinstance(schedule, PeriodicSchedule):
+        raise ArgumentError("`schedule` must be periodic for accuracy over a box of parameters.")
+    w = _entries("w_bound", w_bound, plant.nominal.n_disturbances)
+    v = _entries("v_bound", v_bound, plant.nominal.n_outputs)
+    rows = wanted_rows(plant.nominal, of)
+    one = one_plant(schedule)
+    began, middle = time.monotonic(), plant.low / 2 + plant.high / 2
+    whole = plant.high / 2 - plant.low / 2
+    open_ = [(middle, whole, np.full(len(rows), np.inf))]
+    lower, worst = np.zeros(len(rows)), [middle] * len(rows)
+    top, cells = np.zeros(len(rows)), 0
+    for corner in _corners(plant):
+        low, _ = one(plant.at(corner), w, v, rows.matrix, FINER * rtol)
+        for k in np.flatnonzero(low > lower).tolist():
+            lower[k], worst[k] = low[k], corner
+    while open_:
+        theta, half, before = open_.pop(int(np.argmax([float(np.max(each[2])) for each in open_])))
+        small = cells > 0 and bool(np.all(half <= SMALLEST * whole))
+        if time.monotonic() - began > SECONDS or small:
+            top = np.maximum(top, np.max([before, *(each[2] for each in open_)], axis=0))
+            break
+        cells += 1
+        low, up = _cell(plant, theta, half, (w, v), rows, FINER * rtol, one)
+        for k in np.flatnonzero(low > lower).tolist():
+            lower[k], worst[k] = low[k], theta
+        up = np.fmin(up, before)
+        if np.all(up * (1 - rtol) <= lower):
+            top = np.maximum(top, up)
+            continue
+        widest = int(np.argmax(half * _weights(plant)))
+        for sign in (-1.0, 1.0):
+            less = half.copy()
+            less[widest] /= 2
+            at = theta.copy()
+            at[widest] += sign * less[widest]
+            open_.append((at, less, up))
+    if not np.all(np.isfinite(top)):
+        raise UndecidedError(
+            f"undecided: some plant of the box near {at_parameters(_named(plant, worst[0]))} could not be bounded in "
+            "time. Try a smaller box."
+        )
+    closed = top * (1 - 1.001 * rtol) <= lower
+    where = tuple(_named(plant, each) for each in worst)
+    return AccuracyOverBox(rows, lower, top, where, closed, cells, plant, schedule)
+
+
+def _corners(plant: UncertainPlant) -> list[Array]:
+    """The corners of a small box: the worst plant is often one of them."""
+    ends = [sorted({each.low, each.high}) for each in plant.parameters]
+    if sum(len(each) > 1 for each in ends) > MOST_CORNERS:
+        return []
+    return [np.array(corner) for corner in product(*ends)]
+
+
+def _cell(
+    plant: UncertainPlant, theta: Array, half: Array, bounds: Both, rows: WantedRows, rtol: float, one: OnePlant
+) -> Both:
+    """What the centre attains, and what holds for every plant of a cell; infinite where nothing is proven."""
+    w, v = bounds
+    centre = plant.at(np.clip(theta, plant.low, plant.high))
+    into, seen = _mismatch(plant, half)
+    low, up = one(centre, w, v, np.vstack([rows.matrix, *seen, *(C for C in _outputs(plant, half))]), rtol)
+    count, moves = len(rows), sum(len(r) for r in seen)
+    if not np.all(np.isfinite(up)):
+        return low[:count], np.full(count, np.inf)
+    extra = np.hstack([centre.G, *into, *_disturbed(plant, half)])
+    wide = replace(centre, G=extra, disturbances=Signals([f"d{k}" for k in range(extra.shape[1])]))
+    shown, more = list(_outputs(plant, half)), [w * 1.0 for _ in _disturbed(plant, half)]
+    matrix = np.vstack([rows.matrix, *seen, *shown])
+    for factor in GUESSES:
+        beta = factor * up[count:]
+        noise = v + sum(
+            (beta[moves + k * len(v) : moves + (k + 1) * len(v)] for k in range(len(shown))), np.zeros(len(v))
+        )
+        _, found = one(wide, np.concatenate([w, beta[:moves], *more]), noise, matrix, rtol)
+        if np.all(found[count:] < beta) or not len(beta):
+            return low[:count], found[:count]
+    return low[:count], np.full(count, np.inf)
+
+
+def _mismatch(plant: UncertainPlant, half: Array) -> tuple[list[Array], list[Array]]:
+    """What half-widths of A add as columns (n, rank) times rows (rank, n)."""
+    into, seen = [], []
+    for each, size in zip(plant.parameters, half.tolist(), strict=True):
+        if each.A is None or not each.A.any() or not size:
+            continue
+        x = plant.nominal.states.scales
+        U, s, V = np.linalg.svd(size * each.A * x / x[:, None])
+        rank = int(np.sum(s > RANK * s[0]))
+        into.append(x[:, None] * U[:, :rank])
+        seen.append(s[:rank, None] * V[:rank] / x)
+    return into, seen
+
+
+def _outputs(plant: UncertainPlant, half: Array) -> list[Array]:
+    """What half-widths of C add."""
+    pairs = zip(plant.parameters, half.tolist(), strict=True)
+    return [size * each.C for each, size in pairs if each.C is not None and each.C.any() and size]
+
+
+def _disturbed(plant: UncertainPlant, half: Array) -> list[Array]:
+    """What half-widths of G add."""
+    pairs = zip(plant.parameters, half.tolist(), strict=True)
+    return [size * each.G for each, size in pairs if each.G is not None and each.G.any() and size]
+
+
+def _weights(plant: UncertainPlant) -> Array:
+    """How much a parameter's unit moves, relative to the nominal matrices."""
+    found = np.zeros(len(plant.parameters))
+    for key in ("A", "C", "G"):
+        M = np.abs(getattr(plant.nominal, key))
+        size = max(float(np.linalg.norm(M)), 1e-300)
+        for k, each in enumerate(plant.parameters):
+            moved = getattr(each, key)
+            found[k] += 0.0 if moved is None else float(np.linalg.norm(moved)) / size
+    return found
+
+
+def _named(plant: UncertainPlant, theta: Array) -> dict[str, float]:
+    pairs = zip(plant.parameters, theta.tolist(), strict=True)
+    return {each.name: float(np.clip(value, each.low, each.high)) for each, value in pairs}
+
+
+def _entries(name: str, value: Bound, count: int) -> Array:
+    """A bound for each entry; one number only where there is one entry."""
+    if value is not None and not callable(value) and not isinstance(value, Mapping):
+        size = _checks.dimensions(value)
+        if size == 0 and count == 1:
+            return np.array([_checks.nonnegative(name, value)])
+        if size == 1:
+            found = np.array(_checks.vector(name, value, count))
+            if np.all(found >= 0):
+                return found
+    raise ArgumentError(
+        f"`{name}` must be {count} numbers that are not negative, one bound for each entry, for accuracy over a box of "
+        f"parameters, got {_checks.described(value)}."
+    )
+
+
+def refuse_others(where: str, **others: object) -> None:
+    """Raise if something is given that has no meaning there.
+
+    Raises
+    ------
+    ArgumentError
+        The first of them that is not None.
+    """
+    for name, value in others.items():
+        if value is not None:
+            raise ArgumentError(f"`{name}` must be left out for accuracy {where}.")
+
+
+def one_plant(schedule: PeriodicSchedule) -> OnePlant:
+    """Both bounds of one plant of a box."""
+
+    def one(member: Plant, w: Array, v: Array, rows: Array, rtol: float) -> Both:
+        found = accuracy(member, schedule, w_bound=w, v_bound=v, of=rows, rtol=rtol)
+        return found.lower, found.upper
+
+    return one

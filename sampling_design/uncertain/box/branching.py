@@ -1,0 +1,128 @@
+"""BoxCells of a box, halved until the bracket of the least value over all of them closes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy import optimize
+
+from sampling_design.uncertain.box.expansion import BoxCells
+
+Array = npt.NDArray[np.float64]
+Judge = Callable[[BoxCells], tuple[Array, Array, Array]]
+Value = Callable[[Array, float, int], float]
+Unseen = Callable[[Array, float, int], bool]
+Progress = Callable[[float, str], None]
+
+MOST_CELLS = 100_000
+"""BoxCells after which a search without a budget ends as well."""
+TOGETHER = 512
+"""BoxCells judged in one batch."""
+UNSEEN = 1e-8
+"""What this share of the outputs shows at most, in balanced coordinates, counts as unseen where a descent ends."""
+DESCENTS = 3
+"""Rounds between two descents."""
+STEPS = 400
+
+
+class Branched(NamedTuple):
+    """Lower and attained bound, where it is attained (u, window start, piece), why it ended, and the cells judged."""
+
+    lower: float
+    upper: float
+    u: Array
+    s: float
+    piece: int
+    status: str
+    cells: int
+
+
+def branch(
+    start: BoxCells,
+    judge: Judge,
+    value: Value,
+    unseen: Unseen,
+    rtol: float,
+    seconds: float,
+    ends: tuple[Array, Array],
+    progress: Progress | None,
+) -> Branched:
+    """Halve cells until lower >= (1 - rtol) upper; `value` is exact at one point, `unseen`: where it counts as zero."""
+    began, judged, rounds = time.monotonic(), 0, 0
+    open_, lower = start, np.zeros(len(start.s))
+    closed, best = np.inf, (np.inf, start.u[0], float(start.s[0]), int(start.piece[0]))
+    status = "closed"
+    while len(open_.s):
+        every = np.arange(len(open_.s))
+        found = [judge(open_.take(every[i : i + TOGETHER])) for i in range(0, every.size, TOGETHER)]
+        lower, centre, effect = (np.concatenate([part[j] for part in found]) for j in range(3))
+        judged += len(lower)
+        k = int(np.argmin(centre))
+        if centre[k] < best[0]:
+            best = (float(centre[k]), open_.u[k], float(open_.s[k]), int(open_.piece[k]))
+        if rounds % DESCENTS == 0:
+            best = descended(best, value, ends)
+        if unseen(*best[1:]):
+            best = descended(best, value, ends)
+            return Branched(0.0, best[0], best[1], best[2], best[3], "unseen", judged)
+        done = lower >= (1 - rtol) * best[0]
+        closed = min(closed, float(lower[done].min(initial=np.inf)))
+        open_, lower, effect = open_.take(~done), lower[~done], effect[~done]
+        if len(open_.s) and (time.monotonic() - began > seconds or judged + 2 * len(open_.s) > MOST_CELLS):
+            status, closed = "budget", min(closed, float(lower.min()))
+            break
+        if progress is not None:
+            progress(min(0.95, rounds / 40), f"{len(open_.s)} cells of the box open")
+        open_, rounds = halved(open_, effect), rounds + 1
+    best = descended(best, value, ends)
+    if status == "closed" and not min(closed, best[0]) >= (1 - 1.001 * rtol) * best[0]:
+        status = "rounding"
+    return Branched(min(closed, best[0]), *best, status, judged)
+
+
+def halved(cells: BoxCells, effect: Array) -> BoxCells:
+    """Both halves of each cell, along the direction that matters most."""
+    m = cells.u.shape[1]
+    movable = np.column_stack([cells.half > 0, cells.h > 0])
+    side = np.argmax(np.where(movable, np.where(np.isfinite(effect), effect, 1e300), -1.0), axis=1)
+    rows, along = np.arange(len(side)), side < m
+    parts = []
+    for sign in (-1.0, 1.0):
+        u, half, s, h = cells.u.copy(), cells.half.copy(), cells.s.copy(), cells.h.copy()
+        at = (rows[along], side[along])
+        half[at] /= 2
+        u[at] += sign * half[at]
+        h[~along] /= 2
+        s[~along] += sign * h[~along]
+        parts.append(BoxCells(u, half, s, h, cells.piece))
+    return BoxCells._make(np.concatenate(pair) for pair in zip(*parts, strict=True))
+
+
+def descended(
+    best: tuple[float, Array, float, int], value: Value, ends: tuple[Array, Array]
+) -> tuple[float, Array, float, int]:
+    """The best point after a descent without derivatives, inside of the box and its piece."""
+    _, u, s, piece = best
+    left, right = float(ends[0][piece]), float(ends[1][piece])
+    bounds = [(-1.0, 1.0)] * len(u) + ([(0.0, 1.0)] if right > left else [])
+    if not bounds:
+        return best
+    span = right - left
+
+    def at(x: Array) -> tuple[Array, float]:
+        x = np.clip(x, [b[0] for b in bounds], [b[1] for b in bounds])
+        return x[: len(u)], min(max(left + span * float(x[-1]), left), right) if span > 0 else s
+
+    x0 = np.clip(np.append(u, (s - left) / span) if span > 0 else u, [b[0] for b in bounds], [b[1] for b in bounds])
+    simplex = np.vstack([x0, *(x0 + np.where(x0[j] > 0, -0.05, 0.05) * np.eye(len(x0))[j] for j in range(len(x0)))])
+    found = optimize.minimize(
+        lambda x: value(*at(x), piece), x0, method="Nelder-Mead", bounds=bounds,
+        options={"maxfev": STEPS, "xatol": 1e-13, "fatol": 0.0, "initial_simplex": simplex},
+    )  # fmt: skip
+    u_new, s_new = at(found.x)
+    reached = value(u_new, s_new, piece)
+    return (reached, u_new, s_new, piece) if reached < best[0] else best

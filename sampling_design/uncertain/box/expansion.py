@@ -1,0 +1,180 @@
+"""Rows C(theta) e^{A(theta) r} over a cell of parameters: value, first derivatives, bound of the rest.
+
+With A(theta) = A0 + E, |E| <= e and |e^{A0 t}| <= e^{mu t} in coordinates T (mu the logarithmic norm there),
+
+    e^{(A0 + E) r} = e^{A0 r} + D + X,    |D| <= e r e^{mu r},    |X| <= e^{mu r} (e^{e r} - 1 - e r),
+
+D the Frechet derivative, linear in E. Several T are tried, none is trusted. Another window start turns all rows by one
+e^{-A(theta) s}, |e^{-A(theta) s} - I + A0 s| <= e |s| + e^{a |s|} - 1 - a |s|, a = |A0| + e.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy import linalg
+
+from sampling_design.uncertain.box.model import BoxModel
+
+Array = npt.NDArray[np.float64]
+Complex = npt.NDArray[np.complex128]
+Mask = npt.NDArray[np.bool_]
+
+ALLOWANCE = 1e-12
+"""Relative error granted to e^{A r}, of its norm, for r |A| up to 200 and in proportion beyond, as in `windows/`."""
+WORST_BASIS = 1e5
+"""A basis of a larger condition is none to bound anything in: its inverse is rounded by this times n eps."""
+DEGREE, FOLD = 19, 4
+"""Of the Taylor polynomial at |M| <= 1, and by how many powers it is folded."""
+UP = 1 + 1e-8
+"""Covers the rounding of the bounds themselves, that of the inverse of a basis among it."""
+EPS = float(np.finfo(float).eps)
+
+
+class BoxCells(NamedTuple):
+    """Cells of u (parameters in units of their half-widths) and of window starts s, and the samples each looks at."""
+
+    u: Array  # (K, m)
+    half: Array  # (K, m)
+    s: Array  # (K,)
+    h: Array  # (K,)
+    piece: npt.NDArray[np.int_]  # (K,)
+
+    def take(self, index: npt.NDArray[np.int_] | Mask) -> BoxCells:
+        """The cells at `index`."""
+        return BoxCells._make(part[index] for part in self)
+
+
+class Rest(NamedTuple):
+    """In one basis T: |rest z|^2 <= z'N z of the rows, and |turn z| <= beyond |T^-1 z| of what moves the window."""
+
+    N: Array  # (K, n, n)
+    inverse: Complex  # (K, n, n) of T
+    beyond: Array  # (K,) times |unit T|
+    effect: Array  # (K, m + 1): relative size of what each parameter, and the position, does to the flow
+
+
+class Expansion(NamedTuple):
+    """Rows of K cells in balanced coordinates z: value, derivatives, and bounds of the rest for each basis tried."""
+
+    A: Array  # (K, n, n)
+    rows: Array  # (K, R, n)
+    slopes: Array  # (K, m, R, n) per parameter, times its half-width in the cell
+    rest: tuple[Rest, ...]
+
+
+def expanded(model: BoxModel, cells: BoxCells, times: Array, measured: Mask) -> Expansion:
+    """Expand the rows of samples at `times` (K, N) after the cell's window start; `measured` (K, N, p)."""
+    K, N = times.shape
+    n, m, p = model.n, model.m, len(model.C)
+    A, C = model.at(cells.u)
+    block = np.zeros((K, m, 2 * n, 2 * n))
+    block[:, :, :n, :n] = block[:, :, n:, n:] = A[:, None]
+    block[:, :, :n, n:] = cells.half[:, :, None, None] * model.parts_A
+    there: Mask = np.any(measured, axis=2)
+    r = np.where(there, np.maximum(times, 0.0), 0.0)
+    if m:
+        wide = exponentials(block[:, :, None] * r[:, None, :, None, None])
+        flow, turned = wide[:, 0, :, :n, :n], wide[..., :n, n:]
+    else:
+        flow, turned = exponentials(A[:, None] * r[..., None, None]), np.zeros((K, 0, N, n, n))
+    rows = C[:, None] @ flow
+    slopes = C[:, None, None] @ turned
+    slopes = slopes + (cells.half[:, :, None, None] * model.parts_C)[:, :, None] @ flow[:, None]
+    rows = np.where(measured[..., None], rows, 0.0)
+    slopes = np.where(measured[:, None, ..., None], slopes, 0.0)
+    size = np.linalg.norm(C, axis=(1, 2))[:, None] * np.linalg.norm(flow, axis=(2, 3))
+    grade = ALLOWANCE * np.maximum(1.0, np.linalg.norm(A, 1, axis=(1, 2)) * r.max(axis=1, initial=0.0) / 200)
+    rounding = 9 * grade**2 * np.sum(np.where(there, size, 0.0) ** 2, axis=1)
+    own = 101 * rounding[:, None, None] * np.eye(n)
+    rests = []
+    for T in bases(A, C, r.max(axis=1, initial=0.0)):
+        inverse: Complex = np.asarray(np.linalg.inv(T), dtype=np.complex128)
+        squared, beyond, effect = _rest(model, cells, A, C, T, inverse, r, there)
+        metric = np.real(np.conj(np.swapaxes(inverse, 1, 2)) @ inverse)
+        with np.errstate(over="ignore", invalid="ignore"):
+            bound = 1.01 * squared[:, None, None] * (metric + np.swapaxes(metric, 1, 2)) / 2 + own
+        bound = np.where(np.isfinite(bound).all(axis=(1, 2))[:, None, None], bound, np.inf)
+        beyond = beyond * np.linalg.norm(model.unit[:, None] * T, 2, axis=(1, 2))
+        rests.append(Rest(bound, inverse, beyond, effect))
+    return Expansion(A, rows.reshape(K, N * p, n), slopes.reshape(K, m, N * p, n), tuple(rests))
+
+
+def _rest(
+    model: BoxModel, cells: BoxCells, A: Array, C: Array, T: Complex, inverse: Complex, r: Array, there: Mask
+) -> tuple[Array, Array, Array]:
+    """In coordinates T: the square of the rows' rest, the rest of what moves the window, and relative effects."""
+    B, seen = inverse @ A @ T, np.linalg.norm(C @ T, 2, axis=(1, 2))[:, None]
+    mu = np.linalg.eigvalsh((B + np.conj(np.swapaxes(B, 1, 2))) / 2)[:, -1][:, None]
+    mu = mu + 64 * len(model.A) * EPS * (np.linalg.cond(T) * np.linalg.norm(B, 2, axis=(1, 2)))[:, None]
+    parts = np.linalg.norm(inverse[:, None] @ model.parts_A @ T[:, None], 2, axis=(2, 3))
+    moved = np.linalg.norm(model.parts_C @ T[:, None], 2, axis=(2, 3))
+    e, size = UP * np.sum(cells.half * parts, axis=1), np.linalg.norm(B, 2, axis=(1, 2))
+    c, along = UP * np.sum(cells.half * moved, axis=1)[:, None], e[:, None] * r
+    with np.errstate(over="ignore", invalid="ignore"):
+        grown, second = np.exp(mu * r), beyond_first(along)
+        rest = UP * grown * (seen * second + c * (along + second))
+        squared = np.sum(np.where(there, rest, 0.0) ** 2, axis=1)
+        beyond = UP * (e * cells.h + beyond_first((size + e) * cells.h))
+    effect = cells.half * (parts * r.max(axis=1, initial=0.0)[:, None] + moved / np.maximum(seen, 1e-300))
+    return squared, beyond, np.column_stack([effect, size * cells.h])
+
+
+def beyond_first(x: Array) -> Array:
+    """e^x - 1 - x for x >= 0, no smaller than it is."""
+    return np.where(x < 1e-3, 0.5 * x * x * (1 + 0.34 * x), np.expm1(x) - x + 1e-15 * x)
+
+
+def bases(A: Array, C: Array, longest: Array) -> list[Complex]:
+    """Coordinates in which e^{A r} may be bounded: as they are, eigenvectors, a Schur basis with small couplings."""
+    K, n = len(A), A.shape[1]
+    identity = np.broadcast_to(np.eye(n, dtype=complex), (K, n, n))
+    found = [identity]
+    _, vectors = np.linalg.eig(A)
+    vectors = vectors.astype(complex)
+    fine = np.linalg.cond(vectors) < WORST_BASIS
+    if fine.any():
+        seen = np.linalg.norm(C @ vectors, axis=1)
+        most = seen.max(axis=1, keepdims=True)
+        seen = np.where(seen > 1e-6 * most, seen, np.where(most > 0, most, 1.0))
+        found.append(np.where(fine[:, None, None], vectors / seen[:, None, :], identity))
+    if not fine.all() or n > 1:
+        found.append(np.array([_schur(M, float(t)) for M, t in zip(A, longest, strict=True)]))
+    return found
+
+
+def _schur(A: Array, longest: float) -> Complex:
+    """Q D of A = Q U Q*: the couplings of D^-1 U D are at most about 1/(n longest) where that costs condition."""
+    U, Q = linalg.schur(A, output="complex")
+    n, d = len(A), np.ones(len(A))
+    want = 1 / max(n * longest, 1e-300)
+    for j in range(1, n):
+        above = np.abs(U[:j, j]) / d[:j]
+        worst = float(above.max())
+        d[j] = min(d[j - 1], want / worst) if worst > 0 else d[j - 1]
+    return np.asarray(Q * np.maximum(d, 1 / WORST_BASIS))
+
+
+def exponentials(M: Array) -> Array:
+    """e^M for a stack: a Taylor polynomial of M / 2^s, squared s times."""
+    shape = M.shape
+    flat = M.reshape(-1, *shape[-2:])
+    size = np.linalg.norm(flat, 1, axis=(1, 2)) if len(flat) else np.zeros(0)
+    s = np.maximum(0, np.ceil(np.log2(np.maximum(size, 1e-300)))).astype(int)
+    scaled = np.ldexp(flat, -s[:, None, None])
+    powers = [np.broadcast_to(np.eye(shape[-1]), flat.shape), scaled]
+    for _ in range(FOLD - 1):
+        powers.append(powers[-1] @ scaled)
+    result = np.zeros_like(flat)
+    for k in range(DEGREE // FOLD, -1, -1):  # Horner in M^FOLD
+        part = sum(powers[j] / math.factorial(k * FOLD + j) for j in range(FOLD))
+        result = result @ powers[FOLD] + part
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(int(s.max(initial=0))):
+            todo = s > k
+            part = result[todo]
+            result[todo] = part @ part
+    return np.asarray(result.reshape(shape))

@@ -1,0 +1,118 @@
+"""The least sigma over cells: a lower bound of every plant and position in a cell, and sigma at its centre.
+
+With O(d) = O_0 + sum d_k O_k + X, |d_k| <= 1, and G_0 = O_0'O_0 = S'S:
+
+    O'O >= (1 - t) (G_0 + sum d_k (O_0'O_k + O_k'O_0)) - (1/t - 1) X'X,
+
+since the square of the first order is no loss. The right side is linear in d: its corners decide. A window that begins
+s later sees |O e^{A s} x|, and |x| is convex in s to first order: its ends decide, whatever the condition of O.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.uncertain.box.expansion import BoxCells, Expansion, expanded
+from sampling_design.uncertain.box.model import BoxModel
+
+Array = npt.NDArray[np.float64]
+Complex = npt.NDArray[np.complex128]
+Mask = npt.NDArray[np.bool_]
+
+MOST_CORNERS = 6
+"""Directions of a cell up to which all its corners are tried; beyond it every direction counts with its size."""
+ROUNDING = 64 * float(np.finfo(float).eps)
+"""Of sums of a few products, relative; times the number of rows and states."""
+
+LARGEST = 1e60
+"""A rest beyond it proves nothing."""
+
+
+class Least(NamedTuple):
+    """Of each cell: a proven lower bound, sigma at its centre, and how much parameters and position matter."""
+
+    lower: Array
+    centre: Array
+    effect: Array
+
+
+def least_sigma(model: BoxModel, cells: BoxCells, times: Array, measured: Mask) -> Least:
+    """Bound sigma over every cell from below."""
+    return bounded(model, expanded(model, cells, times, measured), cells.h)
+
+
+def bounded(model: BoxModel, found: Expansion, h: Array) -> Least:
+    """The bounds of an expansion, for windows that begin up to h earlier or later."""
+    K, R, n = found.rows.shape
+    if n > R:
+        return Least(np.zeros(K), np.zeros(K), np.ones((K, model.m + 1)))
+    Q, S = np.linalg.qr(found.rows)
+    diagonal = np.abs(np.einsum("kii->ki", S))
+    sound = (diagonal > 0).all(axis=1) & np.isfinite(found.slopes).all(axis=(1, 2, 3))
+    S = np.where(sound[:, None, None], S, np.eye(n))
+    back = np.linalg.solve(S, np.broadcast_to(np.eye(n), S.shape))
+    unit = model.unit[:, None] * back
+    turn = h[:, None, None] * (model.unit[:, None] * (found.A @ back))
+    centre = np.where(sound, 1 / np.linalg.norm(unit, 2, axis=(1, 2)), 0.0)
+    turned = np.swapaxes(Q, 1, 2)[:, None] @ np.where(sound[:, None, None, None], found.slopes, 0.0) @ back[:, None]
+    H = turned + np.swapaxes(turned, 2, 3)
+    effect = np.linalg.norm(H, axis=(2, 3))
+    moved = np.linalg.norm(turn, axis=(1, 2)) / np.linalg.norm(unit, axis=(1, 2))
+    rounding = ROUNDING * (R + n) * (1 + effect.sum(axis=1))
+    lower, slightest = np.zeros(K), np.full(K, np.inf)
+    effect = np.column_stack([effect, moved])
+    whole = effect
+    for rest in found.rest:
+        with np.errstate(over="ignore", invalid="ignore"):
+            N = np.swapaxes(back, 1, 2) @ rest.N @ back
+            beyond = rest.beyond[:, None, None] * (rest.inverse @ back)
+            worth = np.abs(beyond).max(axis=(1, 2), initial=0.0) / np.linalg.norm(unit, axis=(1, 2))
+            worth = worth + np.einsum("kii->k", np.abs(N))
+        fine = sound & (worth < LARGEST)
+        whole = np.where((worth < slightest)[:, None], effect + rest.effect, whole)
+        slightest = np.fmin(slightest, worth)
+        if fine.any():
+            k = np.flatnonzero(fine)
+            reached = _lower(H[k], N[k], (unit[k], turn[k], beyond[k]), rounding[k])
+            lower[k] = np.maximum(lower[k], np.where(np.isfinite(reached), reached, 0.0))
+    return Least(np.minimum(lower, centre), centre, whole)
+
+
+def _lower(H: Array, N: Array, window: tuple[Array, Array, Array | Complex], rounding: Array) -> Array:
+    """The least sigma over the corners of I + sum +-H_k, the rest N taken off, and over both ends of the positions."""
+    (K, m, n, _), (unit, turn, beyond) = H.shape, window
+    eye = np.eye(n)
+    if m <= MOST_CORNERS:
+        signs = np.array(list(product((-1.0, 1.0), repeat=m))).reshape(2**m, m)
+        corners = eye + np.einsum("cj,kjab->kcab", signs, H)
+    else:
+        values, vectors = np.linalg.eigh(H)
+        sizes = (vectors * np.abs(values)[..., None, :]) @ np.swapaxes(vectors, 2, 3)
+        corners = (eye - sizes.sum(axis=1))[:, None]
+    worst = _worst(corners, unit)
+    share = np.einsum("ka,kab,kb->k", worst, N, worst)
+    t = np.clip(np.sqrt(np.clip(share, 0.0, 1.0)), 1e-12, 1 - 1e-12)
+    less = (1 - t - rounding)[:, None, None, None] * corners - ((1 / t - 1)[:, None, None] * N)[:, None]
+    values, vectors = np.linalg.eigh(less - 2 * rounding[:, None, None, None] * eye)
+    positive = (values[..., 0] > 0).all(axis=1)
+    root = vectors / np.sqrt(np.maximum(values, 1e-300))[..., None, :]  # less^-1 = root root'
+    far = np.zeros(K)
+    for sign in (-1.0, 1.0):
+        far = np.maximum(far, np.linalg.norm((unit + sign * turn)[:, None] @ root, 2, axis=(2, 3)).max(axis=1))
+    far = far + np.linalg.norm(beyond[:, None] @ root, 2, axis=(2, 3)).max(axis=1)
+    return np.where(positive, 1 / (far * (1 + ROUNDING * n)), 0.0)
+
+
+def _worst(M: Array, unit: Array) -> Array:
+    """Of each stack the u, u'Mu = 1, that `unit` makes largest over all corners; zero where some M is not positive."""
+    values, vectors = np.linalg.eigh(M)
+    positive = np.asarray((values[..., 0] > 0).all(axis=1))
+    root = vectors / np.sqrt(np.maximum(values, 1e-300))[..., None, :]
+    _, s, right = np.linalg.svd(unit[:, None] @ root)
+    k, rows = np.argmax(s[..., 0], axis=1), np.arange(len(M))
+    found = np.einsum("kab,kb->ka", root[rows, k], right[rows, k, 0])
+    return np.where(positive[:, None], found, 0.0)

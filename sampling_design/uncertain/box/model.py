@@ -1,0 +1,140 @@
+"""A box of constant parameters as arrays, in balanced coordinates of the scaled plant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._balance import balance
+from sampling_design.errors import ArgumentError
+from sampling_design.plants.plant import Plant
+from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class BoxModel:
+    """A(theta) = A + sum_k (theta_k - nominal_k) A_k, likewise C, for low <= theta <= high; states x/s_x = unit z.
+
+    Attributes
+    ----------
+    A : (n, n) array
+    C : (p, n) array
+    parts_A : (m, n, n) array
+    parts_C : (m, p, n) array
+        What a change of a parameter by its own half-width adds; parameters that move neither are left out.
+    nominal, half : (m,) arrays
+        In the parameters' own units; theta = middle + half u with |u| <= 1.
+    middle : (m,) array
+    unit : (n,) array
+        The states of which z are the multiples.
+    states, outputs : (n,), (p,) arrays
+        What the plant's own states and outputs are multiples of: their scales.
+    place : (m,) array of int
+        Which parameters of the plant these are.
+    """
+
+    plant: UncertainPlant
+    A: Array
+    C: Array
+    parts_A: Array
+    parts_C: Array
+    nominal: Array
+    middle: Array
+    half: Array
+    unit: Array
+    states: Array
+    outputs: Array
+    place: npt.NDArray[np.int_]
+
+    @classmethod
+    def of(cls, plant: UncertainPlant, name: str) -> BoxModel:
+        """The box of a plant; `name` is the verb that asks, for its refusals.
+
+        Raises
+        ------
+        ArgumentError
+            If the plant lies between vertices, or its parameters vary.
+        """
+        require_constant_box(plant, name)
+        P = plant.nominal
+        own = [k for k, each in enumerate(plant.parameters) if each.low < each.high and _moves(plant, k)]
+        x, y = P.states.scales, P.outputs.scales
+        low, high = plant.low[own], plant.high[own]
+        half, middle = high / 2 - low / 2, low / 2 + high / 2
+        d = balance(P.A * x / x[:, None], P.C * x / y[:, None]).d
+        to_z, rows = x * d, y[:, None]
+        parts_A = np.array([_part(plant, k, "A") for k in own]).reshape(len(own), *P.A.shape)
+        parts_C = np.array([_part(plant, k, "C") for k in own]).reshape(len(own), *P.C.shape)
+        return cls(
+            plant=plant, A=P.A * to_z / to_z[:, None], C=P.C * to_z / rows,
+            parts_A=half[:, None, None] * parts_A * to_z / to_z[:, None],
+            parts_C=half[:, None, None] * parts_C * to_z / rows,
+            nominal=np.array([plant.parameters[k].nominal for k in own]), middle=middle, half=half, unit=d,
+            states=x, outputs=y, place=np.array(own, dtype=int),
+        )  # fmt: skip
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+    @property
+    def m(self) -> int:
+        """Number of parameters that matter."""
+        return len(self.half)
+
+    @property
+    def start(self) -> Array:
+        """u of the nominal values."""
+        return (self.nominal - self.middle) / self.half if self.m else np.zeros(0)
+
+    def at(self, u: Array) -> tuple[Array, Array]:
+        """A and C, (K, n, n) and (K, p, n), at u (K, m)."""
+        move = u - self.start
+        return self.A + np.tensordot(move, self.parts_A, 1), self.C + np.tensordot(move, self.parts_C, 1)
+
+    def balanced_at(self, u: Array) -> Plant:
+        """The plant at one u in balanced coordinates z."""
+        A, C = self.at(u[None])
+        return Plant(A[0], C[0])
+
+    def values(self, u: Array) -> dict[str, float]:
+        """The parameters at one u, all of the plant's by name, inside of their ranges."""
+        found = {each.name: each.nominal for each in self.plant.parameters}
+        for k, value in zip(self.place.tolist(), (self.middle + self.half * u).tolist(), strict=True):
+            each = self.plant.parameters[k]
+            found[each.name] = float(np.clip(value, each.low, each.high))
+        return found
+
+
+def require_constant_box(plant: UncertainPlant, name: str) -> None:
+    """Raise where a question about each plant of a box has no meaning.
+
+    Raises
+    ------
+    ArgumentError
+        If the plant lies between vertices, or its parameters vary.
+    """
+    if plant.vertices:
+        raise ArgumentError(
+            f"`plant` must have parameters in a box for {name}, got one between vertices. "
+            "Ask about each vertex, or use UncertainPlant.from_intervals."
+        )
+    if plant.varying:
+        raise ArgumentError(
+            f"`plant` must have constant parameters for {name}, got ones that vary in time. "
+            "Use varying=False, or certify, which holds for varying ones."
+        )
+
+
+def _part(plant: UncertainPlant, k: int, key: str) -> Array:
+    moved = getattr(plant.parameters[k], key)
+    return np.zeros(getattr(plant.nominal, key).shape) if moved is None else np.asarray(moved)
+
+
+def _moves(plant: UncertainPlant, k: int) -> bool:
+    return bool(_part(plant, k, "A").any() or _part(plant, k, "C").any())

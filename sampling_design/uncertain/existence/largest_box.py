@@ -1,0 +1,286 @@
+"""The largest box of parameters that a schedule survives: every plant of it is seen, or has a certificate."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._door import door
+from sampling_design._record import Plain, Record, short
+from sampling_design.errors import ArgumentError
+from sampling_design.evidence import Claim
+from sampling_design.observability.meeting import meet
+from sampling_design.observability.windows.pieces import window_pieces
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+from sampling_design.uncertain.box.branching import TOGETHER, halved
+from sampling_design.uncertain.box.branching import descended as descended_sigma
+from sampling_design.uncertain.box.expansion import BoxCells
+from sampling_design.uncertain.box.model import BoxModel
+from sampling_design.uncertain.box.question import at_parameters
+from sampling_design.uncertain.existence.existence_over_box import GainedGaps, descended, looked_at, margin_on
+from sampling_design.uncertain.observability.windows_over_box import WindowsOverBox
+from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
+
+Array = npt.NDArray[np.float64]
+Judged = tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_], Array]
+SAME = 1e-9
+"""BoxCells below this share of the ranges are not halved further."""
+LOOKS = 6
+"""Rounds between two searches for a plant that fails."""
+NEAREST = 32
+"""BoxCells judged together, those nearest to the nominal values."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LargestBox(Record):
+    """How much of its ranges about the nominal values a plant may take before a schedule fails some plant.
+
+    Attributes
+    ----------
+    share : float
+        Proven: with parameters within this share of their ranges, counted from the nominal values, every plant passes.
+    refuted : float
+        A plant at this share fails; infinity where none does.
+    low, high : mapping
+        Ends of the parameters of the proven box.
+    worst : mapping or None
+        The plant that fails.
+    closed : bool
+        Whether share >= (1 - rtol) refuted, or the whole box is proven.
+    """
+
+    share: float
+    refuted: float
+    low: Mapping[str, float]
+    high: Mapping[str, float]
+    worst: Mapping[str, float] | None
+    closed: bool
+    question: str
+    cells: int
+    plant: UncertainPlant
+
+    @property
+    def box(self) -> UncertainPlant:
+        """The plant with the ranges that are proven, the same nominal values."""
+        from dataclasses import replace
+
+        parts = [replace(each, low=self.low[each.name], high=self.high[each.name]) for each in self.plant.parameters]
+        return UncertainPlant(self.plant.nominal, parts)
+
+    @property
+    def claim(self) -> Claim:
+        """What is proven."""
+        ranges = "; ".join(f"{k} in [{short(v)}, {short(self.high[k])}]" for k, v in self.low.items())
+        return Claim(f"{self.question} for every plant with {ranges}", assumptions=("constant parameters",))
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data; infinity becomes None."""
+        return {
+            "share": self.share,
+            "refuted": self.refuted if np.isfinite(self.refuted) else None,
+            "low": dict(self.low),
+            "high": dict(self.high),
+            "worst": None if self.worst is None else dict(self.worst),
+            "closed": self.closed,
+            "claim": self.claim.to_dict(),
+        }
+
+    def _rows(self) -> list[tuple[str, str]]:
+        rows = [("share of the ranges", f"{short(self.share)} (proven)")]
+        rows += [(name, f"{short(low)} to {short(self.high[name])}") for name, low in self.low.items()]
+        failing = "none in the ranges" if self.worst is None else f"{at_parameters(self.worst)} ({short(self.refuted)})"
+        return [*rows, ("a plant that fails", failing), ("cells", str(self.cells))]
+
+    def explain(self) -> str:
+        """Say how far the parameters may go."""
+        ranges = ", ".join(f"{k} from {short(v)} to {short(self.high[k])}" for k, v in self.low.items())
+        end = "." if self.worst is None else f"; it fails at {at_parameters(self.worst)}."
+        return f"{self.question[0].upper()}{self.question[1:]} for every plant with {ranges}{end}"
+
+
+@door
+def largest_box(
+    plant: UncertainPlant,
+    schedule: PeriodicSchedule | Schedule,
+    *,
+    window: float | None = None,
+    at_least: float = 0.0,
+    eta: float | None = None,
+    rtol: float = 0.01,
+    budget: float = 60.0,
+) -> LargestBox:
+    """Return the largest box of parameters, about the nominal values, of which a schedule sees every plant.
+
+        max s : every plant with |theta_k - nominal_k| <= s (its range on that side) passes
+
+    Parameters
+    ----------
+    plant : UncertainPlant
+        Constant parameters in a box: as far as is looked.
+    schedule : PeriodicSchedule or Schedule
+    window : float, optional [time]
+        Passing means sigma above `at_least` in every window of this length, as in `window_sigma`.
+    at_least : float
+    eta : float, optional [1/time]
+        Passing means that a certificate with this rate exists, as in `certificate_exists`. Either this or `window`.
+    rtol : float
+        The search ends when share >= (1 - rtol) refuted.
+    budget : float [seconds]
+
+    Returns
+    -------
+    LargestBox
+
+    Raises
+    ------
+    ArgumentError
+        If neither or both of `window` and `eta` are given, or the plant has no box of constant parameters.
+
+    Notes
+    -----
+    *Claim.* `share` is proven; at `refuted` a plant fails. *Method.* BoxCells of the box, those nearest to the nominal
+    values first; no cell beyond a plant that fails is looked at. *Numerical aspects.* Cells are proven in doubles, with
+    room for rounding (1e-8 of every norm), not in balls; for sigma, `window_sigma(found.box, ..., rigorous=True)` is.
+
+    Examples
+    --------
+    >>> from sampling_design import PeriodicSchedule, Plant
+    >>> from sampling_design.uncertain.plants.uncertain_plant import UncertainParameter
+    >>> oscillator = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    >>> stiffness = UncertainParameter("omega^2", 0.5, 2.0, A=[[0.0, 0.0], [-1.0, 0.0]], nominal=1.0)
+    >>> found = largest_box(UncertainPlant(oscillator, [stiffness]), PeriodicSchedule([2.8]), eta=0.1)
+    >>> round(found.high["omega^2"], 2), round((np.pi / 2.8) ** 2, 2)
+    (1.26, 1.26)
+    """
+    if (window is None) == (eta is None):
+        raise ArgumentError("`window` or `eta` must be given, one of them and not both.")
+    model = BoxModel.of(plant, "largest_box")
+    aligned = meet(plant.nominal, schedule)
+    tolerance = _checks.positive("rtol", rtol)
+    if window is not None:
+        least = _checks.nonnegative("at_least", at_least)
+        asked = WindowsOverBox(model, window_pieces(aligned, _checks.positive("window", window)))
+        question = f"sigma is above {short(least)} in every window of {short(window)} {plant.time_unit}"
+        cells = asked.cells()
+        judge: _BySigma | _ByGains = _BySigma(asked, least)
+        if asked.too_few() is not None:
+            return _found(model, 0.0, 0.0, model.start, False, question, 0)
+    else:
+        if not isinstance(aligned, PeriodicSchedule):
+            raise ArgumentError(
+                "`schedule` must be periodic with `eta`: on a finite one every plant has a certificate."
+            )
+        rate = _checks.nonnegative("eta", eta)
+        question = f"a certificate with rate {short(rate)} exists"
+        start = np.zeros((1, model.m))
+        cells = BoxCells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
+        judge = _ByGains(model, aligned, rate)
+    return _searched(model, cells, judge, tolerance, _checks.positive("budget", budget), question)
+
+
+class _BySigma:
+    """Sigma of every window above a number."""
+
+    def __init__(self, asked: WindowsOverBox, least: float) -> None:
+        self.asked, self.floor = asked, least
+
+    def judge(self, cells: BoxCells) -> Judged:
+        """Which cells are proven, which fail at their centre, and what each direction matters."""
+        lower, centre, effect = self.asked.judge(cells)
+        lost, k = np.asarray(centre <= self.floor), int(np.argmin(centre))
+        lost[k] |= self.asked.unseen(cells.u[k], float(cells.s[k]), int(cells.piece[k]))
+        return lower > self.floor, lost, effect
+
+    def failing(self, cell: BoxCells) -> Array | None:
+        """A plant near the cell that fails."""
+        pieces = self.asked.pieces
+        start = (np.inf, cell.u[0], float(cell.s[0]), int(cell.piece[0]))
+        value, u, s, piece = descended_sigma(start, self.asked.value, (pieces.left, pieces.right))
+        return u if value <= self.floor or self.asked.unseen(u, s, piece) else None
+
+
+class _ByGains:
+    """Certificates that exist."""
+
+    def __init__(self, model: BoxModel, schedule: PeriodicSchedule, eta: float) -> None:
+        self.model, self.gaps, self.margin = model, GainedGaps(model, schedule, eta), margin_on(schedule, eta)
+
+    def judge(self, cells: BoxCells) -> Judged:
+        """Which cells are proven, which fail at their centre, and what each direction matters."""
+        every = [cells.take(np.array([k])) for k in range(len(cells.s))]
+        proven = np.array([self.gaps.contract(cell) for cell in every])
+        lost = [
+            not good and not self.margin(self.model.plant.at(self.model.values(cell.u[0])))[0]
+            for good, cell in zip(proven.tolist(), every, strict=True)
+        ]
+        return proven, np.array(lost), np.concatenate([self.gaps.effect(cell) for cell in every])
+
+    def failing(self, cell: BoxCells) -> Array | None:
+        """A plant near the cell that fails."""
+        found = descended(self.model, self.margin, looked_at(self.model, self.margin, cell.u[0], None))
+        return None if found[1] else found[2]
+
+
+def _level(model: BoxModel, u: Array) -> Array:
+    """The share of the ranges, counted from the nominal values, at which each u lies."""
+    start, off = model.start, u - model.start
+    up, down = np.where(start < 1, 1 - start, 1.0), np.where(start > -1, 1 + start, 1.0)
+    return np.asarray(np.max(np.where(off > 0, off / up, -off / down), axis=1, initial=0.0))
+
+
+def _searched(
+    model: BoxModel, cells: BoxCells, question_of: _BySigma | _ByGains, rtol: float, seconds: float, question: str
+) -> LargestBox:
+    """BoxCells from the nominal values outwards."""
+    began, judged_cells, failed, worst = time.monotonic(), 0, np.inf, model.start
+    small, rounds = False, 0
+    together = TOGETHER if isinstance(question_of, _BySigma) else NEAREST
+    while len(cells.s):
+        begins = _level(model, np.clip(model.start, cells.u - cells.half, cells.u + cells.half))
+        some = begins < failed
+        cells, begins = cells.take(some), begins[some]
+        if not len(begins):
+            break
+        reached = float(begins.min())
+        if reached >= (1 - rtol) * failed or time.monotonic() - began > seconds or small:
+            return _found(model, reached, failed, worst, reached >= (1 - rtol) * failed, question, judged_cells)
+        order = np.argsort(begins, kind="stable")
+        near, later = cells.take(order[:together]), cells.take(order[together:])
+        proven, lost, effect = question_of.judge(near)
+        judged_cells += len(proven)
+        centres = _level(model, near.u)
+        if rounds % LOOKS == LOOKS - 1 and not proven[0]:
+            found = question_of.failing(near.take(np.array([0])))
+            if found is not None:
+                level = float(_level(model, found[None])[0])
+                failed, worst = (level, found) if level < failed else (failed, worst)
+        rounds += 1
+        for k in np.flatnonzero(lost):
+            if centres[k] < failed:
+                failed, worst = float(centres[k]), near.u[k]
+        parts = halved(near.take(~proven), effect[~proven]) if not proven.all() else near.take(~proven)
+        small = bool(len(parts.s) and model.m and parts.half.max(axis=1).min() < SAME)
+        cells = BoxCells._make(np.concatenate(pair) for pair in zip(parts, later, strict=True))
+    share = min(1.0, failed)
+    return _found(model, share, failed, worst, True, question, judged_cells)
+
+
+def _found(
+    model: BoxModel, share: float, failed: float, worst: Array, closed: bool, question: str, cells: int
+) -> LargestBox:
+    listed = model.plant.parameters
+    moved = {model.plant.parameters[k].name for k in model.place.tolist()}
+    share *= 1 - 1e-12  # ends of the box that are rounded outwards stay inside of what is proven
+    part = {each.name: share if each.name in moved else 1.0 for each in listed}
+    low = {p.name: p.nominal - part[p.name] * (p.nominal - p.low) for p in listed}
+    high = {p.name: p.nominal + part[p.name] * (p.high - p.nominal) for p in listed}
+    lost = model.values(worst) if np.isfinite(failed) else None
+    return LargestBox(
+        share=share, refuted=failed, low=low, high=high, worst=lost, closed=closed, question=question, cells=cells,
+        plant=model.plant,
+    )  # fmt: skip

@@ -1,0 +1,34 @@
+"""Certificates of inclusions from files."""
+
+from __future__ import annotations
+
+from sampling_design.certificates.files import graph_from, times_from_dict, values_of
+from sampling_design.checkers.inclusion_file import Inclusion, Region
+from sampling_design.checkers.strict import Tree
+from sampling_design.plants.plant import Plant
+from sampling_design.schedules.family_files import family_from_dict
+from sampling_design.schedules.schedule import Schedule
+from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
+from sampling_design.uncertain.plants.plant_files import parts_of_model
+from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
+
+
+def read_inclusion(data: Tree, plant: Plant, found: Inclusion) -> InclusionCertificate:
+    """Return the certificate of an inclusion in plain data that the auditor read as `found`."""
+    model = None
+    if not isinstance(found.model, Region):
+        model = UncertainPlant(**parts_of_model(plant, data["model"])._asdict())
+    periodic = data["times"]["kind"] == "periodic"
+    times = times_from_dict(data["times"]) if periodic else family_from_dict(data["times"])
+    assert not isinstance(times, Schedule)
+    return InclusionCertificate(
+        plant,
+        times,
+        **values_of(data),
+        graph=graph_from(data["graph"]["words"], found.graph) if "graph" in data else None,
+        model=model,
+        model_data=data["model"],
+        nodes=found.nodes,
+        P=found.P,
+        multipliers=found.multipliers,
+    )

@@ -1,0 +1,321 @@
+"""Certificates for inclusions in ball arithmetic: the inequalities of P(tau) for every plant of a model.
+
+Corners of a box are formed in balls, without any rounding that is not counted. A nonlinear plant's program is
+evaluated, with its derivatives, in balls over cells of the region, by another route than the checkers' intervals; where
+the balls of a cell leave an inequality open, the corners of its Jacobian are tried, and then the cell is halved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._ball_flow import Clock
+from sampling_design._balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, symmetric
+from sampling_design.certificates.form.seal import RESOLUTION
+from sampling_design.certificates.rigorous.ball_problem import REFUTED, UNDECIDED, Decision, Unproven, positive_definite
+from sampling_design.checkers.claims import certificate
+from sampling_design.checkers.cover import judge
+from sampling_design.checkers.inclusion import FLOW, SUBJECT, broken, pieces
+from sampling_design.checkers.inclusion_file import Box, Inclusion, Region, Vertices, moved
+from sampling_design.checkers.jumps import JUMP
+from sampling_design.checkers.outcome import Refused
+from sampling_design.uncertain.inclusion.region_balls import Cells, mid, parted
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Jumps = list[tuple[Matrix, Matrix, float]]
+SHARES = (0.9, 0.0)
+"""Parts of the guessed least eigenvalue that are tried as a proven slack."""
+MOST_SETS = 2000
+"""Sets of C that are tried for one sample."""
+
+
+def inclusion(data: Mapping[str, object], clock: Clock) -> Decision:
+    """Prove all inequalities of a certificate for an inclusion; what was proven, for what, and the least slack.
+
+    Raises
+    ------
+    Unproven
+        If one of them certainly fails, or nothing is certain at this precision.
+    """
+    c = certificate(data)
+    assert isinstance(c, Inclusion)
+    try:
+        judge(c.family, c.graph)
+    except Refused as error:
+        raise Unproven(error.verdict, error.inequality, error.reason) from None
+    name = f"{FLOW}, {JUMP}"
+    if not c.plant.n:
+        return Decision(name, SUBJECT, 1.0)
+    w, P = c.weights, [symmetric(M) for M in c.P]
+    P1, P2, Qw, R, Qv = (symmetric(M) for M in (w.P1, w.P2, w.Qw, w.R, w.Qv))
+    for key, M in (("P1", P1), ("Qw", Qw), ("R", R), ("Qv", Qv)):
+        positive_definite(key, M)
+    low = P1 * (ball(1.0) + ball(w.margin))
+    slacks = [positive("(1 + margin) P1 < P(tau)", M - low, M) for M in P]
+    slacks += [positive("P(tau) < P2", P2 - M, P2) for M in P]
+    top = P1 * ball(w.lam)
+    slacks.append(positive("(1 - 1e-3) P2 < lam P1", top - P2 * (ball(1.0) - ball(RESOLUTION)), top))
+    Rt = R * (R + Qv).solve(Qv)
+    slacks.append(jumps(c, P, Rt, clock))
+    slacks.append(flows(c, P, Qw, clock))
+    return Decision(name, SUBJECT, min(slacks))
+
+
+def positive(name: str, form: Matrix, size: Matrix, when: float | None = None) -> float:
+    """A proven slack of form > 0 relative to the diagonal of `size`; Unproven where there is none."""
+    n = form.nrows()
+    roots = [abs(size[i, i]).sqrt() if abs(size[i, i]) > 0 else ball(1.0) for i in range(n)]
+    M = flint().arb_mat([[form[i, j] / roots[i] / roots[j] for j in range(n)] for i in range(n)])
+    guess = float(np.linalg.eigvalsh(floats(M))[0])
+    for share in SHARES if guess > 0 else (0.0,):
+        if definite(M - identity(n) * ball(share * guess)):
+            return share * guess
+    if definite(M) is False:
+        raise Unproven(REFUTED, name, f"{name} certainly fails by {-guess:.3g}", amount=guess, time=when)
+    raise Unproven(UNDECIDED, name, f"{name} could not be decided: it is tight or nearly so", amount=guess, time=when)
+
+
+# --- members of a box or a list --------------------------------------------------------------------------------------
+
+
+def members(c: Inclusion, keys: str) -> Iterator[list[Matrix]]:
+    """The matrices of these keys at every vertex of the model that moves them."""
+    if isinstance(c.model, Vertices):
+        yield from ([matrix(getattr(c.model, key)[k]) for key in keys] for k in range(len(c.model.A)))
+        return
+    assert isinstance(c.model, Box)
+    acting = [each for each in c.model.parameters if any(getattr(each, key).any() for key in keys)]
+    for ends in product(*(sorted({each.low, each.high}) for each in acting)):
+        found = [matrix(getattr(c.plant, key)) for key in keys]
+        for each, end in zip(acting, ends, strict=True):
+            by = ball(end) - ball(each.nominal)
+            found = [M + matrix(getattr(each, key)) * by for M, key in zip(found, keys, strict=True)]
+        yield found
+
+
+def ends_of(c: Inclusion, P: list[Matrix]) -> list[tuple[Matrix, Matrix, float]]:
+    """P, slope and tau at both ends of every piece."""
+    found = []
+    for i in c.pieces.tolist():
+        slope = (P[i + 1] - P[i]) / (ball(c.nodes[i + 1]) - ball(c.nodes[i]))
+        found += [(P[i], slope, float(c.nodes[i])), (P[i + 1], slope, float(c.nodes[i + 1]))]
+    return found
+
+
+def flow(P: Matrix, slope: Matrix, A: Matrix, G: Matrix, Qw: Matrix, eta: Ball) -> Matrix:
+    """[-(P' + A'P + PA + eta P), -PG; -G'P, Qw]."""
+    drift, off = P * A, P * G
+    corner = (slope + drift + drift.transpose() + P * eta).tolist()
+    side, n, q = off.tolist(), P.nrows(), Qw.nrows()
+    rows = [[*(-x for x in corner[i]), *(-x for x in (side[i] if q else []))] for i in range(n)]
+    rows += [[*(-side[i][k] for i in range(n)), *Qw.tolist()[k]] for k in range(q)]
+    made: Matrix = flint().arb_mat(rows)
+    return made
+
+
+def sized(P: Matrix, slope: Matrix, A: Matrix, Qw: Matrix, eta: Ball) -> Matrix:
+    """A diagonal with the size of the terms of each entry."""
+    n, q = P.nrows(), Qw.nrows()
+    values = []
+    for i in range(n):
+        drift = sum((abs(A[j, i]) * abs(P[j, i]) for j in range(n)), ball(0.0))
+        values.append(abs(slope[i, i]) + 2 * drift + eta * abs(P[i, i]))
+    values += [Qw[k, k] for k in range(q)]
+    made: Matrix = flint().arb_mat([[values[i] if i == j else ball(0.0) for j in range(n + q)] for i in range(n + q)])
+    return made
+
+
+def flows(c: Inclusion, P: list[Matrix], Qw: Matrix, clock: Clock) -> float:
+    """The flow condition for every member."""
+    eta, every = ball(c.weights.eta), ends_of(c, P)
+    if isinstance(c.model, Region):
+
+        def slacks(A: Matrix, G: Matrix) -> Iterator[Matrix]:
+            return (flow(p, slope, A, G, Qw, eta) for p, slope, _ in every)
+
+        return Cells(c, c.model, clock).prove(FLOW, lambda M, _: slacks(*parted(M, c.plant.n)), True)
+    if c.multipliers is not None:
+        return multiplied(c, every, Qw, clock)
+    slack = 1.0
+    for A, G in members(c, "AG"):
+        for p, slope, tau in every:
+            clock.check()
+            slack = min(slack, positive(FLOW, flow(p, slope, A, G, Qw, eta), sized(p, slope, A, Qw, eta), tau))
+    return slack
+
+
+def multiplied(c: Inclusion, every: list[tuple[Matrix, Matrix, float]], Qw: Matrix, clock: Clock) -> float:
+    """The flow condition with multipliers; see `checkers/inclusion.py`."""
+    assert isinstance(c.model, Box)
+    assert c.multipliers is not None
+    n, q = c.plant.n, Qw.nrows()
+    middle, columns, chosen = matrix(np.hstack([c.plant.A, c.plant.G])), [], []
+    for each in c.model.parameters:
+        M = np.hstack([each.A, each.G])
+        middle += matrix(M) * ((ball(each.low) - ball(each.nominal) + ball(each.high) - ball(each.nominal)) / 2)
+        half = (ball(each.high) - ball(each.low)) / 2
+        for k in moved(each):
+            columns.append(matrix(M[:, [k]]) * half)
+            chosen.append(k)
+    A, G = parted(middle, n)
+    eta, slack, m = ball(c.weights.eta), 1.0, len(columns)
+    for (p, slope, tau), weights in zip(every, c.multipliers.reshape(len(every), m), strict=True):
+        clock.check()
+        form, size = flow(p, slope, A, G, Qw, eta).tolist(), sized(p, slope, A, Qw, eta).tolist()
+        for k, z in enumerate(chosen):
+            form[z][z] -= ball(weights[k])
+            size[z][z] += ball(weights[k])
+        sides = [(p * column).entries() for column in columns]
+        rows = [[*form[i], *(-side[i] if i < n else ball(0.0) for side in sides)] for i in range(n + q)]
+        sizes = [[*size[i], *([ball(0.0)] * m)] for i in range(n + q)]
+        for k, side in enumerate(sides):
+            own = [ball(weights[k]) if j == k else ball(0.0) for j in range(m)]
+            rows.append([*(-side[i] if i < n else ball(0.0) for i in range(n + q)), *own])
+            sizes.append([*([ball(0.0)] * (n + q)), *own])
+        try:
+            slack = min(slack, positive(FLOW, flint().arb_mat(rows), flint().arb_mat(sizes), tau))
+        except Unproven as error:
+            raise multipliers_fail(c, error) from None
+    return slack
+
+
+def multipliers_fail(c: Inclusion, error: Unproven) -> Unproven:
+    """What it says of the claim that multipliers do not prove it: refuted only with a corner that breaks it."""
+    both, slope, size, taus = pieces(c, (c.P + np.swapaxes(c.P, 1, 2)) / 2)
+    try:
+        broken(c, both, slope, size, taus, (c.weights.Qw + c.weights.Qw.T) / 2)
+    except Refused as found:
+        return Unproven(REFUTED, FLOW, found.reason.replace(" fails by", " certainly fails by"), amount=found.amount)
+    return Unproven(UNDECIDED, FLOW, f"{FLOW} could not be decided: these multipliers do not prove it", **error.where)
+
+
+def jumps(c: Inclusion, P: list[Matrix], Rt: Matrix, clock: Clock) -> float:
+    """The jump condition for every member: tangents from below, as in `checkers/jumps.py`."""
+    slack = 1.0
+    for pattern in sorted(set(map(tuple, c.jumps.seen.tolist()))):
+        seen = np.array(pattern, bool)
+        Y = of_some(Rt, seen)
+        every = [
+            (P[i], P[j], float(c.nodes[i]))
+            for i, j, row in zip(c.jumps.later, c.jumps.base, c.jumps.seen, strict=True)
+            if np.array_equal(row, seen)
+        ]
+        if not seen.any():
+            for later, base, tau in every:
+                slack = min(slack, positive(JUMP, later - base, later + base, tau))
+        elif isinstance(c.model, Region):
+            rows = np.flatnonzero(seen).tolist()
+
+            def forms(
+                C: Matrix, B: Matrix, Y: Matrix = Y, every: Jumps = every, rows: list[int] = rows
+            ) -> Iterator[Matrix]:
+                kept, about = (flint().arb_mat([M.tolist()[k] for k in rows]) for M in (C, B))
+                shown = tangent(kept, about, Y)
+                return (later - base + shown for later, base, _ in every)
+
+            Cells(c, c.model, clock).prove(JUMP, forms, False)
+            slack = 0.0
+        else:
+            sets = OutputSets(c, seen)
+            slack = min([slack, *(sets.over(jump, Y, clock) for jump in every)])
+    return slack
+
+
+def of_some(X: Matrix, seen: Mask) -> Matrix:
+    """((X^-1) restricted to what is seen)^-1."""
+    if seen.all() or not seen.any():
+        return X
+    own, other = np.flatnonzero(seen).tolist(), np.flatnonzero(~seen).tolist()
+    rows = X.tolist()
+
+    def part(left: list[int], right: list[int]) -> Matrix:
+        made: Matrix = flint().arb_mat([[rows[i][j] for j in right] for i in left])
+        return made
+
+    return part(own, own) - part(own, other) * part(other, other).solve(part(other, own))
+
+
+def tangent(C: Matrix, B: Matrix, Y: Matrix) -> Matrix:
+    """C'YB + B'YC - B'YB, at most C'YC."""
+    cross = C.transpose() * Y * B
+    return cross + cross.transpose() - B.transpose() * Y * B
+
+
+class OutputSets:
+    """The C of a box or a list: sets of them, named by their points, that are halved."""
+
+    def __init__(self, c: Inclusion, seen: Mask) -> None:
+        self.c, self.seen = c, seen
+        self.box = isinstance(c.model, Box)
+        acting = [each for each in c.model.parameters if each.C.any()] if isinstance(c.model, Box) else []
+        self.acting = acting
+        if self.box:
+            corners = list(product(*(sorted({each.low, each.high}) for each in acting)))
+            self.points = np.array(corners).reshape(len(corners), len(acting))
+        else:
+            assert isinstance(c.model, Vertices)
+            self.points = np.eye(len(c.model.C))
+
+    def at(self, point: Array) -> Matrix:
+        """The rows of C that are seen."""
+        if self.box:
+            found = matrix(self.c.plant.C[self.seen])
+            for each, value in zip(self.acting, point.tolist(), strict=True):
+                found += matrix(each.C[self.seen]) * (ball(value) - ball(each.nominal))
+            return found
+        assert isinstance(self.c.model, Vertices)
+        parts = (matrix(C[self.seen]) * ball(x) for C, x in zip(self.c.model.C, point.tolist(), strict=True))
+        first = next(parts)
+        return sum(parts, first)
+
+    def halves(self, points: Array, found: Array) -> list[Array]:
+        """Two sets that together are one: along the side of a box, or of a simplex, that moves C most."""
+        far = np.square(found[:, None] - found[None]).sum(axis=(2, 3))
+        i, j = divmod(int(np.argmax(far)), len(points))
+        if not self.box:
+            first, second = points.copy(), points.copy()
+            first[i] = second[j] = points[i] / 2 + points[j] / 2
+            return [first, second]
+        low, high = points.min(axis=0), points.max(axis=0)
+        sizes = [float(np.abs(each.C[self.seen]).max(initial=0.0)) for each in self.acting]
+        k = int(np.argmax((high - low) * np.array(sizes)))
+        middle = low[k] / 2 + high[k] / 2
+        sides = [sorted({a, b}) for a, b in zip(low.tolist(), high.tolist(), strict=True)]
+        return [np.array(list(product(*(pair if i == k else own for i, own in enumerate(sides)))))
+                for pair in ([low[k], middle], [middle, high[k]])]  # fmt: skip
+
+    def over(self, jump: tuple[Matrix, Matrix, float], Y: Matrix, clock: Clock) -> float:
+        """A proven slack of one sample; Unproven where there is none."""
+        later, base, tau = jump
+        gained, slack, every, spent = later - base, 1.0, [self.points], 0
+        while every:
+            clock.check()
+            points = every.pop()
+            spent += 1
+            Cs = [self.at(point) for point in points]
+            exact = [gained + tangent(C, C, Y) for C in Cs]
+            sizes = [later + base + tangent(C, C, Y) for C in Cs]
+            if len(points) == 1:
+                slack = min(slack, positive(JUMP, exact[0], sizes[0], tau))
+                continue
+            least = [float(np.linalg.eigvalsh(floats(M))[0]) for M in exact]
+            weakest = int(np.argmin(least))
+            if definite(exact[weakest]) is False:
+                raise Unproven(
+                    REFUTED, JUMP, f"{JUMP} certainly fails by {-least[weakest]:.3g}", amount=least[weakest], time=tau
+                )
+            found = np.array([floats(C) for C in Cs])
+            for B in (mid(Cs[weakest]), matrix(found.mean(axis=0))):
+                if all(definite(gained + tangent(C, B, Y)) is True for C in Cs):
+                    slack = 0.0
+                    break
+            else:
+                if spent > MOST_SETS:
+                    raise Unproven(UNDECIDED, JUMP, f"{JUMP} could not be decided: it is tight or nearly so", time=tau)
+                every += self.halves(points, found)
+        return slack

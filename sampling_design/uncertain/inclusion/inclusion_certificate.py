@@ -1,0 +1,239 @@
+"""A certificate that holds for every plant of a model and every schedule with gaps in a range."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import _checks
+from sampling_design._record import Plain, short
+from sampling_design.certificates.exact.certificate import SampledCertificate, times_to_dict
+from sampling_design.certificates.families.path_complete import PathCompleteGraph
+from sampling_design.certificates.form.horizon import Horizon, horizon_of, largest_eigenvalue, least_eigenvalue
+from sampling_design.certificates.form.seal import INCLUSION_CLAIM
+from sampling_design.errors import ArgumentError, CertificateError
+from sampling_design.evidence import Claim
+from sampling_design.schedules.family import SamplingFamily
+from sampling_design.schedules.family_files import family_to_dict
+from sampling_design.schedules.gap_range import GapRange
+from sampling_design.schedules.schedule import PeriodicSchedule
+from sampling_design.uncertain.inclusion.layout import Schedules, graph_for
+from sampling_design.uncertain.plants.inclusion import LinearInclusion
+
+Array = npt.NDArray[np.float64]
+
+_TWO_TRAJECTORIES = 4.0
+"""V(t) <= 4 J(truth): estimate and truth each differ from the data's centre by at most the cost (Theorem G)."""
+_CONTRACTION = 4.0
+"""By default a window shrinks the squared error by this factor."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class InclusionCertificate(SampledCertificate):
+    """Weights with which every plant of a model is sample-based exponentially i-iIOSS, on all schedules of a family.
+
+        [P' + A'P + PA + eta P, PG; G'P, -Qw] < 0 between samples,    P(0) < P(tau) + C'R~C at a sample
+
+    for every (A, G, C) of the model, P(tau) linear between its nodes, tau the time since the last sample. Each word of
+    the schedules' graph has its P(tau), and P(0) is that of the next word. Then V = |x1 - x2|^2_P(tau) obeys Assumption
+    7 along any two trajectories that share parameters and inputs.
+
+    Attributes
+    ----------
+    plant : Plant
+        The linear plant at the model's centre, with names, units and scales.
+    family : SamplingFamily or PeriodicSchedule
+        The schedules that it is about.
+    graph : PathCompleteGraph
+        Words and edges: every schedule is a path in it.
+    model : LinearInclusion or None
+        What the certificate is about: an UncertainPlant, or a NonlinearPlant with its region. None: read from a file
+        whose model is only known as `model_data`.
+    model_data : mapping
+        The model as plain data, as the file holds it and the checker judges it.
+    nodes : (N,) array [time]
+        Of each word from 0 to the longest gap that may follow, the ends of gaps among them; words in their order.
+    P : (N, n, n) array
+        P(tau) at the nodes; P1 < P < P2.
+    multipliers : (N - 1, 2, m) array, optional
+        One number per end of a piece and column that a parameter moves, for boxes of many parameters.
+
+    Notes
+    -----
+    `lam` is at least lambda_max(P2, P1), to 1e-3. *Claim.* For every real window start and every schedule of the
+    family; for a nonlinear plant as long as both trajectories stay in its region. Before its first sample a schedule is
+    so far in a gap that it ends as that sample comes.
+
+    References
+    ----------
+    The paper, Assumption 7; Boyd et al. 1994.
+    """
+
+    family: Schedules
+    graph: PathCompleteGraph | None = field(default=None, kw_only=True)
+    model: LinearInclusion | None = field(default=None, kw_only=True)
+    model_data: dict[str, Plain] = field(default_factory=dict, kw_only=True)
+    nodes: Array = field(default_factory=lambda: np.zeros(0), kw_only=True)
+    P: Array = field(default_factory=lambda: np.zeros((0, 0, 0)), kw_only=True)
+    multipliers: Array | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.family, (SamplingFamily, PeriodicSchedule)):
+            kinds = "a GapRange, another family or a PeriodicSchedule"
+            raise ArgumentError(f"`family` must be {kinds}, got {_checks.described(self.family)}.")
+        if self.graph is None:
+            object.__setattr__(self, "graph", graph_for(self.family, 0, self.plant.n_outputs))
+        nodes = _checks.floats("nodes", self.nodes)
+        if nodes.ndim != 1 or nodes.size < 2 or nodes[0] != 0 or not np.all(np.diff(nodes)[nodes[1:] != 0] > 0):
+            raise ArgumentError("`nodes` must increase from 0, for each word of the graph.")
+        shape = (nodes.size, *self.P2.shape)
+        P = _checks.floats("P", self.P)
+        if P.shape != shape:
+            raise ArgumentError(f"`P` must hold one matrix per node, shape {shape}, got {P.shape}.")
+        if self.model is not None and not self.model_data:
+            object.__setattr__(self, "model_data", self.model.model_to_dict())
+        object.__setattr__(self, "nodes", _checks.freeze(nodes))
+        P = np.array([_checks.definite(f"P[{k}]", M, self.P2.shape[0]) for k, M in enumerate(P)]).reshape(shape)
+        object.__setattr__(self, "P", _checks.freeze(P))
+
+    @property
+    def covers(self) -> Schedules:
+        """The schedules that it is about."""
+        return self.family
+
+    @property
+    def kind(self) -> str:
+        """ "box", "vertices" or "nonlinear"."""
+        return str(self.model_data.get("kind", ""))
+
+    @property
+    def claim(self) -> Claim:
+        """What the certificate says; `verify()` proves it."""
+        nonlinear = ("both trajectories stay in the plant's region", "noise added to the outputs")
+        known = nonlinear if self.model is None and self.kind == "nonlinear" else ("linear plant in the model",)
+        return Claim(
+            f"sample-based exponential i-iIOSS with rate {short(self.eta)} for every plant of the model, every "
+            "schedule of the family and every real window start",
+            "Assumption 7",
+            (*(known if self.model is None else self.model.assumptions), self.family.explain().rstrip(".")),
+        )
+
+    @property
+    def d_max(self) -> float:
+        """Largest gap, the one before the first sample included."""
+        if isinstance(self.family, SamplingFamily):
+            return float(self.family.d_max)
+        return float(max(self.family.gaps.max(), self.family.first))
+
+    @property
+    def min_gap(self) -> float:
+        """Least gap."""
+        return float(self.family.min_gap if isinstance(self.family, SamplingFamily) else self.family.gaps.min())
+
+    @property
+    def words(self) -> int:
+        """How many P(tau) there are: one per word of the graph, and one for the start where it needs its own."""
+        return int(np.count_nonzero(self.nodes == 0))
+
+    def at(self, tau: npt.ArrayLike, word: int = -1) -> Array:
+        """Return P(tau), (n, n) for a number and (K, n, n) for K times since the last sample.
+
+        Parameters
+        ----------
+        tau : float or (K,) array [time]
+        word : int
+            Of which word, in the order of the nodes; default the last one.
+
+        Raises
+        ------
+        ArgumentError
+            If a time lies outside of [0, longest gap], or there is no such word.
+        """
+        if not -self.words <= _checks.whole("word", word, -self.words) < self.words:
+            raise ArgumentError(f"`word` must be one of the {self.words} words of the graph, got {word!r}.")
+        ends = np.append(np.flatnonzero(self.nodes == 0), self.nodes.size)
+        own = slice(ends[:-1][word], ends[1:][word])
+        nodes, P = self.nodes[own], self.P[own]
+        times = np.atleast_1d(_checks.floats("tau", tau))
+        if np.any((times < 0) | (times > nodes[-1] * (1 + 1e-12))):
+            raise ArgumentError(f"`tau` must lie in [0, {nodes[-1]:.6g}], the gaps that are certified.")
+        k = np.clip(np.searchsorted(nodes, times, side="right") - 1, 0, nodes.size - 2)
+        share = np.clip((times - nodes[k]) / np.diff(nodes)[k], 0.0, 1.0)[:, None, None]
+        found = (1 - share) * P[k] + share * P[k + 1]
+        return np.asarray(found[0] if np.ndim(tau) == 0 else found)
+
+    def horizon(self, theorem: str = "sharp", length: float | None = None) -> Horizon:
+        """Return a horizon and its error bound.
+
+            "sharp":   M > ln(4 lam)/eta, arrival weight P2             (Theorem G)
+            "arrival": M > ln(4)/eta whatever lam is, arrival weight P(tau)  (Theorem G)
+            "paper":   M > 2 ln(2 lam)/eta, cost (15)                   (Theorem 9)
+
+        Parameters
+        ----------
+        theorem : str
+        length : float, optional [time]
+            Default: each window shrinks the squared error to a quarter.
+
+        Raises
+        ------
+        ArgumentError
+            If the theorem is unknown.
+        CertificateError
+            If `length` is too short for the theorem.
+        """
+        _checks.word("theorem", theorem, ("sharp", "arrival", "paper"))
+        if theorem == "paper":
+            return horizon_of(self, "paper", length)
+        lost = _TWO_TRAJECTORIES * (self.lam_proven if theorem == "sharp" else 1.0)
+        minimum = float(np.log(lost)) / self.eta
+        default = max(self.d_max, minimum + float(np.log(_CONTRACTION)) / self.eta)
+        M = default if length is None else _checks.positive("length", length)
+        if not minimum < M:
+            raise CertificateError(
+                f"`length` = {M:.6g} is too short: Theorem G needs M > {minimum:.6g}.", minimum=minimum, length=M
+            )
+        low = least_eigenvalue(self.P1)
+        C_x, C_w, C_v = (_TWO_TRAJECTORIES * largest_eigenvalue(W) / low for W in (self.P2, self.Qw, self.Rtilde))
+        rate = self.eta - float(np.log(lost)) / M
+        found = {"C_x": C_x, "C_w": C_w, "C_v": C_v, "lam": self.lam_proven}
+        return Horizon(theorem, minimum, M, rate, **found, time_unit=self.plant.time_unit)
+
+    def _samples_until(self, end: float) -> Array:
+        # the i-th last sample of any schedule lies at least i least gaps before `end`
+        return np.asarray(end - self.min_gap * np.arange(int(max(end, 0.0) / self.min_gap) + 1))
+
+    def _file_parts(self) -> dict[str, Plain]:
+        family = self.family
+        times = family_to_dict(family) if isinstance(family, SamplingFamily) else times_to_dict(family)
+        diagonals = None if self.multipliers is None else np.asarray(self.multipliers).tolist()
+        parts: dict[str, Plain] = {"claim": INCLUSION_CLAIM, "times": times, "model": self.model_data}
+        if not isinstance(family, GapRange):
+            assert self.graph is not None
+            own = self.graph.to_dict(self.P[:0])
+            parts["graph"] = {key: own[key] for key in ("words", "edges")}
+        return parts | {"nodes": self.nodes.tolist(), "P": self.P.tolist(), "multipliers": diagonals}
+
+    def _rows(self) -> list[tuple[str, str]]:
+        arrival = self.horizon("arrival")
+        about = {"box": "parameters in a box", "vertices": "between vertices", "nonlinear": "nonlinear, in a region"}
+        return [
+            ("plant", f"{self.plant.name or '-'} ({about.get(self.kind, self.kind)})"),
+            ("family", self.family.explain()),
+            *super()._rows(),
+            ("horizon, arrival weight P(tau)", f"M > {short(arrival.minimum)} {self.plant.time_unit}"),
+            ("pieces", str(int(np.count_nonzero(self.nodes)))),
+        ]
+
+    def explain(self) -> str:
+        """Say what the certificate proves."""
+        unit = self.plant.time_unit
+        return (
+            f"{self.family.explain()} For every plant of the model and each of these schedules the distance of two "
+            f"trajectories, weighed by P(tau), fades at rate {short(self.eta)} per {unit} but for what noise and "
+            f"samples show of it; a window longer than {short(self.horizon('arrival').minimum)} {unit} contracts with "
+            f"the arrival weight P(tau), longer than {short(self.horizon().minimum)} {unit} with P2."
+        )

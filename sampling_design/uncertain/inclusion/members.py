@@ -1,0 +1,228 @@
+"""The members of a plant that is not exactly known, and the coordinates in which programs over them are posed."""
+
+from __future__ import annotations
+
+import time
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+from sampling_design._balance import balance
+from sampling_design.certificates.exact.riccati import periodic_riccati_solution
+from sampling_design.certificates.exact.window_problem import window_problem
+from sampling_design.certificates.families.path_complete import PathCompleteGraph
+from sampling_design.certificates.form.horizon import output_information
+from sampling_design.errors import SamplingDesignError
+from sampling_design.schedules.family import SamplingFamily
+from sampling_design.schedules.jitter import Jitter
+from sampling_design.uncertain.inclusion.layout import Layout, Schedules, layout_of
+from sampling_design.uncertain.inclusion.program import Posed
+from sampling_design.uncertain.plants.inclusion import Hull, LinearInclusion, Members
+
+Array = npt.NDArray[np.float64]
+
+INFLATED = (0.002, 0.02, 0.1)
+"""Share by which sampled members are pushed outwards, so that cells of the region need not be tiny."""
+HULL_CORNERS, HALVINGS = 10, 3
+"""Directions of a set that holds all C whose corners are members; halvings of a stiff plant's region into cells."""
+FASTEST = 1e3
+"""Rates per longest gap beyond which a plant is stiff."""
+
+
+class InclusionWeights(NamedTuple):
+    """Physical weights of noise."""
+
+    Qw: Array
+    R: Array
+    Qv: Array
+
+
+class PosedMembers:
+    """Linear plants that stand for one that is not exactly known, those in the program, and how it is posed.
+
+    `chosen` and `shown` are the members (A, G) and C in the program: those that bind.
+    """
+
+    def __init__(
+        self,
+        plant: LinearInclusion,
+        schedules: Schedules,
+        graph: PathCompleteGraph,
+        weights: InclusionWeights,
+        deadline: float = np.inf,
+        seed: int = 0,
+    ) -> None:
+        self.deadline = deadline
+        self.plant, self.schedules, self.graph, self.weights = plant, schedules, graph, weights
+        self.centre = plant.centre
+        self.longest = float(graph.tops.max())
+        self.members: Members = plant.members(np.random.default_rng(seed))
+        self.columns, self.sizes = plant.columns, np.zeros(0)
+        if self.columns is not None:  # multipliers stand for all members
+            self.members = self.members._replace(dynamics=self.columns.middle[None], complete=True)
+        self.chosen, self.shown = extreme(self.members.dynamics), extreme(self.members.outputs)
+        self.inflation = 0.0 if self.members.complete else INFLATED[0]
+        self._roots: dict[float, Array] = {}
+        self._sampled = (self.members, self.chosen, self.shown)
+        self.hull: Hull | None = None
+
+    def inner(self, eta: float, pieces: int, T: Array | None = None) -> tuple[Posed, Array]:
+        """The program in inner coordinates, and the T with P = T P_inner T': by default that of the rate."""
+        layout, b = self.layout(pieces), self.longest
+        T = self.coordinates(eta) if T is None else T
+        inverse = np.linalg.inv(T)
+        root_w = np.linalg.cholesky(self.weights.Qw)
+        patterns, pattern = np.unique(layout.seen, axis=0, return_inverse=True)
+        n = self.centre.n_states
+        M = self.members.dynamics
+        A = b * (T.T @ M[:, :, :n] @ inverse.T)
+        G = np.sqrt(b) * (T.T @ M[:, :, n:] @ np.linalg.inv(root_w).T)
+        outputs = np.array([self.shares(seen) @ self.members.outputs @ inverse.T for seen in patterns])
+        unit = inverse @ np.diag(1 / self.centre.states.scales**2) @ inverse.T
+        q = G.shape[2]
+        columns = seen = np.zeros((0, 0))
+        if self.columns is not None:
+            to_w = np.linalg.inv(root_w).T / np.sqrt(b)  # of inner disturbances in physical ones
+            axes = np.vstack([np.hstack([inverse.T, np.zeros((n, q))]), np.hstack([np.zeros((q, n)), to_w])])
+            seen = axes[list(self.columns.at)]
+            self.sizes = np.linalg.norm(seen, axis=1)
+            columns, seen = b * (T.T @ self.columns.add) * self.sizes, seen / self.sizes[:, None]
+        posed = Posed(
+            dynamics=np.concatenate([A, G], axis=2), outputs=outputs, Qw=np.eye(q), unit=unit, eta=eta * b,
+            nodes=layout.nodes / b, pieces=layout.pieces, later=layout.later, base=layout.base, pattern=pattern.ravel(),
+            columns=columns, seen=seen,
+        )  # fmt: skip
+        return posed, T
+
+    @property
+    def left(self) -> float | None:
+        """Seconds that are left; None: no end."""
+        return None if np.isinf(self.deadline) else max(self.deadline - time.perf_counter(), 0.0)
+
+    @property
+    def late(self) -> bool:
+        """Whether the time is over."""
+        return time.perf_counter() > self.deadline
+
+    @property
+    def mean(self) -> float:
+        """Mean gap, of a family that of its bounds."""
+        own = self.schedules
+        if isinstance(own, SamplingFamily):
+            return (own.min_gap + own.d_max) / 2
+        return float(own.gaps.mean())
+
+    @property
+    def family(self) -> SamplingFamily:
+        """The family; a periodic schedule is one of deviations 0."""
+        return self.schedules if isinstance(self.schedules, SamplingFamily) else Jitter(self.schedules, 0.0)
+
+    def layout(self, pieces: int) -> Layout:
+        """Nodes and jumps with so many pieces."""
+        return layout_of(self.graph, pieces)
+
+    def shares(self, seen: npt.NDArray[np.bool_]) -> Array:
+        """S with S'S the information of the outputs that are seen: (V restricted to them)^-1, V = R^-1 + Qv^-1."""
+        found = np.zeros((len(seen), len(seen)))
+        if seen.any():
+            V = np.linalg.inv(output_information(self.weights.R, self.weights.Qv))[np.ix_(seen, seen)]
+            found[np.ix_(seen, seen)] = np.linalg.inv(np.linalg.cholesky(V))
+        return found
+
+    def coordinates(self, eta: float) -> Array:
+        """The coordinates of a rate, found once."""
+        if eta not in self._roots:
+            self._roots[eta] = self._root(eta)
+        return self._roots[eta]
+
+    def _root(self, eta: float) -> Array:
+        """A root of the information that the nominal plant keeps; of its balance where there is none."""
+        if self.stiff:
+            return pace(
+                self.members.dynamics.mean(axis=0)[:, : self.centre.n_states],
+                self.centre.states.scales,
+                self.longest,
+            )
+        try:
+            prior = np.diag(1 / self.centre.states.scales**2)
+            problem = window_problem(self.centre, self.family.nominal, prior, *self.weights, eta)
+            with np.errstate(over="raise", invalid="raise"):  # growth beyond all numbers within a gap
+                Y = np.mean(periodic_riccati_solution(problem, walk=False), axis=0)
+            root = np.linalg.solve(np.linalg.cholesky(Y), np.diag(1 / self.centre.states.scales)).T
+            if np.all(np.isfinite(root)) and np.linalg.cond(root) < 1e12:
+                return np.asarray(root)
+        except (SamplingDesignError, np.linalg.LinAlgError, FloatingPointError):
+            pass  # the centre alone may have no certificate, or none at this rate
+        return np.diag(1 / balance(self.centre.A).d)
+
+    def pushed(self, posed: Posed) -> Array:
+        """Members pushed away from their middle."""
+        M = posed.dynamics
+        middle = (M.max(axis=0) + M.min(axis=0)) / 2
+        return np.asarray(middle + (1 + self.inflation) * (M - middle))
+
+    @property
+    def stiff(self) -> bool:
+        """Whether the centre has rates beyond `FASTEST` per longest gap, which multipliers do not know of."""
+        fastest = np.max(np.abs(np.linalg.eigvals(self.centre.A)), initial=0.0)
+        return bool(self.columns is None and self.longest * fastest > FASTEST)
+
+    def enter_hull(self, eta: float) -> bool:
+        """Take for the members sets that hold all Jacobians of a cell each, so that a proof needs few cells."""
+        T = self.coordinates(eta)
+
+        def size(moves: Array) -> Array:
+            return np.asarray(np.square(np.linalg.norm(self.moved(moves, T), axis=(-2, -1))).sum(axis=0))
+
+        hull = self.plant.hull(HALVINGS if self.stiff else 0, size)
+        if hull is None or not len(hull.moves):
+            return False
+        self._sampled = (self.members, self.chosen, self.shown)
+        self.hull = hull
+        outputs = corners(hull.output, hull.output_moves)
+        self.members = Members(hull.middle, outputs, ("a cell of the region",) * len(hull.middle), False)
+        self.chosen, self.shown = extreme(hull.middle), extreme(outputs)
+        return True
+
+    def leave_hull(self) -> None:
+        """Take the sampled members again."""
+        self.members, self.chosen, self.shown = self._sampled
+        self.hull = None
+
+    def moved(self, moves: Array, T: Array) -> Array:
+        """Changes of (A, G) (..., n, n + q) in inner coordinates."""
+        n, b = self.centre.n_states, self.longest
+        A = b * T.T @ moves[..., :n] @ np.linalg.inv(T).T
+        G = np.sqrt(b) * T.T @ moves[..., n:] @ np.linalg.inv(np.linalg.cholesky(self.weights.Qw)).T
+        return np.asarray(np.concatenate([A, G], axis=-1))
+
+
+def pace(A: Array, scales: Array, longest: float) -> Array:
+    """A root T of an information TT' that weighs each direction by how long it lasts: I where A = 0.
+
+    The solution of (A - s)'P + P(A - s) = -Q, Q what the scales call one, with s just beyond what grows.
+    """
+    unit = np.diag(1 / scales)
+    own = scales[:, None] ** -1 * A * scales * longest
+    shift = max(float(np.max(np.linalg.eigvals(own).real, initial=0.0)), 0.0) + 0.5
+    P = scipy.linalg.solve_continuous_lyapunov((own - shift * np.eye(len(own))).T, -np.eye(len(own)))
+    return np.asarray(unit @ np.linalg.cholesky((P + P.T) / 2))
+
+
+def corners(middle: Array, moves: Array) -> Array:
+    """The middle and all signs of the moves, of up to `HULL_CORNERS` of them."""
+    signs = np.array(list(product((-1.0, 1.0), repeat=min(len(moves), HULL_CORNERS))))
+    return np.asarray(middle + np.tensordot(signs.reshape(len(signs), -1), moves[:HULL_CORNERS], 1))
+
+
+def extreme(stack: Array) -> list[int]:
+    """Members that begin: all where there are few, else those that are extreme in some entry."""
+    flat = stack.reshape(len(stack), -1)
+    if len(stack) <= 8:
+        return list(range(len(stack)))
+    moving = np.flatnonzero(np.ptp(flat, axis=0) > 0)
+    ends = {int(k) for j in moving for k in (np.argmin(flat[:, j]), np.argmax(flat[:, j]))}
+    return sorted(ends)[:16]

@@ -1,0 +1,254 @@
+"""The programs of one plant that is not exactly known: members that bind, short decimals, and the proof."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._record import Plain
+from sampling_design.certificates.families.path_complete import PathCompleteGraph
+from sampling_design.certificates.form.verdict import Verification
+from sampling_design.certificates.rigorous.decide import judged
+from sampling_design.errors import ArgumentError
+from sampling_design.evidence import SolverRecord
+from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
+from sampling_design.uncertain.inclusion.layout import Schedules
+from sampling_design.uncertain.inclusion.members import INFLATED, InclusionWeights, PosedMembers
+from sampling_design.uncertain.inclusion.program import SMALLEST, InclusionProgram, Posed, flow_slacks, jump_slacks
+from sampling_design.uncertain.inclusion.stiff import solve_stiff
+from sampling_design.uncertain.plants.inclusion import LinearInclusion
+
+Array = npt.NDArray[np.float64]
+
+NARROWINGS, NARROW_ENOUGH = 12, 0.995
+"""Turns in which P(tau) is drawn together; a turn that leaves lambda above this part of the last is the last."""
+ROUNDS = 12
+"""How often members that violate a solution may join the program."""
+JOINING = 4
+"""Members that join at once."""
+DIGITS = (7, 9, 11, 15)
+"""Decimals to which P is rounded, relative to its diagonal: the fewest that leave it proven."""
+LONGEST_PROOF = 60.0
+"""Seconds in ball arithmetic for what no short decimals prove in doubles; the work is counted, and ends before that."""
+ROOM = 1e-6
+"""By which P1 and P2 stand off from P, relatively."""
+
+
+@dataclass(frozen=True, eq=False)
+class InclusionSolution:
+    """A solution in inner coordinates, not proven: P at the nodes between s I and q I."""
+
+    posed: Posed
+    P: Array
+    low: float
+    high: float
+    T: Array
+    diagonals: Array | None
+    gains: Array
+    record: SolverRecord
+
+    @property
+    def lam(self) -> float:
+        """q/s."""
+        return self.high / self.low
+
+
+class InclusionSearch(PosedMembers):
+    """The programs of one plant, range of gaps and choice of weights, under a budget for lambda."""
+
+    def __init__(
+        self,
+        plant: LinearInclusion,
+        schedules: Schedules,
+        graph: PathCompleteGraph,
+        weights: InclusionWeights,
+        noise_gain: float,
+        deadline: float = np.inf,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(plant, schedules, graph, weights, deadline, seed)
+        self.noise_gain = noise_gain
+
+    def solve(self, eta: float, pieces: int, narrow: bool = True) -> InclusionSolution | None:
+        """The narrowest P(tau) found; None if there is none. Members that it violates join until none does."""
+        posed, T = self.inner(eta, pieces)
+        if self.stiff:
+            fit = solve_stiff(self, eta, pieces, narrow)
+            if fit is None:
+                return None
+            turned = fit.posed.turned(fit.bound)
+            return InclusionSolution(
+                turned, fit.within(), *fit.ends, fit.T @ fit.bound, None, np.zeros((0, 0, 0)), fit.record
+            )
+        for _ in range(ROUNDS):
+            if self.late:
+                return None
+            found = self._once(posed, T, narrow)
+            if found is None:
+                return None
+            worst, unseen = self._violated(posed, found), self._hidden(posed, found)
+            if not worst and not unseen:
+                return found
+            self.chosen, self.shown = sorted({*self.chosen, *worst}), sorted({*self.shown, *unseen})
+        return None
+
+    def _once(self, posed: Posed, T: Array, narrow: bool) -> InclusionSolution | None:
+        dynamics = self.pushed(posed)[self.chosen]
+        some = replace(posed, dynamics=dynamics, outputs=posed.outputs[:, self.shown])
+        search = InclusionProgram(some, self.left)
+        floor, x, record = search.floor()
+        if x is None:
+            return None
+        P = search.matrices(x)
+        best = self._found(some, P, T, (search.diagonals(x), search.gains(x)), record)
+        if not best.low > 0:  # a solver that was inaccurate
+            return None
+        if not narrow:
+            return best
+        current, basis = some, np.eye(some.n)
+        for _ in range(NARROWINGS):
+            if self.late:
+                break
+            x, W, record = search.narrow(best.lam, floor * max(1 / self.noise_gain, SMALLEST))
+            if x is None:
+                break
+            turn, P = np.asarray(np.linalg.cholesky(W)), search.matrices(x)
+            current, basis = current.turned(turn), basis @ turn
+            own = np.linalg.solve(turn, np.linalg.solve(turn, P).swapaxes(1, 2))
+            free = search.diagonals(x), search.gains(x) @ np.linalg.inv(turn).T
+            found = self._found(current, (own + own.swapaxes(1, 2)) / 2, T @ basis, free, record)
+            if not found.low > 0:
+                break
+            done = found.lam > NARROW_ENOUGH * best.lam
+            best = found if found.lam < best.lam else best
+            if done:
+                break
+            search = InclusionProgram(current, self.left)
+        return best
+
+    @staticmethod
+    def _found(
+        posed: Posed, P: Array, T: Array, free: tuple[Array | None, Array], record: SolverRecord
+    ) -> InclusionSolution:
+        values = np.linalg.eigvalsh(P)
+        return InclusionSolution(posed, P, float(values[:, 0].min()), float(values[:, -1].max()), T, *free, record)
+
+    def _violated(self, posed: Posed, found: InclusionSolution) -> list[int]:
+        """Members that the solution violates most, not yet in the program."""
+        if len(self.chosen) == len(self.members.dynamics):
+            return []
+        moved = replace(posed, dynamics=self.pushed(posed)).turned(self._turn(posed, found))
+        least = flow_slacks(moved, found.P)
+        return [int(k) for k in np.argsort(least)[:JOINING] if least[k] < 0 and int(k) not in self.chosen]
+
+    def _hidden(self, posed: Posed, found: InclusionSolution) -> list[int]:
+        """Outputs at which the solution's jump fails most, not yet in the program."""
+        if len(self.shown) == posed.outputs.shape[1]:
+            return []
+        least = jump_slacks(posed.turned(self._turn(posed, found)), found.P, found.gains)
+        return [int(k) for k in np.argsort(least)[:JOINING] if least[k] < 0 and int(k) not in self.shown]
+
+    def _turn(self, posed: Posed, found: InclusionSolution) -> Array:
+        """The solution's coordinates in those of `posed`."""
+        return np.asarray(np.linalg.solve(self.coordinates(posed.eta / self.longest), found.T))
+
+    # --- from a solution to a certificate -----------------------------------------------------------------------------
+
+    def certificate(
+        self, found: InclusionSolution, eta: float, pieces: int, digits: int, seconds: float
+    ) -> InclusionCertificate:
+        """The certificate in physical coordinates and short decimals."""
+        nodes = self.layout(pieces).nodes
+        P = rounded(found.T @ found.P @ found.T.T, digits)
+        shape = found.T @ found.T.T
+        P1, P2 = (
+            rounded((1 - ROOM) * found.low * shape, digits + 1),
+            rounded((1 + ROOM) * found.high * shape, digits + 1),
+        )
+        lam = float(f"{(1 + 10 * ROOM) * found.lam:.9g}")
+        details: dict[str, Plain] = {
+            "pieces": found.posed.pieces.size,
+            "members": len(found.posed.dynamics),
+            "digits": digits,
+        }
+        solver = replace(found.record, seconds=seconds, details={**found.record.details, **details})
+        model = self.plant
+        return InclusionCertificate(
+            self.centre, self.schedules, P1=P1, P2=P2, Qw=self.weights.Qw, R=self.weights.R, Qv=self.weights.Qv,
+            eta=eta, lam=max(lam, 1.0), lam_samples=max(lam, 1.0), solver=solver,
+            model=model, model_data=model.model_to_dict(), nodes=nodes, P=P, graph=self.graph,
+            multipliers=self._multipliers(found),
+        )  # fmt: skip
+
+    def _multipliers(self, found: InclusionSolution) -> Array | None:
+        """Those of physical columns, in short decimals."""
+        if self.columns is None or found.diagonals is None:
+            return None
+        own = found.diagonals / (self.longest * self.sizes**2)
+        return np.array([float(f"{x:.9g}") for x in own.ravel().tolist()]).reshape(own.shape)
+
+    def proven(self, eta: float, pieces: int, began: float) -> InclusionCertificate | Verification | None:
+        """A certificate that has passed, the verdict on the last one that did not, or None if nothing was found."""
+        if self.members.complete:
+            return self._attempt(eta, pieces, began, (0.0,), DIGITS, len(DIGITS))
+        found = None
+        for hulled in (True, False) if self.stiff else (False,):
+            if hulled and not self.enter_hull(eta):
+                continue
+            made = self._attempt(eta, pieces, began, INFLATED[1:2] if hulled else INFLATED, DIGITS[1:], 1)
+            if hulled:
+                self.leave_hull()
+            if isinstance(made, InclusionCertificate):
+                return made
+            found = made or found
+        return found
+
+    def _attempt(
+        self,
+        eta: float,
+        pieces: int,
+        began: float,
+        inflated: tuple[float, ...],
+        precisions: tuple[int, ...],
+        proofs: int,
+    ) -> InclusionCertificate | Verification | None:
+        """The same for the members as they are, pushed outwards by these shares; at most so many proofs of each."""
+        verdict: Verification | None = None
+        for inflation in inflated:
+            self.inflation = inflation
+            found = self.solve(eta, pieces)
+            if found is None:
+                continue
+            tried = 0
+            for digits in precisions:
+                try:
+                    made = self.certificate(found, eta, pieces, digits, time.perf_counter() - began)
+                except ArgumentError:  # so few decimals leave P or its bounds indefinite in the plant's own coordinates
+                    continue
+                last = proofs > 1 and digits == precisions[-1]
+                verdict = judged(made.to_dict(), False, LONGEST_PROOF if last else 0.0)
+                if verdict.passed:
+                    return accepted(made)
+                tried += 1
+                if tried == proofs:
+                    break
+        return verdict
+
+
+def accepted(made: InclusionCertificate) -> InclusionCertificate:
+    """A certificate that was proven, on its way out: where all of them can be watched (tests/kept_certificates.py)."""
+    return made
+
+
+def rounded(P: Array, digits: int) -> Array:
+    """Short decimals: each entry to `digits` digits of the root of its diagonal entries' product."""
+    d = np.sqrt(np.einsum("...ii->...i", P))
+    places = digits - 1 - np.floor(np.log10(d[..., :, None] * d[..., None, :])).astype(int)
+    entries = [
+        round(x, k)
+        for x, k in zip(((P + np.swapaxes(P, -1, -2)) / 2).ravel().tolist(), places.ravel().tolist(), strict=True)
+    ]
+    return np.array(entries).reshape(P.shape)

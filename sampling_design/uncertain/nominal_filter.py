@@ -1,0 +1,270 @@
+"""The filter of a nominal plant whose radius holds for every plant of a box: the mismatch is a bounded disturbance."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import block_diag
+
+from sampling_design import _checks
+from sampling_design._linalg import discounted_flow, expm_batch
+from sampling_design.errors import ArgumentError
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_weights import build_weights, noise_bound
+from sampling_design.estimators.gap_flows.flows import GapFlow, discounted_length
+from sampling_design.estimators.kalman import KalmanFilter
+from sampling_design.estimators.online.estimate import Estimate
+from sampling_design.estimators.online.estimator import Taken
+from sampling_design.estimators.online.evidence import Assumptions
+from sampling_design.estimators.online.history import Node, State
+from sampling_design.plants.plant import Signals
+from sampling_design.recovery.readings import StartError
+from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
+
+Array = npt.NDArray[np.float64]
+
+STEP = 0.25
+"""|A| times a step within which the mismatch is bounded at once."""
+FEWEST, MOST = 4, 400
+"""Steps of a gap."""
+HALVINGS = 12
+"""How often a step is halved over which the bound of the mismatch does not hold itself up."""
+TRIALS = 40
+ROUNDING = 1 + 1e-9
+RANK = 1e-13
+
+
+class NominalFilter(KalmanFilter):
+    """The Kalman filter of the nominal plant, with radii that hold for every plant of a box.
+
+        x' = A_0 x + B u + G w + sum_k d_k A_k x,    |d_k A_k x| <= |A_k xhat| + sqrt(beta) |A_k|_Pi^-1
+
+    Parameters
+    ----------
+    plant : UncertainPlant
+        Parameters in a box, constant or varying as fast as they like.
+    cost, prior, prior_time, input_side, maximum_delay
+        As for `KalmanFilter`; the weights are those of the nominal plant.
+    w_bound, v_bound, initial_error
+        As for `MovingHorizonEstimator`; without them there is no radius.
+    typical : float
+        Size of the states, in units of their scales, for which the mismatch is weighed: it moves the radius, and the
+        guarantee holds whatever it is.
+
+    Raises
+    ------
+    ArgumentError
+        If the plant lies between vertices, or an argument has the wrong shape or sign.
+
+    Notes
+    -----
+    *Claim.* If w, v and the first error keep their bounds, |x - xhat|^2 in the inverse of `covariance` is at most
+    `radius` for every plant of the box, at and between samples. *Method.* V = |e|^2_Pi obeys V' <= -eta V + |w|^2_Qw +
+    sum q_k m_k^2, m_k the size of the mismatch along the k-th row. It is bounded over short steps by the estimate and
+    by the ellipsoid itself: a bound that is not reached while it is assumed is never reached. Of outputs, the mismatch
+    counts as noise. *Numerical aspects.* Between the ends of a step rows lie on their chords but for delta^2/8 times
+    their second derivative. Where the bound does not hold itself up, the radius is not a number, and says so.
+
+    Examples
+    --------
+    >>> from sampling_design import Plant
+    >>> from sampling_design.uncertain.plants.uncertain_plant import UncertainParameter
+    >>> leak = UncertainParameter("leak", 0.9, 1.1, A=[[-1.0]], nominal=1.0)
+    >>> plant = UncertainPlant(Plant([[-1.0]], [[1.0]]), [leak])
+    >>> cost = CostFunction(eta=0.5)
+    >>> filter = NominalFilter(plant, cost=cost, w_bound=0.1, v_bound=0.1, initial_error=1.0)
+    >>> filter.update(0.5, [0.4]).certified
+    True
+    """
+
+    def __init__(
+        self,
+        plant: UncertainPlant,
+        *,
+        cost: CostFunction | None = None,
+        prior: npt.ArrayLike | None = None,
+        prior_time: float = 0.0,
+        w_bound: npt.ArrayLike | None = None,
+        v_bound: npt.ArrayLike | None = None,
+        initial_error: npt.ArrayLike | None = None,
+        typical: float = 1.0,
+        input_side: str = "right",
+        maximum_delay: float = 0.0,
+    ):
+        if not isinstance(plant, UncertainPlant):
+            raise ArgumentError(f"`plant` must be an UncertainPlant, got {_checks.described(plant)}. Use KalmanFilter.")
+        if plant.vertices:
+            raise ArgumentError("`plant` must have parameters in a box, got one between vertices.")
+        nominal = plant.nominal
+        given = build_weights(nominal, None, CostFunction() if cost is None else cost)
+        bound = noise_bound("w_bound", w_bound, nominal.n_disturbances)
+        energy = given.disturbance_energy(bound)
+        self.model = plant
+        into, self._rows, self._known_size = _channels(plant, bound)
+        size = np.concatenate([np.linalg.norm(self._rows * nominal.states.scales, axis=1), self._known_size])
+        size = np.where(size > 0, size, 1.0) * _checks.positive("typical", typical)
+        self._q = (energy if 0 < energy < np.inf else 1.0) / size**2
+        wide = replace(
+            nominal,
+            G=np.hstack([nominal.G, into]),
+            disturbances=Signals([*nominal.disturbances.names, *(f"mismatch {k + 1}" for k in range(into.shape[1]))]),
+        )
+        inside = CostFunction(
+            P2=given.prior, Qw=block_diag(given.w, np.diag(self._q)), R=given.R, Qv=given.v, eta=given.eta
+        )
+        self._shown = _outputs(plant)
+        self._before: tuple[Array, Array, float] | None = None
+        self._inputs: Sequence[tuple[float, Array]] = ()
+        super().__init__(
+            wide, cost=inside, prior=prior, prior_time=prior_time,
+            w_bound=None if bound is None else np.zeros(wide.n_disturbances), v_bound=v_bound,
+            initial_error=initial_error, input_side=input_side, maximum_delay=maximum_delay,
+        )  # fmt: skip
+        self._w_energy = energy
+        self.claim_note = (
+            "No a-priori claim: a filter of the nominal plant; its radius counts the mismatch as it comes."
+        )
+
+    weighs_means = False  # what a mean shows of the mismatch is not bounded
+
+    def _assumptions(self, error: StartError) -> Assumptions | None:
+        return None  # intervals of the data would take the nominal plant for the true one
+
+    def _undiscounted(self, node: Node, flow: GapFlow) -> Array | None:
+        return None  # its bound on the disturbance knows nothing of the mismatch
+
+    def _advance(self, state: State, sample: Taken) -> Node:
+        self._inputs = state.inputs
+        try:
+            return super()._advance(state, sample)
+        finally:
+            self._before = None
+
+    def _predict(self, state: State, t: float) -> Estimate:
+        self._inputs = state.inputs
+        try:
+            return super()._predict(state, t)
+        finally:
+            self._before = None
+
+    def _flown(self, node: Node, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
+        x, Y, beta = super()._flown(node, flow, drift)
+        if flow.gap > 0 and np.isfinite(beta) and np.isfinite(Y).all():
+            beta = self._walked(node, flow.gap)
+        self._before = x, Y, beta
+        return x, Y, beta
+
+    def _sample_energy(self, masks: Array) -> Array:
+        if self._before is None or not len(self._shown) or self._v_bound is None:
+            return super()._sample_energy(masks)
+        x, Y, beta = self._before
+        if not np.isfinite(beta):
+            return np.full(len(masks), np.inf)
+        spread = np.sqrt(np.maximum(np.einsum("kpi,ij,kpj->kp", self._shown, Y, self._shown), 0.0) * max(beta, 0.0))
+        more = ROUNDING * np.sum(np.abs(self._shown @ x) + spread, axis=0)
+        wider = self._v_bound + (more if self._v_bound.ndim else float(np.linalg.norm(more)))
+        return self.weights.sample_energy(np.asarray(wider), False, masks)
+
+    # --- the size of the mismatch along a gap -------------------------------------------------------------------------
+
+    def _walked(self, node: Node, gap: float) -> float:
+        """The radius after a gap, the mismatch bounded step by step."""
+        A = self.plant.A
+        start, end = node.t, node.t + gap
+        first, last = bisect_right(self._inputs, start, key=_time), bisect_left(self._inputs, end, key=_time)
+        cuts = [start, *(t for t, _ in self._inputs[first:last]), end]
+        x, Y, beta = np.asarray(node.x), np.asarray(node.Y), float(node.beta)
+        speed = float(np.linalg.norm(A * self.weights.units / self.weights.units[:, None], 2))
+        for a, b in pairwise(cuts):
+            k = bisect_right(self._inputs, a, key=_time) - 1
+            push = self.plant.B @ self._inputs[k][1] if k >= 0 else np.zeros(len(x))
+            count = int(np.clip(np.ceil(speed * (b - a) / STEP), FEWEST, MOST))
+            done, step = 0.0, (b - a) / count
+            for _ in range(count * 2**HALVINGS):
+                if done >= (b - a) * (1 - 1e-12):
+                    break
+                step = min(step, b - a - done)
+                found = self._stepped(x, Y, beta, push, step)
+                if found is None:
+                    step /= 2
+                    if step * 2**HALVINGS * count < b - a:
+                        return float("inf")
+                    continue
+                x, Y, beta = found
+                done += step
+        return beta * ROUNDING
+
+    def _stepped(self, x: Array, Y: Array, beta: float, push: Array, step: float) -> tuple[Array, Array, float] | None:
+        """State, covariance and radius after a step; None if no bound of the mismatch holds itself up over it."""
+        A, eta, rows, n = self.plant.A, self.weights.eta, self._rows, len(x)
+        F, W = (M[0] for M in discounted_flow(A, self.weights.noise, [step], eta))
+        block = np.zeros((n + 1, n + 1))
+        block[:n, :n], block[:n, n] = A, push
+        x_next = (expm_batch(block, [step])[0] @ np.append(x, 1.0))[:n]
+        Y_next = np.exp(eta * step) * F @ Y @ F.T + W
+        try:
+            L = np.linalg.cholesky(Y)
+        except np.linalg.LinAlgError:
+            return None
+        grown = float(np.exp(np.linalg.norm(np.linalg.solve(L, A @ L), 2) * step))
+        sag = step**2 / 8 * grown
+        own = np.maximum(np.linalg.norm(rows @ L, axis=1), np.linalg.norm(rows @ F @ L, axis=1))
+        own = own + sag * np.linalg.norm(rows @ A @ A @ L, axis=1)
+        spread = np.sqrt(np.exp(eta * step) * own**2 + np.einsum("ki,ij,kj->k", rows, W, rows))
+        pushed = float(np.linalg.norm(np.linalg.solve(L, A @ x + push)))
+        centre = (
+            np.maximum(np.abs(rows @ x), np.abs(rows @ x_next)) + sag * np.linalg.norm(rows @ A @ L, axis=1) * pushed
+        )
+        known, m = self._known_size, len(rows)
+        fixed = self._w_energy + float(self._q[m:] @ known**2)
+        size = centre + spread * np.sqrt(beta)
+        for _ in range(TRIALS):
+            top = beta + step * (fixed + float(self._q[:m] @ size**2))
+            needed = ROUNDING * (centre + spread * np.sqrt(top))
+            if not np.isfinite(needed).all():
+                return None
+            if np.all(needed <= size):
+                lost = float(discounted_length(eta, step)) * (fixed + float(self._q[:m] @ size**2))
+                return x_next, (Y_next + Y_next.T) / 2, float(np.exp(-eta * step) * beta + lost)
+            size = np.maximum(size, needed * (1 + 1e-6))
+        return None
+
+
+def _channels(plant: UncertainPlant, w_bound: Array | None) -> tuple[Array, Array, Array]:
+    """Columns (n, m + k) of the mismatch, the rows (m, n) of x that drive the first, sizes (k,) of the others."""
+    x, columns, rows = plant.nominal.states.scales, [], []
+    others, sizes = [], []
+    for each in plant.parameters:
+        reach = max(each.high - each.nominal, each.nominal - each.low)
+        if each.A is not None and each.A.any() and reach:
+            U, s, V = np.linalg.svd(reach * each.A * x / x[:, None])
+            rank = int(np.sum(s > RANK * s[0]))
+            columns.append(x[:, None] * U[:, :rank])
+            rows.append(ROUNDING * s[:rank, None] * V[:rank] / x)
+        if each.G is not None and each.G.any() and reach and w_bound is not None:
+            moved = [k for k in range(each.G.shape[1]) if each.G[:, k].any()]
+            others.append(reach * each.G[:, moved])
+            sizes.append(np.broadcast_to(w_bound, (each.G.shape[1],))[moved])
+    n = plant.n_states
+    into = np.hstack([np.zeros((n, 0)), *columns, *others])
+    return into, np.vstack([np.zeros((0, n)), *rows]), np.concatenate([np.zeros(0), *sizes])
+
+
+def _outputs(plant: UncertainPlant) -> Array:
+    """What the parameters add to C at their farthest (K, p, n)."""
+    shape = plant.nominal.C.shape
+    found = [
+        max(each.high - each.nominal, each.nominal - each.low) * each.C
+        for each in plant.parameters
+        if each.C is not None and each.C.any()
+    ]
+    return np.array(found).reshape(len(found), *shape)
+
+
+def _time(item: tuple[float, Array]) -> float:
+    return item[0]

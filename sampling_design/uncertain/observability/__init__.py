@@ -1,0 +1,1 @@
+"""Sigma and counts over a box of plants, or along a plant that varies."""

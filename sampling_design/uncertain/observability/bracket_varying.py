@@ -1,0 +1,184 @@
+"""Sigma over all positions of a window along a plant that varies in time.
+
+Within a piece the window's samples stay, O(s) = O(b) Phi(b, s). With y the unit state that O(s) sees least,
+sigma(s_0) |Phi(s_0, s) y| <= |O(s_0) Phi(s_0, s) y| = sigma(s), and |Phi(s_0, s) y| >= exp(-int mu), where mu is the
+largest eigenvalue of the symmetric part of A for s > s_0 and of that of -A for s < s_0. It is convex in A, so that of a
+table its largest value over an interval stands at an end or a knot: a proven bound, of first order. Intervals are
+halved where they are lowest. Of functions A is only looked at, and nothing is proven.
+"""
+
+from __future__ import annotations
+
+import heapq
+import time
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.observability.windows.bracket import Bracket
+from sampling_design.observability.windows.pieces import Pieces
+from sampling_design.uncertain.plants.time_table import MatrixTable, length_of
+from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
+
+Array = npt.NDArray[np.float64]
+
+FIRST = 5
+"""Positions of a piece at first, its ends included."""
+LOOKED = 5
+"""Instants of an interval at which functions are looked at."""
+MOST_PROVEN, MOST_SAMPLED = 5000, 100
+"""Halvings at most: of tables, and of functions, whose every transition is an integration."""
+EPS = float(np.finfo(float).eps)
+
+
+class _Node(NamedTuple):
+    """A window start: its rows, how far they may be off, sigma, and how far that may be off."""
+
+    at: float
+    rows: Array
+    wrong: float
+    off: float
+    sigma: float
+
+
+class VaryingSearch:
+    """The bracket of one plant; transitions are scaled, and rows refer to scaled states."""
+
+    def __init__(self, plant: TimeVaryingPlant, pieces: Pieces) -> None:
+        self.plant, self.pieces = plant, pieces
+        self.unit = plant.states.scales
+        self.table = plant.A.in_units(self.unit, self.unit) if isinstance(plant.A, MatrixTable) else None
+
+    def growth(self, a: float, b: float) -> tuple[float, float]:
+        """Largest eigenvalues of the symmetric parts of A and of -A over [a, b]: proven of a table."""
+        if self.table is not None:
+            stack = np.array([self.table(t) for t in self.table.knots(a, b)])
+        else:
+            looked = np.linspace(a, b, LOOKED).tolist()
+            stack = np.array([np.asarray(self.plant.A(t), dtype=float) for t in looked])
+            stack = stack * self.unit / self.unit[:, None]
+        values = np.linalg.eigvalsh(stack + stack.swapaxes(1, 2)) / 2
+        room = 8 * EPS * len(stack[0]) * float(np.abs(values).max(initial=0.0))
+        return float(values[:, -1].max()) + room, float(-values[:, 0].min()) + room
+
+    def last(self, g: int) -> _Node:
+        """The node at the right end of a piece."""
+        start, samples = float(self.pieces.right[g]), self.pieces.samples(g)
+        n, mask = self.plant.n_states, self.pieces.measured(g)
+        later = np.unique(np.concatenate([[start], np.maximum(samples, start)]))
+        motion = self.plant.motion(later)
+        flow, off, rows, wrong = np.eye(n), 0.0, [], []
+        at = np.searchsorted(later, np.maximum(samples, start))
+        for k in range(later.size):
+            if k:
+                F, own = motion.F[k - 1], float(motion.errors[k - 1])
+                size, before = length_of(F), length_of(flow)
+                off = size * off + own * (before + off) + 2 * n * n * EPS * size * before
+                flow = F @ flow
+            for j in np.flatnonzero(at == k):
+                C = motion.C[k]
+                C = C if mask is None else C[mask[j]]
+                rows.append(C @ flow)
+                wrong.append(float(np.linalg.norm(C)) * (off + 2 * n * n * EPS * length_of(flow)))
+        O = np.vstack(rows) if rows else np.zeros((0, n))
+        return self._node(start, O, float(np.linalg.norm(wrong)))
+
+    def before(self, node: _Node, s: float) -> _Node:
+        """The node at an earlier start of the same piece."""
+        motion = self.plant.motion([s, node.at])
+        F, own, whole = motion.F[0], float(motion.errors[0]), float(np.linalg.norm(node.rows))
+        size = length_of(F)
+        off = node.wrong * (size + own) + whole * (own + 2 * F.size * EPS * size)
+        return self._node(s, node.rows @ F, off)
+
+    def _node(self, at: float, rows: Array, off: float) -> _Node:
+        n = self.plant.n_states
+        sigma = float(np.linalg.svd(rows, compute_uv=False)[-1]) if len(rows) >= n else 0.0
+        return _Node(at, rows, off, off + 8 * n * EPS * float(np.linalg.norm(rows)), sigma)
+
+    def least(self, a: _Node, b: _Node) -> float:
+        """A bound from below of sigma between two neighbours."""
+        with np.errstate(divide="ignore"):
+            low, high = (float(np.log(max(node.sigma - node.off, 0.0))) for node in (a, b))
+        if not np.isfinite([low, high]).any():
+            return 0.0
+        after, back = self.growth(a.at, b.at)
+        h = b.at - a.at
+        ends = [max(low, high - back * h), max(low - after * h, high)]
+        if np.isfinite([low, high]).all() and after + back > 0:
+            meeting = (low - high + back * h) / (after + back)
+            if 0 < meeting < h:
+                ends.append(low - after * meeting)
+        return float(np.exp(min(ends)))
+
+
+def bracket_varying(plant: TimeVaryingPlant, pieces: Pieces, rtol: float, budget: float) -> Bracket:
+    """Bracket the least sigma; `status` as of `WindowSigma`, and "sampled" of functions, where `lower` is 0."""
+    search, began = VaryingSearch(plant, pieces), time.monotonic()
+    nodes = [_first(search, g) for g in range(len(pieces))]
+    short = [g for g, own in enumerate(nodes) if len(own[0].rows) < plant.n_states]
+    if short:
+        return _bracket(search, nodes, short[0], nodes[short[0]][0], np.zeros(len(pieces)), "too few samples")
+    heap = [(search.least(a, b), g, a.at, a, b) for g, own in enumerate(nodes) for a, b in pairwise(own)]
+    heapq.heapify(heap)
+    floors = np.array([max(min(node.sigma - node.off for node in own), 0.0) for own in nodes])
+    g, best = min(((g, node) for g, own in enumerate(nodes) for node in own), key=lambda found: found[1].sigma)
+    status, most = "closed", MOST_PROVEN if plant.tabled else MOST_SAMPLED
+    for _ in range(most):
+        if best.sigma <= best.off:
+            return _bracket(search, nodes, g, best._replace(sigma=0.0), np.zeros(len(pieces)), "below rounding")
+        if not heap or heap[0][0] >= (1 - rtol) * best.sigma:
+            break
+        if time.monotonic() - began > budget:
+            status = "budget"
+            break
+        _, piece, _, a, b = heap[0]
+        middle = a.at / 2 + b.at / 2
+        if not a.at < middle < b.at:
+            status = "rounding"
+            break
+        new = search.before(b, middle)
+        nodes[piece].append(new)
+        g, best = (piece, new) if new.sigma < best.sigma else (g, best)
+        heapq.heapreplace(heap, (search.least(a, new), piece, a.at, a, new))
+        heapq.heappush(heap, (search.least(new, b), piece, middle, new, b))
+    else:
+        status = "budget"
+    for low, piece, *_ in heap:
+        floors[piece] = min(floors[piece], low)
+    if not plant.tabled:
+        return _bracket(search, nodes, g, best, np.zeros(len(pieces)), "sampled")
+    return _bracket(search, nodes, g, best, floors, status)
+
+
+def _first(search: VaryingSearch, g: int) -> list[_Node]:
+    """Nodes of a piece to begin with, in order."""
+    own = [search.last(g)]
+    for s in np.linspace(search.pieces.left[g], search.pieces.right[g], FIRST)[-2::-1].tolist():
+        if s < own[-1].at:
+            own.append(search.before(own[-1], s))
+    return own[::-1]
+
+
+def _bracket(
+    search: VaryingSearch, nodes: list[list[_Node]], g: int, best: _Node, floors: Array, status: str
+) -> Bracket:
+    """What was found, as the search of a plant that does not vary tells it."""
+    pieces, n = search.pieces, best.rows.shape[1]
+    every = [sorted(own, key=lambda node: node.at) for own in nodes]
+    return Bracket(
+        lower=min(float(floors.min()), best.sigma),
+        upper=best.sigma,
+        status=status,
+        start=best.at,
+        side=pieces.side(g, best.at),
+        samples=pieces.samples(g),
+        direction=np.linalg.svd(best.rows)[2][-1] if len(best.rows) else np.eye(n)[0],
+        pieces=pieces,
+        nodes=np.array([node.at for own in every for node in own]),
+        sigma=np.array([node.sigma for own in every for node in own]),
+        owner=np.repeat(np.arange(len(pieces)), [len(own) for own in every]),
+        piece_lower=floors,
+    )

@@ -1,0 +1,232 @@
+"""Lower bounds of sigma over sliding windows and every plant of a box, proven in ball arithmetic (extra `rigorous`).
+
+The proof is that of `box/least.py`, cell by cell, with everything in it a ball: rows and their derivatives from one
+exponential, the rest in metrics of `box/balls.py`. With O(d) = O_0 + sum d_k O_k + X, |X z|^2 <= rest z'Wz, and a
+window that begins s after the cell's middle, |s| <= h,
+
+    |O(d) z|^2   >=  z'((1 - t)(O_0'O_0 + sum d_k (O_0'O_k + O_k'O_0)) - (1/t - 1) rest W) z,
+    |e^{A(d) s} z|  <=  max of |(I +- A h) z|  +  beyond |z|_W,
+
+so that corners of d and both signs decide, by the pivots of L D L' of one matrix each.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._ball_flow import Clock
+from sampling_design._balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix
+from sampling_design._linalg import symmetrise
+from sampling_design.observability.windows.balls import (
+    ProvenSigma,
+    exact_times,
+    fraction,
+    nearest_proven,
+    needed_slack,
+    piece_ends,
+)
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+from sampling_design.uncertain.box.balls import BallBox, BallCell, Metric, beyond_first_in_balls
+from sampling_design.uncertain.box.branching import TOGETHER, halved
+from sampling_design.uncertain.box.expansion import BoxCells
+from sampling_design.uncertain.observability.windows_over_box import WindowsOverBox
+
+Array = npt.NDArray[np.float64]
+
+FALSE = 1e-9
+"""A plant this far below the claim, relative, ends the attempt."""
+SMALLEST = 2.0**-40
+"""Cells below this share of the box and of their piece are not halved further."""
+
+
+def prove_over_box(
+    asked: WindowsOverBox, schedule: Schedule | PeriodicSchedule, guess: float, seconds: float
+) -> ProvenSigma:
+    """Prove a lower bound of sigma over a box and all real window positions, as near to `guess` as can be.
+
+    Parameters
+    ----------
+    asked : WindowsOverBox
+        Box and pieces; its floats choose the cells and prove nothing.
+    schedule : Schedule or PeriodicSchedule
+        That of the pieces: its doubles are what the theorem is about.
+    guess : float
+        What floats believe.
+    seconds : float
+        Budget.
+
+    Returns
+    -------
+    ProvenSigma
+        lower = 0 where nothing is proven in time.
+
+    Raises
+    ------
+    MissingExtraError
+        If python-flint is not installed.
+    """
+    flint()
+    exact = exact_times(schedule, asked.pieces)
+    slack = needed_slack(schedule, asked.pieces, exact)
+    clock = Clock(seconds)
+    return nearest_proven(guess, slack, lambda: WindowCells(asked, schedule, exact, clock).proves)
+
+
+class WindowCells:
+    """Cells of parameters and window starts; a start is a dyadic share of its piece, so that no cell is rounded."""
+
+    def __init__(
+        self, asked: WindowsOverBox, schedule: Schedule | PeriodicSchedule, exact: list[Fraction], clock: Clock
+    ) -> None:
+        self.asked, self.clock, self.box = asked, clock, BallBox(asked.model)
+        pieces = asked.pieces
+        self.ends = [piece_ends(schedule, pieces, g) for g in range(len(pieces))]
+        self.times = [exact[pieces.first[g] : pieces.stop[g]] for g in range(len(pieces))]
+        self.signs = list(product((-1, 1), repeat=self.box.m))
+
+    def proves(self, mu: float) -> bool:
+        """Whether sigma >= mu is proven for all plants and positions."""
+        pieces, m = self.asked.pieces, self.box.m
+        count = len(pieces)
+        wide = np.array([float(right > left) for left, right in self.ends])
+        whole = np.zeros((count, m))
+        pending = BoxCells(whole, whole + 1, np.zeros(count), wide, np.arange(count))
+        while len(pending.s):
+            self.clock.check()
+            index = np.arange(len(pending.s))
+            some, rest = pending.take(index[:TOGETHER]), pending.take(index[TOGETHER:])
+            lower, centre, effect = self.asked.judge(self._in_time(some))
+            if np.any(centre < mu * (1 - FALSE)):
+                return False
+            open_ = np.array(
+                [not (lower[k] >= mu and self._cell(some.take(np.array([k])), mu)) for k in range(len(lower))]
+            )
+            if open_.any():
+                left = some.take(open_)
+                if min(np.maximum(left.half.max(axis=1, initial=0.0), left.h)) < SMALLEST:
+                    return False
+                parts = halved(left, effect[open_])
+                rest = BoxCells._make(np.concatenate(pair) for pair in zip(parts, rest, strict=True))
+            pending = rest
+        return True
+
+    def _in_time(self, cells: BoxCells) -> BoxCells:
+        """The same with window starts in time, as floats."""
+        pieces = self.asked.pieces
+        left, right = pieces.left[cells.piece], pieces.right[cells.piece]
+        half = (right - left) / 2
+        return cells._replace(s=(left + right) / 2 + half * cells.s, h=half * cells.h + pieces.tolerance)
+
+    def _cell(self, one: BoxCells, mu: float) -> bool:
+        """Whether sigma >= mu is proven on a cell."""
+        self.clock.check()
+        g = int(one.piece[0])
+        left, right = self.ends[g]
+        half = (right - left) / 2
+        middle = left + half + half * Fraction(float(one.s[0]))
+        h = fraction(half * Fraction(float(one.h[0])))
+        cell = self.box.cell(one.u[0], one.half[0])
+        after = [fraction(t - middle) for t in self.times[g]]
+        G, slopes = self._gram(cell, self.times[g], middle, self.asked.pieces.measured(g))
+        eye = identity(self.box.n)
+        moved = [self.box.unit * (eye + cell.A * h * sign) for sign in ((1, -1) if h > 0 else (1,))]
+        starts = [X.transpose() * X for X in moved]
+        found = [
+            (float(_worth(floats(G), floats(metric.W), rest)), metric, rest)
+            for metric in self.box.metrics(cell, max([float(r) for r in after], default=0.0))
+            for rest in [_rest(metric, after)]
+        ]
+        if not found:
+            return False
+        _, metric, rest = min(found, key=lambda each: each[0])
+        along = metric.moved * h + beyond_first_in_balls((metric.size + metric.moved) * h)
+        beyond = (metric.whole * along).upper()
+        corners = [sum((S * sign for S, sign in zip(slopes, signs, strict=True)), G) for signs in self.signs]
+        return _hold(corners, starts, (metric.W, rest, beyond), ball(mu))
+
+    def _gram(
+        self, cell: BallCell, times: list[Fraction], middle: Fraction, mask: npt.NDArray[np.bool_] | None
+    ) -> tuple[Matrix, list[Matrix]]:
+        """O_0'O_0 and O_0'O_k + O_k'O_0: rows [C, C_1, ..] e^{block r}, the block A with the A_k beside it."""
+        n, m = self.box.n, self.box.m
+        zero = matrix(np.zeros((n, n)))
+        block = _beside([cell.A, *cell.parts_A])
+        for k in range(1, m + 1):
+            block += _beside([zero] * k + [cell.A] + [zero] * (m - k))
+        B, rows = flint().arb_mat(block), flint().arb_mat(_beside([cell.C, *cell.parts_C]))
+        total, at = matrix(np.zeros((len(block), len(block)))), middle
+        flows: dict[Fraction, Matrix] = {}
+        for i, t in enumerate(times):
+            if t - at not in flows:
+                flows[t - at] = (B * fraction(t - at)).exp()
+            rows, at = rows * flows[t - at], t
+            seen = flint().arb_mat([row for j, row in enumerate(rows.tolist()) if mask is None or mask[i, j]])
+            total = total + seen.transpose() * seen
+        upper = total.tolist()[:n]
+        parts = [flint().arb_mat([row[k * n : (k + 1) * n] for row in upper]) for k in range(m + 1)]
+        return parts[0], [X + X.transpose() for X in parts[1:]]
+
+
+def _beside(blocks: list[Matrix]) -> list[list[Ball]]:
+    """The rows of matrices that stand side by side."""
+    return [[x for part in row for x in part] for row in zip(*(M.tolist() for M in blocks), strict=True)]
+
+
+def _rest(metric: Metric, after: list[Ball]) -> Ball:
+    """At least |X z|^2 over z'Wz: what the rows of all samples are beyond the first order."""
+    total = flint().arb(0)
+    for r in after:
+        size = abs(r)
+        rate = metric.rate if r >= 0 else metric.size
+        along = metric.moved * size
+        second = beyond_first_in_balls(along)
+        row = (rate * size).exp() * (metric.seen * second + metric.shown * (along + second))
+        total += row * row
+    made: Ball = total.upper()
+    return made
+
+
+def _worth(G: Array, W: Array, rest: Ball) -> float:
+    """How much the rest takes away, about."""
+    try:
+        return float(rest) * float(np.trace(np.linalg.solve(G, W)))
+    except np.linalg.LinAlgError:
+        return np.inf
+
+
+def _hold(corners: list[Matrix], starts: list[Matrix], lost: tuple[Matrix, Ball, Ball], mu: Ball) -> bool:
+    """Whether mu |e^{As} z| <= |O z| at every corner and both ends; floats choose how the losses are shared."""
+    W, rest, beyond = lost
+    metric, square = floats(W), (1 / mu) ** 2
+    for M in corners:
+        for S in starts:
+            z = _worst(floats(M), floats(S))
+            if z is None:
+                return False
+            seen, start, size = (float(z @ X @ z) for X in (floats(M), floats(S), metric))
+            t = ball(float(np.clip(np.sqrt(float(rest) * size / seen), 1e-14, 0.5))) if rest > 0 else ball(0.0)
+            form = M * (1 - t)
+            if rest > 0:
+                form = form - W * ((1 / t - 1) * rest)
+            form = form * square
+            if beyond > 0:
+                k = ball(float(np.clip(float(beyond) * np.sqrt(size / start), 1e-14, 1e14)))
+                form = form - S * (1 + k) - W * ((1 + 1 / k) * beyond * beyond)
+            else:
+                form = form - S
+            if not definite(form):
+                return False
+    return True
+
+
+def _worst(M: Array, S: Array) -> Array | None:
+    """The z that S makes largest beside M, or None where M is not certainly positive."""
+    try:
+        root = np.linalg.inv(np.linalg.cholesky(symmetrise(M)))
+    except np.linalg.LinAlgError:
+        return None
+    return np.asarray(root.T @ np.linalg.eigh(symmetrise(root @ S @ root.T))[1][:, -1])

@@ -1,0 +1,200 @@
+"""Sigma over every real position of a sliding window and every plant of a box of constant parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._record import Plain, short
+from sampling_design.evidence import Claim
+from sampling_design.observability.meeting import meet
+from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of
+from sampling_design.observability.windows.bracket import require_moderate
+from sampling_design.observability.windows.pieces import Pieces
+from sampling_design.observability.windows.window_sigma import asked
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+from sampling_design.uncertain.box.branching import Branched, branch
+from sampling_design.uncertain.box.model import BoxModel
+from sampling_design.uncertain.box.question import REASONS, at_parameters
+from sampling_design.uncertain.observability.windows_over_box import WindowsOverBox
+from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[float, str], None]
+RTOL = 0.01
+"""Default width of the bracket, relative."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WindowSigmaOverBox(SigmaBracket):
+    """Bounds on the least sigma over all real positions of a window and all plants of a box.
+
+    Attributes
+    ----------
+    lower : float
+        Proven for every plant of the box and every real position.
+    upper : float
+        Attained by the plant `worst` in the window that begins at `window_start`.
+    worst : mapping
+        Values of the parameters.
+    window_start : float [time]
+    samples : (k,) array [time]
+        In that window.
+    closed : bool
+        Whether lower >= (1 - rtol) upper, or sigma is zero at `worst`.
+    status : str
+        "closed", "unseen" (the plant `worst` is not seen, as nearly as a descent can tell), "too few samples",
+        "budget", "rounding" or "no states".
+    cells : int
+        How many cells of parameters and positions were judged.
+    from_time : float [time]
+        As for `WindowSigma`: every window that begins then or later is covered.
+    coordinates : str
+        Which both bounds refer to: "scaled" where the plant has scales, else "physical".
+    rigorous : bool
+        Whether `lower` was proven in ball arithmetic: a theorem about the doubles of plant, parameters and times.
+    slack : float [time]
+        With `rigorous`: as for `WindowSigma`, zero unless samples leave and arrive within rounding of each other.
+    """
+
+    lower: float
+    upper: float
+    worst: Mapping[str, float]
+    window_start: float
+    samples: Array
+    status: str
+    window: float
+    rtol: float
+    cells: int
+    plant: UncertainPlant
+    from_time: float = field(default=0.0, kw_only=True)
+    coordinates: str = field(default="physical", kw_only=True)
+    rigorous: bool = field(default=False, kw_only=True)
+    slack: float = field(default=0.0, kw_only=True)
+
+    @property
+    def time_unit(self) -> str:
+        """Unit of all times."""
+        return self.plant.time_unit
+
+    @property
+    def closed(self) -> bool:
+        """Whether the bracket is as narrow as was asked, or sigma is zero."""
+        return self.status not in REASONS
+
+    @property
+    def sees_every_plant(self) -> bool | None:
+        """Whether every plant of the box is seen in every window: proven, refuted by `worst`, or None (not decided)."""
+        if self.lower > 0:
+            return True
+        return False if self.status in ("unseen", "too few samples") else None
+
+    @property
+    def claim(self) -> Claim:
+        """What `lower` claims, and on what grounds."""
+        balls = ", in ball arithmetic" if self.rigorous else ""
+        return Claim(
+            f"sigma_n(O_s e^(-A(t-T))) >= {short(self.lower)} for every plant of the box and every real window end "
+            f"t >= T + {short(self.from_time)}, T = {short(self.window)}",
+            theorem="Theorem 14, hypothesis, for each plant of the box" + balls,
+            assumptions=("constant parameters in their ranges", "the sample times are exact"),
+        )
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data; infinite values (a plant without states) become None."""
+        finite = bool(np.isfinite(self.upper))
+        return {
+            "lower": self.lower if finite else None,
+            "upper": self.upper if finite else None,
+            "worst": dict(self.worst),
+            "window_start": self.window_start,
+            "samples": self.samples.tolist(),
+            "closed": self.closed,
+            "status": self.status,
+            "window": self.window,
+            "from_time": self.from_time,
+            "rtol": self.rtol,
+            "cells": self.cells,
+            "rigorous": self.rigorous,
+            "slack": self.slack,
+            "time_unit": self.time_unit,
+            "coordinates": self.coordinates,
+            "claim": self.claim.to_dict(),
+        }
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return self._between(
+            ("worst plant", at_parameters(self.worst)),
+            ("worst window begins", f"{short(self.window_start)} {self.time_unit}"),
+            ("samples in it", str(self.samples.size)),
+            ("window", f"{short(self.window)} {self.time_unit}, from {short(self.from_time)} {self.time_unit} on"),
+            ("status", f"{self.status}, {self.cells} cells"),
+        )
+
+    def explain(self) -> str:
+        """Say what was proven, and which plant is worst."""
+        where = f"The worst plant has {at_parameters(self.worst)}, in the window from {short(self.window_start)}"
+        if self.status == "no states":
+            return NO_STATES
+        if self.status == "too few samples":
+            return f"{where}: {self.samples.size} samples are too few, and sigma is 0."
+        if self.status == "unseen":
+            return f"Not every plant of the box is seen: {where[0].lower()}{where[1:]} sigma is {short(self.upper)}."
+        length = f"{short(self.window)} {self.time_unit}"
+        proven = f"Sigma is at least {short(self.lower)} for every plant of the box, over every window of {length}"
+        return self._concluded(f"{proven} ({self._grounds})", where, REASONS)
+
+
+def window_sigma_over_box(
+    plant: UncertainPlant,
+    schedule: Schedule | PeriodicSchedule,
+    window: float,
+    rtol: float | None = None,
+    budget: float | None = None,
+    progress: Progress | None = None,
+    rigorous: bool = False,
+    start: float | None = None,
+) -> WindowSigmaOverBox:
+    """Bound sigma over all positions of a window and all plants of a box: see `window_sigma`."""
+    aligned = meet(plant.nominal, schedule)
+    pieces, tolerance, seconds = asked(aligned, window, start, RTOL if rtol is None else rtol, budget)
+    require_moderate(plant.nominal)
+    model = BoxModel.of(plant, "window_sigma")
+    found = _record(_searched(model, pieces, tolerance, seconds, progress), model, pieces, tolerance)
+    return _in_balls(found, model, aligned, pieces, seconds) if rigorous else found
+
+
+def _in_balls(
+    result: WindowSigmaOverBox, model: BoxModel, schedule: Schedule | PeriodicSchedule, pieces: Pieces, seconds: float
+) -> WindowSigmaOverBox:
+    """The record with the lower bound that ball arithmetic proves."""
+    from sampling_design.uncertain.observability.window_balls import prove_over_box
+
+    proof = prove_over_box(WindowsOverBox(model, pieces), schedule, result.lower, seconds)
+    status = result.status
+    if status == "closed" and not proof.lower >= (1 - 1.001 * result.rtol) * result.upper:
+        status = proof.status if proof.status != "closed" else "rounding"
+    return replace(result, lower=proof.lower, status=status, rigorous=True, slack=proof.slack)
+
+
+def _record(found: Branched, model: BoxModel, pieces: Pieces, rtol: float) -> WindowSigmaOverBox:
+    return WindowSigmaOverBox(
+        lower=found.lower, upper=found.upper, worst=model.values(found.u), window_start=found.s,
+        samples=pieces.samples(found.piece), status=found.status, window=pieces.window, rtol=rtol, cells=found.cells,
+        plant=model.plant, from_time=pieces.start, coordinates=coordinates_of(model.plant.nominal),
+    )  # fmt: skip
+
+
+def _searched(model: BoxModel, pieces: Pieces, rtol: float, seconds: float, progress: Progress | None) -> Branched:
+    """The bracket over the box and all pieces."""
+    asked = WindowsOverBox(model, pieces)
+    if not model.n:
+        return Branched(np.inf, np.inf, model.start, float(pieces.left[0]), 0, "no states", 0)
+    few = asked.too_few()
+    if few is not None:
+        return Branched(0.0, 0.0, model.start, float(pieces.left[few]), few, "too few samples", 0)
+    ends = (pieces.left, pieces.right)
+    return branch(asked.cells(), asked.judge, asked.value, asked.unseen, rtol, seconds, ends, progress)

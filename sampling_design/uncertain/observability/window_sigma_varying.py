@@ -1,0 +1,52 @@
+"""Sigma over every position of a window along a plant that varies in time, on a finite schedule."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from sampling_design import _checks
+from sampling_design.errors import ArgumentError
+from sampling_design.observability.meeting import meet
+from sampling_design.observability.sigma_bracket import coordinates_of
+from sampling_design.observability.windows.window_sigma import WindowSigma, asked, record_of
+from sampling_design.schedules.schedule import Schedule
+from sampling_design.uncertain.observability.bracket_varying import bracket_varying
+from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
+
+Progress = Callable[[float, str], None]
+RTOL = 0.01
+"""Default width of the bracket, relative."""
+
+
+def window_sigma_varying(
+    plant: TimeVaryingPlant,
+    schedule: object,
+    window: float,
+    rtol: float | None = None,
+    budget: float | None = None,
+    progress: Progress | None = None,
+    rigorous: bool = False,
+    start: float | None = None,
+) -> WindowSigma:
+    """Bound sigma over all positions of a window, rows C(tau) Phi(tau, t - T): see `window_sigma`.
+
+    Raises
+    ------
+    ArgumentError
+        If balls are asked for, or the schedule is not finite or leaves the plant's horizon.
+    """
+    if rigorous:
+        raise ArgumentError("`rigorous` is for plants that do not vary: of a table all rounding is counted anyway.")
+    if not isinstance(schedule, Schedule):
+        raise ArgumentError(
+            f"`schedule` must be a Schedule within the plant's horizon, got {_checks.described(schedule)}."
+        )
+    aligned = meet(plant.at(0.0), schedule)
+    outside = [t for t in aligned.times.tolist() if not 0 <= t <= plant.horizon]
+    if outside:
+        raise ArgumentError(
+            f"`schedule` must lie within the plant's horizon [0, {plant.horizon:.6g}], got a sample at {outside[0]!r}."
+        )
+    pieces, tolerance, seconds = asked(aligned, window, start, RTOL if rtol is None else rtol, budget)
+    bracket = bracket_varying(plant, pieces, tolerance, seconds)
+    return record_of(bracket, tolerance, plant.time_unit, coordinates_of(plant))

@@ -1,0 +1,69 @@
+"""The windows of one schedule for cells of a box of plants: bounds, values of single plants, what they do not show."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.observability.windows.pieces import Pieces
+from sampling_design.plants.plant import Plant
+from sampling_design.uncertain.box.branching import UNSEEN
+from sampling_design.uncertain.box.expansion import BoxCells
+from sampling_design.uncertain.box.least import least_sigma
+from sampling_design.uncertain.box.model import BoxModel
+
+Array = npt.NDArray[np.float64]
+
+
+class WindowsOverBox:
+    """Sigma of the windows of one schedule, for cells of a box."""
+
+    def __init__(self, model: BoxModel, pieces: Pieces) -> None:
+        self.model, self.pieces = model, pieces
+        self.times, self.measured = _padded(pieces, len(model.C))
+
+    def too_few(self) -> int | None:
+        """A piece with fewer measurements than states."""
+        few = np.flatnonzero(self.measured.sum(axis=(1, 2)) < self.model.n)
+        return int(few[0]) if few.size else None
+
+    def cells(self) -> BoxCells:
+        """The whole box, once for each piece."""
+        pieces, count = self.pieces, len(self.pieces)
+        box = np.zeros((count, self.model.m))
+        half = (pieces.right - pieces.left) / 2 + pieces.tolerance
+        return BoxCells(box, box + 1, (pieces.left + pieces.right) / 2, half, np.arange(count))
+
+    def judge(self, cells: BoxCells) -> tuple[Array, Array, Array]:
+        """Lower bounds, values at the centres, and what each direction matters."""
+        piece = cells.piece
+        found = least_sigma(self.model, cells, self.times[piece] - cells.s[:, None], self.measured[piece])
+        return found.lower, found.centre, found.effect
+
+    def value(self, u: Array, s: float, piece: int) -> float:
+        """Sigma of one plant and window."""
+        return float(np.linalg.svd(self._rows(u, s, piece) / self.model.unit, compute_uv=False)[self.model.n - 1])
+
+    def unseen(self, u: Array, s: float, piece: int) -> bool:
+        """Whether one plant has a direction that its window does not show, in whatever units."""
+        least = np.linalg.svd(self._rows(u, s, piece), compute_uv=False)[self.model.n - 1]
+        return bool(least <= UNSEEN * np.linalg.norm(self.model.C))
+
+    def _rows(self, u: Array, s: float, piece: int) -> Array:
+        """The rows of one plant and window, in balanced coordinates."""
+        A, C = self.model.at(u[None])
+        at = self.pieces.samples(piece) - s
+        return np.asarray((C[0] @ Plant(A[0], C[0]).transition(at))[self.measured[piece][: at.size]])
+
+
+def _padded(pieces: Pieces, outputs: int) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Sample times (P, N) of every piece and what is measured (P, N, p), filled up with what is not."""
+    count = pieces.stop - pieces.first
+    most = max(1, int(count.max(initial=0)))
+    index = pieces.first[:, None] + np.arange(most)
+    there = index < pieces.stop[:, None]
+    if not len(pieces.times):
+        return np.zeros(there.shape), np.zeros((*there.shape, outputs), dtype=bool)
+    index = np.where(there, index, 0)
+    mask = np.ones((len(pieces.times), outputs), dtype=bool) if pieces.mask is None else pieces.mask
+    return pieces.times[index], there[..., None] & mask[index]

@@ -1,0 +1,218 @@
+"""The least sigma over all schedules that keep a spacing rule and all plants of a box of constant parameters."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._checks import Seed
+from sampling_design._record import Plain, short
+from sampling_design.evidence import Claim
+from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of
+from sampling_design.observability.worst_case.worst_case_sigma import LEAST_SEARCH, asked, worst_case_sigma
+from sampling_design.plants.plant import Plant
+from sampling_design.schedules.spaced_windows import SpacedWindows
+from sampling_design.uncertain.box.expansion import UP, BoxCells
+from sampling_design.uncertain.box.model import BoxModel
+from sampling_design.uncertain.box.question import REASONS, at_parameters
+from sampling_design.uncertain.observability.worst_case_cells import (
+    FINER,
+    WIDE,
+    SigmaOfOne,
+    least_over,
+    parts_of,
+    points_of,
+    whole,
+)
+from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[float, str], None]
+RTOL = 0.1
+"""Default width of the bracket, relative."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WorstCaseOverBox(SigmaBracket):
+    """Bounds on the least sigma over all schedules with k samples, epsilon apart, in a window, and all plants of a box.
+
+    Attributes
+    ----------
+    lower : float
+        Proven for every admissible schedule and every plant of the box.
+    upper : float
+        Attained by the plant `worst` at the times `witness`.
+    worst : mapping
+        Values of the parameters.
+    witness : (k,) array
+        Sample times within [0, T].
+    status : str
+        "closed", "unseen" (some plant and schedule see nothing of a state), "budget" or "no states".
+    plants : int
+        How many plants were judged one by one.
+    coordinates : str
+        Which both bounds refer to: "scaled" where the plant has scales, else "physical".
+    rigorous : bool
+        Whether `lower` was proven in ball arithmetic: a theorem about the doubles of plant, parameters and family.
+    """
+
+    lower: float
+    upper: float
+    worst: Mapping[str, float]
+    witness: Array
+    status: str
+    family: SpacedWindows
+    rtol: float
+    plants: int
+    plant: UncertainPlant
+    coordinates: str = field(default="physical", kw_only=True)
+    rigorous: bool = field(default=False, kw_only=True)
+
+    @property
+    def closed(self) -> bool:
+        """Whether the bracket is as narrow as was asked, or sigma is zero."""
+        return self.status not in REASONS
+
+    @property
+    def claim(self) -> Claim:
+        """What `lower` claims, and on what grounds."""
+        f = self.family
+        return Claim(
+            f"sigma_n(O_s) >= {short(self.lower)} for every plant of the box and all schedules with at least {f.count} "
+            f"samples, at least {short(f.spacing)} apart, in every window of {short(f.window)}",
+            theorem="Theorem 17, for each plant of the box" + (", in ball arithmetic" if self.rigorous else ""),
+            assumptions=("constant parameters in their ranges", "every sample measures all outputs"),
+        )
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data; infinite values (a plant without states) become None."""
+        finite, f = bool(np.isfinite(self.upper)), self.family
+        return {
+            "lower": self.lower if finite else None,
+            "upper": self.upper if finite else None,
+            "worst": dict(self.worst),
+            "witness": self.witness.tolist(),
+            "status": self.status,
+            "rtol": self.rtol,
+            "plants": self.plants,
+            "rigorous": self.rigorous,
+            "coordinates": self.coordinates,
+            "family": {"window": f.window, "count": f.count, "spacing": f.spacing},
+            "claim": self.claim.to_dict(),
+        }
+
+    def _rows(self) -> list[tuple[str, str]]:
+        f, unit = self.family, self.plant.time_unit
+        return self._between(
+            ("worst plant", at_parameters(self.worst)),
+            ("worst times", f"{short(self.witness)} {unit}"),
+            ("family", f"{f.count} samples in {short(f.window)} {unit}, {short(f.spacing)} {unit} apart"),
+            ("status", f"{self.status}, {self.plants} plants"),
+        )
+
+    def explain(self) -> str:
+        """Say what was proven, and which plant and times are worst."""
+        if self.status == "no states":
+            return NO_STATES
+        where = f"The worst plant has {at_parameters(self.worst)}, at {short(self.witness)} {self.plant.time_unit}"
+        proven = f"Sigma is at least {short(self.lower)} for every plant of the box and every such schedule"
+        return self._concluded(f"{proven} ({self._grounds})", where, REASONS)
+
+
+def worst_case_over_box(
+    plant: UncertainPlant,
+    family: SpacedWindows,
+    rtol: float | None = None,
+    budget: float | None = 60.0,
+    rng: Seed = None,
+    progress: Progress | None = None,
+    rigorous: bool = False,
+) -> WorstCaseOverBox:
+    """Bracket the worst case over the box: single plants, and what they say of all within a cell (`least_over`)."""
+    tolerance, seconds = asked(plant, family, RTOL if rtol is None else rtol, budget)
+    model = BoxModel.of(plant, "worst_case_sigma")
+    if not model.n:
+        return _record(model, family, tolerance, "no states", 0, np.inf, (np.inf, model.start, np.zeros(0)))
+
+    def one(member: Plant, fine: float, left: float) -> tuple[float, float, Array]:
+        limit = max(left, LEAST_SEARCH) if np.isfinite(left) else None
+        found = worst_case_sigma(member, replace(family, time_unit=None), fine, limit)
+        return found.lower, found.upper, found.witness
+
+    settled: list[BoxCells] = []
+    found = _searched(model, family, tolerance, seconds, one, settled)
+    return _in_balls(found, model, settled, seconds, one) if rigorous else found
+
+
+def _searched(
+    model: BoxModel, family: SpacedWindows, rtol: float, seconds: float, one: SigmaOfOne, settled: list[BoxCells]
+) -> WorstCaseOverBox:
+    """The bracket; `settled` takes the cells that were proven."""
+    began, closed, judged = time.monotonic(), np.inf, dict[tuple[float, ...], tuple[float, float]]()
+    wide = bool(np.ptp(np.log(model.unit)) > np.log(WIDE))
+    open_, bound, best = whole(model), np.zeros(1), (np.inf, model.start, np.zeros(family.count))
+    while len(open_.s):
+        k = int(np.argmin(bound))
+        cell, rest = open_.take(np.array([k])), np.flatnonzero(np.arange(len(bound)) != k)
+        points = points_of(cell)
+        for u in points:
+            left = seconds - (time.monotonic() - began)
+            if left <= 0 and judged:
+                settled.append(open_)
+                low = min(closed, float(bound.min()))
+                return _record(model, family, rtol, "budget", len(judged), low, best)
+            if tuple(u.tolist()) not in judged:
+                lower, upper, times = one(model.plant.at(model.values(u)), FINER * rtol, left)
+                inner = one(model.balanced_at(u), FINER * rtol, left)[0] if wide else 0.0
+                # |x| <= |z| times the largest unit: what is left where rounding hides sigma in units far apart
+                judged[tuple(u.tolist())] = max(lower, inner / (UP * float(model.unit.max()))), inner
+                best = (upper, u, times) if upper < best[0] else best
+            if best[0] == 0:
+                return _record(model, family, rtol, "unseen", len(judged), 0.0, best)
+        least, inner = np.min([judged[tuple(u.tolist())] for u in points], axis=0).tolist()
+        reached = max(least_over(model, cell, family, least, inner), float(bound[k]))
+        open_, bound = open_.take(rest), bound[rest]
+        if reached >= (1 - rtol) * best[0]:
+            closed = min(closed, reached)
+            settled.append(cell)
+        else:
+            parts = parts_of(model, cell, family)
+            open_ = BoxCells._make(np.concatenate(pair) for pair in zip(open_, parts, strict=True))
+            bound = np.append(bound, [reached, reached])
+        done = bound >= (1 - rtol) * best[0]
+        closed = min(closed, float(bound[done].min(initial=np.inf)))
+        settled.append(open_.take(done))
+        open_, bound = open_.take(~done), bound[~done]
+    return _record(model, family, rtol, "closed", len(judged), closed, best)
+
+
+def _in_balls(
+    result: WorstCaseOverBox, model: BoxModel, settled: list[BoxCells], seconds: float, one: SigmaOfOne
+) -> WorstCaseOverBox:
+    """The record with the lower bound that ball arithmetic proves."""
+    from sampling_design.uncertain.observability.worst_case_balls import prove_worst_over_box
+
+    proof = prove_worst_over_box(model, result.family, result.lower, FINER * result.rtol, settled, one, seconds)
+    status = result.status
+    if status == "closed" and not proof.lower >= (1 - 1.001 * result.rtol) * result.upper:
+        status = proof.status if proof.status != "closed" else "rounding"
+    return replace(result, lower=proof.lower, status=status, rigorous=True)
+
+
+def _record(
+    model: BoxModel,
+    family: SpacedWindows,
+    rtol: float,
+    status: str,
+    judged: int,
+    lower: float,
+    best: tuple[float, Array, Array],
+) -> WorstCaseOverBox:
+    return WorstCaseOverBox(
+        lower=min(lower, best[0]), upper=best[0], worst=model.values(best[1]), witness=best[2], status=status,
+        family=family, rtol=rtol, plants=judged, plant=model.plant, coordinates=coordinates_of(model.plant.nominal),
+    )  # fmt: skip

@@ -1,0 +1,206 @@
+"""How many samples in a window determine the state of every plant of a box, whatever the times."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._record import Plain, short
+from sampling_design.errors import ArgumentError, NotObservableError, UndecidedError
+from sampling_design.evidence import Claim
+from sampling_design.observability.count.zero_count import SampleCount
+from sampling_design.plants.plant import Plant
+from sampling_design.uncertain.box.branching import Branched, branch
+from sampling_design.uncertain.box.expansion import UP, BoxCells, bases
+from sampling_design.uncertain.box.least import least_sigma
+from sampling_design.uncertain.box.model import BoxModel
+from sampling_design.uncertain.box.question import at_parameters
+from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
+
+Array = npt.NDArray[np.float64]
+
+SLOWEST = 1e-3
+"""Frequencies below this share of |A| are not told from none: the count is taken with this much more."""
+CLOSE = 1e-3
+SECONDS = 60.0
+ROUNDING_GUARD = 1e-9
+MOST_SAMPLES = 1e15
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ZeroCountOverBox(SampleCount):
+    """Number of samples in a closed window of length `duration` that suffices for every plant of a box.
+
+    Attributes
+    ----------
+    value : float
+        At least n - 1 + T delta/(2 pi) for every plant.
+    samples_needed : int
+        Any so many distinct times determine the state, whichever plant of the box it is.
+    frequency_spread : float
+        At least delta = 2 max |Im lambda| of every plant, proven [rad/time].
+    worst : mapping
+        Values of the parameters at which `attained` is reached.
+    attained : float
+        delta of that plant.
+    """
+
+    value: float
+    samples_needed: int
+    frequency_spread: float
+    attained: float
+    worst: Mapping[str, float]
+    duration: float
+    cells: int
+    plant: UncertainPlant
+
+    @property
+    def claim(self) -> Claim:
+        """What the count claims."""
+        return Claim(
+            f"any {self.samples_needed} distinct times in a closed window of length {short(self.duration)} determine "
+            "the state of every plant of the box",
+            "the paper, equation (29), for each plant of the box",
+            ("constant parameters in their ranges",),
+            citation="paper, equation (29)",
+        )
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data."""
+        keys = ("value", "samples_needed", "frequency_spread", "attained", "duration", "cells")
+        own: dict[str, Plain] = {key: getattr(self, key) for key in keys}
+        return own | {"worst": dict(self.worst), "claim": self.claim.to_dict()}
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [
+            ("k*, at most", short(self.value)),
+            ("samples needed", str(self.samples_needed)),
+            ("frequency spread", f"{short(self.attained)} to {short(self.frequency_spread)}"),
+            ("fastest plant", at_parameters(self.worst)),
+            ("duration", short(self.duration)),
+        ]
+
+    def explain(self) -> str:
+        """Say how many samples suffice, and for which plant they are needed."""
+        return (
+            f"Any {self.samples_needed} distinct times in a closed window of length {short(self.duration)} determine "
+            f"the state of every plant of the box; the fastest has {at_parameters(self.worst)}."
+        )
+
+
+def zero_count_over_box(plant: UncertainPlant, duration: float) -> ZeroCountOverBox:
+    """Bound the zero count over a box; see `zero_count_bound`.
+
+    Raises
+    ------
+    NotObservableError
+        If some plant of the box has a mode that no output sees; names it.
+    UndecidedError
+        If this could not be decided.
+    """
+    model = BoxModel.of(plant, "zero_count_bound")
+    if not model.n:
+        return ZeroCountOverBox(-1.0, 0, 0.0, 0.0, {}, duration, 0, plant)
+    require_every_plant_observable(model)
+    found, floor = _frequencies(model)
+    top = max(1 / found.lower - floor, 0.0) if found.lower > 0 else np.inf
+    value = model.n - 1 + duration * top / np.pi
+    if not value < MOST_SAMPLES:
+        raise ArgumentError(
+            f"`duration` must hold fewer than {MOST_SAMPLES:.0e} samples by the count, got {duration!r}."
+        )
+    needed = int(np.floor(value + ROUNDING_GUARD * max(1.0, value))) + 1
+    reached = 2 * max(1 / found.upper - floor, 0.0)
+    return ZeroCountOverBox(
+        float(value), needed, 2 * float(top), reached, model.values(found.u), duration, found.cells, plant
+    )
+
+
+def _frequencies(model: BoxModel) -> tuple[Branched, float]:
+    """1/(floor + max |Im lambda|) bracketed from below over the box, and that floor.
+
+    In any coordinates |Im lambda| is at most the largest eigenvalue of (B - B*)/2i, which is convex in the parameters:
+    corners decide.
+    """
+    floor = SLOWEST * max(float(np.linalg.norm(model.A, 2)), 1e-300)
+    signs = np.array(list(product((-1.0, 1.0), repeat=model.m))).reshape(2**model.m, model.m)
+
+    def judge(cells: BoxCells) -> tuple[Array, Array, Array]:
+        A, C = model.at(cells.u)
+        parts = cells.half[:, :, None, None] * model.parts_A
+        corners = A[:, None] + np.einsum("cm,kmij->kcij", signs, parts)
+        top, effect = np.full(len(A), np.inf), np.zeros((len(A), model.m + 1))
+        for T in bases(A, C, np.zeros(len(A))):
+            inverse = np.linalg.inv(T)
+            B = inverse[:, None] @ corners @ T[:, None]
+            turning = np.linalg.eigvalsh((B - np.conj(np.swapaxes(B, 2, 3))) / 2j)
+            top = np.minimum(top, np.abs(turning).max(axis=(1, 2)) * UP)
+            effect[:, :-1] = np.linalg.norm(inverse[:, None] @ parts @ T[:, None], axis=(2, 3))
+        own = np.abs(np.linalg.eigvals(A).imag).max(axis=1)
+        return 1 / (floor + np.maximum(top, own)), 1 / (floor + own), effect
+
+    def value(u: Array, s: float, piece: int) -> float:
+        A, _ = model.at(u[None])
+        return float(1 / (floor + np.abs(np.linalg.eigvals(A[0]).imag).max()))
+
+    start = np.zeros((1, model.m))
+    cells = BoxCells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
+    ends = (np.zeros(1), np.zeros(1))
+    return branch(cells, judge, value, lambda *_: False, CLOSE, SECONDS, ends, None), floor
+
+
+def require_every_plant_observable(model: BoxModel) -> None:
+    """Raise unless a window of evenly spaced times sees every plant of the box.
+
+    Raises
+    ------
+    NotObservableError
+        If a plant was found that is not seen, however long the outputs are watched.
+    UndecidedError
+        If neither was shown.
+    """
+    n, p = model.n, len(model.C)
+    fastest = float(np.max(np.abs(np.linalg.eigvals(model.A)), initial=0.0)) or 1.0
+    times = np.linspace(0.0, 1.0, 2 * n + 1)[None] * n / fastest
+    measured = np.ones((1, times.size, p), dtype=bool)
+
+    def judge(cells: BoxCells) -> tuple[Array, Array, Array]:
+        count = len(cells.s)
+        found = least_sigma(model, cells, np.tile(times, (count, 1)), np.tile(measured, (count, 1, 1)))
+        return found.lower, found.centre, found.effect
+
+    def rows(u: Array) -> Array:
+        A, C = model.at(u[None])
+        return np.asarray(C[0] @ Plant(A[0], C[0]).transition(times[0])).reshape(-1, n)
+
+    def value(u: Array, s: float, piece: int) -> float:
+        return float(np.linalg.svd(rows(u) / model.unit, compute_uv=False)[n - 1])
+
+    def unseen(u: Array, s: float, piece: int) -> bool:
+        return bool(np.linalg.svd(rows(u), compute_uv=False)[n - 1] <= SEEN * np.linalg.norm(model.C))
+
+    start = np.zeros((1, model.m))
+    cells = BoxCells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
+    ends = (np.zeros(1), np.zeros(1))
+    found = branch(cells, judge, value, unseen, 0.9, SECONDS, ends, None)
+    if found.lower > 0:
+        return
+    values = model.values(found.u)
+    if found.status == "unseen":
+        raise NotObservableError(
+            f"`plant` must be observable for a zero count, for every plant of the box: at {at_parameters(values)} some "
+            "mode is seen by no output."
+        )
+    raise UndecidedError(
+        f"undecided: whether every plant of the box is observable; the nearest to not being so is at "
+        f"{at_parameters(values)}. Try a smaller box.",
+        parameters=values,
+    )
+
+
+SEEN = 1e-12
+"""What is below this share of the outputs counts as unseen: short windows see slow modes little."""

@@ -1,0 +1,1 @@
+"""Plants of which a set is known, or that vary in time."""

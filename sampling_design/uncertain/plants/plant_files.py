@@ -1,0 +1,167 @@
+"""Uncertain plants as files: TOML, or JSON with the same tree."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design._record import Plain
+from sampling_design.checkers.parts import PLANT_TREE
+from sampling_design.checkers.strict import (
+    Reader,
+    flag,
+    list_of,
+    matrix,
+    number,
+    refuse,
+    shown,
+    table,
+    text,
+    word,
+)
+from sampling_design.plants.files import plant_from_dict
+from sampling_design.plants.plant import FORMAT as PLANT_FORMAT
+from sampling_design.plants.plant import Plant
+from sampling_design.uncertain.plants.parameter import UncertainParameter
+
+Array = npt.NDArray[np.float64]
+Ends: TypeAlias = tuple[float, float]
+FORMAT = "sampling-design/uncertain-plant/1"
+_DECIMAL = r"[+-]?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][+-]?\d++)?"  # possessive: long texts are read once
+_AROUND = re.compile(rf"({_DECIMAL})\s*\+-\s*({_DECIMAL})", re.ASCII)
+
+
+class UncertainParts(NamedTuple):
+    """What a file says: the nominal plant, and how others differ from it."""
+
+    nominal: Plant
+    parameters: Sequence[UncertainParameter]
+    vertices: Sequence[Plant]
+    varying: bool
+
+
+def ends(value: object, place: str) -> Ends:
+    """A number that is known, or a range: [low, high], or a text "middle +- half"."""
+    if isinstance(value, str):
+        found = _AROUND.fullmatch(value.strip())
+        if found is None:
+            raise refuse(place, f'must be a number, a range [low, high] or "middle +- half", got {shown(value)}')
+        middle, half = (number(float(part), place) for part in found.groups())
+        low, high = middle - half, middle + half
+    elif isinstance(value, (list, tuple)):
+        if len(value) != 2:
+            raise refuse(place, f"must be a range of two numbers, [low, high], got {len(value)}")
+        low, high = (number(item, f"{place}[{k}]") for k, item in enumerate(value))
+    else:
+        low = high = number(value, place)
+    if not low <= high:
+        raise refuse(place, f"must be a range with low <= high, got {low!r} and {high!r}")
+    return low, high
+
+
+def entries(value: object, place: str) -> list[list[Ends]]:
+    """A matrix of numbers or ranges, all rows of one length."""
+    rows: list[list[Ends]] = list_of(list_of(ends))(value, place)
+    if len({len(row) for row in rows}) > 1:
+        raise refuse(place, "must have rows of one length")
+    return rows
+
+
+def _range(value: object, place: str) -> Ends:
+    low, high = ends(value, place)
+    if isinstance(value, (int, float)):
+        raise refuse(place, 'must be a range, [low, high] or "middle +- half"')
+    return low, high
+
+
+_parts: dict[str, Reader] = dict.fromkeys(("A", "C", "G"), matrix())
+_PARAMETER = table({"name": text, "range": _range}, {"nominal": number, **_parts})
+_VERTEX = table({"A": matrix(), "C": matrix()}, {"G": matrix()})
+_KEYS: dict[str, Reader] = {
+    **PLANT_TREE,
+    "format": word(FORMAT),
+    "matrices": table({"A": entries, "C": entries}, {"B": matrix(), "D": matrix(), "G": entries}),
+}
+_TREE = table(
+    {key: _KEYS[key] for key in ("format", "matrices")},
+    {key: item for key, item in _KEYS.items() if key not in ("format", "matrices")}
+    | {"varying": flag, "parameters": list_of(_PARAMETER), "vertices": list_of(_VERTEX)},
+)
+
+
+def parts_of_tree(data: Mapping[str, object], where: str) -> UncertainParts:
+    """What a tree of the file format says: the plant at the middles, and its parameters."""
+    found = _TREE(data, "")
+    matrices = found["matrices"]
+    assert isinstance(matrices, dict)
+    middles, parameters = dict(matrices), []
+    for key in ("A", "C", "G"):
+        if key not in matrices:
+            continue
+        rows: list[list[Ends]] = matrices[key]
+        middles[key] = [[low if low == high else low / 2 + high / 2 for low, high in row] for row in rows]
+        for i, j in [(i, j) for i, row in enumerate(rows) for j, (low, high) in enumerate(row) if low < high]:
+            one = np.zeros((len(rows), len(rows[0])))
+            one[i, j] = 1.0
+            parts: dict[str, Array] = {key: one}
+            low, high = rows[i][j]
+            parameters.append(_parameter(f"{key}[{i}, {j}]", low, high, middles[key][i][j], parts))
+    for key in ("B", "D"):
+        if key in matrices:
+            middles[key] = np.asarray(matrices[key]).tolist()
+    kept = {key: item for key, item in data.items() if key not in ("varying", "parameters", "vertices")}
+    nominal = plant_from_dict({**kept, "format": PLANT_FORMAT, "matrices": middles}, where)
+    listed = found.get("parameters", [])
+    assert isinstance(listed, list)
+    for each in listed:
+        low, high = each["range"]
+        moved = {key: each[key] for key in ("A", "C", "G") if key in each}
+        parameters.append(_parameter(each["name"], low, high, each.get("nominal"), moved))
+    corners = found.get("vertices", [])
+    assert isinstance(corners, list)
+    vertices = [Plant(v["A"], v["C"], G=v.get("G"), time_unit=nominal.time_unit) for v in corners]
+    return UncertainParts(nominal, parameters, vertices, bool(found.get("varying", False)))
+
+
+def _parameter(
+    name: str, low: float, high: float, nominal: float | None, moved: Mapping[str, Array]
+) -> UncertainParameter:
+    parts = [moved.get(key) for key in ("A", "C", "G")]
+    return UncertainParameter(name, low, high, *parts, nominal=nominal)
+
+
+def tree_of(plant: UncertainParts) -> dict[str, Plain]:
+    """Plain data of the file format: exactly the numbers of the record."""
+    tree = dict(plant.nominal.to_dict()) | {"format": FORMAT, "varying": bool(plant.varying)}
+    if plant.vertices:
+        return tree | {"vertices": [{key: getattr(v, key).tolist() for key in ("A", "C", "G")} for v in plant.vertices]}
+    listed: list[Plain] = []
+    for each in plant.parameters:
+        data = each.to_dict()
+        listed.append(
+            {
+                "name": each.name,
+                "range": [each.low, each.high],
+                **{k: data[k] for k in data if k not in ("name", "low", "high")},
+            }
+        )
+    return tree | {"parameters": listed}
+
+
+def parts_of_model(plant: Plant, model: Mapping[str, object]) -> UncertainParts:
+    """What a certificate file says: its plant and its model, as they were judged by the grammar."""
+    varying = bool(model["varying"])
+    if model["kind"] == "vertices":
+        stacks = [np.array(model[key], dtype=np.float64) for key in ("A", "C", "G")]
+        vertices = [Plant(A, C, G=G, time_unit=plant.time_unit) for A, C, G in zip(*stacks, strict=True)]
+        return UncertainParts(plant, (), vertices, varying)
+    parameters, listed = [], model["parameters"]
+    assert isinstance(listed, list)
+    for each in listed:
+        moved = {key: np.array(each[key], dtype=np.float64) for key in ("A", "C", "G") if key in each}
+        parameters.append(_parameter(each["name"], each["low"], each["high"], each["nominal"], moved))
+    return UncertainParts(plant, parameters, (), varying)

@@ -1,0 +1,114 @@
+"""Windows along plants that vary in time: transitions with proven errors, sigma against scans and closed forms."""
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.errors import ArgumentError, SolverError
+from sampling_design.uncertain.plants import time_table
+from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
+
+J, C = np.array([[0.0, 1.0], [-1.0, 0.0]]), np.array([[1.0, 0.0]])
+SAMPLES = sd.Schedule([0.0, 1.0, 2.2, 4.0, 5.801, 7.0, 8.2, 10.0])
+KNOTS = np.array([0.0, 1.3, 4.0, 7.7, 10.0])
+RATES = np.array([0.3, -0.4, 0.1, -0.2, 0.5])
+SWING = TimeVaryingPlant.from_table(KNOTS, [r * np.eye(2) + (1 + r) * J for r in RATES], [C] * 5)
+
+
+def integral(values, a, b):
+    """Of the table from a to b: trapezoids are exact."""
+    cut = np.unique(np.concatenate([KNOTS[(a < KNOTS) & (b > KNOTS)], [a, b]]))
+    heights = np.interp(cut, KNOTS, values)
+    return float(np.sum(np.diff(cut) * (heights[1:] + heights[:-1]) / 2))
+
+
+def flow(a, b):
+    """Phi(b, a): growth and rotation commute."""
+    sign, (low, high) = (1, (a, b)) if b >= a else (-1, (b, a))
+    angle, grown = sign * integral(1 + RATES, low, high), np.exp(sign * integral(RATES, low, high))
+    return grown * np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+
+
+@pytest.mark.parametrize("terms", [22, 6, 4])
+def test_the_error_of_a_table_is_proven_however_few_its_terms(monkeypatch, terms):
+    monkeypatch.setattr(time_table, "TERMS", terms)
+    motion = SWING.motion([0.0, 0.7, 3.0, 9.9])
+    off = [np.linalg.norm(F - flow(a, b), 2) for F, a, b in zip(motion.F, [0, 0.7, 3.0], [0.7, 3.0, 9.9], strict=True)]
+    assert motion.proven
+    assert np.all(off <= motion.errors)
+    if terms == 22:
+        assert motion.error < 1e-11
+    else:
+        assert np.max(off) > 1e-10, "few terms must show"
+
+
+def test_a_plant_that_stands_still_has_the_sigma_of_the_plant():
+    plain = sd.window_sigma(sd.Plant(J, C), SAMPLES, 4.0)
+    found = sd.window_sigma(TimeVaryingPlant.from_table([0.0, 5.0, 10.0], [J] * 3, [C] * 3), SAMPLES, 4.0)
+    assert found.closed
+    assert found.upper == pytest.approx(plain.upper, rel=1e-9)
+    assert 0.99 * plain.upper <= found.lower <= plain.upper
+
+
+def test_sigma_of_a_table_is_below_every_window_of_a_scan_and_near_the_least():
+    found = sd.window_sigma(SWING, SAMPLES, 4.0)
+    scan = []
+    for s in np.linspace(0.0, 6.0, 300).tolist():
+        held = SAMPLES.times[(SAMPLES.times >= s) & (SAMPLES.times <= s + 4.0)]
+        rows = np.vstack([C @ flow(s, t) for t in held])
+        scan.append(np.linalg.svd(rows)[1][-1] if len(rows) > 1 else 0.0)
+    assert found.closed
+    assert found.lower <= min(scan)
+    assert found.upper <= min(scan) * (1 + 1e-2)
+    assert found.lower >= 0.99 * found.upper
+    witness = np.vstack([C @ flow(found.witness.t - 4.0, t) for t in found.witness.samples])
+    assert np.linalg.norm(witness @ found.witness.direction) == pytest.approx(found.upper, rel=1e-9)
+
+
+def test_of_functions_nothing_is_proven_and_it_is_said():
+    found = sd.window_sigma(TimeVaryingPlant(SWING.A, SWING.C, horizon=10.0), SAMPLES, 4.0)
+    assert found.status == "closed", "a table stays one wherever it is handed on"
+    found = sd.window_sigma(TimeVaryingPlant(lambda t: SWING.A(t), SWING.C, horizon=10.0), SAMPLES, 4.0)
+    assert (found.status, found.closed, found.lower) == ("sampled", False, 0.0)
+    assert found.upper == pytest.approx(sd.window_sigma(SWING, SAMPLES, 4.0).upper, rel=1e-2)
+    assert "nothing is proven" in found.explain()
+    assert "nothing is proven" in str(found)
+
+
+def test_what_no_window_shows_counts_as_zero():
+    still = TimeVaryingPlant.from_table([0.0, 20.0], [J] * 2, [C] * 2)
+    few = sd.window_sigma(still, SAMPLES, 1.0)
+    assert (few.status, few.lower, few.upper) == ("too few samples", 0.0, 0.0)
+    blind = sd.window_sigma(still, sd.Schedule(np.pi * np.arange(5)), 7.0)
+    assert (blind.status, blind.upper) == ("below rounding", 0.0)
+    stiffer = TimeVaryingPlant.from_table([0.0, 20.0], [3 * J + np.diag([0.5, -2.0])] * 2, [C] * 2)
+    ended = sd.window_sigma(stiffer, SAMPLES, 4.0, rtol=1e-6, budget=0.0)
+    assert (ended.status, ended.closed) == ("budget", False)
+    assert ended.lower <= ended.upper
+
+
+def test_sigma_is_counted_in_scales_and_outputs_may_be_left_out():
+    unit = np.array([1e-9, 1e6])
+    signals = {"states": sd.Signals(("a", "b"), (), unit), "outputs": sd.Signals(("y", "z"), (), [1e-9, 1e6])}
+    both = [np.eye(2) * unit[:, None] / unit] * 5
+    table = [(r * np.eye(2) + (1 + r) * J) * unit[:, None] / unit for r in RATES]
+    plant = TimeVaryingPlant.from_table(KNOTS, table, both, **signals)
+    first = sd.Schedule(SAMPLES.times, [[True, False]] * 8)
+    found = sd.window_sigma(plant, first, 4.0)
+    assert found.coordinates == "scaled"
+    assert found.upper == pytest.approx(sd.window_sigma(SWING, SAMPLES, 4.0).upper, rel=1e-9)
+    assert sd.window_sigma(plant, sd.Schedule(SAMPLES.times), 4.0).upper > found.upper
+
+
+def test_bad_arguments_are_refused():
+    with pytest.raises(ArgumentError, match="`rigorous` is for plants that do not vary"):
+        sd.window_sigma(SWING, SAMPLES, 4.0, rigorous=True)
+    with pytest.raises(ArgumentError, match="`schedule` must be a Schedule within the plant's horizon, got"):
+        sd.window_sigma(SWING, sd.PeriodicSchedule([1.0]), 4.0)
+    with pytest.raises(ArgumentError, match=r"plant's horizon \[0, 10\], got a sample at 11.0"):
+        sd.window_sigma(SWING, sd.Schedule([0.0, 11.0]), 4.0)
+    with pytest.raises(ArgumentError, match="`rtol` must be less than 1, got 2"):
+        sd.window_sigma(SWING, SAMPLES, 4.0, rtol=2.0)
+    huge = TimeVaryingPlant.from_table([0.0, 1.0], [[[1e9]]] * 2, [[[1.0]]] * 2)
+    with pytest.raises(SolverError, match=r"comes to a stop at t = 0: \|A\| reaches 1e\+09 there"):
+        sd.window_sigma(huge, sd.Schedule([0.0, 1.0]), 1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated
@@ -24,6 +25,8 @@ from sampling_design.schedules.family import AnySchedule, SamplingFamily
 
 NOISE_GAIN = 3.0
 """Default of `--noise-gain` for a certificate about samples."""
+LEAST_LEFT = 1e-3
+"""Seconds that the comparison of horizons is given where the certificate has taken all of them: its row says so."""
 
 OPTIONS = {
     "gap-range": {"shortest": " A", "longest": " B"},
@@ -87,6 +90,7 @@ def certify(
         _detectability(settings, plant, certificate_file, eta, noise_gain)
         return
     times = _times(settings, plant, schedule_file, families)
+    ends = time.perf_counter() + settings.budget
     with settings.progress("certify") as progress:
         certificate = sd.certify(
             plant, times, eta=eta, noise_gain=NOISE_GAIN if noise_gain is None else noise_gain,
@@ -94,7 +98,8 @@ def certify(
         )  # fmt: skip
     horizons = None
     if isinstance(times, (sd.Schedule, sd.PeriodicSchedule)) and isinstance(certificate, sd.Certificate):
-        horizons = sd.four_horizons(plant, times, certificate)
+        left = max(ends - time.perf_counter(), LEAST_LEFT)
+        horizons = sd.four_horizons(plant, times, certificate, budget=left)
     if certificate_file is not None:
         settings.wrote(certificate.save(certificate_file))
     if settings.folder() is not None:

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from sampling_design import PeriodicSchedule, Plant, Schedule, certify, four_horizons
-from sampling_design.certificates.compare.contraction import error_map, least_contracting, spectral_radius
-from sampling_design.errors import ArgumentError, CertificateError
+from sampling_design.certificates.compare import contraction
+from sampling_design.certificates.compare.contraction import (
+    MOST_PERIODS,
+    error_map,
+    least_contracting,
+    spectral_radius,
+)
+from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 DOUBLE = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
@@ -115,6 +121,28 @@ def test_contraction_needs_a_periodic_schedule_and_a_known_cost():
         least_contracting(finite)
     with pytest.raises(ArgumentError, match='`cost` must be "certificate" or "paper"'):
         error_map(made_for(), 0.0, 1.0, "sharp")
+
+
+def test_windows_side_by_side_are_what_one_after_the_other_is(monkeypatch):
+    made = made_for(schedule=PeriodicSchedule([0.5, np.sqrt(2) / 3, 0.9]))
+    for cost, length in (("certificate", 1.3), ("paper", 0.8)):
+        worst = 0.0
+        for offset in made.schedule.times:
+            product = np.eye(2)
+            for k in range(MOST_PERIODS):
+                product = error_map(made, float(offset) + k * length, length, cost) @ product
+            worst = max(worst, np.abs(np.linalg.eigvals(product)).max() ** (1 / MOST_PERIODS))
+        assert spectral_radius(made, length, cost) == pytest.approx(worst, rel=1e-12)
+        monkeypatch.setattr(contraction, "MOST_AT_ONCE", 64)
+        assert spectral_radius(made, length, cost) == pytest.approx(worst, rel=1e-12)
+
+
+def test_a_comparison_that_no_time_is_left_for_says_so():
+    with pytest.raises(UndecidedError, match="not every length was tried within `budget` = 1e-09 s"):
+        least_contracting(made_for(), budget=1e-9)
+    row = four_horizons(OSCILLATOR, EVERY, made_for(), budget=1e-9).rows[-1]
+    assert row.minimum is None
+    assert "not every length was tried" in row.note
 
 
 def test_contraction_over_windows_that_do_not_divide_the_period():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import numpy.typing as npt
 
@@ -9,15 +11,17 @@ from sampling_design import _checks
 from sampling_design._door import door
 from sampling_design._linalg import expm_batch
 from sampling_design.certificates.exact.certificate import Certificate
-from sampling_design.certificates.exact.riccati import update
+from sampling_design.certificates.exact.riccati import push, updated
 from sampling_design.certificates.exact.window_problem import WindowProblem, window_problem
-from sampling_design.errors import ArgumentError
+from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 Array = npt.NDArray[np.float64]
 
 MOST_PERIODS = 64
 """A window is compared with itself this many times at most: e(t) -> e(t + M) repeats when M is whole periods."""
+MOST_AT_ONCE = 4096
+"""Windows that are followed side by side: a few megabytes."""
 
 
 def error_map(certificate: Certificate, start: float, length: float, cost: str = "certificate") -> Array:
@@ -46,11 +50,9 @@ def error_map(certificate: Certificate, start: float, length: float, cost: str =
     ArgumentError
         If the cost is unknown.
     """
-    _checks.word("cost", cost, ("certificate", "paper"))
-    problem = _problem(certificate, 2.0 if cost == "paper" else 1.0)
-    ends = "both" if cost == "paper" else "right"
+    problem, ends = _stated(certificate, cost)
     seen = certificate.schedule.between(start, start + length, closed=ends).times
-    return _along(problem, start, start + length, seen)
+    return _along(problem, np.array([start]), length, [seen])[0]
 
 
 @door
@@ -83,20 +85,25 @@ def spectral_radius(certificate: Certificate, length: float, cost: str = "certif
     if not isinstance(schedule, PeriodicSchedule):
         raise ArgumentError("`certificate` must be on a periodic schedule: a finite one has no long run.")
     period, first = schedule.period, schedule.first
+    if not certificate.plant.n_states:
+        return 0.0
     ratio = length / period
     whole = next((k for k in range(1, MOST_PERIODS) if abs(k * ratio - round(k * ratio)) < 1e-9), MOST_PERIODS)
-    worst = 0.0
-    for offset in schedule.times - schedule.times[0]:
-        product = np.eye(certificate.plant.n_states)
-        for k in range(whole):
-            product = error_map(certificate, first + float(offset) + k * length, length, cost) @ product
-        radius = np.abs(np.linalg.eigvals(product)).max(initial=0.0) if product.size else 0.0
-        worst = max(worst, float(radius ** (1 / whole)))
+    problem, ends = _stated(certificate, cost)
+    offsets, worst = first + (schedule.times - schedule.times[0]), 0.0
+    for some in np.array_split(offsets, max(1, whole * len(offsets) // MOST_AT_ONCE)):
+        starts = (some[:, None] + length * np.arange(whole)).ravel()
+        seen = [schedule.between(start, start + length, closed=ends).times for start in starts.tolist()]
+        maps = _along(problem, starts, length, seen).reshape(len(some), whole, problem.size, problem.size)
+        product = maps[:, 0]
+        for k in range(1, whole):
+            product = maps[:, k] @ product
+        worst = max(worst, float(np.abs(np.linalg.eigvals(product)).max() ** (1 / whole)))
     return worst
 
 
 @door
-def least_contracting(certificate: Certificate, cost: str = "certificate") -> float:
+def least_contracting(certificate: Certificate, cost: str = "certificate", budget: float | None = None) -> float:
     """Return the least window, in steps from sample to sample of a period, from which on the true error map contracts.
 
     Parameters
@@ -104,49 +111,69 @@ def least_contracting(certificate: Certificate, cost: str = "certificate") -> fl
     certificate : Certificate
         On a periodic schedule.
     cost : "certificate" or "paper"
+    budget : float, optional [seconds]
 
     Returns
     -------
     float [time]
-        Least tried length whose spectral radius is below one and stays so for every longer one tried (up to two periods
+        Least tried length whose spectral radius is below one and stays so for every longer one tried (up to a period
         and four gaps). Infinite if there is none.
+
+    Raises
+    ------
+    ArgumentError
+        If the schedule is finite.
+    UndecidedError
+        If the budget ends before.
     """
+    ends = np.inf if budget is None else time.perf_counter() + _checks.positive("budget", budget)
     schedule = certificate.schedule
     if not isinstance(schedule, PeriodicSchedule):
         raise ArgumentError("`certificate` must be on a periodic schedule: a finite one has no long run.")
     lengths = np.unique(np.round(np.cumsum(np.tile(schedule.gaps, 3))[: len(schedule) + 4], 12))
     best = np.inf
     for length in lengths[::-1]:
+        if time.perf_counter() > ends:
+            raise UndecidedError(f"undecided: not every length was tried within `budget` = {budget:g} s.")
         if spectral_radius(certificate, float(length), cost) >= 1:
             break
         best = float(length)
     return best
 
 
-def _problem(certificate: Certificate, factor: float) -> WindowProblem:
-    c = certificate
-    return window_problem(c.plant, c.schedule, factor * c.P2, factor * c.Qw, c.R, factor * c.Qv, c.eta)
+def _stated(certificate: Certificate, cost: str) -> tuple[WindowProblem, str]:
+    """The recursion of this cost, and which ends its windows have."""
+    _checks.word("cost", cost, ("certificate", "paper"))
+    c, factor = certificate, 2.0 if cost == "paper" else 1.0
+    problem = window_problem(c.plant, c.schedule, factor * c.P2, factor * c.Qw, c.R, factor * c.Qv, c.eta)
+    return problem, "both" if cost == "paper" else "right"
 
 
-def _along(problem: WindowProblem, start: float, stop: float, seen: Array) -> Array:
-    """The error map in the plant's coordinates."""
-    n = problem.size
-    Y, Phi = np.eye(n), np.eye(n)
-    gaps = np.diff(seen, prepend=start, append=stop)
-    F, W = problem.flow(gaps)
-    crossed = expm_batch(problem.A, gaps)
-    for k, tau in enumerate(seen):
-        rows = _rows_at(problem, tau)
-        Y, Phi = F[k] @ Y @ F[k].T + W[k], crossed[k] @ Phi
-        gain = np.linalg.solve(np.eye(len(rows)) + rows @ Y @ rows.T, rows @ Y).T
-        Y, Phi = update(Y, rows), (np.eye(n) - gain @ rows) @ Phi
-    return np.asarray(np.linalg.solve(problem.root.T, crossed[-1] @ Phi @ problem.root.T), dtype=np.float64)
+def _along(problem: WindowProblem, starts: Array, length: float, seen: list[Array]) -> Array:
+    """The error maps over windows of one length, side by side, in the plant's coordinates, shape (windows, n, n)."""
+    n, steps = problem.size, max(map(len, seen))
+    ends = starts + length
+    times = np.stack([np.append(each, np.full(steps - len(each), end)) for each, end in zip(seen, ends, strict=True)])
+    here = np.arange(steps) < np.array([len(each) for each in seen])[:, None]
+    gaps = np.diff(times, prepend=starts[:, None], append=ends[:, None])
+    rows = np.where(here[..., None, None], _rows_at(problem, times), 0.0)  # no sample: nothing is seen
+    unlike, which = np.unique(np.round(gaps / length, 14) * length, return_inverse=True)
+    which = which.reshape(gaps.shape)
+    F, W = problem.flow(unlike)
+    crossed = expm_batch(problem.A, unlike)
+    Y = Phi = np.broadcast_to(np.eye(n), (len(starts), n, n))
+    for k in range(steps):
+        at = which[:, k]
+        Y, closed = updated(push(Y, F[at], W[at]), rows[:, k], crossed[at] @ Phi)
+        Phi = Phi if closed is None else closed
+    last = crossed[which[:, steps]] @ Phi
+    return np.asarray(np.linalg.solve(problem.root.T, last @ problem.root.T), dtype=np.float64)
 
 
-def _rows_at(problem: WindowProblem, tau: float) -> Array:
-    """What the sample nearest to tau measures."""
+def _rows_at(problem: WindowProblem, times: Array) -> Array:
+    """What the samples nearest to these times measure."""
     since, period = problem.times - problem.times[0], problem.period
-    phase = (tau - problem.times[0]) % period if period else tau - problem.times[0]
-    nearest = int(np.argmin(np.abs(np.append(since, period or np.inf) - phase)))
+    phases = (times - problem.times[0]) % period if period else times - problem.times[0]
+    nearest = np.argmin(np.abs(np.append(since, period or np.inf) - phases[..., None]), axis=-1)
     rows: Array = problem.rows[nearest % problem.count]
     return rows

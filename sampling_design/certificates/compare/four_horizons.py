@@ -15,7 +15,7 @@ from sampling_design.certificates.compare.contraction import least_contracting, 
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.form.horizon import Horizon
 from sampling_design.certificates.paper.proof_constants import ProofConstants, constants_from_proof
-from sampling_design.errors import ArgumentError, SamplingDesignError
+from sampling_design.errors import ArgumentError, SamplingDesignError, UndecidedError
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -112,6 +112,8 @@ def four_horizons(
     schedule: AnySchedule,
     certificate: Certificate | None = None,
     proof_constants: ProofConstants | None = None,
+    *,
+    budget: float | None = None,
 ) -> FourHorizons:
     """Return four horizons side by side: the paper's chain, exact with Thm 9, exact and sharp, true contraction.
 
@@ -123,6 +125,8 @@ def four_horizons(
         Default `certify(plant, schedule)`.
     proof_constants : ProofConstants, optional
         Default `constants_from_proof(plant, schedule)`; where the paper's hypotheses fail the row says why.
+    budget : float, optional [seconds]
+        Of the true contraction and of `radius`, which come last; where it ends before, the row says so.
 
     Returns
     -------
@@ -164,12 +168,17 @@ def four_horizons(
     periodic = isinstance(exact.schedule, PeriodicSchedule) and bool(plant.n_states)
     sharp, paper = exact.horizon("sharp"), exact.horizon("paper")
     chain = None if proof is None else proof.certificate().horizon("paper")
-    true = least_contracting(exact) if periodic else None
+    true, missing = None, "" if periodic else "a finite schedule has none"
+    if periodic:
+        try:
+            true = least_contracting(exact, budget=budget)
+        except UndecidedError as error:
+            missing = str(error)
     rows = (
         HorizonRow("paper chain", "Theorems 5, 14, 16 and 9", None if proof is None else proof.horizon, chain, note),
         HorizonRow("exact, Theorem 9", "Riccati and Theorem 9", paper.minimum, paper),
         HorizonRow("exact, sharp", "Riccati and the sharper theorem", sharp.minimum, sharp),
-        HorizonRow("true contraction", "spectral radius", true, None, "" if periodic else "a finite schedule has none"),
+        HorizonRow("true contraction", "spectral radius", true, None, missing),
     )
-    radius = spectral_radius(exact, sharp.length) if periodic else None
+    radius = None if true is None else spectral_radius(exact, sharp.length)
     return FourHorizons(rows, exact, proof, radius)

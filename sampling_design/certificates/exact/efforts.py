@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from math import log
-from time import perf_counter
 
 from sampling_design.checkers.work import Work
 
@@ -52,20 +52,20 @@ class TimeLimit:
     """Seconds that one call may take, if it was told; the search of weights takes half of them, proofs the others."""
 
     def __init__(self, budget: float | None) -> None:
-        self.budget, self.began = budget, perf_counter()
+        self.budget, self.began = budget, time.perf_counter()
 
     def over(self) -> bool:
         """Whether they are spent."""
-        return self.budget is not None and perf_counter() - self.began > self.budget
+        return self.budget is not None and time.perf_counter() - self.began > self.budget
 
     def half(self) -> bool:
         """Whether half of them are."""
-        return self.budget is not None and perf_counter() - self.began > self.budget / 2
+        return self.budget is not None and time.perf_counter() - self.began > self.budget / 2
 
     @property
     def left(self) -> float | None:
         """Those that are left; None: no limit."""
-        return None if self.budget is None else max(self.budget - perf_counter() + self.began, 0.0)
+        return None if self.budget is None else max(self.budget - time.perf_counter() + self.began, 0.0)
 
 
 class Efforts:

@@ -14,7 +14,7 @@ from sampling_design.planning.due import GoalDue, exceeded_since, first_due, kep
 from sampling_design.planning.opening import PlanClock
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import proven_ratio, settles, worst_ratio
-from sampling_design.planning.spread_sequence import SampleSequence, departs_and_returns, planned
+from sampling_design.planning.spread_sequence import SampleSequence, departs_and_returns, is_apart, planned, too_soon
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -59,22 +59,25 @@ class NextChoices:
         return exceeded_since(self.plan, self.history, self.now)
 
     def options(self, sensor: int | None) -> list[Option]:
-        """Allowed times of the raster after now, over a period, each with one sensor or those that the plan reads."""
+        """Allowed times of the raster over a period, the first that keeps the spacing on; with what is read then.
+
+        One sensor, or those that the plan reads.
+        """
         if sensor not in self._options:
             self._options[sensor] = self._listed(sensor)
         return self._options[sensor]
 
     def _listed(self, sensor: int | None) -> list[Option]:
         problem, step = self.plan.problem, self.plan.problem.step
-        first = int(np.floor(float(self.clock.shown(self.now)) / step + 1e-6)) + 1
+        spaced = float(self.history.times[-1]) + (problem.spacing - 1) * step  # the first may be a step later
+        first = int(np.floor(float(self.clock.shown(max(self.now, spaced))) / step + 1e-6)) + 1
         found = []
         for i, t in enumerate(self.clock.elapsed(np.arange(first, first + problem.steps) * step).tolist(), first):
             allowed = self.allowed(i)
             mask = self.due(i) & allowed if sensor is None else allowed & (np.arange(allowed.size) == sensor)
             mask = allowed if sensor is None and not mask.any() else mask
-            if t - self.history.times[-1] < (problem.spacing - 1e-6) * step or t <= self.now + 1e-6 * step:
-                continue
-            if mask.any():
+            later = t > self.now + 1e-6 * step and mask.any()
+            if later and is_apart(problem, self.history.times, self.history.seen, t, mask):
                 found.append((t, mask))
         return found
 
@@ -159,14 +162,15 @@ class NextChoices:
         return np.inf
 
     def sequences(self, choice: Option) -> Iterator[SampleSequence]:
-        """History, the sample, and the plan afterwards (its spacing kept), as it may be followed."""
+        """History, the sample, and the plan afterwards (spacings kept), as it may be followed."""
         t, mask = choice
         step = self.plan.problem.step
         resume = t + max(self.plan.problem.spacing - 1e-6, 1e-6) * step
         for times, seen, clock in self.followed(resume):
             every = np.concatenate([self.history.times, [t], times])
             masks = np.concatenate([self.history.seen, mask[None], seen])
-            yield SampleSequence(every, masks, self.history.first, clock, since=self.now)
+            keep = ~too_soon(self.plan.problem, every, masks, len(self.history.times) + 1)
+            yield SampleSequence(every[keep], masks[keep], self.history.first, clock, since=self.now)
 
     def sequence(self, choice: Option) -> SampleSequence:
         """The best of them, as far as is known."""

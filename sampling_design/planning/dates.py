@@ -21,7 +21,7 @@ from sampling_design._units import spoken
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import gap_ratios, proven_ratio, settles
-from sampling_design.planning.spread_sequence import SampleSequence, departs_and_returns, planned
+from sampling_design.planning.spread_sequence import SampleSequence, departs_and_returns, is_apart, planned, too_soon
 from sampling_design.schedules.schedule import Schedule
 
 Array = npt.NDArray[np.float64]
@@ -182,12 +182,11 @@ class _Closed:
     """Samples that cannot be taken, one after another: clock times, and why."""
 
     times: Array
-    skipped: bool
+    why: str
 
     def told(self, added: int) -> str:
         """In words."""
-        why = "skipped by the clocks" if self.skipped else "closed"
-        return f"{why}, {len(self.times)} left out" + (f", {added} added" if added else "")
+        return f"{self.why}, {len(self.times)} left out" + (f", {added} added" if added else "")
 
 
 class _Dating:
@@ -201,7 +200,10 @@ class _Dating:
         self.span = settles(plan) * plan.schedule.period / len(plan.schedule) + plan.schedule.period
         self.times, self.seen = planned(plan, -self.span, self.known + self.span)
         self.open = np.array([not 0 <= t < self.known or self.is_open(t) for t in self.times.tolist()], dtype=bool)
-        self.closed = [self._closed(self.times[run]) for run in _runs(~self.open)]
+        self.soon = np.zeros(self.open.size, dtype=bool)
+        self.soon[self.open] = too_soon(plan.problem, self.clock.elapsed(self.times[self.open]), self.seen[self.open])
+        self.open &= ~self.soon
+        self.closed = [self._closed(run) for run in _runs(~self.open)]
         self.day = 1440 / self.clock.minutes
 
     def dates(self) -> PlanDates:
@@ -218,8 +220,12 @@ class _Dating:
         """Whether a clock time is no holiday, and one that the clocks show."""
         return self.calendar.is_open(t * self.clock.minutes, holidays=True)
 
-    def _closed(self, times: Array) -> _Closed:
-        return _Closed(times, all(self.calendar.is_skipped(round(t * self.clock.minutes, 6)) for t in times.tolist()))
+    def _closed(self, run: npt.NDArray[np.intp]) -> _Closed:
+        times = self.times[run]
+        if self.soon[run].all():
+            return _Closed(times, "too soon after the sample before by the changed clocks")
+        skipped = all(self.calendar.is_skipped(round(t * self.clock.minutes, 6)) for t in times.tolist())
+        return _Closed(times, "skipped by the clocks" if skipped else "closed")
 
     def sequence(self, added: list[DatedSample], start: float = -np.inf, stop: float = np.inf) -> SampleSequence:
         """The samples that are taken in [start, stop), at real times."""
@@ -269,13 +275,13 @@ class _Dating:
         """Open times near samples that are left out, spread out and spaced, with every sensor of the plan."""
         problem, step = self.plan.problem, self.plan.problem.step
         first, last = float(closed.times[0]) - AROUND * self.day, float(closed.times[-1]) + AROUND * self.day
-        taken = self.sequence(added).times
+        taken = self.sequence(added)
         found = []
         for i in range(max(0, int(first / step)), int(min(last, self.known) / step) + 1):
             mask = problem.allowed[i % problem.steps] & self.plan.chosen.any(axis=0)
             if mask.any() and self.is_open(i * step):
-                apart = np.min(np.abs(taken - self.clock.elapsed(i * step)), initial=np.inf)
-                found += [(i * step, mask)] if apart >= (problem.spacing - 1e-6) * step else []
+                t = float(self.clock.elapsed(i * step))
+                found += [(i * step, mask)] if is_apart(problem, taken.times, taken.seen, t, mask) else []
         few = np.unique(np.round(np.linspace(0, len(found) - 1, MOST_TRIED)).astype(int)) if found else np.zeros(0, int)
         return [found[k] for k in few.tolist()]
 

@@ -16,7 +16,14 @@ from sampling_design._record import short
 from sampling_design._units import spoken
 from sampling_design.certificates.certify import certify
 from sampling_design.certificates.exact.certificate import Certificate
-from sampling_design.errors import CertificateError, InfeasibleRequirementError, NotDetectableError, UndecidedError
+from sampling_design.errors import (
+    ArgumentError,
+    CertificateError,
+    InfeasibleRequirementError,
+    MathematicsError,
+    NotDetectableError,
+    UndecidedError,
+)
 from sampling_design.planning.attacks import HiddenMotion
 from sampling_design.planning.blind import finer_raster, modes_of
 from sampling_design.planning.bounds import out_of_reach, prove_cost
@@ -27,7 +34,7 @@ from sampling_design.planning.held import GoalProofs, HeldChoices, ProvenChoice
 from sampling_design.planning.motion import motion_of
 from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.plan_record import Plan, deviation_of, is_free, limit_of, reached, without_limits
-from sampling_design.planning.problem import SAME_PRICE, PlanProblem, pose_plan
+from sampling_design.planning.problem import SAME_PRICE, PlanProblem, coarser, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.search import PlanSearch
 from sampling_design.planning.work import AFTER, CERTIFIED, GAINS, Work, WorkSpentError
@@ -55,6 +62,9 @@ NARROW_MARGINS = (5e-4, 0.015, 0.04)
 
 SOUGHT = 0.75
 """Share of the work after which nothing cheaper than what is held is sought: the rest proves it and bounds the cost."""
+
+COARSER = 0.5
+"""Share of the work that searches on coarser rasters may take, all together, the coarsest first."""
 
 ROUNDS = 60
 """Choices judged at one level."""
@@ -181,16 +191,49 @@ def plan_certificate(found: Plan, work: Work | None = None) -> Certificate | Non
 class _Planning:
     """One call: the search, its proof, and its bounds."""
 
-    def __init__(self, problem: PlanProblem, work: float, progress: Progress | None):
-        self.problem, self.progress = problem, progress
+    def __init__(self, problem: PlanProblem, work: float, progress: Progress | None, first: float = COARSER):
+        self.problem, self.progress, self.first = problem, progress, first
         self.motion = motion_of(problem)
         self.oracle = Oracle(problem, self.motion)
         self.oracle.work.limit = self.oracle.work.budget = work
         self.search = PlanSearch(problem, self.oracle, progress)
         self.held = HeldChoices(problem, self.oracle.work, self._ratios)
 
-    def cheapest(self) -> Plan:
-        """The least cost that keeps every tolerance."""
+    def started(self) -> list[Mask]:
+        """What a search on a coarser raster holds: it is as good on this one, which has all of its times.
+
+        So a finer raster makes no plan worse, as far as the share of the work that is spent on the coarser one goes.
+        """
+        coarse, work = coarser(self.problem), self.oracle.work
+        if coarse is None:
+            return []
+        try:
+            run = _Planning(coarse, self.first * work.budget, self.progress, 1.0)
+        except (ArgumentError, MathematicsError):  # it is too coarse to be looked at
+            return []
+        try:
+            run.sought()
+        except KeyboardInterrupt:
+            self.search.held += [(chosen, self.oracle.judge(chosen)[0]) for chosen in self._lifted(run.search)]
+            raise
+        except (MathematicsError, UndecidedError):  # what cannot be kept there may be kept here
+            pass
+        work.spent += run.oracle.work.spent
+        return self._lifted(run.search)
+
+    def _lifted(self, coarse: PlanSearch) -> list[Mask]:
+        """What a search on a coarser raster holds, the last first, on this one."""
+        found = np.zeros((len(coarse.held), *self.problem.allowed.shape), dtype=bool)
+        for lifted, (chosen, _) in zip(found, coarse.held[::-1], strict=True):
+            lifted[:: self.problem.steps // coarse.problem.steps] = chosen
+        return [lifted for lifted in found if self.problem.is_admissible(lifted)]
+
+    def sought(self) -> ProvenChoice:
+        """What the search for the requirement's aim comes to, proven."""
+        return self._most_accurate() if self.problem.requirement.aim == "most accurate" else self._cheapest()
+
+    def _cheapest(self) -> ProvenChoice:
+        """The least cost that keeps every tolerance, or nearly so."""
         search = self.search
         self._require_seen()
         worst, attacks = self.oracle.judge(self.problem.allowed, longest=True)
@@ -200,6 +243,7 @@ class _Planning:
         everything = self._densest()
         search.add(self.oracle.judge(everything, longest=True)[1], 1.0)
         search.seed(1.0)
+        search.starts = self.started()
         search.share = SOUGHT
         for margin in NARROW_MARGINS if search.spread else MARGINS:
             again = True
@@ -211,6 +255,11 @@ class _Planning:
             if last.worst <= 1 or search.late:
                 break
         search.share = np.inf
+        return last
+
+    def cheapest(self) -> Plan:
+        """The least cost that keeps every tolerance, and what no choice can do."""
+        search, last, everything = self.search, self._cheapest(), self._densest()
         if not search.held and last.worst > 1:
             return self._nearest(last)
         best = self.held.cheapest([chosen for chosen, _ in search.held], everything)
@@ -285,22 +334,28 @@ class _Planning:
         search.improve(ROUNDS // 3)
         return search
 
-    def most_accurate(self) -> Plan:
-        """The least ratio of accuracy to tolerance that the limits allow."""
+    def _most_accurate(self) -> ProvenChoice:
+        """The least ratio of accuracy to tolerance that the limits allow, as far as the search comes."""
         search = self.search
         self._require_seen()
-        chosen = self._seeing(self._sparse())
-        worst, attacks = self.oracle.judge(chosen)
-        search.add(attacks, 0.0)
-        search.keep(chosen, worst)
-        search.seed(worst * 0.9)
+        for chosen in [self._seeing(self._sparse()), *self.started()]:
+            worst, attacks = self.oracle.judge(chosen)
+            search.add(attacks, 0.0)
+            if worst < search.found.worst:
+                search.keep(chosen, worst)
+        search.seed(search.found.worst * 0.9)
         search.improve(ROUNDS)
         last = self._held_last()
         while self._farther(last) and not search.late:
             search.keep(last.chosen, self.oracle.judge(last.chosen)[0])
             search.improve(ROUNDS)
             last = self._held_last()
-        best = self.held.sharpest(search.held, last)
+        return last
+
+    def most_accurate(self) -> Plan:
+        """The least ratio of accuracy to tolerance that the limits allow, and what no choice can do."""
+        search = self.search
+        best = self.held.sharpest(search.held, self._most_accurate())
         limit, known, keys = limit_of(self.problem, 0.0), search.found.out_of_reach, search.found.keys
         work = self.oracle.work
         work.until(*AFTER[1])

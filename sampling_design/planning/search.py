@@ -92,6 +92,8 @@ class PlanSearch:
         self.counted = True
         """Whether choices are sought by their number of samples alone, until that was given up."""
         self.share = np.inf
+        self.starts: list[Mask] = []
+        """Choices that are judged before any other."""
         self.blind: list[Mask] = []
         """Where a choice must measure once at least, or it hides a motion that never fades."""
 
@@ -386,7 +388,7 @@ class PlanSearch:
     def cheapest(self, level: float, rounds: int) -> None:
         """The least cost at a level: the cheapest choices that see every attack, until one of them holds."""
         keys = self.found.keys
-        best, fruitless = np.inf, 0
+        best, fruitless = self._started(level), 0
         for _ in range(rounds):
             if self.late:
                 return
@@ -417,6 +419,21 @@ class PlanSearch:
                 elif attacks:
                     attack = max(attacks, key=lambda a: a.reach)
                     self._fainter(attack, 1 / EASED**2 if attack.reach > 1 + level * 1e-3 else level, trial)
+
+    def _started(self, level: float) -> float:
+        """The least cost of the choices to start with that keep a level; infinite if none does."""
+        best = np.inf
+        for trial in self.starts:
+            if self.problem.cost(trial) >= best:
+                continue
+            worst, attacks = self.oracle.judge(trial, above=level)
+            self.add(attacks, level)
+            if worst <= level:
+                worst = self.deepened(trial, worst, level)
+            if worst <= level:
+                best = self.problem.cost(trial)
+                self.keep(trial, worst)
+        return best
 
     def repaired(self, chosen: Mask, level: float, dearest: float) -> Mask | None:
         """Add the measurement that hides least of what is left open, until the attacks so far are seen."""

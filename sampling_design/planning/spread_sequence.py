@@ -17,7 +17,7 @@ import numpy.typing as npt
 from sampling_design._linalg import discounted_flow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.opening import PlanClock
-from sampling_design.planning.problem import Goal
+from sampling_design.planning.problem import WHOLE, Goal, PlanProblem
 from sampling_design.planning.spread import PERIODS, SETTLED, WIDE, own
 from sampling_design.planning.work import SEQUENCE
 
@@ -88,9 +88,10 @@ class SampleSequence:
 
 
 def planned(plan: PlanFigures, start: float, stop: float, clock: PlanClock = ORDINARY) -> tuple[Array, Mask]:
-    """The plan's samples in [start, stop): real times by a clock, without those that it skips."""
-    schedule, period = plan.schedule, plan.schedule.period
-    more = 0.0 if clock.calendar is None else DAY / clock.minutes
+    """The plan's samples in [start, stop): real times by a clock, without those that it skips or that come too soon."""
+    schedule, period, problem = plan.schedule, plan.schedule.period, plan.problem
+    longest = max(problem.spacing, int(problem.sensor_spacing.max())) * problem.step
+    more = 0.0 if clock.calendar is None else DAY / clock.minutes + longest
     periods = np.arange(np.floor((start - more) / period), np.ceil((stop + more) / period) + 1) * period
     times = (periods[:, None] + schedule.times[None, :]).ravel()
     seen = np.tile(plan.chosen[plan.chosen.any(axis=1)], (periods.size, 1))
@@ -98,8 +99,35 @@ def planned(plan: PlanFigures, start: float, stop: float, clock: PlanClock = ORD
     times, seen = times[near], seen[near]
     real = clock.elapsed(times)
     keep = (real >= start - GRAIN * period) & (real < stop - GRAIN * period)
-    keep &= np.abs(clock.shown(real) - times) < GRAIN * period
-    return real[keep], seen[keep]
+    shows = np.abs(clock.shown(real) - times) < GRAIN * period
+    if clock.calendar is not None:
+        shows[np.flatnonzero(shows)[too_soon(problem, real[shows], seen[shows])]] = False
+    return real[keep & shows], seen[keep & shows]
+
+
+def too_soon(problem: PlanProblem, times: Array, seen: Mask, taken: int = 0) -> Mask:
+    """Which samples at real times (K,) come sooner after those before them, of all or of a sensor, than spacings allow.
+
+    Where clocks are put forward less time passes than they show. What comes too soon is not taken, but for the first
+    `taken`, which were.
+    """
+    found, last, read = np.zeros(times.size, dtype=bool), -np.inf, np.full(seen.shape[1], -np.inf)
+    if max(problem.spacing, int(problem.sensor_spacing.max())) <= 1:
+        return found
+    least, apart = ((np.asarray(s) - WHOLE) * problem.step for s in (problem.spacing, problem.sensor_spacing))
+    for k, t in enumerate(times.tolist()):
+        found[k] = k >= taken and (t - last < least or bool(np.any(t - read[seen[k]] < apart[seen[k]])))
+        if not found[k]:
+            last, read[seen[k]] = t, t
+    return found
+
+
+def is_apart(problem: PlanProblem, times: Array, seen: Mask, t: float, mask: Mask) -> bool:
+    """Whether a sample at a real time t keeps the spacings to all those at real times (K,)."""
+    off = np.abs(times - t)
+    shared = np.where(seen & mask, off[:, None], np.inf).min(axis=0, initial=np.inf)
+    least = np.min(off, initial=np.inf) >= (problem.spacing - WHOLE) * problem.step
+    return bool(least and np.all(shared >= (problem.sensor_spacing - WHOLE) * problem.step))
 
 
 def departs_and_returns(plan: PlanFigures, sequence: SampleSequence) -> tuple[int, int]:

@@ -17,6 +17,7 @@ from sampling_design.planning.plan import proven_plan
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.robustness import PlanRobustness
 from sampling_design.planning.sheet import write_form, write_sheet
+from tests.cases import few
 
 
 @pytest.fixture(scope="module")
@@ -178,3 +179,34 @@ def test_what_is_written_is_taken_by_log_as_it_is(week, dates, tmp_path):
     told = json.loads((tmp_path / "log.json").read_text())
     assert len(told["planned"]) == len(told["actual"]) == len(lines)
     assert max(map(abs, told["deviations"])) < 1e-6  # on both sides of the change of the clocks
+
+
+SPACED = [
+    ("24 h", None, 2.0, "2026-03-23", "Europe/Berlin"),
+    (None, "12 h", 1.3, "2026-10-01", "Australia/Sydney"),
+    ("12 h", None, 1.3, "2026-03-23", "Europe/Berlin"),
+    ("24 h", None, 2.0, "2026-10-01", "Australia/Sydney"),
+]
+
+
+@pytest.mark.parametrize(("spacing", "own", "tolerance", "start", "zone"), few(SPACED, 0, 1))
+def test_less_time_passes_between_no_two_samples_than_the_spacing(spacing, own, tolerance, start, zone):
+    level = sd.Plant([[0.0]], [[1.0]], time_unit="h", states=["level"], outputs=["gauge"])
+    wanted = sd.PlanRequirement(
+        {"level": tolerance},
+        period="1 d",
+        raster="1 h",
+        spacing=spacing,
+        w_bound=0.05,
+        sensors={"gauge": {"noise_bound": 0.1, "spacing": own}},
+        calendar={"start": start, "zone": zone, "hours": {"Mon-Sun": [["07:00", "22:00"]]}},
+    )
+    found = sd.plan(level, wanted, certificate=False, robustness=False)
+    dates = plan_dates(found, 8)  # the clocks are put forward on the sixth night, or the third
+    least = float((spacing or own).split()[0])
+    gaps = np.diff([entry.time for entry in dates.entries])
+    assert np.min(gaps) >= least - 1e-9
+    assert any("too soon after the sample before by the changed clocks, 1 left out" in e.what for e in dates.exceptions)
+    entries = [entry for entry in dates.entries if entry.time < (144 if zone == "Europe/Berlin" else 72)]
+    after = sd.next_sample(found, [(entry.time, [0.0]) for entry in entries], prove=False)
+    assert after.latest - entries[-1].time >= least - 1e-9

@@ -1,0 +1,54 @@
+"""A raster that has all the times of a coarser one, and more, makes no plan dearer and none less accurate."""
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.planning.problem import coarser, pose_plan
+from tests.cases import few
+
+BARE = {"certificate": False, "robustness": False}
+OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])
+GIVEN = {"period": 6.4, "w_bound": 0.02, "sensors": {"y": {"noise_bound": 0.2}}}
+HOURS = {"start": "2026-03-02", "zone": "UTC", "hours": {"Mon-Fri": [["08:00", "12:00"], ["14:00", "16:00"]]}}
+TANK = sd.Plant([[0.0]], [[1.0]], time_unit="h", states=["level"], outputs=["gauge"])
+WEEK = {"accuracy": {"level": 1.8}, "w_bound": 0.02, "sensors": {"gauge": {"noise_bound": 0.1}}, "calendar": HOURS}
+REFINED = [
+    (OSCILLATOR, {"accuracy": {"position": 0.35}, **GIVEN}, (0.4, 0.1, 0.4 / 12), 2),
+    (OSCILLATOR, {"accuracy": {"position": 0.35}, "samples": 4, **GIVEN}, (0.8, 0.8 / 15), 2),
+    (TANK, WEEK, ("1 h", "15 min", "5 min"), 2),
+    (TANK, WEEK, ("1 h", "15 min", "1 min"), 4),
+]
+
+
+@pytest.mark.parametrize(("plant", "wanted", "rasters", "seconds"), few(REFINED, 0, 1))
+def test_a_finer_raster_is_never_worse(plant, wanted, rasters, seconds):
+    found = [
+        sd.plan(plant, sd.PlanRequirement(raster=raster, **wanted), search_seconds=seconds, **BARE)
+        for raster in rasters
+    ]
+    assert all(each.keeps and each.verify() for each in found)
+    of = "ratio" if found[0].requirement.aim == "most accurate" else "cost"
+    figures = [getattr(each, of) for each in found]
+    assert figures == sorted(figures, reverse=True)
+
+
+LADDERS = [("1 min", (3360, 840, 168, 56)), ("5 min", (672, 168, 56)), ("1 h", (56,)), ("3 h", ())]
+
+
+@pytest.mark.parametrize(("raster", "steps"), LADDERS)
+def test_coarser_rasters_are_those_of_whole_hours_and_days(raster, steps):
+    always = {**WEEK, "calendar": {"start": "2026-03-02", "zone": "UTC"}}
+    problem, found = pose_plan(TANK, sd.PlanRequirement(raster=raster, **always)), []
+    while (problem := coarser(problem)) is not None:
+        found.append(problem.steps)
+        assert problem.period == pytest.approx(168, rel=1e-12)
+    assert tuple(found) == steps
+
+
+def test_a_raster_that_times_of_a_goal_fall_between_is_not_looked_at():
+    goals = {"position": {"tolerance": 0.4, "at": [0.1]}}
+    problem = pose_plan(OSCILLATOR, sd.PlanRequirement(goals, raster=0.05, **GIVEN))
+    assert problem.steps == 128
+    assert coarser(problem) is None
+    assert np.array_equal(problem.goals[0].steps, [2])

@@ -10,7 +10,7 @@ import typer
 import sampling_design as sd
 from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for
-from sampling_design.cli.settings import Settings, numbers, record_table, save_picture
+from sampling_design.cli.settings import Settings, numbers, record_table
 from sampling_design.errors import ArgumentError
 from sampling_design.recovery.accuracy import Accuracy
 from sampling_design.recovery.shadow import Shadow
@@ -83,9 +83,9 @@ def _told(settings: Settings, found: Accuracy, cast: Shadow | None, wanted: list
         data["shadow"] = cast.to_dict()
     if folder is not None:
         settings.write_json(folder / "accuracy.json", data)
-        settings.wrote(save_picture(found, folder / "accuracy.png", tolerance=wanted))
+        settings.draw(found, folder / "accuracy.png", tolerance=wanted)
         if cast is not None:
-            settings.wrote(save_picture(cast, folder / "shadow.png"))
+            settings.draw(cast, folder / "shadow.png")
     missed = [] if wanted is None else [k for k, most in enumerate(wanted) if not found.upper[k] <= most]
     text = found.explain() + ("" if cast is None else f" {cast.explain()}")
     for k in missed:

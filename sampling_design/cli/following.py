@@ -14,7 +14,7 @@ from rich.table import Table as RichTable
 import sampling_design as sd
 from sampling_design._files import Growing
 from sampling_design._record import short
-from sampling_design.cli.settings import Settings, rows_table, save_picture, table
+from sampling_design.cli.settings import Settings, rows_table, table
 from sampling_design.estimators.estimate_file import (
     TOGETHER,
     EstimateBlock,
@@ -33,7 +33,7 @@ from sampling_design.estimators.online.tally import Tally
 Array = npt.NDArray[np.float64]
 
 CLOSELY = 1000
-"""Rows up to which radii are those of intervals unless told, and the picture shows every gap between samples."""
+"""Rows up to which radii are those of intervals unless told."""
 FEW = 4
 """States up to which that holds; of more it is fewer rows, since the work of one grows with the cube of the states."""
 TOLD = 1000
@@ -46,10 +46,13 @@ def followed(
     record: sd.Measurements,
     radii: str | None,
     guarantee: str,
+    tube: bool = False,
 ) -> Tally:
-    """Estimate at every row of `record`; write and show what was asked for."""
+    """Estimate at every row of `record`; write and show what was asked for; `tube`: draw it between rows, too."""
     kind, plant, folder = check_radii(radii or _usual(settings, estimator, record)), estimator.plant, settings.folder()
-    picture = None if folder is None else _picture(estimator, record, kind == "centred")
+    drawn = folder is not None and not settings.no_picture
+    curve = Following(estimator, centred=kind == "centred", start=estimator.state.last.t) if drawn and tube else None
+    envelope = EstimateEnvelope.over(plant, record.times) if drawn and not tube else None
     after = {"radii_of": kind, "guarantee": guarantee, "horizon": estimator.horizon}
     with ExitStack() as open_files:
         rows = EstimateTable(plant, folder / "estimates.csv", origin=record.origin, radii=kind) if folder else None
@@ -59,7 +62,7 @@ def followed(
                 open_files.enter_context(each)
         tally, last = Tally(plant.time_unit) if columns is None else columns.tally, None
         with settings.progress("estimate") as progress:
-            told = _told(_each(estimator, record, picture, kind), len(record), progress)
+            told = _told(_each(estimator, record, curve, kind), len(record), progress)
             while some := list(islice(told, TOGETHER)):
                 last = some[-1]
                 if rows is not None or columns is not None:  # always where there is a picture
@@ -67,8 +70,8 @@ def followed(
                     for each in (rows, columns):
                         if each is not None:
                             each.put(block)
-                    if isinstance(picture, _Extremes):
-                        picture.take(block)
+                    if envelope is not None:
+                        _take(envelope, block)
                 if columns is None:
                     for estimate in some:
                         tally.add(estimate.t, estimate)
@@ -77,13 +80,13 @@ def followed(
                 columns.write(file, settings.named({}), after)
         if columns is not None and settings.as_json:
             columns.write(sys.stdout, settings.named({}), after)
-    if folder is not None and picture is not None:
+    if folder is not None:
         settings.wrote(folder / "estimates.csv")
         settings.wrote(folder / "estimates.json")
-        if isinstance(picture, _Extremes):
-            settings.wrote(save_picture(picture.envelope, folder / "estimates.png", measurements=record))
-        else:
-            settings.wrote(save_picture(picture.curve(record), folder / "estimates.png"))
+        if envelope is not None:
+            settings.draw(envelope, folder / "estimates.png", measurements=record)
+        if curve is not None:
+            settings.draw(curve.curve(record), folder / "estimates.png")
     assert last is not None
     shown = rows_table("EstimateRecord", tally.rows())
     settings.show_tables(shown, _last(plant, last, kind), f"{guarantee} {tally.explain()}")
@@ -109,43 +112,24 @@ def _closely(record: sd.Measurements, states: int) -> bool:
     return len(record) * max(1.0, states / FEW) ** 3 <= CLOSELY
 
 
-class _Extremes:
-    """The extremes over stretches of time, of a record of many rows."""
-
-    def __init__(self, envelope: EstimateEnvelope):
-        self.envelope = envelope
-
-    def take(self, block: EstimateBlock) -> None:
-        """Take in estimates as they are written."""
-        certified, failed = np.array([(e.certified, e.failed) for e in block.estimates], dtype=bool).T
-        self.envelope.add(block.times, block.x, block.around, certified, failed)
-
-    def before(self, t: float) -> None:
-        """Nothing: only samples are drawn."""
-
-    def after(self, t: float, estimate: Estimate) -> None:
-        """Nothing: radii are taken where they are written."""
-
-
-def _picture(estimator: sd.MovingHorizonEstimator, record: sd.Measurements, centred: bool) -> Following | _Extremes:
-    if _closely(record, estimator.plant.n_states):
-        return Following(estimator, centred=centred, start=estimator.state.last.t)
-    first, last = float(record.times.min()), float(record.times.max())
-    return _Extremes(EstimateEnvelope.over(estimator.plant, first, last))
+def _take(envelope: EstimateEnvelope, block: EstimateBlock) -> None:
+    """Take in estimates as they are written."""
+    certified, failed = np.array([(e.certified, e.failed) for e in block.estimates], dtype=bool).T
+    envelope.add(block.times, block.x, block.around, certified, failed)
 
 
 def _each(
-    estimator: sd.MovingHorizonEstimator, record: sd.Measurements, picture: Following | _Extremes | None, kind: str
+    estimator: sd.MovingHorizonEstimator, record: sd.Measurements, curve: Following | None, kind: str
 ) -> Iterator[Estimate]:
     """Estimates at every row, as they stand beside radii of a kind."""
     for k, (t, y, u) in enumerate(record):
         if k % AHEAD == 0:
             estimator.expect(record.times[k : k + AHEAD])
-        if picture is not None:
-            picture.before(t)
+        if curve is not None:
+            curve.before(t)
         estimate = as_written(estimator.update(t, y, u), kind)
-        if picture is not None:
-            picture.after(t, estimate)
+        if curve is not None:
+            curve.after(t, estimate)
         yield estimate
 
 

@@ -17,7 +17,7 @@ from sampling_design._checks import positive
 from sampling_design._record import short
 from sampling_design._units import SECONDS
 from sampling_design.cli import reading
-from sampling_design.cli.settings import Settings, end_bracket, end_unseen, record_table, save_picture, table
+from sampling_design.cli.settings import Settings, end_bracket, end_unseen, record_table, table
 from sampling_design.design.schedule_design import ScheduleDesign
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.default_window import default_window
@@ -157,7 +157,7 @@ def _write_design(settings: Settings, result: ScheduleDesign, zero: str | None, 
     settings.write_json(folder / "design.json", result.to_dict())
     if result.schedule is not None and result.sigma > 0:
         _schedule_files(settings, result, result.schedule, folder, (zero, zone))
-        settings.wrote(save_picture(result, folder / "design.png", origin=zero))
+        settings.draw(result, folder / "design.png", origin=zero)
 
 
 def _schedule_files(

@@ -15,7 +15,7 @@ from rich.table import Table
 import sampling_design as sd
 from sampling_design._checks import number
 from sampling_design.cli import reading
-from sampling_design.cli.settings import Settings, record_table, save_picture, table
+from sampling_design.cli.settings import Settings, record_table, table
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.dates import PlanDates, plan_dates
 from sampling_design.planning.files import save_plan
@@ -71,7 +71,7 @@ def plan(
     folder = settings.folder()
     if comparison is not None and folder is not None:
         settings.write_json(folder / "comparison.json", comparison.to_dict())
-        settings.wrote(save_picture(comparison, folder / "comparison.png"))
+        settings.draw(comparison, folder / "comparison.png")
     tables: list[Table | str] = [record_table(result), _times(result), result.explain()]
     if dates is not None and dates.exceptions:
         tables += [record_table(dates), dates.explain()]
@@ -95,7 +95,7 @@ def _write(settings: Settings, result: Plan, dates: PlanDates | None, person: st
     elif "certificate" in result.left_out:
         why = "interrupted" if result.status == "interrupted" else "`--search-seconds` were spent before it was made"
         settings.notice(f"certificate.json is not written: {why}.")
-    settings.wrote(save_picture(result, folder / "plan.png"))
+    settings.draw(result, folder / "plan.png")
     if dates is not None and dates.entries and result.requirement.calendar is not None:
         real, zone = dates.schedule(), result.requirement.calendar.zone
         title = f"{result.plant.name or 'plant'}: sample"

@@ -19,7 +19,7 @@ from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.checkers.strict import Tree
 from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile, schedule_for
-from sampling_design.cli.settings import Settings, record_table, save_picture, table
+from sampling_design.cli.settings import Settings, record_table, table
 from sampling_design.errors import ArgumentError
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 
@@ -179,9 +179,9 @@ def _files(settings: Settings, certificate: SampledCertificate, horizons: FourHo
     if horizons is not None:
         markdown.append(horizons.to_markdown())
         latex.append(horizons.to_latex())
-        settings.wrote(save_picture(horizons, folder / "horizons.png"))
+        settings.draw(horizons, folder / "horizons.png")
     else:
-        settings.wrote(save_picture(certificate, folder / "family.png"))
+        settings.draw(certificate, folder / "family.png")
     settings.wrote(write_text(folder / "constants.md", "\n".join(markdown)))
     settings.wrote(write_text(folder / "constants.tex", "\n".join(latex)))
 

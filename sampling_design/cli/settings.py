@@ -42,6 +42,7 @@ _COMMON: dict[str, tuple[object, object]] = {
     "output": (Annotated[Path | None, typer.Option("-o", "--output", help="Folder for files.", metavar="DIR")], None),
     "seed": (Annotated[int, typer.Option(help="Seed of everything random.")], 0),
     "quiet": (Annotated[bool, typer.Option("--quiet", help="No progress, no notices.")], False),
+    "no_picture": (Annotated[bool, typer.Option("--no-picture", help="With -o: all files but the picture.")], False),
     "budget": (Annotated[float, typer.Option(help="Seconds a search may take.", metavar="SECONDS")], 60.0),
     "decay_rate": (
         Annotated[
@@ -61,6 +62,9 @@ NO_BUDGET = ("accuracy", "plan", "next", "estimate", "explore", "new", "pareto",
 """Commands whose work is given by their arguments: nothing in them ends early with what it has, unless (`pareto`) it is
 told to. What ends by the clock depends on how many share the work."""
 
+NO_PICTURE = ("info", "verify", "next", "explore", "new")
+"""Commands that draw nothing."""
+
 
 @dataclass
 class Settings:
@@ -71,6 +75,7 @@ class Settings:
     output: Path | None = None
     seed: int = 0
     quiet: bool = False
+    no_picture: bool = False
     budget: float = 60.0
     decay_rate: float | None = None
     files: list[Path] = field(default_factory=list)
@@ -94,6 +99,13 @@ class Settings:
     def wrote(self, path: Path) -> None:
         """Remember a written file, so that it is named at the end."""
         self.files.append(path)
+
+    def draw(self, record: object, path: Path, **beside: Any) -> None:
+        """Draw a record into a file, with what the picture shows beside it, unless --no-picture."""
+        if not self.no_picture:
+            from sampling_design import plotting  # late: only a picture needs the plotting library
+
+            self.wrote(plotting.save(record, path, **beside))
 
     def named(self, data: Mapping[str, object]) -> dict[str, object]:
         """Return `data` with the name of its format first: its own, else that of what this command answers."""
@@ -182,7 +194,8 @@ def with_common_flags(function: Callable[..., None]) -> Callable[..., None]:
     asked = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
     groups = {p.name: p.annotation for p in asked if isinstance(p.annotation, type) and is_dataclass(p.annotation)}
     own = [flag for p in asked for flag in (_flags(p.annotation) if p.name in groups else [p])]
-    flags_of_this = [name for name in _COMMON if name != "budget" or function.__name__ not in NO_BUDGET]
+    without = {"budget": NO_BUDGET, "no_picture": NO_PICTURE}
+    flags_of_this = [name for name in _COMMON if function.__name__ not in without.get(name, ())]
     common = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
         for name, (annotation, default) in ((name, _COMMON[name]) for name in flags_of_this)
@@ -265,7 +278,7 @@ def end_bracket(settings: Settings, result: WindowSigma | WorstCaseSigma, name: 
     folder = settings.folder()
     if folder is not None:
         settings.write_json(folder / f"{name}.json", result.to_dict())
-        settings.wrote(save_picture(result, folder / f"{name}.png"))
+        settings.draw(result, folder / f"{name}.png")
     settings.show(result.to_dict(), record_table(result), result.explain())
     if not result.closed:
         raise typer.Exit(3)
@@ -277,13 +290,6 @@ def end_unseen(design: ScheduleDesign) -> None:
     """Leave with 1 where no schedule sees every state, and with 3 where only none was found."""
     if not design.sigma > 0:
         raise typer.Exit(1 if design.upper_bound == 0 else 3)
-
-
-def save_picture(record: object, path: Path, **beside: Any) -> Path:
-    """Draw a record into a file, with what the picture shows beside it; the plotting library loads only now."""
-    from sampling_design import plotting
-
-    return plotting.save(record, path, **beside)
 
 
 Hands = Annotated[int, typer.Option(help="Processes that share the work (-1: one per core).")]

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import StrEnum
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sampling_design._files import write_text
-from sampling_design.cli.settings import Settings, record_table, save_picture
+from sampling_design.cli.settings import Settings, record_table
+
+if TYPE_CHECKING:
+    from sampling_design.nonlinear.patient_run import PatientRun
 
 
 class Reading(StrEnum):
@@ -57,18 +61,26 @@ def thyroid(
     if folder is not None and path is not None:
         settings.wrote(path)
         settings.write_json(folder / "thyroid.json", report.to_dict())
-        shown = experiment.patient_run(cases[0], 0, days=days, seed=settings.seed, degree=degree)
-        page = report.to_markdown() + f"\nFigures 1 to 3 of the paper, from run 0 ({cases[0]}):\n"
-        (folder / "figures").mkdir(exist_ok=True)
-        for number in (1, 2, 3):
-            name = f"figures/thyroid_figure{number}.png"
-            settings.wrote(save_picture(shown.figure(number), folder / name))
-            page += f"\n![{shown.figure(number).explain()}]({name})\n"
+        page = report.to_markdown()
+        if not settings.no_picture:
+            shown = experiment.patient_run(cases[0], 0, days=days, seed=settings.seed, degree=degree)
+            page += _figures(settings, folder, shown, cases[0])
         settings.wrote(write_text(folder / "thyroid.md", page))
     open_points = "Not said in the paper, and what is done instead:\n" + "\n".join(
         f"  {point}: {choice}" for point, choice in report.open_points
     )
     settings.show(report.to_dict(), record_table(report), report.explain(), open_points)
+
+
+def _figures(settings: Settings, folder: Path, shown: PatientRun, case: str) -> str:
+    """Draw the paper's figures, and return what shows them on a page."""
+    page = f"\nFigures 1 to 3 of the paper, from run 0 ({case}):\n"
+    (folder / "figures").mkdir(exist_ok=True)
+    for number in (1, 2, 3):
+        name = f"figures/thyroid_figure{number}.png"
+        settings.draw(shown.figure(number), folder / name)
+        page += f"\n![{shown.figure(number).explain()}]({name})\n"
+    return page
 
 
 COMMANDS: tuple[Callable[..., None], ...] = (thyroid,)

@@ -26,7 +26,6 @@ from sampling_design.cli.settings import (
     Settings,
     numbers,
     record_table,
-    save_picture,
     table,
     workforce,
 )
@@ -85,14 +84,23 @@ def estimate(
             f"intervals up to {CLOSELY} rows (of more than {FEW} states: fewer), ellipsoids beyond."
         ),
     ] = None,
+    tube: Annotated[
+        bool,
+        typer.Option(
+            "--tube",
+            help="With -o: prove and draw what holds each state between the samples, too; a tenth of a second a row.",
+        ),
+    ] = False,
 ) -> None:
     """Estimate the state from measurements, with a radius that holds the truth if noise keeps its bounds.
 
     Without certificate and schedule the gaps seen in the file are certified where that is possible. With -o DIR:
-    estimates.csv, estimates.json and estimates.png.
+    estimates.csv, estimates.json and estimates.png; --no-picture leaves the picture out, --tube shows more in it.
 
     Example: sampling-design estimate examples/plants/oscillator.toml examples/data/oscillator.csv -o out
     """
+    if tube and (settings.output is None or settings.no_picture):
+        raise ArgumentError("`--tube` is for the picture: give a folder for it (-o DIR), and leave out --no-picture.")
     plant = reading.plant(plant_file)
     bounds = _bounds(settings, plant, w_bound, v_bound, initial_error)
     schedule = None if schedule_file is None else schedule_for(settings, plant, schedule_file)
@@ -108,7 +116,7 @@ def estimate(
     first = numbers("--prior", prior, plant.states.names)
     known = None if first is None else np.atleast_1d(first)
     estimator = _estimator(settings, plant, certificate, record, start, horizon, known, bounds)
-    tally = followed(settings, estimator, record, radii, words)
+    tally = followed(settings, estimator, record, radii, words, tube)
     if tally.contradictions or tally.status["bounds disproved"]:
         raise typer.Exit(1)
 
@@ -305,7 +313,7 @@ def _report(settings: Settings, report: ValidationReport) -> None:
     if folder is not None:
         settings.wrote(write_text(folder / "report.md", report.to_markdown()))
         settings.write_json(folder / "report.json", report.to_dict())
-        settings.wrote(save_picture(report, folder / "validation.png"))
+        settings.draw(report, folder / "validation.png")
     heads = ["claim", "scenario", "predicted", "observed", "margin", "verdict"]
     findings = table("Findings", heads, report.cells())
     settings.show(report.to_dict(), record_table(report), findings, *report.skipped, report.explain())
@@ -363,7 +371,7 @@ def log(
     folder = settings.folder()
     if folder is not None:
         settings.write_json(folder / "log.json", result.contents())
-        settings.wrote(save_picture(result, folder / "log.png"))
+        settings.draw(result, folder / "log.png")
     settings.show(result.contents() if settings.as_json else {}, record_table(result), result.explain())
 
 

@@ -21,7 +21,6 @@ from sampling_design.cli.settings import (
     end_bracket,
     end_unseen,
     record_table,
-    save_picture,
     workforce,
 )
 from sampling_design.design.pareto import NO_NEED, NO_TIME
@@ -96,7 +95,7 @@ def pareto(
         )
     if folder is not None and resume is not None:
         settings.wrote(resume)
-        settings.wrote(save_picture(front, folder / "pareto.png"))
+        settings.draw(front, folder / "pareto.png")
     settings.show(front.to_dict(), record_table(front), front.explain())
     if not front.efficient and not any(point.obstacle == NO_NEED for point in front.points):
         undecided = any(point.upper_bound > 0 or point.obstacle == NO_TIME for point in front.points)
@@ -134,7 +133,7 @@ def losses(
     folder = settings.folder()
     if folder is not None:
         settings.write_json(folder / "losses.json", result.to_dict())
-        settings.wrote(save_picture(result, folder / "losses.png"))
+        settings.draw(result, folder / "losses.png")
     settings.show(result.to_dict(), record_table(result), result.explain())
 
 
@@ -173,7 +172,7 @@ def survive(
     folder = settings.folder()
     if folder is not None:
         settings.write_json(folder / "robustness.json", result.to_dict())
-        settings.wrote(save_picture(result, folder / "robustness.png"))
+        settings.draw(result, folder / "robustness.png")
     settings.show(result.to_dict(), record_table(result), result.explain())
 
 

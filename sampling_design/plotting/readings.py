@@ -27,15 +27,21 @@ def draw_measurements(record: Measurements, ax: Axes | None = None) -> Axes | st
 
 
 def _panel(ax: Axes, record: Measurements, i: int, label: str) -> Axes:
-    t = record.times
-    ax.plot(t, record.y[:, i], ".", color=style.MEASURED, markersize=6, label="measured")
-    for time, row in zip(t.tolist(), record.told, strict=True):
+    marks: dict[str, list[tuple[float, float]]] = {"v": [], "^": [], "_": []}
+    means: list[tuple[float, float, float]] = []
+    for time, row in zip(record.times.tolist(), record.told, strict=True):
         for each in (each for each in row if each.output == i):
             at = each.lower if np.isfinite(each.lower) else each.upper
             mark = "_" if np.isfinite([each.lower, each.upper]).all() else "^" if np.isfinite(each.lower) else "v"
-            ax.plot([time], [at], mark, color=style.MEASURED, markersize=6)
+            marks[mark].append((time, at))
             if each.since is not None:
-                ax.hlines(at, each.since, time, color=style.MEASURED, linewidth=1.2)
+                means.append((at, each.since, time))
+    style.points(ax, record.times, record.y[:, i], ".", 6, "measured")
+    for mark, told in marks.items():
+        if told:
+            style.points(ax, [t for t, _ in told], [at for _, at in told], mark, 6)
+    if means:
+        ax.hlines(*zip(*means, strict=True), color=style.MEASURED, linewidth=1.2)
     ax.set_ylabel(label, fontsize="small")
     ax.margins(x=0.02)
     ax.set_xlabel(style.time_label(record.plant.time_unit))
@@ -74,7 +80,6 @@ def mark_readings(ax: Axes, plant: Plant, i: int, measurements: Measurements) ->
     if reads:
         y = np.concatenate([measurements.y[:, k] / C[k, i] for k in reads])
         t = np.tile(measurements.times, len(reads))
-        ax.plot(t, y, ".", color=style.MEASURED, markersize=5, label="measured")
+        style.points(ax, t, y, ".", 5, "measured")
         return
-    place = ax.get_xaxis_transform()
-    ax.vlines(measurements.times[drawn], 0.0, 0.06, color=style.MEASURED, linewidth=0.8, transform=place)
+    style.sample_ticks(ax, measurements.times[drawn])

@@ -17,6 +17,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
 
+from sampling_design._record import short
 from sampling_design._units import SECONDS
 from sampling_design.schedules.time_stamps import parse_date
 
@@ -151,18 +152,85 @@ STRETCH = 1.5
 
 
 def not_ruled_by_the_start(
-    ax: matplotlib.axes.Axes, low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]
+    ax: matplotlib.axes.Axes,
+    t: npt.NDArray[np.float64],
+    low: npt.NDArray[np.float64],
+    high: npt.NDArray[np.float64],
 ) -> None:
-    """Limit the y axis by what comes after the start, where the start alone would stretch it by half."""
+    """Limit the y axis by what comes after the start, where the start alone would stretch it by half.
+
+    Where the band goes on beyond the axis a triangle says up to which value.
+    """
     known = np.isfinite(low) & np.isfinite(high)
-    low, high = low[known], high[known]
+    t, low, high = t[known], low[known], high[known]
     kept = slice(int(np.ceil(START * low.size)), None)
     if not low[kept].size:
         return
     bottom, top = float(low[kept].min()), float(high[kept].max())
-    if top > bottom and float(high.max() - low.min()) > STRETCH * (top - bottom):
-        room = 0.15 * (top - bottom)
-        ax.set_ylim(bottom - room, top + room)
+    if not (top > bottom and float(high.max() - low.min()) > STRETCH * (top - bottom)):
+        return
+    room = 0.15 * (top - bottom)
+    bottom, top = bottom - room, top + room
+    ax.set_ylim(bottom, top)
+    for ends, at, mark, level in ((high, int(np.argmax(high)), "^", 0.95), (low, int(np.argmin(low)), "v", 0.05)):
+        if not bottom <= ends[at] <= top:
+            place, said = ax.get_xaxis_transform(), f"  {short(float(ends[at]), 3)}"
+            ax.plot(t[at : at + 1], [level], mark, color=PROVEN, markersize=5, transform=place)
+            ax.text(t[at], level, said, color=PROVEN, fontsize="x-small", va="center", transform=place)
+
+
+COLUMNS = 600
+"""Stretches of time of which a picture tells one from the next."""
+
+
+def points(
+    ax: matplotlib.axes.Axes, t: npt.ArrayLike, y: npt.ArrayLike, mark: str, size: float, label: str = ""
+) -> None:
+    """Mark what was measured: each point of a few, of many the least to the largest of each short stretch of time."""
+    times, values = np.asarray(t, dtype=float), np.asarray(y, dtype=float)
+    known = np.isfinite(values)
+    times, values = times[known], values[known]
+    if times.size <= 2 * COLUMNS:
+        ax.plot(times, values, mark, color=MEASURED, markersize=size, label=label or None)
+        return
+    edges = np.linspace(times.min(), times.max(), COLUMNS + 1)
+    least, largest = np.full((2, COLUMNS), np.nan)
+    at = np.searchsorted(edges[1:-1], times, side="right")
+    np.fmin.at(least, at, values)
+    np.fmax.at(largest, at, values)
+    said = f"{label}, least to largest" if label else None
+    ax.use_sticky_edges = False  # else the axis ends where the values do, as if they went on
+    filled(ax, edges, least, largest, MEASURED, said)
+
+
+def filled(
+    ax: matplotlib.axes.Axes,
+    edges: npt.NDArray[np.float64],
+    least: npt.NDArray[np.float64],
+    largest: npt.NDArray[np.float64],
+    colour: str,
+    label: str | None,
+) -> None:
+    """Fill from the least to the largest value of each stretch, with a line where both are one."""
+    ax.stairs(
+        largest,
+        edges,
+        baseline=least,
+        fill=True,
+        label=label,
+        facecolor=(colour, 0.35),
+        edgecolor=colour,
+        linewidth=0.5,
+        zorder=0.9,
+    )
+
+
+def sample_ticks(ax: matplotlib.axes.Axes, times: npt.NDArray[np.float64]) -> None:
+    """Ticks at the bottom where samples are: of many one for each short stretch of time that has some."""
+    if times.size > 2 * COLUMNS:
+        edges = np.linspace(times.min(), times.max(), COLUMNS + 1)
+        times = times[np.unique(np.searchsorted(edges, times), return_index=True)[1]]
+    ax.vlines(times, 0.0, 0.06, color=MEASURED, linewidth=0.8, transform=ax.get_xaxis_transform())
 
 
 HOURS = (1 / 12, 1 / 4, 1 / 2, 1, 2, 3, 6)

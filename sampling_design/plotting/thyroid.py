@@ -47,7 +47,7 @@ def draw_patient_run(run: PatientRun, ax: Axes | None = None) -> Axes | style.Pa
     for state, row in enumerate(axes):
         _row(run, 2 if state in _MEASURED else 3, state, row)
         paths = np.array([run.truth[:, state], run.standard[:, state], run.sample_based[:, state]]) * SCALING[state]
-        style.not_ruled_by_the_start(row, paths.min(axis=0), paths.max(axis=0))
+        style.not_ruled_by_the_start(row, run.times, paths.min(axis=0), paths.max(axis=0))
         row.label_outer()
     style.legend(axes[0])
     whole.suptitle(run.explain(), fontsize="medium")

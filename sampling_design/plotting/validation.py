@@ -65,7 +65,7 @@ def _tube(report: ValidationReport, i: int, ax: Axes) -> None:
     ax.fill_between(t, -radius, radius, color=style.PROVEN, alpha=0.2, linewidth=0, label="proven to hold the error")
     ax.plot(t, run.errors[:, i], color=style.ATTAINED, linewidth=1.0, label="error of one run")
     ax.axhline(0.0, color=style.TRUTH, linewidth=0.6)
-    style.not_ruled_by_the_start(ax, np.minimum(-radius, run.errors[:, i]), np.maximum(radius, run.errors[:, i]))
+    style.not_ruled_by_the_start(ax, t, np.minimum(-radius, run.errors[:, i]), np.maximum(radius, run.errors[:, i]))
     ax.set_xlabel(style.time_label(report.plant.time_unit))
     ax.set_ylabel(report.plant.states.labels()[i], fontsize="small")
     ax.margins(x=0.01)

@@ -1,4 +1,4 @@
-"""What a picture can show of more estimates than it has columns: their extremes over equal stretches of time."""
+"""What a picture shows of estimates: each of a few, of many the extremes over equal stretches of time."""
 
 from __future__ import annotations
 
@@ -15,16 +15,20 @@ Array = npt.NDArray[np.float64]
 Truths = npt.NDArray[np.bool_]
 
 STRETCHES = 600
+"""Stretches of a record that has more times than that: about one for each column of dots of a picture."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EstimateEnvelope(Record):
-    """Extremes of estimates and of their proven bounds, at the samples of each stretch of time.
+    """Extremes of estimates and of their proven bounds, at each time of a few, else at the samples of each stretch.
 
     Attributes
     ----------
     plant : Plant
-    edges : (K + 1,) array [time]
+    times : (K,) array [time]
+        Of the samples, or the middles of the stretches.
+    length : float [time]
+        Of a stretch; 0 where each time stands for itself.
     lowest, highest : (K, n) arrays
         Of the estimates; NaN where a stretch has none.
     lower, upper : (K, n) arrays
@@ -34,7 +38,8 @@ class EstimateEnvelope(Record):
     """
 
     plant: Plant
-    edges: Array
+    times: Array
+    length: float
     lowest: Array
     highest: Array
     lower: Array
@@ -42,16 +47,24 @@ class EstimateEnvelope(Record):
     failed: Truths
 
     @classmethod
-    def over(cls, plant: Plant, start: float, end: float, stretches: int = STRETCHES) -> EstimateEnvelope:
-        """Return an envelope of nothing yet; `add` fills it in place."""
-        edges = np.linspace(start, end if end > start else start + 1.0, stretches + 1)
-        lowest, highest, lower, upper = np.full((4, stretches, plant.n_states), np.nan)
-        return cls(plant, edges, lowest, highest, lower, upper, np.zeros(stretches, dtype=bool))
+    def over(cls, plant: Plant, times: npt.ArrayLike, stretches: int = STRETCHES) -> EstimateEnvelope:
+        """Return an envelope of nothing yet for estimates at some times; `add` fills it in place."""
+        places, length = np.unique(np.asarray(times, dtype=float)), 0.0
+        if places.size > stretches:
+            length = float((places[-1] - places[0]) / stretches)
+            places = places[0] + length * (np.arange(stretches) + 0.5)
+        lowest, highest, lower, upper = np.full((4, places.size, plant.n_states), np.nan)
+        return cls(plant, places, length, lowest, highest, lower, upper, np.zeros(places.size, dtype=bool))
+
+    @property
+    def edges(self) -> Array:
+        """Where stretches begin, and where the last one ends (K + 1,)."""
+        return np.append(self.times - self.length / 2, self.times[-1:] + self.length / 2)
 
     def add(self, times: Array, x: Array, radii: Array, certified: Truths, failed: Truths) -> None:
-        """Take in estimates x (N, n) at some times, with their radii (N, n) and whether they are proven or failed."""
-        share = (times - self.edges[0]) / (self.edges[-1] - self.edges[0])
-        at = np.clip((share * self.failed.size).astype(np.intp), 0, self.failed.size - 1)
+        """Take in estimates x (N, n) at some of the times, with their radii (N, n) and whether proven or failed."""
+        begin = self.times if self.length == 0 else self.edges[:-1]
+        at = np.maximum(np.searchsorted(begin, times, side="right") - 1, 0)
         np.fmin.at(self.lowest, at, x)
         np.fmax.at(self.highest, at, x)
         around = np.where(np.isfinite(radii) & certified[:, None], radii, np.nan)
@@ -60,8 +73,11 @@ class EstimateEnvelope(Record):
         np.logical_or.at(self.failed, at, failed)
 
     def _rows(self) -> list[tuple[str, str]]:
-        return [("stretches", str(self.failed.size)), ("time", f"{short(self.edges[0])} to {short(self.edges[-1])}")]
+        edges = self.edges
+        what = "stretches" if self.length else "times"
+        return [(what, str(self.times.size)), ("time", f"{short(edges[0])} to {short(edges[-1])}")]
 
     def explain(self) -> str:
         """Say what the extremes are of."""
-        return f"Extremes of the estimates over {self.failed.size} stretches of time, each state by itself."
+        where = f"over {self.times.size} stretches of time" if self.length else f"at {self.times.size} times"
+        return f"Extremes of the estimates {where}, each state by itself."

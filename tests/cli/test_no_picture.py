@@ -1,0 +1,30 @@
+"""Every command that draws can leave its picture out, by the same flag."""
+
+from typer.main import get_command
+
+import sampling_design as sd
+from sampling_design.cli.app import app
+from sampling_design.cli.settings import NO_PICTURE
+
+
+def test_every_command_that_draws_takes_the_flag_and_no_other():
+    commands = get_command(app).commands
+    takes = {name for name, command in commands.items() if "no_picture" in {p.name for p in command.params}}
+    assert takes == set(commands) - set(NO_PICTURE)
+
+
+def test_the_flag_leaves_out_the_picture_and_nothing_else(shell, tmp_path):
+    schedule = sd.write_schedule(sd.PeriodicSchedule([1.0, 1.2], time_unit="s"), tmp_path / "schedule.csv")
+    for name, words in {
+        "sigma": ("examples/plants/oscillator.toml", schedule),
+        "worst-case": ("examples/plants/oscillator.toml", "--window", "4", "--count", "3", "--spacing", "0.5"),
+    }.items():
+        outcome = [
+            shell(name, *words, "-o", tmp_path / f"{name}{flag}", *flag.split()).code for flag in ("", "--no-picture")
+        ]
+        files = [{p.name for p in (tmp_path / f"{name}{flag}").iterdir()} for flag in ("", "--no-picture")]
+        assert outcome[0] == outcome[1]
+        assert files[0] - files[1] == {p for p in files[0] if p.endswith(".png")} != set()
+    refused = shell("estimate", "p.toml", "m.csv", "--tube", "-o", tmp_path, "--no-picture")
+    assert refused.code == 2
+    assert "`--tube` is for the picture: give a folder" in " ".join(refused.err.split())

@@ -1,10 +1,13 @@
 """Every command that draws can leave its picture out, by the same flag."""
 
+import pytest
 from typer.main import get_command
 
 import sampling_design as sd
+from sampling_design.cli import track
 from sampling_design.cli.app import app
-from sampling_design.cli.settings import NO_PICTURE
+from sampling_design.cli.settings import NO_PICTURE, Settings
+from sampling_design.errors import ArgumentError
 
 
 def test_every_command_that_draws_takes_the_flag_and_no_other():
@@ -25,6 +28,9 @@ def test_the_flag_leaves_out_the_picture_and_nothing_else(shell, tmp_path):
         files = [{p.name for p in (tmp_path / f"{name}{flag}").iterdir()} for flag in ("", "--no-picture")]
         assert outcome[0] == outcome[1]
         assert files[0] - files[1] == {p for p in files[0] if p.endswith(".png")} != set()
-    refused = shell("estimate", "p.toml", "m.csv", "--tube", "-o", tmp_path, "--no-picture")
-    assert refused.code == 2
-    assert "`--tube` is for the picture: give a folder" in " ".join(refused.err.split())
+
+
+def test_a_tube_without_a_picture_is_refused(tmp_path):
+    for settings in (Settings("estimate"), Settings("estimate", output=tmp_path, no_picture=True)):
+        with pytest.raises(ArgumentError, match="`--tube` is for the picture: give a folder for it"):
+            track.estimate(settings, tmp_path / "plant.toml", tmp_path / "y.csv", tube=True)

@@ -3,6 +3,7 @@
 import gc
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +28,9 @@ gc.set_threshold(20_000, 10, 10)  # what is imported for thousands of tests stay
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """`--long`: what is marked so, and nothing else."""
+    """`--long`: what is marked so, and nothing else; `--long-cases N`: at most so many of each test."""
     parser.addoption("--long", action="store_true", help="run the tests that take long, and no others")
+    parser.addoption("--long-cases", type=int, metavar="N", help="with --long: at most N cases of each test function")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -61,6 +63,20 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items
         if (item.get_closest_marker("long") is not None) == long or (not long and str(item.path) in asked)
     ]
+    if long and (most := config.getoption("--long-cases")) is not None:
+        items[:] = spread(items, lambda item: (item.path, item.nodeid.split("[")[0]), most)
+
+
+def spread(items: list[Any], kind: Callable[[Any], object], most: int) -> list[Any]:
+    """At most so many items of each kind, in their order, as far apart as can be: the middle ones of equal shares."""
+    kinds: dict[object, list[int]] = {}
+    for place, item in enumerate(items):
+        kinds.setdefault(kind(item), []).append(place)
+    kept = set()
+    for places in kinds.values():
+        count = min(most, len(places))
+        kept |= {places[(2 * k + 1) * len(places) // (2 * count)] for k in range(count)}
+    return [item for place, item in enumerate(items) if place in kept]
 
 
 def pytest_collection_finish() -> None:

@@ -3,6 +3,7 @@
 import ast
 from pathlib import Path
 
+from tests.conftest import spread
 from tests.house.sources import nodes, parsed
 
 TESTS = Path(__file__).parents[1]
@@ -33,3 +34,10 @@ def test_every_law_is_a_sentence_in_a_file_of_its_own():
         assert path.name.startswith("test_")
         assert path.stem.count("_") >= 3, f"{path.name} is no sentence"
         assert ast.get_docstring(parsed(path)), f"{path.name} does not state its law"
+
+
+def test_the_share_of_what_takes_long_is_spread_over_the_cases_of_each_test():
+    cases = [("a", k) for k in range(10)] + [("b", 0), ("c", 0), ("c", 1)]
+    assert spread(cases, lambda case: case[0], 1) == [("a", 5), ("b", 0), ("c", 1)]
+    assert spread(cases, lambda case: case[0], 3) == [("a", 1), ("a", 5), ("a", 8), ("b", 0), ("c", 0), ("c", 1)]
+    assert spread(cases, lambda case: case[0], 10) == cases

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -110,11 +111,17 @@ class BallFlow:
         self._reach: dict[object, Ball] = {}
         self.norm = frobenius(A).upper()
         self.size = float(self.norm)
-        self.growths = [(ball(1.0), largest((A + self.At) * ball(0.5)))]
+
+    @cached_property
+    def growths(self) -> list[tuple[Ball, Ball]]:
+        """(kappa, mu) with |e^{As}| <= kappa e^{mu s}, from the symmetric part of A and from modal coordinates."""
         modal = self._modal()
-        if modal is not None:
-            self.growths.append(modal)
-        self.split = self._parted()
+        return [(ball(1.0), largest((self.A + self.At) * ball(0.5))), *([] if modal is None else [modal])]
+
+    @cached_property
+    def split(self) -> Split | None:
+        """What is fast apart from what is slow, if anything is."""
+        return self._parted()
 
     def _modal(self) -> tuple[Ball, Ball] | None:
         """(kappa, mu) with |e^{As}| <= kappa e^{mu s} from real modal coordinates, guessed in floats."""

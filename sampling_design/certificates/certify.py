@@ -16,10 +16,12 @@ from sampling_design.certificates.exact.canonical import Canonical, NoiseWeights
 from sampling_design.certificates.exact.certificate import Certificate, SampledCertificate
 from sampling_design.certificates.exact.efforts import ALL_WORK, BEYOND, LOOK_WORK, Efforts, TimeLimit
 from sampling_design.certificates.exact.given_weights import met, weights_of
+from sampling_design.certificates.exact.own_decay import own_decay
 from sampling_design.certificates.exact.precise import precisely_chosen
 from sampling_design.certificates.exact.proof import ScheduleProof
 from sampling_design.certificates.exact.weight_choice import (
     COMPARED,
+    SEARCH_WORK,
     Choice,
     choose_rate,
     choose_weights,
@@ -305,6 +307,17 @@ def chosen(
         limit = TimeLimit(None) if limit is None else limit
         problem = (plant, schedule, weights)
         asked = [(gain, Efforts(Work(ALL_WORK, stop=limit.over))) for gain in gains]
+        alone = own_decay(canon, bounds, gains, Work(SEARCH_WORK, stop=limit.half))
+        try:  # lambda is one: no search finds a shorter horizon
+            proven = [
+                _first_proven(problem, canon, [choice], eta, *each)
+                for choice, each in zip(alone, asked, strict=True)
+                if choice is not None
+            ]
+            if len(proven) == len(gains):
+                return proven
+        except UndecidedError:
+            pass
         try:
             found = zip(choose_weights(canon, bounds, gains, progress, limit.half), asked, strict=True)
             return [_best_proven(problem, canon, choices, eta, *each) for choices, each in found]

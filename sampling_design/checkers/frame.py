@@ -10,6 +10,7 @@ errors of a matrix, entry by entry.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -152,8 +153,6 @@ class Frame:
         bent = wrong @ np.abs(self.S) + self.sizes @ self.wrong_S
         self.bent, self.wrong_bend = bent + bent.T, 2 * float(size(bent))
         self.speed = float(np.linalg.norm(self.sizes + self.wrong)) * (1 + 1e-9)
-        self.growth, self.skew = self.rates()
-        self.split = self.parted()
         self.known: dict[float, tuple[Array, Array, Array, Array]] = {}
         doubts = (self.wrong_A, self.wrong_S, self.start_band, self.wrong_rows, self.loose)
         if not (self.one > 0.5 and all(np.isfinite(doubt).all() for doubt in doubts)):
@@ -211,6 +210,17 @@ class Frame:
             loose[k] = 2 * wrong + 2 * problem.loose * float(np.linalg.norm(back)) ** 2
         return rows, lost, loose
 
+    @property
+    def growth(self) -> tuple[float, float]:
+        """alpha and mu of `rates`."""
+        return self.rates[0]
+
+    @property
+    def skew(self) -> float:
+        """k of `rates`."""
+        return self.rates[1]
+
+    @cached_property
     def rates(self) -> tuple[tuple[float, float], float]:
         """alpha, mu >= 0 and k with |e^{As}| <= min(k e^{alpha s}, e^{mu s})."""
         lost = float(size(self.wrong_A) + 8 * self.n * EPS * size(self.A))
@@ -224,7 +234,8 @@ class Frame:
         moved = float(np.linalg.norm(remainder)) + skew * lost
         return (max(float(poles.real.max()) + moved, 0.0), mu), skew * (1 + 1e-3)
 
-    def parted(self) -> Split | None:
+    @cached_property
+    def split(self) -> Split | None:
         """What is fast and decays apart from what is slow: covariances carried so know two speeds, not one."""
         speeds, found = np.sort(np.abs(np.linalg.eigvals(self.A)))[::-1], []
         for k in range(1, self.n):
@@ -320,6 +331,19 @@ class Frame:
         rate = np.minimum(np.log(self.skew) + self.growth[0] * step, self.growth[1] * step)
         flow = np.exp(np.minimum(rate, 300)) * (1 + 1e-6)
         return np.asarray((step * flow) ** 2 / 8 * (size(second) + lost))
+
+    def held(self) -> float | None:
+        """A number s <= 1, if one is found, such that Y <= s I at the start and ever after, with samples or without.
+
+        Where s (A + A') + S <= 0 the flow takes s I below itself at once, and so for ever, with all that lies below it.
+        """
+        doubt = self.wrong + self.wrong.T
+        for s in (float(largest(self.start)), self.one):
+            M = s * (self.A + self.A.T) + self.S
+            wrong = s * doubt + self.wrong_S + 4 * EPS * (np.abs(M) + np.abs(self.S))
+            if largest(self.start) <= s <= self.one and largest(M + dominating((wrong + wrong.T) / 2)) <= 0:
+                return s
+        return None
 
     def slope(self, Y: Array) -> Array:
         """A psd matrix N with -Y' <= N: what falls in Y, and the rounding."""

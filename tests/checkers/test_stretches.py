@@ -124,7 +124,7 @@ def test_what_is_fast_does_not_set_the_steps_of_a_slow_chain(monkeypatch):
     plant, schedule = stiff_chain(200.0)
     made = certify(plant, schedule, eta=0.3, P2=np.eye(4))
     assert verdict_of(made.to_dict(), Work(8e4)).passed
-    monkeypatch.setattr(sampled.Windows, "parted", lambda self: None)
+    monkeypatch.setattr(sampled.Windows, "split", None)
     assert not verdict_of(made.to_dict(), Work(8e4)).passed
 
 

@@ -344,6 +344,9 @@ def supremum(problem: WindowProblem, finer: int = 1, work: Work | None = None) -
     ends with what it has where the `work` is used up.
     """
     index, remaining = problem.sample_starts()
+    if np.linalg.eigvalsh(problem.A + problem.A.T + problem.eta * np.eye(problem.size) + problem.noise)[-1] <= 0:
+        still = Peak(1.0, int(index[0]), float(remaining[0]), -1, 0.0)  # from I on Y falls, whatever the samples do
+        return still, still
     steady = None if problem.period is None else periodic_riccati_solution(problem)
     inner = np.arange(1, finer * max(START_CELLS, -(-MIN_STARTS // problem.count)))
     parts = np.arange(1, 4 * finer + 1) / (4 * finer)

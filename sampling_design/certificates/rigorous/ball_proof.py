@@ -4,7 +4,8 @@
    Where Y rises, the end covers the stretch: what falls is added.
 2. With one and the same gain for a whole cell the recursion is affine in Y, and at least as large as with the best
    gains: the two ends of the chord cover the cell.
-3. The recursion is monotone: a window below a family B_i that it maps below itself need not be followed any further.
+3. The recursion is monotone: a window below a family B_i that it maps below itself need not be followed any further,
+   and none at all where the flow alone takes a multiple of I below itself, since samples only lower Y.
 
 Midpoints propose gains and the family; balls decide.
 """
@@ -12,12 +13,12 @@ Midpoints propose gains and the family; balls decide.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import reduce
+from functools import cached_property, reduce
 
 import numpy as np
 
 from sampling_design._ball_flow import BallFlow, Clock, fallen, highest
-from sampling_design._balls import BITS, Ball, Matrix, ball, definite, floats, raised
+from sampling_design._balls import BITS, Ball, Matrix, ball, definite, floats, largest, raised
 from sampling_design.certificates.rigorous.ball_problem import ScheduleFrame
 
 CELLS = 4
@@ -117,8 +118,26 @@ class BallWindows:
     def __init__(self, frame: ScheduleFrame, clock: Clock) -> None:
         self.frame, self.schedule, self.clock, self.reached = frame, frame.schedule, clock, 0.0
         self.longest = reduce(lambda a, b: a.max(b), self.schedule.reach)
-        self.falling = BallFlow(frame.flow.A, fallen(frame.flow.slope(frame.start)))
         self.family: list[Matrix] | None = None
+
+    @cached_property
+    def falling(self) -> BallFlow:
+        """The flow of what falls at the start."""
+        return BallFlow(self.frame.flow.A, fallen(self.frame.flow.slope(self.frame.start)))
+
+    def held(self) -> bool:
+        """Whether some s I, s <= 1, holds the start and the flow alone takes it below itself: then all windows."""
+        frame = self.frame
+        for s in (largest(frame.start), ball(1.0)):
+            self.clock.check(frame.n**3)
+            if (
+                s <= 1
+                and definite(s * frame.identity - frame.start)
+                and definite(-frame.flow.slope(s * frame.identity))
+            ):
+                self.reached = float(s)
+                return True
+        return False
 
     def below_one(self, Y: Matrix, duration: Ball) -> bool:
         """Whether Y <= I is proven along `duration`."""

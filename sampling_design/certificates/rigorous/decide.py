@@ -267,6 +267,8 @@ def prove(make: Callable[[], ScheduleFrame], samples_only: bool, clock: Clock) -
     for bits, inflations in PROPOSALS.items():
         with precision(bits):
             windows = BallWindows(make(), clock)
+            if windows.held():
+                return 1.0 - windows.reached
             catches = windows.propose(inflations)
             if catches and (windows.at_samples() if samples_only else windows.everywhere(failed)):
                 return 1.0 - windows.reached

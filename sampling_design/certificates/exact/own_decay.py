@@ -1,0 +1,68 @@
+"""Weights for a plant that decays on its own at the rate in question: lambda is one, whatever is sampled.
+
+    A~ X + X A~' + G Qw^-1 G' <= 0,   A~ = A + eta/2 I,   P2 = X^-1
+
+Then Y, which starts at X, falls all along, and samples only lower it. This is one Lyapunov equation and one eigenvalue
+problem for any number of states, where the search and the proof of windows are many.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import solve_continuous_lyapunov
+
+from sampling_design._linalg import symmetrise
+from sampling_design.certificates.exact.canonical import Canonical
+from sampling_design.certificates.exact.weight_choice import Choice, WeightSearch
+from sampling_design.certificates.exact.window_problem import noise_input
+from sampling_design.checkers.work import Work
+from sampling_design.errors import SolverError
+
+Array = npt.NDArray[np.float64]
+
+RATES = 7
+"""Rates that are tried where none is given, evenly on a logarithmic scale."""
+NEAREST = 0.99
+"""Fraction of the plant's own rate up to which one is tried."""
+FASTER = 0.3, 1e-2
+"""X is that of a rate so much nearer to the plant's own, so that Y falls in every direction."""
+ROUNDNESS = 1e-2, 1e-6
+"""Shares of every state's variance that are driven beside the disturbances, which may not reach all states."""
+
+
+def own_decay(canon: Canonical, bounds: tuple[float, float], budgets: list[float], work: Work) -> list[Choice | None]:
+    """The weights at the fastest rate within `bounds` that keep each budget; None where the decay alone does not."""
+    found: list[Choice | None] = [None] * len(budgets)
+    own = -2 * float(np.max(np.linalg.eigvals(canon.plant.A).real))
+    fastest = min(bounds[1], NEAREST * own)
+    if fastest < bounds[0]:
+        return found
+    search = WeightSearch(canon, work=work)
+    rates = np.geomspace(fastest, bounds[0], RATES) if fastest > bounds[0] else [fastest]
+    for rate in map(float, rates):
+        if search.late or all(found):
+            break
+        try:
+            rooms = [(shape, search.setting(rate).least(shape)) for shape in _shapes(canon, rate, own)]
+        except (SolverError, np.linalg.LinAlgError, ValueError):
+            continue
+        for k, budget in enumerate(budgets):
+            kept = (shape for shape, room in rooms if room >= -np.log(budget))
+            if found[k] is None and (shape := next(kept, None)) is not None:
+                found[k] = Choice(shape, rate, 0.0, status="the plant decays on its own")
+    return found
+
+
+def _shapes(canon: Canonical, rate: float, own: float) -> Iterator[Array]:
+    """X^-1 for this rate, the roundest and the surest first."""
+    n, H = canon.plant.n_states, noise_input(canon.plant.G, canon.weights[0])
+    for faster in FASTER:
+        A = canon.plant.A + (rate + faster * (own - rate)) / 2 * np.eye(n)
+        X = solve_continuous_lyapunov(A, -H @ H.T)
+        size = np.maximum(np.diagonal(X), np.finfo(float).eps * np.max(np.diagonal(X)))
+        round_one = solve_continuous_lyapunov(A, -np.diag(own * size))
+        for share in ROUNDNESS:
+            yield symmetrise(np.linalg.inv(X + share * round_one))

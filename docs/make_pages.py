@@ -211,12 +211,11 @@ def first_sentence(thing: object) -> str:
 
 def commands_table() -> list[str]:
     """Return the table of the commands, each with a link to its flags."""
-    from sampling_design.cli.app import app
+    from sampling_design.cli.app import COMMANDS
 
     lines = ["| command | does |", "|---|---|"]
-    for command in app.registered_commands:
-        told = first_sentence(command.callback)
-        lines.append(f"| [`{command.name}`](../command-line.md#sampling-design-{command.name}) | {told} |")
+    for name, command in COMMANDS.items():
+        lines.append(f"| [`{name}`](../command-line.md#sampling-design-{name}) | {command.line} |")
     return [*lines, ""]
 
 
@@ -277,13 +276,13 @@ def command_page() -> str:
     """Return every command with its help, arguments and flags, from the application itself."""
     from typer.main import get_command
 
-    from sampling_design.cli.app import app
+    from sampling_design.cli.app import COMMANDS, app, loaded
 
     root = get_command(app)
     lines = ["# Command line", "", root.help or "", ""]
     lines += ["Results go to stdout, progress and messages to stderr. `--install-completion` teaches the shell.", ""]
     lines += ["Exit codes: [conventions](../conventions.md).", ""]
-    for name, command in root.commands.items():
+    for name, command in ((name, loaded(name)) for name in COMMANDS):
         lines += [f"## `sampling-design {name}`", "", *command_help(command.help or "")]
         lines += ["| argument or flag | meaning |", "|---|---|"]
         for parameter in command.params:

@@ -21,10 +21,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from typer.main import get_command
 
 import sampling_design as sd
-from sampling_design.cli.app import app
+from sampling_design.cli.app import loaded
 from sampling_design.cli.settings import NO_BUDGET
 from sampling_design.planning.files import save_plan
 from sampling_design.planning.requirement_file import write_plan_requirement
@@ -169,7 +168,7 @@ def drawn(count: int, seed: int) -> list[list[str]]:
 @functools.cache
 def options(name: str) -> list[Any]:
     """The options that a command declares, those of every command among them."""
-    declared = get_command(app).commands[name].params
+    declared = loaded(name).params
     return [one for one in declared if one.param_type_name == "option" and not {"--version", "--help"} & {*one.opts}]
 
 

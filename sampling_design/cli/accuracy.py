@@ -114,6 +114,3 @@ def _wanted(value: float | list[float] | None, rows: int) -> list[float] | None:
     if len(each) != rows:
         raise ArgumentError(f"`--tolerance` must be one number or one for each of {rows} rows, got {len(each)}.")
     return each
-
-
-COMMANDS = (accuracy,)

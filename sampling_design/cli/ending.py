@@ -10,6 +10,8 @@ import signal
 import sys
 from typing import NoReturn, TextIO
 
+from sampling_design.cli.version import show_version
+
 DEFECT = 70
 """Exit code of an error that is none of ours: a defect of this program, with its traceback."""
 INTERRUPTED = 130
@@ -65,9 +67,10 @@ def main() -> None:
 
 
 def _run() -> int:
-    from sampling_design.cli import app
-
     try:
+        show_version(sys.argv[1:] == ["--version"])  # before anything that reads the other flags is imported
+        from sampling_design.cli import app
+
         app.app(standalone_mode=True)
     except SystemExit as stop:
         if isinstance(stop.__context__, KeyboardInterrupt):

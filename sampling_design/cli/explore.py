@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -104,6 +103,3 @@ def _wanted(
     if settings.decay_rate is not None:
         requirement = requirement.replace(decay_rate=settings.decay_rate)
     return reading.plant(plant_file), requirement
-
-
-COMMANDS: tuple[Callable[..., None], ...] = (explore,)

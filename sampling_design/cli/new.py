@@ -239,6 +239,3 @@ def _array(text: str) -> str:
     items = [item.rstrip(",").replace(", ]", "]") for item in items]
     whole = head + ", ".join(items) + "]"
     return whole if len(whole) <= WIDE else "\n".join([head, *(f"    {item}," for item in items), "]"])
-
-
-COMMANDS: tuple[Callable[..., None], ...] = (new,)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -230,6 +229,3 @@ def sigma(
             split.retained, schedule, length, budget=settings.budget, progress=progress, rigorous=rigorous
         )
     end_bracket(settings, result, "sigma")
-
-
-COMMANDS: tuple[Callable[..., None], ...] = (info, design, sigma)

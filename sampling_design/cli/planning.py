@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated
@@ -136,9 +135,6 @@ def next_sample(
         raise typer.Exit(1)
 
 
-next_sample.__name__ = "next"
-
-
 def _record(
     settings: Settings, result: Plan, path: Path
 ) -> list[tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]]:
@@ -175,6 +171,3 @@ def _times(result: Plan) -> Table:
         when = f"{t:.6g}" if calendar is None else f"{calendar.local(result.minutes(float(t))):{form}}"
         rows.append([when, ", ".join(name for name, m in zip(names, mask, strict=True) if m)])
     return table("Samples of one period", [f"time [{unit}]" if calendar is None else "local time", "sensors"], rows)
-
-
-COMMANDS: tuple[Callable[..., None], ...] = (plan, next_sample)

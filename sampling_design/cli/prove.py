@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -202,7 +202,9 @@ def verify(
         bool, typer.Option("--rigorous", help="Decide in ball arithmetic: a theorem about the stated numbers.")
     ] = False,
 ) -> None:
-    """Check a certificate or an interval from its data alone; exit code 1: it does not hold, 3: not decided in time.
+    """Check a certificate or an interval from its data alone.
+
+    Exit code 1: it does not hold, 3: not decided in time.
 
     Example: sampling-design verify out/certificate.json --rigorous
     """
@@ -231,6 +233,3 @@ def _verify_interval(settings: Settings, path: Path, plant: sd.Plant | None) -> 
     settings.show(verdict.to_dict(), record_table(found), f"{verdict.verdict.capitalize()}: {verdict.reason}.")
     if not verdict.passed:
         raise typer.Exit(verdict.exit_code)
-
-
-COMMANDS: tuple[Callable[..., None], ...] = (certify, verify)

@@ -10,31 +10,26 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 from typer.models import OptionInfo
 
-import sampling_design
 from sampling_design._checks import positive, whole
 from sampling_design._files import Growing, json_pieces
-from sampling_design._record import Record
-from sampling_design._workers import Workers, check_workers, cluster
-from sampling_design.design.schedule_design import ScheduleDesign
+from sampling_design.cli.version import show_version
 from sampling_design.errors import ArgumentError
-from sampling_design.observability.windows.window_sigma import WindowSigma
-from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseSigma
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from sampling_design._record import Record
+    from sampling_design._workers import Workers
+    from sampling_design.design.schedule_design import ScheduleDesign
+    from sampling_design.observability.windows.window_sigma import WindowSigma
+    from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseSigma
 
 ProgressCall = Callable[[float, str], None]
-
-
-def _version(asked: bool) -> None:
-    if asked:
-        typer.echo(f"sampling-design {sampling_design.__version__}")
-        raise typer.Exit
 
 
 _COMMON: dict[str, tuple[object, object]] = {
@@ -52,7 +47,7 @@ _COMMON: dict[str, tuple[object, object]] = {
         None,
     ),
     "version": (
-        Annotated[bool, typer.Option("--version", help="Print the version.", callback=_version, is_eager=True)],
+        Annotated[bool, typer.Option("--version", help="Print the version.", callback=show_version, is_eager=True)],
         False,
     ),
 }
@@ -83,6 +78,8 @@ class Settings:
     def notice(self, text: str) -> None:
         """Say something on stderr unless --quiet."""
         if not self.quiet:
+            from rich.console import Console
+
             with suppress(OSError):  # nobody listens
                 Console(stderr=True, soft_wrap=True, highlight=False).print(text, markup=False)
 
@@ -127,6 +124,8 @@ class Settings:
     def show_tables(self, *tables: Table | str) -> None:
         """Print tables on stdout, unless JSON was asked for; name the written files on stderr."""
         if not self.as_json:
+            from rich.console import Console
+
             console = Console(highlight=False, width=None if sys.stdout.isatty() else 110)
             for table in tables:
                 if isinstance(table, str):  # a command to copy stays one line
@@ -140,10 +139,14 @@ class Settings:
     @contextmanager
     def progress(self, label: str) -> Iterator[ProgressCall]:
         """Yield a callback (fraction, message) that draws a bar on stderr, if that is a terminal."""
+        from rich.console import Console
+
         console = Console(stderr=True)
         if self.quiet or not console.is_terminal:
             yield lambda fraction, message: None
             return
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
         columns = (
             TextColumn("{task.description}"),
             BarColumn(),
@@ -157,6 +160,8 @@ class Settings:
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     """Return a rich table; numbers to the right, words to the left."""
+    from rich.table import Table
+
     result = Table(title=title, title_justify="left", header_style="bold")
     for i, name in enumerate(columns):
         numeric = bool(rows) and all(_is_number(row[i]) for row in rows)
@@ -173,6 +178,8 @@ def record_table(record: Record) -> Table:
 
 def rows_table(title: str, rows: Sequence[tuple[str, str]]) -> Table:
     """Return a table of labels and values."""
+    from rich.table import Table
+
     result = Table(title=title, title_justify="left", show_header=False)
     result.add_column(style="bold")
     result.add_column()
@@ -189,13 +196,13 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def with_common_flags(function: Callable[..., None]) -> Callable[..., None]:
+def with_common_flags(function: Callable[..., None], command_name: str) -> Callable[..., None]:
     """Give `function(settings, ...)` the common flags in place of its first parameter, and a record's in its place."""
     asked = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
     groups = {p.name: p.annotation for p in asked if isinstance(p.annotation, type) and is_dataclass(p.annotation)}
     own = [flag for p in asked for flag in (_flags(p.annotation) if p.name in groups else [p])]
     without = {"budget": NO_BUDGET, "no_picture": NO_PICTURE}
-    flags_of_this = [name for name in _COMMON if function.__name__ not in without.get(name, ())]
+    flags_of_this = [name for name in _COMMON if command_name not in without.get(name, ())]
     common = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
         for name, (annotation, default) in ((name, _COMMON[name]) for name in flags_of_this)
@@ -210,7 +217,7 @@ def with_common_flags(function: Callable[..., None]) -> Callable[..., None]:
             positive("budget", flags["budget"])
         for name, kind in groups.items():
             arguments[name] = kind(**{field.name: arguments.pop(field.name) for field in fields(kind)})
-        function(Settings(function.__name__.replace("_", "-"), **flags), **arguments)
+        function(Settings(command_name, **flags), **arguments)
 
     keyword = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
     for flag in (*keyword, *common):
@@ -301,6 +308,8 @@ Scheduler = Annotated[
 @contextmanager
 def workforce(workers: int, scheduler: str | None) -> Iterator[Workers]:
     """Yield who does the work of a command: this process, several, or the machines of a scheduler."""
+    from sampling_design._workers import check_workers, cluster
+
     if scheduler is None:
         check_workers(workers)
         yield None if workers == 1 else workers

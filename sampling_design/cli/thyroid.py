@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -81,6 +80,3 @@ def _figures(settings: Settings, folder: Path, shown: PatientRun, case: str) -> 
         settings.draw(shown.figure(number), folder / name)
         page += f"\n![{shown.figure(number).explain()}]({name})\n"
     return page
-
-
-COMMANDS: tuple[Callable[..., None], ...] = (thyroid,)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, TypedDict
 
@@ -373,6 +372,3 @@ def log(
         settings.write_json(folder / "log.json", result.contents())
         settings.draw(result, folder / "log.png")
     settings.show(result.contents() if settings.as_json else {}, record_table(result), result.explain())
-
-
-COMMANDS: tuple[Callable[..., None], ...] = (estimate, validate, log)

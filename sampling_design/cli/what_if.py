@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -174,6 +173,3 @@ def survive(
         settings.write_json(folder / "robustness.json", result.to_dict())
         settings.draw(result, folder / "robustness.png")
     settings.show(result.to_dict(), record_table(result), result.explain())
-
-
-COMMANDS: tuple[Callable[..., None], ...] = (worst_case, pareto, losses, survive)

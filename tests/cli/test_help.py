@@ -7,7 +7,7 @@ from shutil import copytree
 
 import pytest
 
-from sampling_design.cli.app import app
+from sampling_design.cli.app import COMMANDS
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -16,11 +16,11 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 def test_the_examples_of_all_commands_are_one_story(monkeypatch, tmp_path, shell):
     copytree(EXAMPLES, tmp_path / "examples")
     monkeypatch.chdir(tmp_path)
-    for command in app.registered_commands:
-        (example,) = re.findall(r"^ *Example: sampling-design (.*)$", shell(command.name, "--help").out, re.MULTILINE)
-        assert example.split()[0] == command.name
+    for command in COMMANDS:
+        (example,) = re.findall(r"^ *Example: sampling-design (.*)$", shell(command, "--help").out, re.MULTILINE)
+        assert example.split()[0] == command
         # a server ends by itself only when nobody asks for long
-        ended = ["--idle", "0.5", "--no-browser"] if command.name == "explore" else []
+        ended = ["--idle", "0.5", "--no-browser"] if command == "explore" else []
         done = shell(*shlex.split(example), *ended)
         assert done.code == 0, f"{example}: {done.err or done.out}"
         assert done.out

@@ -5,9 +5,8 @@ import shlex
 from pathlib import Path
 
 import pytest
-from typer.main import get_command
 
-from sampling_design.cli.app import app
+from sampling_design.cli.app import loaded
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs" / "theory").glob("*.md"))]
@@ -25,10 +24,9 @@ def command_lines(text):
 
 def taken(words):
     """Whether the program would take these words; nothing is run."""
-    root = get_command(app)
     if words[:1] == ["--version"]:
         return True
-    command = root.commands[words[0]]
+    command = loaded(words[0])
     return command.make_context(words[0], list(words[1:]), resilient_parsing=False) is not None
 
 

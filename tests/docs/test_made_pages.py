@@ -35,14 +35,12 @@ def test_every_public_class_and_function_has_its_place(pages):
 
 
 def test_every_command_is_explained(pages):
-    from typer.main import get_command
-
-    from sampling_design.cli.app import app
+    from sampling_design.cli.app import COMMANDS, loaded
 
     page = pages.command_page()
-    for name, command in get_command(app).commands.items():
+    for name in COMMANDS:
         section = page.split(f"## `sampling-design {name}`", 1)[1].split("\n## ", 1)[0]
-        assert all(max(p.opts, key=len) in section for p in command.params if p.param_type_name == "option")
+        assert all(max(p.opts, key=len) in section for p in loaded(name).params if p.param_type_name == "option")
 
 
 @pytest.mark.long

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.cli.app import app
+from sampling_design.cli import app
 from sampling_design.errors import FileFormatError
 from sampling_design.planning.files import save_plan
 from sampling_design.planning.work import AFTER, Work
@@ -235,10 +235,7 @@ COMMANDS = {
 
 
 def commands_with_a_budget() -> set[str]:
-    from typer.main import get_command
-
-    commands = get_command(app).commands
-    return {name for name, command in commands.items() if "budget" in {p.name for p in command.params}}
+    return {name for name in app.COMMANDS if "budget" in {p.name for p in app.loaded(name).params}}
 
 
 def test_no_command_with_a_budget_is_forgotten():

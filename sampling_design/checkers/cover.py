@@ -76,7 +76,6 @@ def spaced_windows(family: SpacedWindows, graph: Graph) -> None:
 
 def phases(nominal: Times, word: Word, u: int) -> list[int]:
     """Which samples of the nominal period may come next at a node."""
-    need(bool(word) or not u, u, "the word does not begin with a sample of the period")
     return [(int(word[0]) + 1) % nominal.gaps.size] if u else list(range(nominal.gaps.size))
 
 
@@ -98,9 +97,9 @@ def lost_samples(family: LostSamples, graph: Graph) -> None:
                 moves[j, True] = []
         for edge in graph.leaving(u):
             bit = edge.outputs == lost
-            phase, *claimed = words[edge.target] or (Fraction(-1),)
+            phase, *claimed = words[edge.target]
             j = int(phase)
-            fits = j == phase and (j, bit) in moves and (bit or edge.outputs == seen[j])
+            fits = (j, bit) in moves and (bit or edge.outputs == seen[j])
             fits = fits and implied(tuple(claimed), (Fraction(bit), *bits))
             need(fits, u, f"the edge to node {edge.target} is no sample of the period, taken or lost, that may follow")
             moves[j, bit].append((Fraction(edge.low), Fraction(edge.high)))
@@ -114,12 +113,11 @@ def jitter(family: Jitter, graph: Graph) -> None:
     nominal, radius, words = family.nominal, Fraction(family.radius), [exact(word) for word in graph.words]
     lengths, reach, seen = [Fraction(g) for g in nominal.gaps], [Fraction(r) for r in nominal.reach], patterns(nominal)
     for u, word in enumerate(words):
-        need(len(word) == 3 or not u, u, "the word is no sample of the period and the ends of its deviation")
         cells: dict[int, list[tuple[Fraction, Fraction]]] = {j: [] for j in phases(nominal, word, u)}
         for edge in graph.leaving(u):
-            phase, a, b = (words[edge.target] + (Fraction(-1),) * 3)[:3]
+            phase, a, b = words[edge.target]
             j, what = int(phase), f"the edge to node {edge.target} is no sample of the period that may follow"
-            need(j == phase and j in cells and a <= b and edge.outputs == seen[j], u, what)
+            need(j in cells and edge.outputs == seen[j], u, what)
             low, high = (
                 (lengths[j] + a - word[2], lengths[j] + b - word[1]) if u else (Fraction(0), reach[j] + radius + b)
             )

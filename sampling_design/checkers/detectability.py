@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .numbers import EPS, symmetric
+from .numbers import EPS
 from .outcome import Proven, Refused
-from .parts import AROUND, RATES, SOLVER, Claim, Plant, sized
+from .parts import AROUND, RATES, SOLVER, Claim, Plant, symmetric
 from .strict import Array, Tree, matrix, or_nothing, positive, table, word
 from .work import Work
 
@@ -59,7 +59,7 @@ class Detectability:
 def detectability(read: Tree, plant: Plant) -> Detectability:
     """A file of this claim."""
     rates = {key: read[key] for key in ("eta", "c_w", "c_y", "margin")}
-    return Detectability(plant, sized(read["P"], "P", plant.n), **rates)
+    return Detectability(plant, symmetric(read["P"], "P", plant.n), **rates)
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,6 @@ def negative(
 
 def numbers(c: Detectability) -> Inequality:
     """The numbers as doubles; P is the symmetric part."""
-    symmetric("P", c.P, np.sqrt(np.abs(np.diag(c.P))))
     return Inequality(c.plant.A, c.plant.C, c.plant.G, c.P / 2 + c.P.T / 2, c.eta, c.c_w, c.c_y, c.margin)
 
 

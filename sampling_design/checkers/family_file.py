@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .parts import Plant, Weights, sized, time_unit, weights_of
+from .parts import Plant, Weights, symmetric, time_unit, weights_of
 from .schedule_file import WEIGHED, Times, of_kind, schedule, times_read
 from .strict import (
     Array,
@@ -25,6 +25,7 @@ from .strict import (
     or_nothing,
     positive,
     refuse,
+    shown,
     table,
     text,
 )
@@ -37,6 +38,10 @@ def family(value: object, place: str) -> Tree:
 
 class Family:
     """A family of any kind; `cover.py` says for each what its graph must hold."""
+
+    def has_word(self, word: tuple[float, ...]) -> bool:
+        """Whether that is a word of the family: lower bounds of gaps may be any numbers."""
+        return True
 
 
 @dataclass(frozen=True)
@@ -64,6 +69,10 @@ class LostSamples(Family):
     most: int
     of: int
 
+    def has_word(self, word: tuple[float, ...]) -> bool:
+        """The number of a sample of the period, and for each of the last samples 1 if it was lost, else 0."""
+        return word[:1] in _samples(self.nominal) and all(lost in (0, 1) for lost in word[1:])
+
 
 @dataclass(frozen=True)
 class Jitter(Family):
@@ -71,6 +80,10 @@ class Jitter(Family):
 
     nominal: Times
     radius: float
+
+    def has_word(self, word: tuple[float, ...]) -> bool:
+        """The number of a sample of the period, and the ends of its deviation in order."""
+        return len(word) == 3 and word[:1] in _samples(self.nominal) and word[1] <= word[2]
 
 
 @dataclass(frozen=True)
@@ -123,7 +136,8 @@ def of_family(read: Tree, plant: Plant) -> OfFamily:
     if weights.lam_samples < weights.lam:
         what = "must be at least `lam`: a family holds windows from samples to any first gap"
         raise refuse("lam_samples", what)
-    return OfFamily(plant, weights, family_of(read["times"], plant), graph_of(read["graph"], plant, weights))
+    family = family_of(read["times"], plant)
+    return OfFamily(plant, weights, family, graph_of(read["graph"], plant, weights, family))
 
 
 def family_of(value: object, plant: Plant) -> Family:
@@ -204,12 +218,25 @@ FAMILIES: dict[str, Kind] = {
 """What a certificate file may say of its family; another kind is another line here, and one in `cover.COVERED`."""
 
 
-def graph_of(read: Tree, plant: Plant, weights: Weights) -> Graph:
+def _samples(nominal: Times) -> list[tuple[float, ...]]:
+    """The numbers of the samples of a period, as words begin with them."""
+    return [(float(k),) for k in range(nominal.gaps.size)]
+
+
+def fitting(words: tuple[tuple[float, ...], ...], family: Family) -> None:
+    """Refuse a word, other than the start's, that says nothing of this family."""
+    for k, word in enumerate(words[1:], 1):
+        if not family.has_word(word):
+            raise refuse(f"graph.words[{k}]", f"must be a word of the family, got {shown(list(word))}")
+
+
+def graph_of(read: Tree, plant: Plant, weights: Weights, family: Family) -> Graph:
     """Words, edges and matrices of sizes that fit each other."""
     words = tuple(tuple(entries) for entries in read["words"])
     if len(words) != len(read["P"]) + 1 or words[0] != ():
         raise refuse("graph", "must have an empty word for the window's start, and one matrix per word after it")
-    P = [sized(M, f"graph.P[{k}]", plant.n) for k, M in enumerate(read["P"])]
+    fitting(words, family)
+    P = [symmetric(M, f"graph.P[{k}]", plant.n) for k, M in enumerate(read["P"])]
     edges = [edge_of(item, f"graph.edges[{k}]", len(words), len(plant.C)) for k, item in enumerate(read["edges"])]
     return Graph(words, tuple(edges), (weights.P2, *P))
 

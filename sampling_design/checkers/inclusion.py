@@ -22,7 +22,7 @@ from .cover import judge
 from .inclusion_file import INCLUSION, Box, Inclusion, Region, inclusion, moved
 from .jumps import JUMP, prove_jumps, together
 from .members import Members, bounds, joint, least
-from .numbers import EPS, RESOLUTION, SAFE, symmetric
+from .numbers import EPS, RESOLUTION, SAFE
 from .outcome import Proven, Refused, Undecided, holds
 from .parts import Claim
 from .regions import Cells
@@ -44,8 +44,6 @@ def prove(c: Inclusion, work: Work | None = None) -> tuple[str, float]:
     if not c.plant.n:
         return name, 1.0
     w, P = c.weights, (c.P + np.swapaxes(c.P, 1, 2)) / 2
-    for key, M in (("P1", w.P1), ("P2", w.P2), ("Qw", w.Qw), ("R", w.R), ("Qv", w.Qv), *(("P(tau)", X) for X in c.P)):
-        symmetric(key, M, np.sqrt(np.abs(np.diag(M))))
     P1, P2, Qw, R, Qv = ((M + M.T) / 2 for M in (w.P1, w.P2, w.Qw, w.R, w.Qv))
     plain(P, *(c.plant.A, c.plant.C, c.plant.G), *(P1, P2, Qw, R, Qv))
     slack = 1.0

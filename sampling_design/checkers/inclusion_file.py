@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import programs
-from .family_file import Edge, Family, GapRange, Graph, Jitter, edge_of, family_of
-from .parts import AROUND, MATRICES, NUMBERS, SOLVER, Plant, Weights, sized, weights_of
+from .family_file import Edge, Family, GapRange, Graph, Jitter, edge_of, family_of, fitting
+from .half_spaces import holds_a_point
+from .parts import AROUND, MATRICES, NUMBERS, SOLVER, Plant, Weights, symmetric, weights_of
 from .programs import Program
 from .schedule_file import times_of
 from .strict import (
@@ -168,7 +169,7 @@ def inclusion(read: Tree, plant: Plant) -> Inclusion:
         raise refuse("nodes", "must begin at 0 once for each word of the graph; for the start too, or not")
     if len(read["P"]) != nodes.size:
         raise refuse("P", f"must hold one matrix per node, {nodes.size}, got {len(read['P'])}")
-    P = np.array([sized(M, f"P[{k}]", plant.n) for k, M in enumerate(read["P"])]).reshape(-1, plant.n, plant.n)
+    P = np.array([symmetric(M, f"P[{k}]", plant.n) for k, M in enumerate(read["P"])]).reshape(-1, plant.n, plant.n)
     model, jumps = model_of(read["model"], plant), jumps_of(graph, nodes, starts)
     found = Inclusion(plant, weights, model, family, graph, nodes=nodes, P=P, jumps=jumps, multipliers=None)
     return found if read["multipliers"] is None else with_multipliers(found, read["multipliers"])
@@ -192,6 +193,7 @@ def graph_of(stated: list[list[float]] | None, listed: list[list[object]], famil
     words = tuple(tuple(entries) for entries in stated)
     if len(words) < 2 or words[0] != ():
         raise refuse("graph.words", "must begin with an empty word for the start, and hold another one")
+    fitting(words, family)
     edges = [edge_of(item, f"graph.edges[{k}]", len(words), len(plant.C)) for k, item in enumerate(listed)]
     return Graph(words, tuple(edges), ())
 
@@ -302,9 +304,13 @@ def region(value: object, plant: Plant) -> Region:
     rows = read["rows"]
     if len(read["offsets"]) != len(rows) or (len(rows) and rows.shape[1] != n):
         raise refuse("model.rows", f"must have {n} columns, and one of `offsets` per row")
+    offsets = np.array(read["offsets"], dtype=np.float64)
+    if not (some := holds_a_point(low["x"], high["x"], rows.reshape(len(rows), n), offsets)):
+        empty, many = "an empty region: no state is in its box and its half-spaces", "too many half-spaces to be judged"
+        raise refuse("model", f"has {many if some is None else empty}")
     f = programs.read(read["f"], "model.f", sizes)
     h = programs.read(read["h"], "model.h", {"x": n, "u": sizes["u"]})
     for place, program, size in (("f", f, n), ("h", h, p)):
         if len(program.outputs) != size:
             raise refuse(f"model.{place}.outputs", f"must have {size} entries, got {len(program.outputs)}")
-    return Region(f, h, low, high, rows.reshape(len(rows), n), np.array(read["offsets"], dtype=np.float64))
+    return Region(f, h, low, high, rows.reshape(len(rows), n), offsets)

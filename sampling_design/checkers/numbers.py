@@ -14,7 +14,6 @@ from .parts import Plant, Weights
 from .strict import Array
 
 EPS = float(np.finfo(float).eps)  # twice the rounding of one operation: what is of second order is paid by that
-SKEW = 1e-12  # entries that differ from their mirror by more, relative to the diagonal, make a matrix not symmetric
 SAFE = 1e-140, 1e140  # sizes of numbers of which no product of two underflows or overflows
 RESOLUTION = 1e-3  # lam and lam_samples are right to within this fraction
 MOST_EXACT = 40  # states up to which a matrix that floats leave open is decided in rational numbers
@@ -81,13 +80,11 @@ def safe(*matrices: Array) -> None:
 def definite(name: str, M: Array, units: Array) -> Array:
     """Return the symmetric part of a positive definite matrix in these units; Refused if it is not."""
     M = M * units * units[:, None]
-    d = np.sqrt(np.abs(np.diag(M)))
-    symmetric(name, M, d)
     if not len(M):
         return M
     if not np.all(np.diag(M) > 0):
         raise Refused(f"{name} > 0", f"{name} is not positive definite: least eigenvalue {np.diag(M).min():.3g}")
-    M = (M + M.T) / 2
+    M, d = (M + M.T) / 2, np.sqrt(np.diag(M))
     least = float(np.linalg.eigvalsh(M / d / d[:, None])[0])
     rounding = 8 * len(M) * EPS * len(M)
     if least < -rounding or (least <= rounding and len(M) <= MOST_EXACT and not pivots_positive(M)):
@@ -95,12 +92,6 @@ def definite(name: str, M: Array, units: Array) -> Array:
     if least <= rounding and len(M) > MOST_EXACT:
         raise Undecided(f"{name} > 0", f"{name} could not be decided: it is nearly singular", least)
     return M
-
-
-def symmetric(name: str, M: Array, d: Array) -> None:
-    """Refused if entries differ from their mirror by more than `SKEW` of their rows' diagonals, whose roots are d."""
-    if np.any(np.abs(M - M.T) > SKEW * np.maximum(d * d[:, None], 0.0)):
-        raise Refused(f"{name} symmetric", f"{name} is not symmetric and finite")
 
 
 def pivots_positive(M: Array) -> bool:
@@ -118,7 +109,6 @@ def pivots_positive(M: Array) -> bool:
 def inner(G: Array, Qw: Array, units: Array) -> Array:
     """Return G Qw^-1 G' in units of the states, each entry rounded once; Qw may be singular where G is exactly zero."""
     q, n = len(Qw), len(G)
-    symmetric("Qw", Qw, np.sqrt(np.abs(np.diag(Qw))))
     form = [[(Fraction(Qw[i, j]) + Fraction(Qw[j, i])) / 2 for j in range(q)] for i in range(q)]
     drive = [[Fraction(g) / Fraction(u) for g, u in zip(column, units, strict=True)] for column in G.T.tolist()]
     found = [[Fraction(0)] * n for _ in range(n)]

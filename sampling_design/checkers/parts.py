@@ -32,6 +32,7 @@ FORMAT = "sampling-design/certificate/1"
 PLANT_FORMAT = "sampling-design/plant/1"
 TIME_UNITS = ("ms", "s", "min", "h", "d", "wk")
 time_unit = word(*TIME_UNITS)
+SKEW = 1e-12  # entries that differ from their mirror by more, relative to the diagonal, make a matrix not symmetric
 
 SIGNALS = table({"names": list_of(text)}, {"units": list_of(text), "scales": list_of(positive)})
 PLANT_TREE: dict[str, Reader] = {
@@ -132,10 +133,19 @@ def sized(M: Array, place: str, size: int) -> Array:
     return M.reshape(size, size)
 
 
+def symmetric(M: Array, place: str, size: int) -> Array:
+    """The matrix, if it is of that size and symmetric but for rounding."""
+    M = sized(M, place, size)
+    d = np.sqrt(np.abs(np.diag(M)))
+    if np.any(np.abs(M / 2 - M.T / 2) > SKEW / 2 * d * d[:, None]):
+        raise refuse(place, "must be symmetric")
+    return M
+
+
 def weights_of(read: Tree, plant: Plant) -> Weights:
-    """Weights of the sizes of the plant."""
+    """Symmetric weights of the sizes of the plant."""
     n, p, q = plant.n, len(plant.C), plant.G.shape[1]
     sizes = {"P1": n, "P2": n, "Qw": q, "R": p, "Qv": p}
     found = {key: read[key] for key in (*sizes, *NUMBERS)}
-    found |= {key: sized(found[key], key, size) for key, size in sizes.items()}
+    found |= {key: symmetric(found[key], key, size) for key, size in sizes.items()}
     return Weights(**found)

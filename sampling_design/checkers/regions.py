@@ -9,7 +9,7 @@ from .inclusion_file import Inclusion, Region
 from .numbers import EPS
 from .outcome import Refused, Undecided
 from .slopes import Parts, enclosed
-from .strict import Array, Mask, refuse
+from .strict import Array, Mask
 from .work import Work
 
 CORNERS = 6  # directions of a cell's Jacobian whose corners are tried; the others are a perturbation
@@ -18,24 +18,6 @@ SMALL = 1e-3  # share of the widest direction below which one is left to the per
 MOST_MATRICES = 1_500_000  # matrices of one proof over cells
 BATCH = 40_000
 PRICE = 2  # work of one matrix, in microseconds
-PROJECTIONS, NEAR = 2000, 1e-9  # turns of the search for a point of a region, and how near to it one counts as in it
-
-
-def region_holds_a_point(region: Region, n: int) -> bool:
-    """Whether a state keeps the box and, to rounding, all half-spaces: projected on them in turns."""
-    low, high = region.low["x"], region.high["x"]
-    x = np.clip(np.where(np.isfinite(low) & np.isfinite(high), low / 2 + high / 2, 0.0), low, high)
-    for _ in range(PROJECTIONS):
-        over = region.rows @ x - region.offsets
-        room = NEAR * (np.abs(region.rows) @ np.abs(x) + np.abs(region.offsets))
-        if np.all(over <= room):
-            return True
-        for row, offset in zip(region.rows, region.offsets, strict=True):
-            beyond = row @ x - offset
-            if beyond > 0:
-                x = x - beyond * row / (row @ row) if row.any() else x
-        x = np.clip(x, low, high)
-    return False
 
 
 class Cells:
@@ -43,8 +25,6 @@ class Cells:
 
     def __init__(self, c: Inclusion, region: Region, P: Array, work: Work) -> None:
         self.c, self.region, self.work = c, region, work
-        if not region_holds_a_point(region, c.plant.n):
-            raise refuse("model", "has an empty region: no state is in its box and its half-spaces")
         self.n = c.plant.n
         root = np.sqrt(np.einsum("kii->i", P) / len(P))
         self.x = root

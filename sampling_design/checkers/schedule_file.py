@@ -27,6 +27,9 @@ from .strict import (
     word,
 )
 
+NEAR = 1e-9  # what ends this near to the last sample, relative, ends there
+MOST_PERIODS = 100_000  # that a witness is looked for in
+
 _details: dict[str, Reader] = {
     "outputs": or_nothing(list_of(list_of(bit))),
     "time_unit": or_nothing(time_unit),
@@ -126,14 +129,17 @@ SAMPLED = table(WEIGHED, whole="the certificate")
 
 def of_schedule(read: Tree, plant: Plant) -> Sampled:
     """A file of claim "assumption-7"."""
-    witness = witness_of(read["witness"], plant.n)
-    return Sampled(plant, weights_of(read, plant), times_of(read["times"], plant), witness)
+    times = times_of(read["times"], plant)
+    return Sampled(plant, weights_of(read, plant), times, witness_of(read["witness"], plant.n, times))
 
 
-def witness_of(read: Tree | None, n: int) -> Witness | None:
-    """The witness, its direction of the plant's size."""
+def witness_of(read: Tree | None, n: int, times: Times) -> Witness | None:
+    """The witness, its direction of the plant's size, its window within the schedule."""
     if read is None:
         return None
+    last = MOST_PERIODS * times.period if times.periodic else times.times[-1] * (1 + NEAR)
+    if not read["start"] <= read["t"] <= last:
+        raise refuse("witness", "must have 0 <= start <= t within the schedule")
     if len(read["direction"]) != n or not any(read["direction"]):
         raise refuse("witness.direction", f"must have {n} entries, not all zero")
     return Witness(**{**read, "direction": np.array(read["direction"])})

@@ -305,7 +305,7 @@ class PlantEquations(Record):
         Raises
         ------
         ArgumentError
-            If sizes differ or the box is empty.
+            If sizes differ or no state is in the box and the half-spaces.
         """
         return replace(self, region=StateRegion(lower, upper, rows, offsets, about))
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from sampling_design import _checks
 from sampling_design._record import Plain, Record, finite_or_nones, short
+from sampling_design.checkers.half_spaces import holds_a_point
 from sampling_design.errors import ArgumentError
 
 Array = npt.NDArray[np.float64]
@@ -37,7 +38,7 @@ class StateRegion(Record):
     Raises
     ------
     ArgumentError
-        If sizes differ, the box is empty or `about` lies outside.
+        If sizes differ, no state is in the box and the half-spaces, or `about` lies outside of the box.
     """
 
     lower: Array
@@ -67,6 +68,9 @@ class StateRegion(Record):
         offsets = _checks.vector("offsets", () if self.offsets is None else self.offsets, len(rows))
         for key, value in {"lower": lower, "upper": upper, "rows": rows, "offsets": offsets}.items():
             object.__setattr__(self, key, _frozen(value))
+        if not (some := holds_a_point(lower, upper, rows, offsets)):
+            empty, many = "hold a state: none is in its box and its half-spaces", "have fewer half-spaces to be judged"
+            raise ArgumentError(f"`rows` and `offsets` of a region must {many if some is None else empty}.")
         about = self.middle if self.about is None else _checks.vector("about", self.about, n)
         if not (np.all(lower <= about) and np.all(about <= upper)):
             raise ArgumentError("`about` must lie between `lower` and `upper` of the region.")

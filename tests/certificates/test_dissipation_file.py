@@ -325,7 +325,7 @@ def test_an_indefinite_P_is_refused_with_its_direction():
         (lambda d: d.update(c_w=-1.0), "form"),
         (lambda d: d.update(c_y=0), "form"),
         (lambda d: d.update(margin=-1e-9), "form"),
-        (lambda d: d.update(P=[[1.0, 0.5], [0.0, 1.0]]), "P symmetric"),
+        (lambda d: d.update(P=[[1.0, 0.5], [0.0, 1.0]]), "form"),
         (lambda d: d.update(P=[[1.0]]), "form"),
         (lambda d: d.update(eta="much"), "form"),
         (lambda d: d.pop("margin"), "form"),
@@ -345,7 +345,6 @@ def test_malformed_data_are_refused_with_the_right_word(change, inequality):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda d: d.update(P=[[1.0, 0.5], [0.0, 1.0]]), "P is not symmetric"),
         (lambda d: d.update(P=[[1.0, 2.0], [2.0, 1.0]]), r"P > 0 fails by 1, an eigenvalue .* \(rounding below"),
         (lambda d: d.update(c_y=1e-80), r"fails by .* \(in rational numbers\), along \["),
     ],

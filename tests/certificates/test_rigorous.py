@@ -16,8 +16,9 @@ from sampling_design import _balls as balls
 from sampling_design._ball_flow import Clock, OutOfTime
 from sampling_design.certificates.rigorous.ball_problem import BallTimes, BallWeights, ScheduleFrame, Unproven, noise
 from sampling_design.certificates.rigorous.ball_proof import settled
-from sampling_design.certificates.rigorous.decide import _decided, assumption_7, attained, targets, verify_rigorously
+from sampling_design.certificates.rigorous.decide import _decided, assumption_7, verify_rigorously
 from sampling_design.certificates.rigorous.refutation import RefutationSearch, refute
+from sampling_design.checkers.claims import certificate as content
 from sampling_design.errors import CertificateError, MissingExtraError
 from tests.checkers.test_sampled import redigested, scaled, verdict_by_scan
 from tests.oracles import riccati as oracle
@@ -76,6 +77,10 @@ def made():
         return kept[name]
 
     return get
+
+
+def framed(c, target, name):
+    return ScheduleFrame(BallWeights(c.plant, c.weights), BallTimes(c.schedule), target, name)
 
 
 def with_ratio(certificate, factor):
@@ -234,13 +239,13 @@ def change(path, value):
         (change(["P2"], [[1.0, 1.0], [1.0, 1.0]]), "P2 > 0", "undecided"),
         (change(["Qw"], [[-1.0, 0.0], [0.0, 1.0]]), "Qw > 0", "refuted"),
         (change(["R"], [[-1.0]]), "R > 0", "refuted"),
-        (change(["eta"], 0.0), "form", "refuted"),
-        (change(["lam"], -1.0), "form", "refuted"),
-        (change(["margin"], -0.1), "form", "refuted"),
-        (change(["P1"], [[1.0]]), "form", "refuted"),
-        (change(["eta"], "fast"), "form", "refuted"),
-        (change(["times", "gaps"], [1.0, -0.5]), "form", "refuted"),
-        (change(["claim"], "wishful"), "form", "refuted"),
+        (change(["eta"], 0.0), "form", "bad file"),
+        (change(["lam"], -1.0), "form", "bad file"),
+        (change(["margin"], -0.1), "form", "bad file"),
+        (change(["P1"], [[1.0]]), "form", "bad file"),
+        (change(["eta"], "fast"), "form", "bad file"),
+        (change(["times", "gaps"], [1.0, -0.5]), "form", "bad file"),
+        (change(["claim"], "wishful"), "form", "bad file"),
     ],
 )
 def test_malformed_data_are_refused_with_the_right_word(apply, inequality, verdict, made):
@@ -300,27 +305,13 @@ def test_chosen_weights_are_proven():
 @pytest.mark.parametrize(
     ("run", "message"),
     [
-        (lambda data: targets(data | {"margin": -0.1}), "margin must be non-negative, got -0.1"),
-        (lambda data: targets(data | {"lam": np.inf}), "lam must be positive and finite, got inf"),
-        (lambda data: BallWeights(data | {"Qv": [[-1.0]]}), "Qv is not positive definite"),
-        (
-            lambda data: BallTimes(data["times"] | {"first": 5.0}, 1),
-            "times must increase strictly, the first within the period",
-        ),
-        (lambda data: targets(data | {"P2": None}), "the data are no certificate"),
-        (
-            lambda data: ScheduleFrame(BallWeights(data), BallTimes(data["times"], 1), -BallWeights(data).P2, "0 < -1"),
-            "the left side is not",
-        ),
-        (
-            lambda data: attained(data | {"witness": data["witness"] | {"t": -1.0}}),
-            "the witness must have 0 <= start <= t within the schedule",
-        ),
+        (lambda c: BallWeights(c.plant, dataclasses.replace(c.weights, Qv=-np.eye(1))), "Qv is not positive definite"),
+        (lambda c: framed(c, -BallWeights(c.plant, c.weights).P2, "0 < -1"), "the left side is not"),
     ],
 )
 def test_what_stops_a_proof_says_why(run, message, made):
     with balls.precision(), pytest.raises(Unproven, match=message):
-        run(made("oscillator").to_dict())
+        run(content(made("oscillator").to_dict()))
 
 
 def test_an_inequality_that_is_exactly_tight_is_undecided():
@@ -337,7 +328,7 @@ def test_an_inequality_that_is_exactly_tight_is_undecided():
     ).to_dict()
     assert verify_rigorously(held).verdict == "undecided"
     with balls.precision(), pytest.raises(Unproven, match="could not be decided: it is tight or nearly so"):
-        assumption_7(held, Clock(60.0))
+        assumption_7(content(held), Clock(60.0))
 
 
 @pytest.mark.parametrize(
@@ -366,8 +357,8 @@ def test_a_recursion_that_grows_has_no_family():
         eta=0.4,
     ).to_dict()
     with balls.precision():
-        weights = BallWeights(made_up)
-        frame = ScheduleFrame(weights, BallTimes(made_up["times"], 1), weights.P2, "aliased")
+        c = content(made_up)
+        frame = framed(c, BallWeights(c.plant, c.weights).P2, "aliased")
         with pytest.raises(ArithmeticError, match="the recursion does not settle"):
             settled(frame, 1e-2, Clock(60.0))
 
@@ -375,10 +366,10 @@ def test_a_recursion_that_grows_has_no_family():
 def test_the_search_for_a_counterexample_keeps_to_the_budget(made):
     data = made("oscillator").to_dict()
     with balls.precision():
-        weights = BallWeights(data)
+        c = content(data)
 
         def make():
-            return ScheduleFrame(weights, BallTimes(data["times"], 1), weights.P2, "out of reach")
+            return framed(c, BallWeights(c.plant, c.weights).P2, "out of reach")
 
         with pytest.raises(OutOfTime, match="the budget ran out"):
             refute(make, Clock(-1.0))
@@ -390,8 +381,8 @@ def test_the_search_for_a_counterexample_walks_in_doubles(made):
     """What it finds is decided in balls; so far as doubles go it sees the same."""
     data = made("oscillator").to_dict()
     with balls.precision():
-        weights = BallWeights(data)
-        frame = ScheduleFrame(weights, BallTimes(data["times"], 1), weights.P2, "out of reach")
+        c = content(data)
+        frame = framed(c, BallWeights(c.plant, c.weights).P2, "out of reach")
         search, Y = RefutationSearch(frame, False, Clock(60.0)), frame.start
         for duration in (0.0, 0.3, float(frame.schedule.gaps[0])):
             exact = balls.floats(frame.flow.step(Y, balls.ball(duration)))

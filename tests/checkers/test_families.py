@@ -182,7 +182,7 @@ def test_nominal_schedules_are_judged_too():
         (lambda d: d.update(eta=0.0), "`eta` must be positive"),
         (lambda d: d.update(lam_samples=1.0), "`lam_samples` must be at least `lam`"),
         (lambda d: d.update(witness={"t": 1.0, "start": 0.0, "direction": [1.0, 0.0], "ratio": 1.0}), "has no witness"),
-        (lambda d: d["P1"][0].__setitem__(1, 5.0), "not symmetric"),
+        (lambda d: d["P1"][0].__setitem__(1, 5.0), "`P1` must be symmetric"),
         (lambda d: d.update(P1=[[1.0, 0.0], [0.0, -1.0]]), "not positive definite"),
         (lambda d: d["graph"]["edges"][0].__setitem__(1, 99), "must join two of"),
         (lambda d: d["graph"]["words"].append([1.0]), "one matrix per word"),
@@ -235,3 +235,14 @@ def test_a_plant_in_other_units_is_judged_alike():
         there[key] = (np.array(data[key]) / scale / scale[:, None]).tolist()
     there["graph"]["P"] = [(np.array(P) / scale / scale[:, None]).tolist() for P in data["graph"]["P"]]
     assert verdict(there)["amount"] == verdict(data)["amount"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "word"),
+    [("jitter", [0.5, 0.0, 0.0]), ("jitter", [0.0, 0.1, -0.1]), ("lost-samples", [9.0]), ("lost-samples", [0.0, 2.0])],
+)
+def test_what_is_no_word_of_a_family_is_a_bad_file(kind, word):
+    data = data_of(kind)
+    data["graph"]["words"][1] = word
+    with pytest.raises(BadFile, match=r"`graph.words\[1\]` must be a word of the family"):
+        claims.certificate(data | {"digest": seal.digest(data)})

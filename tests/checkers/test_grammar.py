@@ -67,6 +67,8 @@ CASES = [
     (lambda d: d["plant"].pop("time_unit"), "`plant.time_unit` is missing"),
     (lambda d: d["plant"]["matrices"].update(C=[[1.0]]), "`plant.matrices` must have n columns in C and n rows in G"),
     (lambda d: d["witness"].update(direction=[0.0, 0.0]), "`witness.direction` must have 2 entries, not all zero"),
+    (lambda d: d["witness"].update(start=1e3), "`witness` must have 0 <= start <= t within the schedule"),
+    (lambda d: d["P2"][0].__setitem__(1, 0.1), "`P2` must be symmetric"),
     (lambda d: d["solver"].update(iterations=1.5), "`solver.iterations` must be a whole number, got 1.5"),
     (lambda d: d["solver"].update(details={"x": float("inf")}), "`solver.details.x` must be finite, got inf"),
     (lambda d: d["tool"].update(name=3), "`tool.name` must be a string, got 3"),
@@ -85,8 +87,9 @@ def test_what_is_not_exactly_right_is_refused_with_its_place(change, words, tmp_
     assert check(data)["verdict"] == "bad file"
     with pytest.raises((ArgumentError, FileFormatError), match=re.escape(words)):
         raise_as_a_file(data, tmp_path)
-    with pytest.raises(Unproven, match="the data are no certificate: "):
+    with pytest.raises(Unproven, match="the data are no certificate: ") as stopped:
         _decided(data, None)
+    assert stopped.value.verdict == "bad file"
 
 
 def raise_as_a_file(data, folder):

@@ -49,3 +49,29 @@ def test_radii_and_numbers_that_are_not_finite_prove_nothing():
     assert left[1] == -1
     assert left[2] > 0
     assert judged(-form[2:], moves[:, 2:], 0 * form[2:])[0] == -1
+
+
+def test_a_region_holds_a_state_exactly_when_a_linear_program_finds_one():
+    from scipy.optimize import linprog
+
+    from sampling_design.checkers.half_spaces import holds_a_point
+
+    rng, found = np.random.default_rng(0), [0, 0]
+    for _ in range(60):
+        n, m = int(rng.integers(1, 5)), int(rng.integers(1, 8))
+        rows, offsets = rng.integers(-3, 4, (m, n)).astype(float), rng.integers(-4, 5, m).astype(float)
+        low = np.where(rng.random(n) < 0.5, -np.inf, rng.integers(-3, 1, n))
+        high = np.where(rng.random(n) < 0.5, np.inf, rng.integers(0, 4, n))
+        expected = linprog(np.zeros(n), rows, offsets, bounds=np.column_stack([low, high])).status == 0
+        for scale in (1.0, 1e-12, 1e12):
+            assert holds_a_point(scale * low, scale * high, rows, scale * offsets) is expected
+        found[expected] += 1
+    assert min(found) > 10
+    assert holds_a_point(np.ones(1), np.full(1, np.inf), np.ones((1, 1)), np.array([np.nextafter(1.0, 0.0)])) is False
+
+
+def test_a_question_of_too_many_half_spaces_is_left_open(monkeypatch):
+    from sampling_design.checkers import half_spaces
+
+    monkeypatch.setattr(half_spaces, "MOST_ENTRIES", 0)
+    assert half_spaces.holds_a_point(np.zeros(1), np.ones(1), np.ones((1, 1)), np.ones(1)) is None

@@ -75,6 +75,7 @@ def scaled(data, rng):
         data["times"]["gaps"][0] *= factor
     elif field == "gaps":
         data["times"]["times"] = [factor * t for t in data["times"]["times"]]
+        data["witness"] |= {key: factor * data["witness"][key] for key in ("t", "start")}
     else:
         data["witness"]["ratio"] *= factor
     return field
@@ -155,13 +156,13 @@ def test_any_altered_byte_is_refused(tmp_path):
         (lambda d: d.update(lam=-1.0), "form"),
         (lambda d: d.update(R=[[-1.0]]), "R > 0"),
         (lambda d: d.update(P2=[[1.0, 0.0], [0.0, -1.0]]), "P2 > 0"),
-        (lambda d: d.update(P1=[[1.0, 0.5], [0.0, 1.0]]), "P1 symmetric"),
+        (lambda d: d.update(P1=[[1.0, 0.5], [0.0, 1.0]]), "form"),
         (lambda d: d.update(Qw=[[1.0, 0.0], [0.0, 0.0]]), "Qw > 0"),
         (lambda d: d["times"].update(gaps=[0.0, 1.0]), "form"),
         (lambda d: d["times"].update(first=9.0), "form"),
         (lambda d: d["times"].update(outputs=[[0], [1]]), "form"),
         (lambda d: d["witness"].update(start=-1.0), "form"),
-        (lambda d: d["witness"].update(start=1e3), "witness"),
+        (lambda d: d["witness"].update(start=1e3), "form"),
         (lambda d: d["witness"].update(ratio=1e3), "witness"),
         (lambda d: d.update(P1=[[1.0]]), "form"),
         (lambda d: d.pop("witness"), "form"),
@@ -183,10 +184,8 @@ def test_malformed_data_are_refused_with_the_right_word(change, inequality):
     [
         (lambda d: d.update(P2=[[1.0, 2.0], [2.0, 1.0]]), "is not positive definite: least eigenvalue -1"),
         (lambda d: d.update(P2=[[1.0, 1.0], [1.0, 1.0]]), "is not positive definite: least eigenvalue"),
-        (lambda d: d.update(P2=[[1.0, 0.1], [0.0, 1.0]]), "is not symmetric and finite"),
         (lambda d: d.update(Qw=[[1.0, 0.0], [0.0, 0.0]]), "Qw is singular in a direction that drives the plant"),
         (lambda d: d.update(Qw=[[1.0, 2.0], [2.0, 1.0]]), "Qw is not positive semidefinite"),
-        (lambda d: d["witness"].update(start=1e3), "the witness must have 0 <= start <= t within the schedule"),
         (lambda d: d["witness"].update(ratio=1e3), "the witness reaches"),
         (lambda d: d.update(P1=[[9.0, 0.0], [0.0, 9.0]]), "could not be decided|fails by"),
         (lambda d: d.update(P2=[[1e-290, 0.0], [0.0, 1.0]], Qw=[[1e290, 0.0], [0.0, 1.0]]), "too large or too small"),

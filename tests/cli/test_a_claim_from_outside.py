@@ -19,7 +19,7 @@ from sampling_design._balls import ball, definite, matrix, symmetric
 from sampling_design.certificates import files
 from sampling_design.certificates.form.seal import sealed, write_certificate
 from sampling_design.certificates.rigorous import decide
-from sampling_design.certificates.rigorous.ball_problem import REFUTED, Decision, Unproven, reading
+from sampling_design.certificates.rigorous.ball_problem import Decision, Unproven
 from sampling_design.checkers import check, claims, outcome, parts, strict
 from sampling_design.checkers.detectability import downhill
 from sampling_design.checkers.outcome import Refused
@@ -93,13 +93,11 @@ def read(data: Any, plant: sd.Plant, found: Decay) -> DecayCertificate:
 # 4. its decision in ball arithmetic
 
 
-def in_balls(data: Any, clock: Any) -> Decision:
-    with reading():
-        A = matrix(data["plant"]["matrices"]["A"])
-        P, eta = symmetric(data["P"]), ball(data["eta"])
+def in_balls(c: Decay, clock: Any) -> Decision:
+    A, P, eta = matrix(c.plant.A), symmetric(c.P), ball(c.eta)
     drift = A.transpose() * P
     if not definite(P) or not definite(-(drift + drift.transpose() + P * eta)):
-        raise Unproven(REFUTED, INEQUALITY, f"{INEQUALITY} fails")
+        raise Unproven(outcome.REFUTED, INEQUALITY, f"{INEQUALITY} fails")
     return Decision(INEQUALITY, "every state", 0.0)
 
 

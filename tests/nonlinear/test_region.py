@@ -140,7 +140,8 @@ def test_the_patient_has_instructions_too():
         ),
         (
             lambda: certify(
-                examples.pendulum().in_region([0.0, 0.0], [1.0, 1.0], [[1.0, 0.0]], [-1.0]), GapRange(0.1, 1.0)
+                examples.pendulum().in_region([0.0, 0.0], [1.0, 1.0], [[1.0, 1.0], [-1.0, -1.0]], [0.3, -0.3]),
+                GapRange(0.1, 1.0),
             ),
             "`region` must hold states at which the model has derivatives",
         ),

@@ -6,9 +6,11 @@ import pytest
 
 from sampling_design import GapRange, Plant, load_certificate
 from sampling_design.certificates.rigorous.decide import verify_rigorously
-from sampling_design.checkers import check
+from sampling_design.checkers import check, half_spaces
+from sampling_design.checkers.claims import certificate
 from sampling_design.checkers.parts import digest
-from sampling_design.errors import FileFormatError
+from sampling_design.checkers.strict import BadFile
+from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
 from sampling_design.uncertain.plants.parameter import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
@@ -133,3 +135,18 @@ def test_the_file_is_read_as_it_stands(slopes, tmp_path):
     assert found.kind == "nonlinear"
     assert found.verify().passed
     assert "stay in the plant's region" in str(found.claim)
+
+
+@pytest.mark.parametrize(
+    ("most", "words"), [(300_000, "has an empty region: no state is in its box"), (0, "has too many half-spaces to be")]
+)
+def test_a_region_without_a_state_is_a_bad_file_and_refused_at_the_door(slopes, most, words, monkeypatch):
+    from sampling_design.nonlinear.region import StateRegion
+
+    monkeypatch.setattr(half_spaces, "MOST_ENTRIES", most)
+    data = nonlinear(slopes, low=1.0, high=2.0, rows=[[1.0]], offsets=[1 - 1e-12])
+    with pytest.raises(BadFile, match=words):
+        certificate(data)
+    assert both(data) == "bad file"
+    with pytest.raises(ArgumentError, match="`rows` and `offsets` of a region must "):
+        StateRegion([1.0], [2.0], [[1.0]], [1 - 1e-12])

@@ -25,6 +25,9 @@ from sampling_design.certificates.form.seal import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.rigorous.ball_problem import BallTimes, BallWeights, ScheduleFrame
 from sampling_design.certificates.rigorous.ball_proof import JUMP, one_period, rest
 from sampling_design.certificates.rigorous.decide import verify_rigorously
+from sampling_design.checkers.parts import Plant as FilePlant
+from sampling_design.checkers.parts import Weights
+from sampling_design.checkers.schedule_file import times_of
 from sampling_design.checkers.work import Work
 from sampling_design.errors import SolverError, UndecidedError
 from sampling_design.evidence import SolverRecord
@@ -57,12 +60,12 @@ class PreciseWindows:
     def __init__(self, canon: Canonical, eta: float, work: Work) -> None:
         plant, (Qw, R, Qv) = canon.plant, canon.weights
         self.n, self.work = plant.n_states, work
-        matrices = {"A": plant.A, "C": plant.C, "G": plant.G}
+        stated = FilePlant(plant.A, plant.C, plant.G, plant.time_unit)
+        one = np.eye(self.n)
+        own = Weights(P1=one, P2=one, Qw=Qw, R=R, Qv=Qv, eta=eta, lam=1.0, lam_samples=1.0, margin=0.0)
         with precision(BITS):
-            weights = BallWeights(
-                {"plant": {"matrices": matrices}, "P2": np.eye(self.n), "Qw": Qw, "R": R, "Qv": Qv, "eta": eta}
-            )
-            self.times = BallTimes(times_to_dict(canon.schedule), plant.n_outputs)
+            weights = BallWeights(stated, own)
+            self.times = BallTimes(times_of(times_to_dict(canon.schedule), stated))
             self.frame = ScheduleFrame(weights, self.times, identity(self.n), "search")
             self.cycle = self._settled() if self.times.periodic else []
         self.steady = np.array([floats(Y) for Y in self.cycle]) if self.cycle else None

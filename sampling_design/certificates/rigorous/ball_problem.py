@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from fractions import Fraction
 from functools import cached_property
 from itertools import pairwise
@@ -14,12 +13,11 @@ import numpy.typing as npt
 
 from sampling_design._ball_flow import BallFlow
 from sampling_design._balls import Matrix, ball, cholesky, definite, flint, floats, identity, matrix, symmetric
-from sampling_design.checkers.strict import Tree
+from sampling_design.checkers.outcome import REFUTED, UNDECIDED
+from sampling_design.checkers.parts import Plant, Weights
+from sampling_design.checkers.schedule_file import Times
 
 Array = npt.NDArray[np.float64]
-
-
-PROVEN, REFUTED, UNDECIDED = "proven", "refuted", "undecided"
 
 
 class Stated(NamedTuple):
@@ -39,20 +37,11 @@ class Decision(NamedTuple):
 
 
 class Unproven(Exception):
-    """What stops a proof: verdict (REFUTED or UNDECIDED), inequality, reason; what is known of where and how much."""
+    """What stops a proof: verdict, inequality, reason; what is known of where and how much."""
 
     def __init__(self, verdict: str, inequality: str, reason: str, **where: object) -> None:
         super().__init__(reason)
         self.verdict, self.inequality, self.reason, self.where = verdict, inequality, reason, where
-
-
-@contextmanager
-def reading() -> Iterator[None]:
-    """Turn what goes wrong with malformed data into a refusal of their form."""
-    try:
-        yield
-    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise Unproven(REFUTED, "form", f"the data are no certificate ({error!r})") from error
 
 
 def positive_definite(name: str, M: Matrix) -> None:
@@ -66,21 +55,15 @@ def positive_definite(name: str, M: Matrix) -> None:
 class BallWeights:
     """Plant and weights of a certificate: A, C, S = G Qw^-1 G', V = R^-1 + Qv^-1, P2, eta; forms by symmetric part."""
 
-    def __init__(self, data: Tree) -> None:
-        plant = data["plant"]["matrices"]
-        self.n, self.p = len(plant["A"]), len(plant["C"])
-        self.A = matrix(np.reshape(plant["A"], (self.n, self.n)))
-        self.C = np.reshape(np.asarray(plant["C"], dtype=np.float64), (self.p, self.n))
-        forms = {}
-        for name, size in (("P2", self.n), ("R", self.p), ("Qv", self.p)):
-            forms[name] = symmetric(np.reshape(data[name], (size, size)))
-            positive_definite(name, forms[name])
-        self.P2 = forms["P2"]
-        self.V = forms["R"].inv() + forms["Qv"].inv()
-        self.eta = positive("eta", data["eta"])
-        q = len(data["Qw"])
-        G = np.reshape(np.asarray(plant.get("G", np.eye(self.n)), dtype=np.float64), (self.n, q))
-        self.S = noise(G, np.reshape(np.asarray(data["Qw"], dtype=np.float64), (q, q)))
+    def __init__(self, plant: Plant, weights: Weights) -> None:
+        self.n, self.p = plant.n, len(plant.C)
+        self.A, self.C = matrix(plant.A), plant.C
+        self.P2, R, Qv = symmetric(weights.P2), symmetric(weights.R), symmetric(weights.Qv)
+        for name, form in (("P2", self.P2), ("R", R), ("Qv", Qv)):
+            positive_definite(name, form)
+        self.V = R.inv() + Qv.inv()
+        self.eta = weights.eta
+        self.S = noise(plant.G, weights.Qw)
 
     @cached_property
     def prior(self) -> Matrix:
@@ -121,40 +104,23 @@ def noise(G: Array, Qw: Array) -> Matrix:
     return made
 
 
-def positive(name: str, value: float) -> float:
-    """Return a positive finite number of the file."""
-    number = float(value)
-    if not 0 < number < np.inf:
-        raise Unproven(REFUTED, f"{name} > 0", f"{name} must be positive and finite, got {value!r}")
-    return number
-
-
 class BallTimes:
     """When and what a schedule measures: gaps before each sample, reach of a window start, measured outputs."""
 
-    def __init__(self, times: Tree, p: int) -> None:
-        self.periodic = times["kind"] == "periodic"
+    def __init__(self, times: Times) -> None:
+        self.periodic, self.seen = times.periodic, times.seen
+        stated = [ball(number) for number in times.stated.tolist()]
         if self.periodic:
-            self.gaps = [ball(gap) for gap in times["gaps"]]
-            first = ball(times["first"])
+            self.gaps, self.first = stated, ball(times.first)
         else:
-            at = [ball(t) for t in times["times"]]
-            first = at[0]
-            self.gaps = [first, *(b - a for a, b in pairwise(at))]
+            self.first = stated[0]
+            self.gaps = [self.first, *(b - a for a, b in pairwise(stated))]
         self.N = len(self.gaps)
-        self.times = [first]
+        self.times = [self.first]
         for gap in self.gaps[1:]:
             self.times.append(self.times[-1] + gap)
         self.period = sum(self.gaps[1:], self.gaps[0])
-        self.reach = [self.gaps[0].max(first), *self.gaps[1:]]
-        self.first = first
-        mask = np.ones((self.N, p)) if times["outputs"] is None else np.reshape(times["outputs"], (self.N, p))
-        self.seen = mask.astype(bool)
-        late = self.gaps if self.periodic else self.gaps[1:]
-        # a schedule is what its file says: its period is a sum of doubles, which the exact sum may miss by a rounding
-        within = not self.periodic or first <= ball(float(np.sum(np.asarray(times["gaps"], dtype=np.float64))))
-        if not (all(gap > 0 for gap in late) and first >= 0 and within):
-            raise Unproven(REFUTED, "times", "times must increase strictly, the first within the period")
+        self.reach = [self.gaps[0].max(self.first), *self.gaps[1:]]
 
     def after(self, i: int) -> int:
         """The sample after sample i of the period."""

@@ -15,24 +15,23 @@ from sampling_design._verbs import offered
 from sampling_design.certificates.form.seal import CLAIM, DETECTABILITY_CLAIM, FAMILY_CLAIM, RESOLUTION
 from sampling_design.certificates.form.verdict import Verification, verdict_of
 from sampling_design.certificates.rigorous.ball_problem import (
-    PROVEN,
-    REFUTED,
-    UNDECIDED,
     BallTimes,
     BallWeights,
     Decision,
     ScheduleFrame,
     Stated,
     Unproven,
-    positive,
     positive_definite,
-    reading,
 )
 from sampling_design.certificates.rigorous.ball_proof import PROPOSALS, BallWindows
 from sampling_design.certificates.rigorous.dissipation_balls import detectability
 from sampling_design.certificates.rigorous.family_balls import family
 from sampling_design.certificates.rigorous.refutation import refute
 from sampling_design.checkers.claims import certificate
+from sampling_design.checkers.family_file import OfFamily
+from sampling_design.checkers.outcome import BAD_FILE, PROVEN, REFUTED, UNDECIDED
+from sampling_design.checkers.parts import Weights
+from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.checkers.strict import Altered, BadFile, Tree
 from sampling_design.checkers.work import Work
 
@@ -70,7 +69,8 @@ class RigorousVerification(Verification):
     ----------
     verdict : str
         "proven"; "refuted": some inequality certainly fails, at `time` in the window from `start` where it is one of
-        those; "undecided": neither was proven within the budget, or the inequality is too nearly tight.
+        those; "undecided": neither was proven within the budget, or the inequality is too nearly tight;
+        "bad file": the data are no certificate.
     bits : int
         Precision of the balls.
     seconds : float
@@ -147,7 +147,7 @@ def verify_rigorously(
         found |= {"verdict": UNDECIDED, "inequality": "budget", "reason": reason}
     except np.linalg.LinAlgError as error:
         found |= {
-            "verdict": "undecided",
+            "verdict": UNDECIDED,
             "inequality": "guess",
             "reason": f"the guesses in floats broke down ({error})",
         }
@@ -156,31 +156,27 @@ def verify_rigorously(
 
 def _decided(data: Tree, clock: Clock) -> dict[str, object]:
     try:
-        certificate(data)
+        content = certificate(data)
     except BadFile as error:
         word = "digest" if isinstance(error, Altered) else "form"
-        raise Unproven(REFUTED, word, f"the data are no certificate: {error}") from None
+        raise Unproven(BAD_FILE, word, f"the data are no certificate: {error}") from None
     decides = CLAIMS.get(data["claim"]) or offered("verify_rigorously", data["claim"], Decision)
     assert decides is not None, "a claim that the auditor reads and nobody decides"
-    inequality, subject, slack = decides(data, clock)
+    inequality, subject, slack = decides(content, clock)
     reason = f"{inequality} for {subject}, slack {slack:.3g}"
     return {"verdict": PROVEN, "passed": True, "inequality": inequality, "amount": slack, "reason": reason}
 
 
-def targets(data: Tree) -> list[Stated]:
+def targets(weights: Weights) -> list[Stated]:
     """What a file states: target <= Pi(t), its name, and whether for sample starts only; implied ones left out."""
-    with reading():
-        n, margin = len(data["P1"]), float(data["margin"])
-        P1, P2 = symmetric(np.reshape(data["P1"], (n, n))), symmetric(np.reshape(data["P2"], (n, n)))
-        lam, lam_samples = positive("lam", data["lam"]), positive("lam_samples", data["lam_samples"])
-    if not 0 <= margin < float("inf"):
-        raise Unproven(REFUTED, "margin >= 0", f"margin must be non-negative, got {data['margin']!r}")
+    P1, P2 = symmetric(weights.P1), symmetric(weights.P2)
+    lam, lam_samples, margin = weights.lam, weights.lam_samples, weights.margin
     positive_definite("P1", P1)
     share = P2 * (ball(1.0) - ball(RESOLUTION))
     first = Stated(P1 * (ball(1.0) + ball(margin)), "(1 + margin) P1 <= Pi(t)", False)
     second = Stated(share / ball(lam), "(1 - 1e-3) P2 <= lam Pi(t)", False)
     third = Stated(share / ball(lam_samples), "(1 - 1e-3) P2 <= lam_samples Pi(t), sample starts", True)
-    if not n:
+    if not len(weights.P1):
         return []
     kept = [first, second]
     if definite(first.target - second.target):
@@ -191,47 +187,43 @@ def targets(data: Tree) -> list[Stated]:
     return kept if implied else [*kept, third]
 
 
-def assumption_7(data: Tree, clock: Clock) -> Decision:
+def assumption_7(c: Sampled, clock: Clock) -> Decision:
     """Prove P1 and lam over all real starts, lam_samples over sample starts; the inequalities, for what, the slack."""
-    stated = targets(data)
-    with reading():
-        BallTimes(data["times"], BallWeights(data).p)
-    slack = 1.0
+    stated, slack = targets(c.weights), 1.0
     for k, (_, inequality, samples_only) in enumerate(stated):
 
         def make(k: int = k, inequality: str = inequality) -> ScheduleFrame:
-            weights = BallWeights(data)
-            return ScheduleFrame(weights, BallTimes(data["times"], weights.p), targets(data)[k].target, inequality)
+            weights = BallWeights(c.plant, c.weights)
+            return ScheduleFrame(weights, BallTimes(c.schedule), targets(c.weights)[k].target, inequality)
 
         slack = min(slack, prove(make, samples_only, clock))
-    if stated and data["witness"] is not None:
-        attained(data)
+    if stated:
+        attained(c, clock)
     names = " and ".join(name for _, name, _ in stated) or "(1 + margin) P1 <= Pi(t)"
     return Decision(names, "every real window start and every later t", slack)
 
 
 def replays_in_balls(data: Mapping[str, object]) -> bool:
     """Whether the witness of a certificate on one schedule certainly reaches its ratio."""
+    content = certificate(data)
+    assert isinstance(content, Sampled)
     try:
         with precision(), np.errstate(all="ignore"):
-            attained(dict(data))
+            attained(content, Clock(np.inf))
     except (Unproven, np.linalg.LinAlgError):
         return False
     return True
 
 
-def attained(data: Tree) -> None:
-    """Raise Unproven unless the witness reaches its stated ratio x'P2x / x'Pi(t)x, to `REPLAY` of it."""
-    weights = BallWeights(data)
-    schedule = BallTimes(data["times"], weights.p)
-    frame = ScheduleFrame(weights, schedule, weights.P2, "witness")
-    with reading():
-        seen = data["witness"]
-        start, t, stated = (float(seen[key]) for key in ("start", "t", "ratio"))
-        x = frame.L.transpose() * matrix(np.reshape(seen["direction"], (weights.n, 1)))
-    if not 0 <= start <= t < float("inf") or not (schedule.periodic or t <= float(schedule.times[-1]) * (1 + NEAR)):
-        raise Unproven(REFUTED, "witness", "the witness must have 0 <= start <= t within the schedule")
-    Y = flown(frame, start, t)
+def attained(c: Sampled, clock: Clock) -> None:
+    """Raise Unproven unless the witness, if there is one, reaches its ratio x'P2x / x'Pi(t)x, to `REPLAY` of it."""
+    if c.witness is None:
+        return
+    weights = BallWeights(c.plant, c.weights)
+    frame = ScheduleFrame(weights, BallTimes(c.schedule), weights.P2, "witness")
+    start, t, stated = c.witness.start, c.witness.t, c.witness.ratio
+    x = frame.L.transpose() * matrix(c.witness.direction[:, None])
+    Y = flown(frame, start, t, clock)
     ratio = (x.transpose() * x)[0, 0] / (x.transpose() * Y.solve(x))[0, 0]
     if not ratio >= ball(stated) * (1 - ball(REPLAY)):
         verdict = REFUTED if ratio < ball(stated) * (1 - ball(REPLAY)) else UNDECIDED
@@ -239,13 +231,14 @@ def attained(data: Tree) -> None:
         raise Unproven(verdict, frame.inequality, reason, amount=float(ratio) / stated - 1, time=t, start=start)
 
 
-def flown(frame: ScheduleFrame, start: float, t: float) -> Matrix:
+def flown(frame: ScheduleFrame, start: float, t: float, clock: Clock) -> Matrix:
     """A lower bound of Y at t in the window from `start`; samples within `NEAR` of either end are not counted."""
     schedule, Y, now = frame.schedule, frame.start, ball(start)
     near, turn = NEAR * max(t, 1e-300), 0 * schedule.period
     if schedule.periodic:
         turn = schedule.period * int((start - float(schedule.times[-1])) // float(schedule.period))
     while float(turn) <= t:
+        clock.check((100 + frame.n**3) * schedule.N)
         for i, at in enumerate(schedule.times):
             if start + near < float(at + turn) < t - near and float(turn) >= 0:
                 Y, now = lowered(frame.sampled(lowered(frame.flow.step(Y, at + turn - now)), i)), at + turn
@@ -281,9 +274,9 @@ def prove(make: Callable[[], ScheduleFrame], samples_only: bool, clock: Clock) -
     raise Unproven(UNDECIDED, name, f"{name} could not be decided: {why}")
 
 
-def of_family(data: Tree, clock: Clock) -> Decision:
+def of_family(c: OfFamily, clock: Clock) -> Decision:
     """Prove a family certificate; the inequalities, for what, and the slack."""
-    return family(data, targets(data), clock)
+    return family(c, targets(c.weights), clock)
 
 
 CLAIMS: dict[str, Callable[..., Decision]] = {

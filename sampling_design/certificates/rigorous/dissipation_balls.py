@@ -8,32 +8,23 @@ prove the slack, or evaluate the form along the direction.
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design._ball_flow import Clock
 from sampling_design._balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, symmetric
 from sampling_design._record import short
-from sampling_design.certificates.rigorous.ball_problem import (
-    REFUTED,
-    UNDECIDED,
-    Decision,
-    Unproven,
-    positive,
-    reading,
-)
-from sampling_design.checkers.strict import Tree
+from sampling_design.certificates.rigorous.ball_problem import Decision, Unproven
+from sampling_design.checkers.detectability import INEQUALITY, Detectability
+from sampling_design.checkers.outcome import REFUTED, UNDECIDED
 
 Array = npt.NDArray[np.float64]
 
-INEQUALITY = "[[A'P + PA + (1 + margin) eta P - c_y C'C, PG], [G'P, -c_w I]] < 0"
 SHARES = (0.999, 0.5, 1e-3)
 """Parts of the guessed least eigenvalue that are tried as a proven slack, the largest first."""
 
 
-def detectability(data: Tree, clock: Clock) -> Decision:
+def detectability(c: Detectability, clock: Clock) -> Decision:
     """Prove P > 0 and the dissipation inequality; return the inequality, for what, and its slack relative to its terms.
 
     Raises
@@ -42,42 +33,27 @@ def detectability(data: Tree, clock: Clock) -> Decision:
         If one of them certainly fails (with amount and direction), or nothing is certain at this precision.
     """
     clock.check()
-    with reading():
-        c = numbers(data)
-    if not c.n:
+    if not c.plant.n:
         return Decision(INEQUALITY, "a plant without states", 1.0)
-    form, sizes = negative(c)
-    decided("P > 0", c.P, [abs(c.P[i, i]) for i in range(c.n)])
+    P = symmetric(c.P)
+    form, sizes = negative(c, P)
+    decided("P > 0", P, [abs(P[i, i]) for i in range(c.plant.n)])
     return Decision(INEQUALITY, "every state and disturbance", decided(INEQUALITY, form, sizes))
 
 
-def numbers(data: Tree) -> SimpleNamespace:
-    """The numbers of the file as balls of radius zero; P by its symmetric part."""
-    plant = data["plant"]["matrices"]
-    n, p = len(plant["A"]), len(plant["C"])
-    G = np.asarray(plant.get("G", np.eye(n)), dtype=np.float64)
-    c = SimpleNamespace(n=n, A=matrix(np.reshape(plant["A"], (n, n))), C=matrix(np.reshape(plant["C"], (p, n))))
-    c.G = matrix(np.reshape(G, (n, G.shape[-1] if n else 0)))
-    c.P = symmetric(np.reshape(data["P"], (n, n)))
-    c.eta, c.c_w, c.c_y = (ball(positive(name, data[name])) for name in ("eta", "c_w", "c_y"))
-    margin = float(data["margin"])
-    if not 0 <= margin < np.inf:
-        raise Unproven(REFUTED, "margin >= 0", f"margin must not be negative, got {data['margin']!r}")
-    c.rate = (1 + ball(margin)) * c.eta
-    return c
-
-
-def negative(c: SimpleNamespace) -> tuple[Matrix, list[Ball]]:
+def negative(c: Detectability, P: Matrix) -> tuple[Matrix, list[Ball]]:
     """N, and for each diagonal entry the sum of the sizes of its terms."""
-    drift, seen, off = c.A.transpose() * c.P, c.C.transpose() * c.C * c.c_y, c.P * c.G
-    corner, q = seen - drift - drift.transpose() - c.P * c.rate, c.G.ncols()
-    rows = [[*corner.tolist()[i], *(-off[i, k] for k in range(q))] for i in range(c.n)]
-    rows += [[*(-off[i, k] for i in range(c.n)), *(c.c_w if k == j else ball(0.0) for j in range(q))] for k in range(q)]
+    A, C, n, q = matrix(c.plant.A), matrix(c.plant.C), c.plant.n, c.plant.G.shape[1]
+    rate, c_w = (1 + ball(c.margin)) * ball(c.eta), ball(c.c_w)
+    drift, seen, off = A.transpose() * P, C.transpose() * C * ball(c.c_y), P * matrix(c.plant.G)
+    corner = seen - drift - drift.transpose() - P * rate
+    rows = [[*corner.tolist()[i], *(-off[i, k] for k in range(q))] for i in range(n)]
+    rows += [[*(-off[i, k] for i in range(n)), *(c_w if k == j else ball(0.0) for j in range(q))] for k in range(q)]
     sizes = []
-    for i in range(c.n):
-        drifts = [abs(c.A[j, i]) * abs(c.P[j, i]) for j in range(c.n)]
-        sizes.append(sum(drifts, ball(0.0)) * 2 + seen[i, i] + c.rate * abs(c.P[i, i]))
-    return flint().arb_mat(rows), [*sizes, *([c.c_w] * q)]
+    for i in range(n):
+        drifts = [abs(A[j, i]) * abs(P[j, i]) for j in range(n)]
+        sizes.append(sum(drifts, ball(0.0)) * 2 + seen[i, i] + rate * abs(P[i, i]))
+    return flint().arb_mat(rows), [*sizes, *([c_w] * q)]
 
 
 def decided(name: str, form: Matrix, sizes: list[Ball]) -> float:

@@ -24,21 +24,16 @@ from sampling_design._balls import (
     symmetric,
 )
 from sampling_design.certificates.rigorous.ball_problem import (
-    REFUTED,
-    UNDECIDED,
     BallFrame,
     BallWeights,
     Decision,
     Stated,
     Unproven,
     positive_definite,
-    reading,
 )
-from sampling_design.checkers.claims import certificate
 from sampling_design.checkers.cover import judge
 from sampling_design.checkers.family_file import OfFamily
-from sampling_design.checkers.outcome import Refused
-from sampling_design.checkers.strict import Tree
+from sampling_design.checkers.outcome import REFUTED, UNDECIDED, Refused
 
 Pattern = tuple[bool, ...]
 
@@ -102,17 +97,14 @@ def _ball(time: Fraction) -> Ball:
     return made
 
 
-def family(data: Tree, stated: list[Stated], clock: Clock) -> Decision:
+def family(c: OfFamily, stated: list[Stated], clock: Clock) -> Decision:
     """Prove that the graph holds the family, and every edge and node; the inequalities, for what, and the slack."""
-    c = certificate(data)
-    assert isinstance(c, OfFamily)
     graph = c.graph
     try:
         judge(c.family, graph)
     except Refused as error:
         raise Unproven(REFUTED, error.inequality, error.reason) from None
-    with reading():
-        weights = BallWeights(data)
+    weights = BallWeights(c.plant, c.weights)
     P = [weights.P2, *(symmetric(node) for node in graph.P[1:])]
     for u, node in enumerate(P):
         positive_definite(f"P_{u}", node)

@@ -14,7 +14,8 @@ import numpy.typing as npt
 from sampling_design._ball_flow import Clock
 from sampling_design._balls import ball, definite, floats, lowered, precision
 from sampling_design._linalg import discounted_flow
-from sampling_design.certificates.rigorous.ball_problem import REFUTED, ScheduleFrame, Unproven
+from sampling_design.certificates.rigorous.ball_problem import ScheduleFrame, Unproven
+from sampling_design.checkers.outcome import REFUTED
 
 Array = npt.NDArray[np.float64]
 

@@ -10,8 +10,9 @@ import numpy.typing as npt
 
 from sampling_design._ball_flow import Clock
 from sampling_design._balls import Ball, Matrix, ball, definite, flint, floats, matrix
-from sampling_design.certificates.rigorous.ball_problem import REFUTED, UNDECIDED, Unproven
+from sampling_design.certificates.rigorous.ball_problem import Unproven
 from sampling_design.checkers.inclusion_file import Inclusion, Region
+from sampling_design.checkers.outcome import REFUTED, UNDECIDED
 from sampling_design.checkers.programs import Instruction
 
 Array = npt.NDArray[np.float64]
@@ -23,6 +24,8 @@ WIDE = 1e-9
 CORNERS = 5
 DEPTH = 60
 """Halvings of a cell."""
+PRICE = 100
+"""Work, about microseconds, of an instruction of the programs over a cell and its halves."""
 FAR = 1e9
 """Half the width of what stands for an unbounded number: sine and cosine are between -1 and 1 there."""
 
@@ -55,7 +58,7 @@ class Cells:
         high = np.concatenate([self.region.high[key] for key in ("x", "u", "w")])
         pending = [(low, high, 0)]
         while pending:
-            self.clock.check()
+            self.clock.check(PRICE * (len(self.region.f.code) + len(self.region.h.code)))
             a, b, depth = pending.pop()
             if self.outside(a, b):
                 continue

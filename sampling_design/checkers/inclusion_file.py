@@ -305,9 +305,11 @@ def region(value: object, plant: Plant) -> Region:
     if len(read["offsets"]) != len(rows) or (len(rows) and rows.shape[1] != n):
         raise refuse("model.rows", f"must have {n} columns, and one of `offsets` per row")
     offsets = np.array(read["offsets"], dtype=np.float64)
-    if not (some := holds_a_point(low["x"], high["x"], rows.reshape(len(rows), n), offsets)):
-        empty, many = "an empty region: no state is in its box and its half-spaces", "too many half-spaces to be judged"
-        raise refuse("model", f"has {many if some is None else empty}")
+    some = holds_a_point(low["x"], high["x"], rows.reshape(len(rows), n), offsets)
+    if some is None:
+        raise refuse("model.rows", "has too many half-spaces to be judged")
+    if not some:
+        raise refuse("model", "has an empty region: no state is in its box and its half-spaces")
     f = programs.read(read["f"], "model.f", sizes)
     h = programs.read(read["h"], "model.h", {"x": n, "u": sizes["u"]})
     for place, program, size in (("f", f, n), ("h", h, p)):

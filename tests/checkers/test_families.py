@@ -244,5 +244,5 @@ def test_a_plant_in_other_units_is_judged_alike():
 def test_what_is_no_word_of_a_family_is_a_bad_file(kind, word):
     data = data_of(kind)
     data["graph"]["words"][1] = word
-    with pytest.raises(BadFile, match=r"`graph.words\[1\]` must be a word of the family"):
+    with pytest.raises(BadFile, match="must be a word of the family, got a list"):
         claims.certificate(data | {"digest": seal.digest(data)})

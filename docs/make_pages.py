@@ -17,7 +17,7 @@ ROOMS = {
     "plants": "What is measured",
     "schedules": "When it is measured",
     "observability": "What samples show",
-    "recovery": "How well anybody can know",
+    "accuracy": "How well anybody can know",
     "design": "When to sample",
     "planning": "Which readings keep a promise",
     "certificates": "What a schedule proves",
@@ -31,7 +31,7 @@ ROOMS = {
 FLOORS = (
     ("plants", "schedules"),
     ("observability",),
-    ("recovery",),
+    ("accuracy",),
     ("design", "certificates"),
     ("estimators",),
     ("planning", "nonlinear", "validation"),
@@ -222,7 +222,7 @@ def commands_table() -> list[str]:
 def records_of(room: str) -> dict[str, object]:
     """Return the records and helpers of a room that are public and not at the front door, by file and name."""
     import sampling_design
-    from sampling_design._record import Record
+    from sampling_design.records.record import Record
 
     found: dict[str, object] = {}
     package = Path(sampling_design.__file__).parent
@@ -230,7 +230,9 @@ def records_of(room: str) -> dict[str, object]:
         file = ".".join(path.relative_to(package).with_suffix("").parts)
         module = importlib.import_module(f"sampling_design.{file}")
         for name, thing in vars(module).items():
-            public = issubclass(thing, Record) if isinstance(thing, type) else "door" in getattr(thing, "__dict__", {})
+            public = (
+                issubclass(thing, Record) if isinstance(thing, type) else "checked" in getattr(thing, "__dict__", {})
+            )
             own = public and thing.__module__ == module.__name__
             listed = name in sampling_design.__all__ or f"{file}.{name}" in BESIDE.get(room, ())
             if own and not name.startswith("_") and not listed:

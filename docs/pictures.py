@@ -4,13 +4,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from sampling_design import (
-    MovingHorizonEstimator,
-    PeriodicSchedule,
-    certify,
-    library,
-    window_sigma,
-)
+from sampling_design import MovingHorizonEstimator, PeriodicSchedule, certify, window_sigma
+from sampling_design.plants import library
 from sampling_design.plotting.style import ATTAINED, FAILED, MEASURED, PROVEN, TRUTH
 
 PERIOD = 2 * np.pi

@@ -31,10 +31,10 @@ def main() -> None:
     print(f"k* = {count.value:.3f}: any {count.samples_needed} samples in {WINDOW:g} s determine the state.")
 
     # two samples half a turn apart are one sample seen twice
-    half_turn = sd.sigma_min(oscillator, [0.0, np.pi])
-    near = sd.sigma_min(oscillator, [0.0, np.pi - 0.3])
+    half_turn = sd.observability.sigma_min(oscillator, [0.0, np.pi])
+    near = sd.observability.sigma_min(oscillator, [0.0, np.pi - 0.3])
     print(f"Two samples: sigma {half_turn:.1e} at gap pi, {near:.3f} at gap pi - 0.3.")
-    many = sd.sigma_min(oscillator, np.pi * np.arange(50))
+    many = sd.observability.sigma_min(oscillator, np.pi * np.arange(50))
     print(f"Fifty samples at multiples of pi: sigma {many:.1e}.")
 
     spacings = [1.0, 0.5, 0.25, 0.1, 0.05]

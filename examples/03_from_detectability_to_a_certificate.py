@@ -19,10 +19,10 @@ def main() -> None:
     plant = sd.named_plant("double_integrator")
     schedule = sd.PeriodicSchedule([1.0])
 
-    detectable = sd.certify_detectability(plant)
+    detectable = sd.certificates.certify_detectability(plant)
     print(f"The plant forgets at the rate eta = {detectable.eta:.3g} 1/s if it is measured all the time.")
 
-    horizons = sd.four_horizons(plant, schedule)
+    horizons = sd.certificates.four_horizons(plant, schedule)
     print(horizons)
     paper, exact, sharp, true = (row.minimum for row in horizons.rows)
     print(f"The proof's constants ask for {paper / sharp:.0f} times the horizon that is certified.")

@@ -15,7 +15,7 @@ DAYS = 4.0
 
 def main() -> None:
     """Estimate one patient over four days from a handful of samples and from a sample every two hours."""
-    plant = sd.thyroid.thyroid()
+    plant = sd.nonlinear.thyroid.thyroid()
     print(plant.explain())
     run = patient_run("per_second", run=0, days=DAYS, seed=0)
     print(run.explain())

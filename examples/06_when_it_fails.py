@@ -36,7 +36,7 @@ def main() -> None:
     for name, (holds, words) in answers.items():
         print(f"{name}: {'yes' if holds else 'NO'}. {words}")
     print("Jitter moves each sample about its own place; gaps of pi in a row would drift away from it.")
-    repair = sd.smallest_repair(oscillator, sd.PeriodicSchedule([np.pi]), RATE)
+    repair = sd.certificates.smallest_repair(oscillator, sd.PeriodicSchedule([np.pi]), RATE)
     print(f"Repair of period pi: gap {repair['gap']} from {repair['from']:.4f} to {repair['to']:.4f}.")
 
     assert [holds for holds, _ in answers.values()] == [False, True, False, True, True, False]

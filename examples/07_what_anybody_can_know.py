@@ -16,16 +16,18 @@ BUNCHES = sd.PeriodicSchedule.from_times([1.0, 1.05, 1.1, 2.5, 2.55, 2.6], PERIO
 def main() -> None:
     """Compare two schedules of a swing by sigma and by what can be guaranteed."""
     swing = sd.named_plant("oscillator")
-    found = {name: sd.accuracy(swing, s, **BOUNDS) for name, s in (("even", EVEN), ("bunches", BUNCHES))}
+    found = {name: sd.guaranteed_accuracy(swing, s, **BOUNDS) for name, s in (("even", EVEN), ("bunches", BUNCHES))}
     sigma = {name: sd.window_sigma(swing, one.schedule, PERIOD).lower for name, one in found.items()}
     for name, one in found.items():
         print(f"{name}: sigma {sigma[name]:.3f}, position within {one.upper[0]:.3f}, velocity {one.upper[1]:.3f}")
     hidden = found["even"].witnesses[0]
     run = hidden.simulate()
     print(f"Two motions that every reading may show as zero end {2 * hidden.value:.3f} apart.")
-    floor = sd.limit(swing, **BOUNDS).lower
+    floor = sd.accuracy.accuracy_limit(swing, **BOUNDS).lower
     print(f"Who reads at every moment is uncertain by {floor[0]:.3f} and {floor[1]:.3f}.")
-    level = sd.interval(sd.Plant([[0.0]], [[1.0]]), [(0.0, [1.0], None), (1.0, [1.5], None)], w_bound=0.1, v_bound=0.3)
+    level = sd.state_interval(
+        sd.Plant([[0.0]], [[1.0]]), [(0.0, [1.0], None), (1.0, [1.5], None)], w_bound=0.1, v_bound=0.3
+    )
     print(f"A level read as 1.0 and 1.5 lies between {level.lower[0]:.3f} and {level.upper[0]:.3f}.")
 
     assert sigma["bunches"] > 1.1 * sigma["even"]

@@ -16,7 +16,7 @@ def main() -> None:
     """Design for every count, write the table and the picture."""
     plant = sd.read_plant(HERE / "plants" / "satellite.toml")
     requirement = sd.read_requirement(HERE / "requirements" / "satellite.toml")
-    front = sd.pareto(plant, requirement, COUNTS, progress=lambda fraction, message: print(message))
+    front = sd.pareto_front(plant, requirement, COUNTS, progress=lambda fraction, message: print(message))
     (DOCS / "figures").mkdir(exist_ok=True)
     front.plot().figure.savefig(DOCS / "figures" / "pareto_satellite.png", dpi=110)
     lines = [

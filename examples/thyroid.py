@@ -43,7 +43,7 @@ def design_week(patient: sd.NonlinearPlant, samples: int = 3) -> ScheduleDesign:
 def certify_week(patient: sd.NonlinearPlant, schedule: sd.PeriodicSchedule, rate: float = 0.35) -> sd.Certificate:
     """Return the certificate of the retained modes of the linearisation, in scaled states, at the paper's rate."""
     linear = patient.linearise(patient.equilibrium(thyroid.TRUE_START)).scaled()
-    return sd.certify(sd.split_modes(linear, 1.5).retained, schedule, eta=rate)
+    return sd.certify(sd.plants.split_modes(linear, 1.5).retained, schedule, eta=rate)
 
 
 def error_on(patient: sd.NonlinearPlant, schedule: sd.PeriodicSchedule, weeks: int, runs: int) -> tuple[float, int]:
@@ -52,7 +52,7 @@ def error_on(patient: sd.NonlinearPlant, schedule: sd.PeriodicSchedule, weeks: i
         patient,
         horizon=HORIZON,
         prior=thyroid.PRIOR_START,
-        collocation=sd.Collocation(w_step=6 * HOUR, degree=3),
+        collocation=sd.nonlinear.Collocation(w_step=6 * HOUR, degree=3),
         cost=paper_weights(),
     )
     end = 7.0 * weeks
@@ -80,7 +80,9 @@ def assumption_7(patient: sd.NonlinearPlant, pairs: int) -> DetectabilityEvidenc
     """Return inequality (16) for the paper's weights and one sample a day, along random pairs of patients."""
     box = (thyroid.TRUE_START / 2, 2 * thyroid.TRUE_START)
     daily = sd.PeriodicSchedule([1.0], time_unit="d")
-    return sd.check_detectability(patient, daily, box, duration=10.0, step=0.25, pairs=pairs, cost=paper_weights())
+    return sd.nonlinear.check_detectability(
+        patient, daily, box, duration=10.0, step=0.25, pairs=pairs, cost=paper_weights()
+    )
 
 
 def compare(weeks: int, runs: int, output: Path | None = None, pairs: int = 100) -> str:
@@ -88,7 +90,8 @@ def compare(weeks: int, runs: int, output: Path | None = None, pairs: int = 100)
     patient = thyroid.thyroid()
     linear = patient.linearise(patient.equilibrium(thyroid.TRUE_START))
     retained = [
-        f"slower than {rate} a day: {sd.split_modes(linear, rate).retained.n_states} of 6 modes" for rate in RATES
+        f"slower than {rate} a day: {sd.plants.split_modes(linear, rate).retained.n_states} of 6 modes"
+        for rate in RATES
     ]
     design = design_week(patient)
     certificate = certify_week(patient, design.schedule)
@@ -117,7 +120,9 @@ def compare(weeks: int, runs: int, output: Path | None = None, pairs: int = 100)
     )
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-        sd.write_ics(design.schedule, output / "blood_samples.ics", "2026-01-05T00:00", summary="blood sample")
+        sd.schedules.write_ics(
+            design.schedule, output / "blood_samples.ics", "2026-01-05T00:00", summary="blood sample"
+        )
         certificate.save(output / "certificate.json")
         (output / "thyroid_week.md").write_text(page + "\n")
     return page
@@ -132,7 +137,7 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=100, help="pairs of patients for Assumption 7")
     parser.add_argument("--output", type=Path, help="folder for the page, the calendar and the certificate")
     options = parser.parse_args()
-    print(sd.thyroid_experiment(options.runs, days=options.days), end="\n\n")
+    print(sd.nonlinear.thyroid_experiment(options.runs, days=options.days), end="\n\n")
     print(compare(options.weeks, options.runs, options.output, options.pairs))
 
 

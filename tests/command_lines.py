@@ -43,16 +43,16 @@ def files() -> dict[str, Path]:
     made = {name: place / name for name in ("plant.toml", "plant.json", "plant.npz", "schedule.csv", "schedule.json")}
     made |= {name: place / name for name in ("requirement.toml", "certificate.json", "measurements.csv")}
     for name in ("plant.toml", "plant.json", "plant.npz"):
-        sd.write_plant(plant, made[name])
+        sd.plants.write_plant(plant, made[name])
     for name in ("schedule.csv", "schedule.json"):
-        sd.write_schedule(schedule, made[name])
-    sd.write_requirement(sd.Requirement(window=4.0, spacing=0.5, samples=3), made["requirement.toml"])
+        sd.schedules.write_schedule(schedule, made[name])
+    sd.design.write_requirement(sd.Requirement(window=4.0, spacing=0.5, samples=3), made["requirement.toml"])
     certificate.save(made["certificate.json"])
-    sd.write_measurements(sd.simulate_record(plant, schedule, 6.0).measurements, made["measurements.csv"])
+    sd.estimators.write_measurements(sd.simulate_record(plant, schedule, 6.0).measurements, made["measurements.csv"])
     terms = {"position": {"noise_bound": 0.2}}
     wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, raster=0.4, w_bound=0.02, sensors=terms)
     made["wanted.toml"] = write_plan_requirement(wanted, place / "wanted.toml")
-    made["planned.json"] = save_plan(sd.plan(plant, wanted, search_seconds=5.0), place / "planned.json")
+    made["planned.json"] = save_plan(sd.plan_samples(plant, wanted, search_seconds=5.0), place / "planned.json")
     for name, path in list(made.items()):
         made |= _broken(place, name, path.read_bytes())
     made |= {"missing": place / "nosuch.toml", "folder": place, "device": Path("/dev/null"), "": Path("")}

@@ -42,11 +42,10 @@ def public() -> dict[str, Any]:
 
 def doors() -> Iterator[tuple[str, Any]]:
     """Every function of the front door, every `__init__` and every method there, by its qualified name."""
-    for name in sd.__all__:
-        thing = getattr(sd, name)
+    for thing in public().values():
         for member in vars(thing).values() if inspect.isclass(thing) else [thing]:
             inner = getattr(member, "__func__", member)
-            if inspect.isfunction(inner) and "door" in vars(inner):
+            if inspect.isfunction(inner) and "checked" in vars(inner):
                 yield inner.__qualname__, inner
 
 
@@ -71,10 +70,10 @@ def things() -> dict[str, Any]:
     design = sd.design_schedule(plant, requirement, starts=2, branches=1)
     bounds = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 2.0}
     record = sd.simulate_record(plant, schedule, 6.0)
-    nonlinear = sd.from_linear(plant)
+    nonlinear = sd.nonlinear.from_linear(plant)
     cost = sd.CostFunction(P2=np.eye(2), Qw=np.eye(2), R=np.eye(1), eta=0.2)
     box = ([-1.0, -1.0], [1.0, 1.0])
-    evidence = sd.check_detectability(
+    evidence = sd.nonlinear.check_detectability(
         nonlinear, schedule, box, cost=cost, P1=np.eye(2) / 40, duration=3.0, step=0.1, pairs=2
     )
     terms = {"position": {"noise_bound": 0.2}}
@@ -86,7 +85,7 @@ def things() -> dict[str, Any]:
         "finite": sd.Schedule([0.5, 1.3, 2.0], time_unit="s"),
         "requirement": requirement,
         "certificate": certificate,
-        "detectability": sd.certify_detectability(plant),
+        "detectability": sd.certificates.certify_detectability(plant),
         "spaced": sd.SpacedWindows(4.0, 3, 0.5),
         "gaps": gaps,
         "jitter": sd.Jitter(schedule, 0.05),
@@ -97,28 +96,28 @@ def things() -> dict[str, Any]:
         "estimates": sd.KalmanFilter(plant, certificate, **bounds).run(record.measurements),
         "record": record,
         "nonlinear": nonlinear,
-        "split": sd.split_modes(plant),
+        "split": sd.plants.split_modes(plant),
         "losses": sd.sample_losses(design),
-        "pareto": sd.pareto(plant, requirement, [2, 3], starts=1, branches=0),
+        "pareto": sd.pareto_front(plant, requirement, [2, 3], starts=1, branches=0),
         "sigma": sd.window_sigma(plant, schedule, 4.0),
         "worst": sd.worst_case_sigma(plant, sd.SpacedWindows(4.0, 3, 0.5)),
         "count": sd.zero_count_bound(plant, 4.0),
         "robustness": sd.robustness(plant, certificate, longest=2, budget=2.0),
-        "horizons": sd.four_horizons(plant, schedule, certificate),
-        "proof": sd.constants_from_proof(plant, schedule),
-        "tradeoff": sd.tradeoff_curve(plant, schedule, 0.4, [2.0]),
-        "curve": sd.information_curve(certificate),
+        "horizons": sd.certificates.four_horizons(plant, schedule, certificate),
+        "proof": sd.certificates.constants_from_proof(plant, schedule),
+        "tradeoff": sd.certificates.tradeoff_curve(plant, schedule, 0.4, [2.0]),
+        "curve": sd.certificates.information_curve(certificate),
         "report": sd.validate(plant, schedule, certificate, runs=2, duration=4.0, scenarios=["random"]),
         "log": sd.compare_schedule(plant, schedule, [0.7, 2.4], 4.0),
         "evidence": evidence,
-        "unseen": sd.unseen_modes(plant),
-        "counterexample": sd.find_counterexample(plant, sd.GapRange(1.0, 4.0), 0.1)[0],
-        "set": sd.ConvexSet.box([-1.0, -1.0], [1.0, 1.0]),
+        "unseen": sd.observability.unobservable_modes(plant),
+        "counterexample": sd.certificates.find_counterexample(plant, sd.GapRange(1.0, 4.0), 0.1)[0],
+        "set": sd.estimators.ConvexSet.box([-1.0, -1.0], [1.0, 1.0]),
         "held": sd.Constraints(x=(-1.0, 1.0)),
         "cost": sd.CostFunction(eta=0.2),
-        "pieces": sd.Collocation(w_step=0.5),
+        "pieces": sd.nonlinear.Collocation(w_step=0.5),
         "uncertain": sd.UncertainPlant(plant, [_stiffness()]),
-        "sparse": sd.SparsePlant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], time_unit="s"),
+        "sparse": sd.plants.SparsePlant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], time_unit="s"),
     }
 
 
@@ -128,7 +127,9 @@ def _stiffness() -> sd.UncertainParameter:
 
 @functools.cache
 def _small_plan() -> Any:
-    return sd.plan(things()["plant"], things()["wanted"], search_seconds=2.0, certificate=False, robustness=False)
+    return sd.plan_samples(
+        things()["plant"], things()["wanted"], search_seconds=2.0, certificate=False, robustness=False
+    )
 
 
 @functools.cache
@@ -150,11 +151,11 @@ FILES = ("plant.toml", "schedule.csv", "requirement.toml", "certificate.json", "
 def folder() -> Path:
     """A folder with one valid file of each kind."""
     place, t = Path(tempfile.mkdtemp(prefix="front-door-")), things()
-    sd.write_plant(t["plant"], place / "plant.toml")
-    sd.write_schedule(t["schedule"], place / "schedule.csv")
-    sd.write_requirement(t["requirement"], place / "requirement.toml")
+    sd.plants.write_plant(t["plant"], place / "plant.toml")
+    sd.schedules.write_schedule(t["schedule"], place / "schedule.csv")
+    sd.design.write_requirement(t["requirement"], place / "requirement.toml")
     t["certificate"].save(place / "certificate.json")
-    sd.write_measurements(t["record"].measurements, place / "measurements.csv")
+    sd.estimators.write_measurements(t["record"].measurements, place / "measurements.csv")
     (place / "stamps.csv").write_text("time\n2026-01-01T00:00:00\n2026-01-01T00:00:01\n")
     return place
 
@@ -185,7 +186,7 @@ def named() -> dict[str, Any]:
         "where": "file", "column": None, "span": 5.0, "summary": "Sample", "record": t["record"].measurements,
         "measurements": t["record"].measurements, "x0": [1.0, 0.0], "y": [0.3], "u": None, "sample": (1.2, [0.3], None),
         "state": None, "prior": [0.0, 0.0], "prior_time": 0.0, "horizon": 5.0, "cost": sd.CostFunction(eta=0.1),
-        "collocation": sd.Collocation(), "constraints": None, "lower": [-1.0, -1.0],
+        "collocation": sd.nonlinear.Collocation(), "constraints": None, "lower": [-1.0, -1.0],
         "upper": [1.0, 1.0], "rows": [[1.0, 0.0]], "offsets": [1.0], "dimension": 2, "centre": None, "shape": None,
         "value": [0.1, 0.2], "values": [[0.1, 0.2]], "tolerance": 0.0, "truth": [0.9, 0.0], "i": 1, "noises": True,
         "input_side": "right", "norm": "P2", "scenarios": ["random"], "method": "riccati", "floor": 1e-3,
@@ -221,9 +222,9 @@ def special() -> dict[str, dict[str, Any]]:
         "LostSamples": {"schedule": t["schedule"]},
         "read_plant": {"path": place / "plant.toml"},
         "read_schedule": {"path": place / "schedule.csv"},
-        "plan": {"requirement": t["wanted"], "search_seconds": 5.0},
+        "plan_samples": {"requirement": t["wanted"], "search_seconds": 5.0},
         "next_sample": {"plan": _small_plan(), "record": None, "now": 0.0},
-        "load_plan": {"path": _plan_file()},
+        "read_plan": {"path": _plan_file()},
         "UncertainParameter": {"low": 0.0, "high": 0.1, "A": np.eye(2)},
         "UncertainPlant": {"parameters": [_stiffness()]},
         "UncertainPlant.from_intervals": {"plant": plant, "A": {}},
@@ -236,7 +237,7 @@ def special() -> dict[str, dict[str, Any]]:
         "PlanRequirement.replace": {"changes": {"raster": 0.8}},
         "read_plan_requirement": {"path": EXAMPLES / "plans" / "oscillator.toml"},
         "read_requirement": {"path": place / "requirement.toml"},
-        "load_certificate": {"path": place / "certificate.json"},
+        "read_certificate": {"path": place / "certificate.json"},
         "read_measurements": {"path": place / "measurements.csv", "origin": None},
         "import_time_stamps": {"path": place / "stamps.csv", "origin": None},
         "named_plant": {"name": "oscillator"},
@@ -295,7 +296,7 @@ OWNERS = {
     "Robustness": "robustness", "FourHorizons": "horizons", "ProofConstants": "proof", "TradeoffCurve": "tradeoff",
     "InformationCurve": "curve", "ValidationReport": "report", "ScheduleLog": "log",
     "DetectabilityEvidence": "evidence",
-    "UnseenModes": "unseen", "Counterexample": "counterexample", "ConvexSet": "set",
+    "UnobservableModes": "unseen", "Counterexample": "counterexample", "ConvexSet": "set",
     "Constraints": "held", "CostFunction": "cost", "Collocation": "pieces",
     "SparsePlant": "sparse", "UncertainPlant": "uncertain", "UncertainParameter": None,
     "Horizon": None, "Finding": None,
@@ -312,7 +313,7 @@ def owner(name: str) -> Any:
     bounds = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 2.0}
     fresh: dict[str, Callable[[], Any]] = {
         "Signals": lambda: plant.states,
-        "SamplingSet": lambda: sd.SamplingSet(t["schedule"]),
+        "SamplingSet": lambda: sd.schedules.SamplingSet(t["schedule"]),
         "Measurements": lambda: t["record"].measurements,
         "Horizon": certificate.horizon,
         "Finding": lambda: t["report"].findings[0],
@@ -322,7 +323,7 @@ def owner(name: str) -> Any:
         "WindowWitness": lambda: t["sigma"].witness,
         "EigenvalueCluster": lambda: public()["eigenvalue_clusters"](plant.A)[0],
         "ConstantList": lambda: certificate.constants,
-        "OutputAccess": lambda: sd.OutputAccess([[0.0, 3.0]], 1.0),
+        "OutputAccess": lambda: sd.design.OutputAccess([[0.0, 3.0]], 1.0),
         "MovingHorizonEstimator": lambda: sd.MovingHorizonEstimator(plant, certificate, **bounds),
         "KalmanFilter": lambda: sd.KalmanFilter(plant, certificate, **bounds),
         "NonlinearMovingHorizonEstimator": lambda: sd.NonlinearMovingHorizonEstimator(
@@ -336,7 +337,7 @@ def owner(name: str) -> Any:
 
 @functools.cache
 def _thyroid_report() -> Any:
-    return sd.thyroid_experiment(1, cases=["per_second"], days=0.25, workers=1)
+    return sd.nonlinear.thyroid_experiment(1, cases=["per_second"], days=0.25, workers=1)
 
 
 NEEDED = {"y", "span", "budget", "starts", "branches", "pairs"}

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 MAKERS = {
-    "certificates.certify": ("certify_given",),
+    "certificates.certification": ("certify_given",),
     "certificates.exact.proof": ("ScheduleProof.closed",),
     "certificates.exact.precise": ("_proven",),
     "certificates.families.certify_family": ("certified", "without_states"),

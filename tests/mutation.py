@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-CORE = ("plants", "schedules", "observability", "recovery", "design", "certificates", "estimators", "planning")
+CORE = ("plants", "schedules", "observability", "accuracy", "design", "certificates", "estimators", "planning")
 OTHER = {
     ast.Add: ast.Sub,
     ast.Sub: ast.Add,

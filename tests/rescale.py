@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from sampling_design import PeriodicSchedule, Plant, Schedule, Signals
+from sampling_design import PeriodicSchedule, Plant, Schedule
+from sampling_design.plants.plant import Signals
 
 
 @dataclass(frozen=True)

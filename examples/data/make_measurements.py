@@ -73,4 +73,4 @@ RECORDS = {"oscillator": oscillator, "satellite": satellite, "three_compartment"
 if __name__ == "__main__":
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else HERE
     for name, make in RECORDS.items():
-        print(sd.write_measurements(make().measurements, folder / f"{name}.csv"))
+        print(sd.estimators.write_measurements(make().measurements, folder / f"{name}.csv"))

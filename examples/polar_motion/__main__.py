@@ -15,7 +15,7 @@ HEAD = "| readings | sigma of the kept | withheld days | inside | half-width, me
 def row(found: p.Coverage) -> str:
     """One line of the table, in mas."""
     times = found.schedule.gap * np.arange(found.schedule.kept)
-    sigma = sd.sigma_min(p.plant(), times)
+    sigma = sd.observability.sigma_min(p.plant(), times)
     nothing = found.radius > 1000
     shown = "nothing" if nothing else f"{found.radius:.0f} ({found.widest:.0f})"
     error = "" if nothing else f"{found.rms:.1f} ({found.worst:.0f})"

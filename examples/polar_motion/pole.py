@@ -62,15 +62,17 @@ def plant() -> sd.Plant:
     names = [f"{motion} {axis}" for motion in ("mean", "Chandler", "annual", "retrograde") for axis in "xy"]
     units = ["mas"] * 8
     C = np.hstack([np.eye(2)] * 4)
-    outputs = sd.Signals(["x", "y"], ["mas"] * 2)
-    return sd.Plant(A, C, time_unit="d", states=sd.Signals(names, units), outputs=outputs, name="pole of the Earth")
+    outputs = sd.plants.Signals(["x", "y"], ["mas"] * 2)
+    return sd.Plant(
+        A, C, time_unit="d", states=sd.plants.Signals(names, units), outputs=outputs, name="pole of the Earth"
+    )
 
 
 def proven(pole: Pole, days, scale: float, t: int, faster: float = FASTER):
     """What readings on `days` prove of the pole on day `t`."""
     shown, noise = pole.readings(days, faster)
     where = plant()
-    return sd.interval(where, shown, float(t - JUDGED_FROM), w_bound=scale * SHAPE, v_bound=noise, of=where.C)
+    return sd.state_interval(where, shown, float(t - JUDGED_FROM), w_bound=scale * SHAPE, v_bound=noise, of=where.C)
 
 
 def least_scale(pole: Pole, until: int = JUDGED_FROM, years: float = 3.0, every: int = 10, step: float = 0.5) -> float:
@@ -199,5 +201,5 @@ def chandler(pole: Pole, scale: float, day: int, gap: int = 30, kept: int = 60) 
     """The amplitude of the Chandler wobble as the middle of what readings prove of its two states."""
     days = day - gap * np.arange(kept)[::-1]
     shown, noise = pole.readings(days)
-    found = sd.interval(plant(), shown, w_bound=scale * SHAPE, v_bound=noise, of=["Chandler x", "Chandler y"])
+    found = sd.state_interval(plant(), shown, w_bound=scale * SHAPE, v_bound=noise, of=["Chandler x", "Chandler y"])
     return float(np.hypot(*found.centre))

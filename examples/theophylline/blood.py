@@ -38,14 +38,14 @@ def read_blood() -> dict[int, np.ndarray]:
 
 def plant() -> sd.Plant:
     """A line whose slope is unknown."""
-    states = sd.Signals(["log concentration", "elimination rate"], ["", "1/h"])
+    states = sd.plants.Signals(["log concentration", "elimination rate"], ["", "1/h"])
     return sd.Plant([[0.0, -1.0], [0.0, 0.0]], [[1.0, 0.0]], time_unit="h", states=states, name="theophylline")
 
 
 def proven(rows: np.ndarray, t: float, v_bound: float):
     """What samples (time, concentration) prove of the log concentration at `t`."""
     record = [(float(at), [float(np.log(value))], None) for at, value in rows]
-    return sd.interval(plant(), record, float(t), w_bound=0.0, v_bound=v_bound, of=["log concentration"])
+    return sd.state_interval(plant(), record, float(t), w_bound=0.0, v_bound=v_bound, of=["log concentration"])
 
 
 def least_bound(blood: dict[int, np.ndarray], persons=LEARNT, step: float = 1e-3) -> float:
@@ -100,7 +100,7 @@ def predictions(blood: dict[int, np.ndarray], v_bound: float, persons=JUDGED) ->
 
 def known_next_day(times, v_bound: float, t: float = 24.0) -> float:
     """By which factor the concentration at `t` is known from samples at these times, whatever they say."""
-    found = sd.accuracy(
+    found = sd.guaranteed_accuracy(
         plant(), sd.Schedule(times, time_unit="h"), w_bound=0.0, v_bound=v_bound, of=["log concentration"], end=t
     )
     return float(np.exp(found.profile.upper[0][-1]))

@@ -1,8 +1,9 @@
 """What a schedule proves: certificates of detectability from samples, exact and from the paper."""
 
-from sampling_design._lazy import lazy
+from sampling_design.records.lazy import lazy
 
 _NAMES = {
+    "certification": ("certify",),
     "compare.contraction": ("least_contracting", "spectral_radius"),
     "compare.four_horizons": ("FourHorizons", "four_horizons"),
     "compare.robustness": ("Robustness", "robustness"),
@@ -16,7 +17,7 @@ _NAMES = {
     "existence.periodic": ("certificate_exists", "smallest_repair"),
     "families.certify_family": ("certify_family",),
     "families.family_certificate": ("FamilyCertificate",),
-    "files": ("load_certificate",),
+    "files": ("read_certificate",),
     "form.constants": ("Constant", "ConstantList"),
     "form.horizon": ("Horizon",),
     "form.verdict": ("Verification",),

@@ -7,6 +7,7 @@ from sampling_design.certificates import families as families
 from sampling_design.certificates import form as form
 from sampling_design.certificates import paper as paper
 from sampling_design.certificates import rigorous as rigorous
+from sampling_design.certificates.certification import certify as certify
 from sampling_design.certificates.compare.contraction import least_contracting as least_contracting
 from sampling_design.certificates.compare.contraction import spectral_radius as spectral_radius
 from sampling_design.certificates.compare.four_horizons import FourHorizons as FourHorizons
@@ -28,7 +29,7 @@ from sampling_design.certificates.existence.periodic import certificate_exists a
 from sampling_design.certificates.existence.periodic import smallest_repair as smallest_repair
 from sampling_design.certificates.families.certify_family import certify_family as certify_family
 from sampling_design.certificates.families.family_certificate import FamilyCertificate as FamilyCertificate
-from sampling_design.certificates.files import load_certificate as load_certificate
+from sampling_design.certificates.files import read_certificate as read_certificate
 from sampling_design.certificates.form.constants import Constant as Constant
 from sampling_design.certificates.form.constants import ConstantList as ConstantList
 from sampling_design.certificates.form.horizon import Horizon as Horizon

@@ -8,9 +8,6 @@ from typing import TypeAlias
 
 import numpy as np
 
-from sampling_design import _checks, _files
-from sampling_design._door import door
-from sampling_design._verbs import offered
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
 from sampling_design.certificates.exact.certificate import MATRICES, NUMBERS, Certificate, SampledCertificate, Witness
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
@@ -19,9 +16,12 @@ from sampling_design.checkers import claims, detectability, family_file, schedul
 from sampling_design.checkers.interval_file import OfInterval
 from sampling_design.checkers.strict import Altered, BadFile, Tree
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
-from sampling_design.evidence import SolverRecord
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant, first_difference
+from sampling_design.records import checks, file_io
+from sampling_design.records.dispatch import offered
+from sampling_design.records.evidence import SolverRecord
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.family_files import family_from_dict
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -39,16 +39,16 @@ def times_from_dict(data: Tree) -> Schedule | PeriodicSchedule:
     """
     kind = data.get("kind") if isinstance(data, dict) else None
     if kind == "periodic":
-        _checks.known_keys("`times`", data, ("kind", "gaps", "first", "outputs"))
+        checks.known_keys("`times`", data, ("kind", "gaps", "first", "outputs"))
         return PeriodicSchedule(data["gaps"], data["first"], data.get("outputs"))
     if kind == "finite":
-        _checks.known_keys("`times`", data, ("kind", "times", "outputs"))
+        checks.known_keys("`times`", data, ("kind", "times", "outputs"))
         return Schedule(data["times"], data.get("outputs"))
     raise ArgumentError(f'`times` must be of kind "periodic" or "finite" here, got {kind!r}.')
 
 
-@door
-def load_certificate(path: str | os.PathLike[str], plant: Plant | None = None) -> AnyCertificate:
+@checked
+def read_certificate(path: str | os.PathLike[str], plant: Plant | None = None) -> AnyCertificate:
     """Read a certificate from its JSON file.
 
     Parameters
@@ -71,7 +71,7 @@ def load_certificate(path: str | os.PathLike[str], plant: Plant | None = None) -
         If it certifies another plant.
     """
     where = os.fspath(path)
-    data = _files.from_json(_files.read_text(where), where)
+    data = file_io.from_json(file_io.read_text(where), where)
     try:
         found = certificate_from_dict(data, where)
     except ArgumentError as error:
@@ -102,9 +102,9 @@ def certificate_from_dict(data: Tree, where: str = "certificate") -> AnyCertific
         raise ArgumentError(sentence) from None
     if isinstance(found, OfInterval):
         raise FileFormatError(
-            f"{where}: holds an interval. Use Interval.load (sampling_design.recovery.interval).", where
+            f"{where}: holds an interval. Use Interval.load (sampling_design.accuracy.interval).", where
         )
-    read = READERS.get(type(found)) or offered("load_certificate", data["claim"], SampledCertificate)
+    read = READERS.get(type(found)) or offered("read_certificate", data["claim"], SampledCertificate)
     assert read is not None, "a claim that the auditor reads and nobody else"
     return read(data, plant_from_dict(data["plant"], where), found)
 
@@ -123,7 +123,7 @@ def _of_family(data: Tree, plant: Plant, found: family_file.OfFamily) -> FamilyC
     graph = graph_from(data["graph"]["words"], found.graph)
     values = values_of(data)
     n = plant.n_states
-    P = [_checks.definite("P2", values["P2"], n), *(_checks.definite("graph.P", M, n) for M in found.graph.P[1:])]
+    P = [checks.definite("P2", values["P2"], n), *(checks.definite("graph.P", M, n) for M in found.graph.P[1:])]
     return FamilyCertificate(plant, family_from_dict(data["times"]), **values, graph=graph, P=np.stack(P))
 
 

@@ -8,12 +8,12 @@ import numpy as np
 import typer
 
 import sampling_design as sd
+from sampling_design.accuracy.accuracy import Accuracy
+from sampling_design.accuracy.projection import Projection
 from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for
 from sampling_design.cli.settings import Settings, numbers, record_table
 from sampling_design.errors import ArgumentError
-from sampling_design.recovery.accuracy import Accuracy
-from sampling_design.recovery.shadow import Shadow
 
 NUMBERS = "One number bounds the norm; numbers with commas between bound each entry; 0 for none."
 
@@ -61,7 +61,7 @@ def accuracy(
     pair = _pair(shadow)
     wanted = _wanted(numbers("--tolerance", tolerance), len(names) or plant.n_states)
     with settings.progress("accuracy"):
-        found = sd.accuracy(
+        found = sd.guaranteed_accuracy(
             plant,
             schedule,
             w_bound=numbers("--w-bound", w_bound, plant.disturbances.names),
@@ -76,7 +76,7 @@ def accuracy(
     _told(settings, found, cast, wanted)
 
 
-def _told(settings: Settings, found: Accuracy, cast: Shadow | None, wanted: list[float] | None) -> None:
+def _told(settings: Settings, found: Accuracy, cast: Projection | None, wanted: list[float] | None) -> None:
     """Write, draw and print; the exit code."""
     folder, data = settings.folder(), found.to_dict()
     if cast is not None:

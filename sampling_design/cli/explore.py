@@ -8,7 +8,6 @@ from typing import Annotated
 
 import typer
 
-from sampling_design import _checks
 from sampling_design.cli import reading
 from sampling_design.cli.accuracy import NUMBERS
 from sampling_design.cli.plan import schedule_for
@@ -18,6 +17,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.requirement_file import requirement_and_plant
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 
@@ -54,7 +54,7 @@ def explore(
     if scene is not None:
         if plant_file is not None:
             raise ArgumentError(f"`--scene` {scene} brings its own plant, got {plant_file} too. Leave one out.")
-        bench = ready_made(_checks.word("--scene", scene, SCENES))
+        bench = ready_made(checks.word("--scene", scene, SCENES))
         bench.folder = settings.folder()
     else:
         plant, requirement = _wanted(settings, plant_file, requirement_file)

@@ -12,8 +12,6 @@ import numpy.typing as npt
 from rich.table import Table as RichTable
 
 import sampling_design as sd
-from sampling_design._files import Growing
-from sampling_design._record import short
 from sampling_design.cli.settings import Settings, rows_table, table
 from sampling_design.estimators.estimate_file import (
     TOGETHER,
@@ -23,12 +21,14 @@ from sampling_design.estimators.estimate_file import (
     as_written,
     check_radii,
 )
-from sampling_design.estimators.online.curve import Following
+from sampling_design.estimators.online.curve import CurveCollector
 from sampling_design.estimators.online.envelope import EstimateEnvelope
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import Progress
 from sampling_design.estimators.online.in_order import AHEAD
-from sampling_design.estimators.online.tally import Tally
+from sampling_design.estimators.online.tally import EstimateCounts
+from sampling_design.records.file_io import AtomicWriter
+from sampling_design.records.record import short
 
 Array = npt.NDArray[np.float64]
 
@@ -47,11 +47,13 @@ def followed(
     radii: str | None,
     guarantee: str,
     tube: bool = False,
-) -> Tally:
+) -> EstimateCounts:
     """Estimate at every row of `record`; write and show what was asked for; `tube`: draw it between rows, too."""
     kind, plant, folder = check_radii(radii or _usual(settings, estimator, record)), estimator.plant, settings.folder()
     drawn = folder is not None and not settings.no_picture
-    curve = Following(estimator, centred=kind == "centred", start=estimator.state.last.t) if drawn and tube else None
+    curve = (
+        CurveCollector(estimator, centred=kind == "centred", start=estimator.state.last.t) if drawn and tube else None
+    )
     envelope = EstimateEnvelope.over(plant, record.times) if drawn and not tube else None
     after = {"radii_of": kind, "guarantee": guarantee, "horizon": estimator.horizon}
     with ExitStack() as open_files:
@@ -60,7 +62,7 @@ def followed(
         for each in (rows, columns):
             if each is not None:
                 open_files.enter_context(each)
-        tally, last = Tally(plant.time_unit) if columns is None else columns.tally, None
+        tally, last = EstimateCounts(plant.time_unit) if columns is None else columns.tally, None
         with settings.progress("estimate") as progress:
             told = _told(_each(estimator, record, curve, kind), len(record), progress)
             while some := list(islice(told, TOGETHER)):
@@ -76,7 +78,7 @@ def followed(
                     for estimate in some:
                         tally.add(estimate.t, estimate)
         if columns is not None and folder is not None:
-            with Growing(folder / "estimates.json") as file:
+            with AtomicWriter(folder / "estimates.json") as file:
                 columns.write(file, settings.named({}), after)
         if columns is not None and settings.as_json:
             columns.write(sys.stdout, settings.named({}), after)
@@ -119,7 +121,7 @@ def _take(envelope: EstimateEnvelope, block: EstimateBlock) -> None:
 
 
 def _each(
-    estimator: sd.MovingHorizonEstimator, record: sd.Measurements, curve: Following | None, kind: str
+    estimator: sd.MovingHorizonEstimator, record: sd.Measurements, curve: CurveCollector | None, kind: str
 ) -> Iterator[Estimate]:
     """Estimates at every row, as they stand beside radii of a kind."""
     for k, (t, y, u) in enumerate(record):

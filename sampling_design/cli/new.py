@@ -14,13 +14,13 @@ import numpy as np
 import typer
 
 import sampling_design as sd
-from sampling_design._files import read_text, write_text
-from sampling_design._units import check_time_unit
 from sampling_design.cli.settings import Settings
 from sampling_design.cli.wishes import AskedFor, by_name, plan_requirement, positive_numbers, requirement, week
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.planning.opening import OpeningCalendar
 from sampling_design.planning.requirement_file import write_plan_requirement
+from sampling_design.records.file_io import read_text, write_text
+from sampling_design.records.units import check_time_unit
 
 PLANT = {
     "format": "A plant: x' = A x + B u + G w, y = C x + D u + v. Times are in time_unit, rates in its inverse.",
@@ -82,7 +82,12 @@ class Motions:
             at += 1
         C = np.tile(row, (len(sensors), 1))
         return sd.Plant(
-            A, C, time_unit=self.unit, states=sd.Signals(names), outputs=sd.Signals(sensors), name=self.name
+            A,
+            C,
+            time_unit=self.unit,
+            states=sd.plants.Signals(names),
+            outputs=sd.plants.Signals(sensors),
+            name=self.name,
         )
 
     def span(self) -> float:
@@ -117,8 +122,8 @@ def new(
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ArgumentError(f"`DIR` {target} cannot be made a folder ({error.strerror}).") from None
-    settings.wrote(_commented(sd.write_plant(plant, paths[0]), PLANT))
-    settings.wrote(_commented(sd.write_requirement(wanted, paths[1]), _dated(asked.start)))
+    settings.wrote(_commented(sd.plants.write_plant(plant, paths[0]), PLANT))
+    settings.wrote(_commented(sd.design.write_requirement(wanted, paths[1]), _dated(asked.start)))
     told = f"Next: sampling-design design {paths[0]} {paths[1]} -o {target}"
     data = {"plant": plant.to_dict(), "requirement": wanted.to_dict()}
     if planned is not None:

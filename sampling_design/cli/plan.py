@@ -12,9 +12,6 @@ import typer
 from rich.table import Table as RichTable
 
 import sampling_design as sd
-from sampling_design._checks import positive
-from sampling_design._record import short
-from sampling_design._units import SECONDS
 from sampling_design.cli import reading
 from sampling_design.cli.settings import Settings, end_bracket, end_unseen, record_table, table
 from sampling_design.design.schedule_design import ScheduleDesign
@@ -22,6 +19,9 @@ from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.default_window import default_window
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.modes import ModalSplit
+from sampling_design.records.checks import positive
+from sampling_design.records.record import short
+from sampling_design.records.units import SECONDS
 from sampling_design.schedules.calendar import clock_changes, repeats_by_rule, write_calendar_csv
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.time_stamps import parse_date, passed
@@ -45,7 +45,7 @@ def info(
     Example: sampling-design info examples/plants/oscillator.toml
     """
     plant = reading.plant(plant_file)
-    split = sd.split_modes(plant, settings.decay_rate or 0.0)
+    split = sd.plants.split_modes(plant, settings.decay_rate or 0.0)
     tables: list[RichTable | str] = [record_table(plant), _modes(split, plant.time_unit), split.explain()]
     data: dict[str, object] = {"plant": plant.to_dict(), "split": split.to_dict(), "counts": None}
     if split.retained.n_states:
@@ -168,17 +168,17 @@ def _schedule_files(
 ) -> None:
     zero, zone = calendar
     if zero is None:
-        settings.wrote(sd.write_schedule(schedule, folder / "schedule.csv"))
+        settings.wrote(sd.schedules.write_schedule(schedule, folder / "schedule.csv"))
         return
     dated = replace(schedule, origin=zero)
-    settings.wrote(sd.write_schedule(dated, folder / "schedule.csv"))
+    settings.wrote(sd.schedules.write_schedule(dated, folder / "schedule.csv"))
     settings.wrote(write_calendar_csv(dated, folder / "calendar.csv", zone=zone))
     title = f"{result.plant.name or 'plant'}: sample"
     span = None if zone is None else _until_clocks_change(settings, result, zero, zone)
     if span is None and not repeats_by_rule(dated):
         span = dated.period
         settings.notice("The period is no whole number of seconds, which no calendar repeats: schedule.ics holds one.")
-    settings.wrote(sd.write_ics(dated, folder / "schedule.ics", summary=title, span=span, zone=zone))
+    settings.wrote(sd.schedules.write_ics(dated, folder / "schedule.ics", summary=title, span=span, zone=zone))
 
 
 def _until_clocks_change(settings: Settings, result: ScheduleDesign, zero: str, zone: str) -> float | None:
@@ -219,7 +219,7 @@ def sigma(
     """
     plant = reading.plant(plant_file)
     schedule = schedule_for(settings, plant, schedule_file)
-    split = sd.split_modes(plant, settings.decay_rate or 0.0)
+    split = sd.plants.split_modes(plant, settings.decay_rate or 0.0)
     if not split.retained.n_states:
         settings.show({"sigma": None, "split": split.to_dict()}, split.explain())
         return

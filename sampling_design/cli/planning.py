@@ -12,7 +12,6 @@ import typer
 from rich.table import Table
 
 import sampling_design as sd
-from sampling_design._checks import number
 from sampling_design.cli import reading
 from sampling_design.cli.settings import Settings, record_table, table
 from sampling_design.errors import ArgumentError
@@ -20,7 +19,8 @@ from sampling_design.planning.dates import PlanDates, plan_dates
 from sampling_design.planning.files import save_plan
 from sampling_design.planning.opening import WEEK
 from sampling_design.planning.plan_record import Plan
-from sampling_design.planning.sheet import write_form, write_sheet
+from sampling_design.planning.sampling_sheet import write_form, write_sheet
+from sampling_design.records.checks import number
 from sampling_design.schedules.calendar import write_calendar_csv
 from sampling_design.schedules.time_stamps import parse_date
 
@@ -61,7 +61,7 @@ def plan(
         raise ArgumentError(f"`PLANT` is missing: {plant_file} is a requirement that holds no plant.")
     other = None if compare is None else reading.plan(compare)
     with settings.progress("plan") as progress:
-        result = sd.plan(plant, requirement, search_seconds=search_seconds, progress=progress)
+        result = sd.plan_samples(plant, requirement, search_seconds=search_seconds, progress=progress)
     dates = None
     if requirement.calendar is not None and result.keeps:
         dates = plan_dates(result, periods)
@@ -87,8 +87,8 @@ def _write(settings: Settings, result: Plan, dates: PlanDates | None, person: st
     if folder is None:
         return
     settings.wrote(save_plan(result, folder / "plan.json"))
-    settings.wrote(sd.write_plant(result.plant, folder / "plant.toml"))
-    settings.wrote(sd.write_schedule(result.schedule, folder / "schedule.csv"))
+    settings.wrote(sd.plants.write_plant(result.plant, folder / "plant.toml"))
+    settings.wrote(sd.schedules.write_schedule(result.schedule, folder / "schedule.csv"))
     if result.certificate is not None:
         settings.wrote(result.certificate.save(folder / "certificate.json"))
     elif "certificate" in result.left_out:
@@ -99,9 +99,11 @@ def _write(settings: Settings, result: Plan, dates: PlanDates | None, person: st
         real, zone = dates.schedule(), result.requirement.calendar.zone
         title = f"{result.plant.name or 'plant'}: sample"
         settings.wrote(write_calendar_csv(real, folder / "calendar.csv", zone=zone))
-        settings.wrote(sd.write_schedule(real, folder / "dates.csv"))
+        settings.wrote(sd.schedules.write_schedule(real, folder / "dates.csv"))
         settings.wrote(write_form(dates, folder / "form.csv"))
-        settings.wrote(sd.write_ics(real, folder / "plan.ics", summary=title, span=real.times[-1] + 1.0, zone=zone))
+        settings.wrote(
+            sd.schedules.write_ics(real, folder / "plan.ics", summary=title, span=real.times[-1] + 1.0, zone=zone)
+        )
         settings.wrote(write_sheet(dates, folder / "sheet.html", person=person))
 
 

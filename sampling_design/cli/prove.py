@@ -11,8 +11,6 @@ import typer
 from rich.table import Table as RichTable
 
 import sampling_design as sd
-from sampling_design._checks import positive
-from sampling_design._files import write_text
 from sampling_design.certificates.compare.four_horizons import FourHorizons
 from sampling_design.certificates.detectability.best_rate import NOISE_GAIN as OF_PLANTS
 from sampling_design.certificates.exact.certificate import SampledCertificate
@@ -21,6 +19,8 @@ from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile, schedule_for
 from sampling_design.cli.settings import Settings, record_table, table
 from sampling_design.errors import ArgumentError
+from sampling_design.records.checks import positive
+from sampling_design.records.file_io import write_text
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 
 NOISE_GAIN = 3.0
@@ -99,7 +99,7 @@ def certify(
     horizons = None
     if isinstance(times, (sd.Schedule, sd.PeriodicSchedule)) and isinstance(certificate, sd.Certificate):
         left = max(ends - time.perf_counter(), LEAST_LEFT)
-        horizons = sd.four_horizons(plant, times, certificate, budget=left)
+        horizons = sd.certificates.four_horizons(plant, times, certificate, budget=left)
     if certificate_file is not None:
         settings.wrote(certificate.save(certificate_file))
     if settings.folder() is not None:
@@ -121,7 +121,7 @@ def _detectability(
     """Certify the plant alone, at the rate and with the noise gain that are asked for."""
     rate = None if eta is None else positive("eta", eta)
     gain = OF_PLANTS if noise_gain is None else positive("noise-gain", noise_gain)
-    certificate = sd.certify_detectability(plant, rate, noise_gain=gain)
+    certificate = sd.certificates.certify_detectability(plant, rate, noise_gain=gain)
     folder = settings.folder()
     for place in (path, None if folder is None else folder / "certificate.json"):
         if place is not None:
@@ -132,7 +132,7 @@ def _detectability(
 def sampling_certificate(path: Path, plant: sd.Plant) -> SampledCertificate:
     """The certificate of a file, if it is about samples of this plant."""
     certificate = reading.certificate(path, plant)
-    if isinstance(certificate, sd.DetectabilityCertificate):
+    if isinstance(certificate, sd.certificates.DetectabilityCertificate):
         raise ArgumentError(
             f"`CERTIFICATE` {path} proves that the plant is detectable, which promises nothing about samples: "
             "make one with `certify PLANT SCHEDULE`."

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import sampling_design as sd
-from sampling_design._files import from_json, from_toml, read_text
+from sampling_design.accuracy.interval import Interval
 from sampling_design.checkers.check import verdict
 from sampling_design.errors import CertificateError, FileFormatError, SamplingDesignError
 from sampling_design.plants.plant import first_difference
-from sampling_design.recovery.interval import Interval
+from sampling_design.records.file_io import from_json, from_toml, read_text
 
 if TYPE_CHECKING:
     from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
@@ -73,9 +73,9 @@ def plan_requirement(path: Path) -> tuple[PlanRequirement, Plant | None]:
 
 def plan(path: Path) -> Plan:
     """The plan of a file."""
-    from sampling_design.planning.files import load_plan
+    from sampling_design.planning.files import read_plan
 
-    return _read("plan", load_plan, path)
+    return _read("plan", read_plan, path)
 
 
 def measurements(
@@ -90,7 +90,7 @@ def measurements(
 
 def certificate(path: Path, about: Plant | None) -> SampledCertificate | DetectabilityCertificate:
     """The certificate of a file."""
-    return _read("certificate", lambda where: sd.load_certificate(where, about), path)
+    return _read("certificate", lambda where: sd.read_certificate(where, about), path)
 
 
 def holds_interval(path: Path) -> bool:

@@ -15,19 +15,19 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 import typer
 from typer.models import OptionInfo
 
-from sampling_design._checks import positive, whole
-from sampling_design._files import Growing, json_pieces
 from sampling_design.cli.version import show_version
 from sampling_design.errors import ArgumentError
+from sampling_design.records.checks import positive, whole
+from sampling_design.records.file_io import AtomicWriter, json_pieces
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from sampling_design._record import Record
-    from sampling_design._workers import Workers
     from sampling_design.design.schedule_design import ScheduleDesign
     from sampling_design.observability.windows.window_sigma import WindowSigma
     from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseSigma
+    from sampling_design.records.record import Record
+    from sampling_design.records.workers import Workers
 
 ProgressCall = Callable[[float, str], None]
 
@@ -110,7 +110,7 @@ class Settings:
 
     def write_json(self, path: Path, data: Mapping[str, object]) -> None:
         """Write a result with the name of its format, and remember the file."""
-        with Growing(path) as file:
+        with AtomicWriter(path) as file:
             for piece in json_pieces(self.named(data)):
                 file.write(piece.encode())
         self.wrote(path)
@@ -308,7 +308,7 @@ Scheduler = Annotated[
 @contextmanager
 def workforce(workers: int, scheduler: str | None) -> Iterator[Workers]:
     """Yield who does the work of a command: this process, several, or the machines of a scheduler."""
-    from sampling_design._workers import check_workers, cluster
+    from sampling_design.records.workers import check_workers, cluster
 
     if scheduler is None:
         check_workers(workers)

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sampling_design._files import write_text
 from sampling_design.cli.settings import Settings, record_table
+from sampling_design.records.file_io import write_text
 
 if TYPE_CHECKING:
     from sampling_design.nonlinear.patient_run import PatientRun
 
 
-class Reading(StrEnum):
+class NoiseInterpretation(StrEnum):
     """How the paper's w is read."""
 
     per_second = "per_second"
@@ -27,7 +27,7 @@ def thyroid(
     settings: Settings,
     runs: Annotated[int, typer.Option(help="Noise realisations per reading of w.")] = 1,
     reading: Annotated[
-        list[Reading] | None,
+        list[NoiseInterpretation] | None,
         typer.Option(help="How w is read; may be repeated. Default: per_second and per_day."),
     ] = None,
     days: Annotated[float, typer.Option(help="Length of a run.")] = 20.0,

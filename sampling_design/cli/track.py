@@ -11,8 +11,6 @@ import numpy.typing as npt
 import typer
 
 import sampling_design as sd
-from sampling_design._files import write_text
-from sampling_design._record import short
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.checkers.strict import Tree
 from sampling_design.cli import reading
@@ -30,6 +28,8 @@ from sampling_design.cli.settings import (
 )
 from sampling_design.errors import ArgumentError, MathematicsError, SolverError
 from sampling_design.estimators.online.estimator import Progress
+from sampling_design.records.file_io import write_text
+from sampling_design.records.record import short
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.report import ValidationReport
 
@@ -149,7 +149,7 @@ def _certified(
     if path is not None:
         return sampling_certificate(path, plant)
     assert schedule is not None
-    rate = _rate(settings, plant, eta, sd.SamplingSet(schedule).d_max)
+    rate = _rate(settings, plant, eta, sd.schedules.SamplingSet(schedule).d_max)
     with settings.progress("certificate") as progress:
         return sd.certify(plant, schedule, eta=rate, progress=progress, **_weights(plant, rate, bounds))
 
@@ -172,7 +172,7 @@ def _weights(plant: sd.Plant, eta: float, bounds: NoiseBounds) -> Tree:
             (bounds["initial_error"], plant.states),
         )
     )
-    return sd.weights_from_bounds(plant, eta, w, v, start)
+    return sd.certificates.weights_from_bounds(plant, eta, w, v, start)
 
 
 def _bounds(
@@ -251,7 +251,7 @@ def _estimator(
         horizon = GAPS_IN_HORIZON * longest if longest > 0 else 1.0
         settings.notice(f"--horizon not given: {short(horizon)} {plant.time_unit} is used.")
     with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", sd.GuaranteeWarning)
+        warnings.simplefilter("always", sd.estimators.GuaranteeWarning)
         estimator = sd.MovingHorizonEstimator(
             plant, certificate, horizon=horizon, prior=prior, prior_time=start, schedule_zero=start, **bounds
         )
@@ -349,7 +349,7 @@ def log(
     schedule = schedule_for(settings, plant, schedule_file)
     record = reading.measurements(settings, measurement_file, plant, schedule.origin)
     _check_origins(record, schedule)
-    split = sd.split_modes(plant, settings.decay_rate or 0.0)
+    split = sd.plants.split_modes(plant, settings.decay_rate or 0.0)
     # where every mode decays no window is judged, so that none is chosen and told
     length = 1.0 if window is None and not split.retained.n_states else window_length(settings, split, window)
     times, taken = record.samples()

@@ -9,7 +9,6 @@ import numpy as np
 import typer
 
 import sampling_design as sd
-from sampling_design._checks import positive
 from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile
 from sampling_design.cli.prove import sampling_certificate
@@ -24,6 +23,7 @@ from sampling_design.cli.settings import (
 )
 from sampling_design.design.pareto import NO_NEED, NO_TIME
 from sampling_design.errors import ArgumentError
+from sampling_design.records.checks import positive
 
 
 def worst_case(
@@ -39,7 +39,7 @@ def worst_case(
 
     Example: sampling-design worst-case examples/plants/oscillator.toml --window 4 --count 3 --spacing 0.5
     """
-    retained = sd.split_modes(reading.plant(plant_file), settings.decay_rate or 0.0).retained
+    retained = sd.plants.split_modes(reading.plant(plant_file), settings.decay_rate or 0.0).retained
     if not retained.n_states:
         settings.show({"lower": None}, "No samples needed: every mode decays. Ask for more with --decay-rate.")
         return
@@ -82,7 +82,7 @@ def pareto(
     folder = settings.folder()
     resume = None if folder is None else folder / "pareto.json"
     with settings.progress("pareto") as progress, workforce(workers, scheduler) as hands:
-        front = sd.pareto(
+        front = sd.pareto_front(
             plant,
             requirement,
             _counts(counts),

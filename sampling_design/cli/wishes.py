@@ -13,10 +13,10 @@ import numpy.typing as npt
 import typer
 
 import sampling_design as sd
-from sampling_design._checks import known_keys
-from sampling_design._units import SECONDS
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.opening import DAYS, WeekHours, minutes, week_hours
+from sampling_design.records.checks import known_keys
+from sampling_design.records.units import SECONDS
 from sampling_design.schedules.time_stamps import parse_date
 
 Array = npt.NDArray[np.float64]

@@ -1,12 +1,12 @@
 """Where to put the samples: requirements, schedules, and the bound that no schedule can beat."""
 
-from sampling_design._lazy import lazy
+from sampling_design.records.lazy import lazy
 
 _NAMES = {
     "bounds.evidence": ("BoundPart", "UpperBound"),
     "design": ("design_schedule",),
     "losses": ("SampleLosses", "sample_losses"),
-    "pareto": ("ParetoFront", "ParetoPoint"),
+    "pareto": ("ParetoFront", "ParetoPoint", "pareto_front"),
     "problem.requirement": ("OutputAccess", "Requirement"),
     "problem.requirement_file": ("read_requirement", "requirement_from_dict", "write_requirement"),
     "schedule_design": ("ScheduleDesign",),

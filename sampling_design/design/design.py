@@ -9,10 +9,6 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._checks import Seed
-from sampling_design._door import door
-from sampling_design._units import time_factor
 from sampling_design.checkers.strict import Tree
 from sampling_design.design.bounds.branching import narrowed
 from sampling_design.design.bounds.evidence import UpperBound, first_bound, quick_bound
@@ -29,11 +25,15 @@ from sampling_design.design.search.fedorov_exchange import even, is_admissible, 
 from sampling_design.design.search.local_search import search
 from sampling_design.design.sizes import check_size
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError, SolverError
-from sampling_design.evidence import SolverRecord
 from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
 from sampling_design.observability.windows.window_sigma import WindowSigma
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.checks import Seed
+from sampling_design.records.evidence import SolverRecord
+from sampling_design.records.signatures import checked
+from sampling_design.records.units import time_factor
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 Array = npt.NDArray[np.float64]
@@ -59,7 +59,7 @@ _PLAIN_STATES = 8  # up to which a cut takes little time
 _ENOUGH = 1e-5  # relative distance from the bound at which a search has nothing left to find
 
 
-@door
+@checked
 def design_schedule(
     plant: Plant,
     requirement: Requirement | None = None,
@@ -134,10 +134,10 @@ def design_schedule(
     True
     """
     wanted = Requirement() if requirement is None else requirement
-    starts = _checks.whole("starts", min(starts, _MOST_STARTS), 1)
-    cuts = None if branches is None else _checks.whole("branches", min(branches, _MOST_STARTS))
-    seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
-    if _checks.positive("rtol", rtol) >= 1:
+    starts = checks.whole("starts", min(starts, _MOST_STARTS), 1)
+    cuts = None if branches is None else checks.whole("branches", min(branches, _MOST_STARTS))
+    seconds = np.inf if budget is None else checks.nonnegative("budget", budget)
+    if checks.positive("rtol", rtol) >= 1:
         raise ArgumentError(f"`rtol` must be less than 1, got {rtol!r}.")
     split = split_modes(plant, _rate(wanted, plant))
     if split.retained.n_states == 0:
@@ -153,7 +153,7 @@ def design_schedule(
         requirement=resolved,
         used=used,
         zero_count=count,
-        seed=int(_checks.generator(rng).integers(2**63)),
+        seed=int(checks.generator(rng).integers(2**63)),
         starts=starts,
         branches=cuts,
         rtol=rtol,
@@ -206,7 +206,7 @@ def _nothing(plant: Plant, split: ModalSplit, requirement: Requirement) -> Sched
 
 
 @dataclass(frozen=True, eq=False)
-class Sized:
+class CountProblem:
     """One count of samples: its problem, the relaxation to round, and the smaller of the bounds.
 
     The relaxation and `inner`, the bound as it was found, are in canonical units; `bound` is that of the problem.
@@ -224,14 +224,14 @@ class Sized:
         return self.canon.outside
 
 
-def bounded(plant: Plant, requirement: Requirement, samples: int, deadline: float = np.inf) -> Sized:
+def bounded(plant: Plant, requirement: Requirement, samples: int, deadline: float = np.inf) -> CountProblem:
     """Relax and bound one count of samples; `requirement` is resolved, `plant` the one that is designed for."""
     canon = canonical(pose(plant, requirement, samples))
     left = deadline - time.perf_counter()
     seconds = max(left / 3, 0.0) if np.isfinite(left) else None
     placed = (relax_costly if canon.inside.is_costly else relax_placed)(canon.inside, seconds=seconds)
     inner = first_bound(canon.inside, placed, deadline)
-    return Sized(canon, placed, inner, inner.brought_back(canon), (placed.record,))
+    return CountProblem(canon, placed, inner, inner.brought_back(canon), (placed.record,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,7 +265,7 @@ class _Run:
         best: ScheduleDesign | None = None
         refused: InfeasibleRequirementError | SolverError | None = None
         bounds: dict[int, UpperBound] = {}
-        sized: Sized | None = None
+        sized: CountProblem | None = None
         for done, samples in enumerate(counts):
             low, high = done / len(counts), (done + 1) / len(counts)
             self.say(low, f"bounding {samples} samples per period")
@@ -297,7 +297,7 @@ class _Run:
         late = time.perf_counter() > self.began + self.seconds
         return replace(best, upper_bound=top, other_counts=others, status="budget" if late else best.status)
 
-    def searched(self, sized: Sized, low: float, high: float, known: float = 0.0) -> ScheduleDesign:
+    def searched(self, sized: CountProblem, low: float, high: float, known: float = 0.0) -> ScheduleDesign:
         """Search and prove where the bound is known already; none below a sigma that is `known` needs narrowing."""
         middle, near = low + 0.5 * (high - low), low + 0.95 * (high - low)
 
@@ -345,7 +345,7 @@ class _Run:
         )
 
     def tied(
-        self, sized: Sized, rng: np.random.Generator, reached: float, deadline: float
+        self, sized: CountProblem, rng: np.random.Generator, reached: float, deadline: float
     ) -> list[tuple[Array, Mask, float]]:
         """Times that repeat within the period, what they measure and their sigma, where that could be better."""
         part, enough = folded(sized.canon.inside), sized.inner.value * (1 - _ENOUGH)

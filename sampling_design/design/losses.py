@@ -10,24 +10,24 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._checks import Seed
-from sampling_design._door import door
-from sampling_design._record import Plain, Table, short
 from sampling_design.design.design import bounded, design_schedule
 from sampling_design.design.problem.posing import pose, repeated
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.windows.window_sigma import WindowSigma
-from sampling_design.schedules.schedule import Details, PeriodicSchedule
+from sampling_design.records import checks
+from sampling_design.records.checks import Seed
+from sampling_design.records.record import Plain, TableRecord, short
+from sampling_design.records.signatures import checked
+from sampling_design.schedules.schedule import PeriodicSchedule, ScheduleDetails
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SampleLosses(Table):
+class SampleLosses(TableRecord):
     """Sigma after the loss of each single sample of a period.
 
     Attributes
@@ -91,7 +91,7 @@ class SampleLosses(Table):
         )
 
 
-@door
+@checked
 def sample_losses(
     design: ScheduleDesign,
     *,
@@ -139,8 +139,8 @@ def sample_losses(
         raise ArgumentError("`design` must be a ScheduleDesign with a schedule; there is no sample to lose.")
     if not design.sigma > 0:
         raise ArgumentError(f"`design` must see every state, or there is nothing to lose. {design.explain()}")
-    _checks.positive("rtol", rtol)
-    seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
+    checks.positive("rtol", rtol)
+    seconds = np.inf if budget is None else checks.nonnegative("budget", budget)
     began, count = time.perf_counter(), len(design.schedule)
     proofs: list[WindowSigma | None] = []
     for i in range(count):
@@ -155,7 +155,7 @@ def sample_losses(
     bound = np.maximum(
         _bounds(design, every_period, began + seconds, rng), lower
     )  # a bound may round to just below a tight proof
-    lower, upper, bound = (_checks.freeze(a) for a in (lower, upper, bound))
+    lower, upper, bound = (checks.freeze(a) for a in (lower, upper, bound))
     return SampleLosses(
         design.schedule.times, design.sigma, lower, upper, bound, every_period, design.schedule.time_unit
     )
@@ -211,5 +211,5 @@ def _without(design: ScheduleDesign, i: int, every_period: bool) -> PeriodicSche
         return None
     keep = np.arange(times.size) != i
     mask = None if schedule.outputs is None else np.tile(schedule.outputs, (periods, 1))[keep]
-    details = Details(time_unit=schedule.time_unit, output_names=schedule.output_names)
+    details = ScheduleDetails(time_unit=schedule.time_unit, output_names=schedule.output_names)
     return PeriodicSchedule.from_times(times[keep], periods * schedule.period, mask, **details)

@@ -14,17 +14,17 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._checks import Seed
-from sampling_design._door import door
-from sampling_design._files import from_json, read_text, to_json, write_text
-from sampling_design._record import Plain, Table, counted, short
-from sampling_design._workers import Workers, check_workers, mapped
 from sampling_design.checkers.strict import Tree
 from sampling_design.design.design import design_schedule
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.checks import Seed
+from sampling_design.records.file_io import from_json, read_text, to_json, write_text
+from sampling_design.records.record import Plain, TableRecord, counted, short
+from sampling_design.records.signatures import checked
+from sampling_design.records.workers import Workers, check_workers, mapped
 
 Progress = Callable[[float, str], None]
 FORMAT = "sampling-design/pareto/1"
@@ -45,7 +45,7 @@ class ParetoPoint:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ParetoFront(Table):
+class ParetoFront(TableRecord):
     """Sigma and its bound over the number of samples per period.
 
     Attributes
@@ -91,8 +91,8 @@ class ParetoFront(Table):
         )
 
 
-@door
-def pareto(
+@checked
+def pareto_front(
     plant: Plant,
     requirement: Requirement,
     counts: Iterable[int],
@@ -138,10 +138,10 @@ def pareto(
     FileFormatError
         If `resume` belongs to another plant, requirement or option.
     """
-    wanted = sorted({_checks.whole("counts", c, 1) for c in counts})
+    wanted = sorted({checks.whole("counts", c, 1) for c in counts})
     if not wanted:
         raise ArgumentError("`counts` must hold at least one number of samples.")
-    seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
+    seconds = np.inf if budget is None else checks.nonnegative("budget", budget)
     if rng is not None:
         options = {**options, "rng": rng}
     key = _key(plant, requirement, options if budget is None else {**options, "budget": budget})

@@ -8,19 +8,19 @@ from functools import cached_property
 
 import numpy as np
 
-from sampling_design._record import Plain, Record, counted, short
 from sampling_design.design.bounds.evidence import UpperBound
 from sampling_design.design.counts import rival_counts
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.posing import pose
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.search.fedorov_exchange import is_admissible
-from sampling_design.evidence import Claim, SolverRecord
 from sampling_design.observability.count.zero_count import ZeroCountBound
 from sampling_design.observability.sigma_bracket import coordinates_of
 from sampling_design.observability.windows.window_sigma import WindowSigma, window_sigma
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
+from sampling_design.records.evidence import Claim, SolverRecord
+from sampling_design.records.record import Plain, Record, counted, short
 from sampling_design.schedules.files import schedule_to_dict
 from sampling_design.schedules.schedule import PeriodicSchedule
 

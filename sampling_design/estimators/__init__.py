@@ -1,6 +1,6 @@
 """Estimators: the state, and a radius that holds it, from rare and irregular measurements."""
 
-from sampling_design._lazy import lazy
+from sampling_design.records.lazy import lazy
 
 _NAMES = {
     "constraints.constraints": ("Constraints",),

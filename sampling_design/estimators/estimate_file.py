@@ -17,15 +17,15 @@ from typing import IO, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._door import door
-from sampling_design._files import Growing
 from sampling_design.estimators.online.estimate import Estimate, half_widths
 from sampling_design.estimators.online.estimator import EstimateRecord
-from sampling_design.estimators.online.tally import Tally
+from sampling_design.estimators.online.tally import EstimateCounts
 from sampling_design.estimators.records.measurement_table import date_of, dated
 from sampling_design.estimators.records.measurements import cell_of
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.file_io import AtomicWriter
+from sampling_design.records.signatures import checked
 
 Array = npt.NDArray[np.float64]
 
@@ -75,7 +75,7 @@ class EstimateTable:
     ):
         self.plant, self.radii = plant, check_radii(radii)
         self._zero = date_of("`origin`", 0, origin) if origin else None
-        self._file, self._text = Growing(path), io.StringIO()
+        self._file, self._text = AtomicWriter(path), io.StringIO()
         self._rows = csv.writer(self._text, lineterminator="\n")
         header = [*(["date"] if self._zero else []), "time", "status", "certified", "cost"]
         header += [column for name in plant.states.names for column in (name, f"{name}_radius")]
@@ -127,7 +127,7 @@ class EstimateColumns:
     LISTS = ("times", "x", "radii", "radius", "cost", "status", "certified", "on_schedule", "notes")
 
     def __init__(self, plant: Plant, radii: str = "intervals"):
-        self.plant, self.radii, self.tally = plant, check_radii(radii), Tally(plant.time_unit)
+        self.plant, self.radii, self.tally = plant, check_radii(radii), EstimateCounts(plant.time_unit)
         self._begun = False
 
     def __enter__(self) -> EstimateColumns:
@@ -165,11 +165,11 @@ class EstimateColumns:
         for spool, column in zip(self._spools.values(), columns, strict=True):
             spool.write(mark + ",\n    ".join(column))
 
-    def write(self, file: Growing | IO[str], before: Mapping[str, object], after: Mapping[str, object]) -> None:
+    def write(self, file: AtomicWriter | IO[str], before: Mapping[str, object], after: Mapping[str, object]) -> None:
         """Write everything as JSON: the entries `before`, the record's, the entries `after`."""
 
         def put(text: str) -> None:
-            file.write(text.encode()) if isinstance(file, Growing) else file.write(text)
+            file.write(text.encode()) if isinstance(file, AtomicWriter) else file.write(text)
 
         head = {**before, "states": list(self.plant.states.names), "time_unit": self.plant.time_unit}
         contradictions = [each.to_dict() for each in self.tally.contradictions]
@@ -263,10 +263,10 @@ def check_radii(radii: str) -> str:
     ArgumentError
         If there are none of that name.
     """
-    return _checks.word("radii", radii, RADII)
+    return checks.word("radii", radii, RADII)
 
 
-@door
+@checked
 def write_estimates(record: EstimateRecord, path: str | os.PathLike[str], *, origin: str | None = None) -> Path:
     """Write estimates as CSV: time, status, certified, cost, then per state its value and its radius.
 

@@ -7,25 +7,25 @@ from copy import copy
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._checks import freeze
-from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
 from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimate import Contradiction, Estimate
-from sampling_design.estimators.online.estimator import EstimateRecord, Taken
-from sampling_design.estimators.online.history import Node, State
+from sampling_design.estimators.online.estimator import CheckedSample, EstimateRecord
+from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.in_order import listed, triple
-from sampling_design.estimators.online.open_loop import ROUNDING, Held, MeasuredSample, SolveDetails
-from sampling_design.estimators.online.rounded import faded
+from sampling_design.estimators.online.open_loop import ROUNDING, MeasuredSample, OpenLoopState, SolveDetails
+from sampling_design.estimators.online.rounding import faded
 from sampling_design.estimators.window.means import means_of
 from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.window.square_root import absorb, covariance_root
-from sampling_design.estimators.windowed_estimator import Start, WindowedEstimator
+from sampling_design.estimators.windowed_estimator import WindowedEstimator, WindowStart
+from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.checks import freeze
 
 Array = npt.NDArray[np.float64]
 
@@ -93,12 +93,12 @@ class KalmanFilter(WindowedEstimator):
         weights = build_weights(plant, certificate, cost)
         self.claim_note = "No a-priori claim: a filter, not the estimator of the certificate."
         self._set_up(plant, weights, None, input_side)
-        self.memory = self.maximum_delay = _checks.nonnegative("maximum_delay", maximum_delay)
+        self.memory = self.maximum_delay = checks.nonnegative("maximum_delay", maximum_delay)
         self.horizon = np.inf
         self._set_bounds(w_bound, v_bound, initial_error)
         self.state = self.initial_state(prior, prior_time)
 
-    def _advance(self, state: State, sample: Taken) -> Node:
+    def _advance(self, state: EstimatorState, sample: CheckedSample) -> HistoryNode:
         y, mask, feedthrough = self._measured(state, sample)
         last, weights = state.last, self.weights
         (flow,) = self.table.get([sample.t - last.t])
@@ -119,7 +119,12 @@ class KalmanFilter(WindowedEstimator):
             x, Y, beta = self._ahead(last, flow, drift)
             found = found._replace(beta=beta)
             return self._node(
-                state, MeasuredSample(sample, y, mask, feedthrough), Held(x, Y, flow, drift), found, details, note
+                state,
+                MeasuredSample(sample, y, mask, feedthrough),
+                OpenLoopState(x, Y, flow, drift),
+                found,
+                details,
+                note,
             )
         terms += self._rounded(y, x)
         spread, step, half = absorb(covariance_root(Y), H, innovation)
@@ -130,15 +135,17 @@ class KalmanFilter(WindowedEstimator):
         if found.status == "bounds disproved" and last.stands:
             found = found._replace(contradiction=self._blame(sample, last.number + 1, (half, cost), (terms, own)))
         details["cost"] = past + cost
-        return self._node(state, MeasuredSample(sample, y, mask, feedthrough), Held(x, Y, flow, drift), found, details)
+        return self._node(
+            state, MeasuredSample(sample, y, mask, feedthrough), OpenLoopState(x, Y, flow, drift), found, details
+        )
 
     def _with_means(
         self,
-        state: State,
-        sample: Taken,
+        state: EstimatorState,
+        sample: CheckedSample,
         measured: tuple[Array, Array, Array],
         last_gap: tuple[GapFlow, Array],
-    ) -> Node:
+    ) -> HistoryNode:
         """Return the node of a composite sample: from the last node before anything that it overlaps, all at once."""
         nodes, last = state.nodes, state.last
         since = min(begun for _, begun, _ in means_of(sample))
@@ -148,7 +155,7 @@ class KalmanFilter(WindowedEstimator):
             if node.t > nodes[at].t and nodes[0].t <= begun < nodes[at].t:
                 at = state.node_before(begun)
         first = nodes[at]
-        start = Start(first.t, first.x, first.beta, covariance_root(first.Y), nodes[at + 1 :])
+        start = WindowStart(first.t, first.x, first.beta, covariance_root(first.Y), nodes[at + 1 :])
         window = self._window(state, start, sample, measured)
         solution, passed = smooth(window), float(window.discount[0])
         terms = faded(first.beta, passed) + self._lost(sample.t - first.t) + self._rounded(window.y, window.reference)
@@ -166,10 +173,10 @@ class KalmanFilter(WindowedEstimator):
         y, mask, feedthrough = measured
         x, Y = freeze(solution.nodes[-1].copy()), freeze(symmetrise(solution.covariance))
         taken = MeasuredSample(sample, y, mask, feedthrough)
-        return self._node(state, taken, Held(x, Y, *last_gap), found, details)
+        return self._node(state, taken, OpenLoopState(x, Y, *last_gap), found, details)
 
     def _blame(
-        self, sample: Taken, number: int, innovation: tuple[Array, float], bounds: tuple[float, float]
+        self, sample: CheckedSample, number: int, innovation: tuple[Array, float], bounds: tuple[float, float]
     ) -> Contradiction:
         """Return what is known of the sample that made the innovations cost more than the bounds allow."""
         (half, cost), (terms, own) = innovation, bounds
@@ -199,14 +206,14 @@ class KalmanFilter(WindowedEstimator):
         """
         fresh = copy(self)
         fresh.memory = np.inf
-        fresh.state = State(self.initial_state(self.state.nodes[0].x, self.state.nodes[0].t).nodes)
+        fresh.state = EstimatorState(self.initial_state(self.state.nodes[0].x, self.state.nodes[0].t).nodes)
         for item in listed(record, self.plant):
             fresh.update(*triple(item))
         nodes = fresh.state.nodes
         if len(nodes) == 1:
             return EstimateRecord.collect(self.plant, [])
         first, last = nodes[0], nodes[-1]
-        start = Start(first.t, first.x, first.beta, None, nodes[1:-1])
+        start = WindowStart(first.t, first.x, first.beta, None, nodes[1:-1])
         window = fresh._window(fresh.state, start, last.sample, (last.y, last.mask, last.feedthrough))
         found, said = smooth(window), last.estimate
         at = {t: j for j, t in enumerate(window.times.tolist())}

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.accuracy.readings import StartError
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.assumed import narrowed
@@ -19,18 +20,23 @@ from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
 from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimate import Contradiction
-from sampling_design.estimators.online.estimator import Taken
+from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.online.evidence import Assumptions
 from sampling_design.estimators.online.guarantee import choose_horizon
-from sampling_design.estimators.online.history import Node, State
-from sampling_design.estimators.online.open_loop import CONTRADICTION, Held, MeasuredSample, SolveDetails, Verdict
-from sampling_design.estimators.online.rounded import faded
+from sampling_design.estimators.online.history import EstimatorState, HistoryNode
+from sampling_design.estimators.online.open_loop import (
+    CONTRADICTION,
+    MeasuredSample,
+    OpenLoopState,
+    SolveDetails,
+    SolveVerdict,
+)
+from sampling_design.estimators.online.rounding import faded
 from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.window.solution import Solution
-from sampling_design.estimators.window.window_problem import Window
-from sampling_design.estimators.windowed_estimator import Answer, Start, WindowedEstimator
+from sampling_design.estimators.window.window_problem import EstimationWindow
+from sampling_design.estimators.windowed_estimator import WindowedEstimator, WindowEstimate, WindowStart
 from sampling_design.plants.plant import Plant
-from sampling_design.recovery.readings import StartError
 
 Array = npt.NDArray[np.float64]
 
@@ -170,7 +176,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         found = super()._assumptions(error)
         return None if found is None else narrowed(found, self.constraints)
 
-    def initial_state(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> State:
+    def initial_state(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> EstimatorState:
         """Return the state before any sample: `prior` (default 0) at `prior_time`, with weight P2.
 
         Raises
@@ -184,7 +190,7 @@ class MovingHorizonEstimator(WindowedEstimator):
             raise ArgumentError(f"`prior` must lie in `constraints.x`, got one outside by {outside:.6g}.")
         return state
 
-    def _solve(self, window: Window) -> Solution:
+    def _solve(self, window: EstimationWindow) -> Solution:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what overflows is not finite
             free = smooth(window)
             if not (math.isfinite(free.cost) and np.isfinite(free.covariance).all()):
@@ -192,7 +198,7 @@ class MovingHorizonEstimator(WindowedEstimator):
             limited = self.constraints.active or window.limits is not None
             return solve_constrained(window, self.constraints, free, self.engine) if limited else free
 
-    def _advance(self, state: State, sample: Taken) -> Node:
+    def _advance(self, state: EstimatorState, sample: CheckedSample) -> HistoryNode:
         t = sample.t
         self._prepare(state, t)
         measured = y, mask, feedthrough = self._measured(state, sample)
@@ -208,20 +214,23 @@ class MovingHorizonEstimator(WindowedEstimator):
         x, Y, found = solved.x, solved.Y, solved.found
         x.flags.writeable = Y.flags.writeable = False
         details: SolveDetails = {"window_start": start.s, "engine": solved.engine, "cost": solved.cost}
-        taken, after = MeasuredSample(sample, y, mask, feedthrough, limits), Held(x, Y, flow, drift, solved.precision)
+        taken, after = (
+            MeasuredSample(sample, y, mask, feedthrough, limits),
+            OpenLoopState(x, Y, flow, drift, solved.precision),
+        )
         node = self._node(state, taken, after, found, details, solved.note, scheduled)
         self._histories.keep(node)
         return node
 
     def _solved(
         self,
-        state: State,
-        start: Start,
-        sample: Taken,
+        state: EstimatorState,
+        start: WindowStart,
+        sample: CheckedSample,
         measured: tuple[Array, Array, Array],
         last_gap: tuple[GapFlow, Array],
         limits: Array | None = None,
-    ) -> Answer:
+    ) -> WindowEstimate:
         """Return what the window says, put together and solved as a whole."""
         last, (flow, drift), engine, cost = state.last, last_gap, "", np.nan
         self._refuse_overflow(flow, self._moved(last, flow, drift), sample.t)
@@ -236,7 +245,7 @@ class MovingHorizonEstimator(WindowedEstimator):
                 terms += self._rounded(window.means.y, window.reference)
             solution = self._solve(window)
             engine, note = solution.engine, solution.note or self._left_out(sample, start)
-            found = Verdict(np.nan, solution.status, last.stands, last.contradiction)
+            found = SolveVerdict(np.nan, solution.status, last.stands, last.contradiction)
             x, Y = solution.nodes[-1].copy(), solution.covariance
             if found.status == "ok":
                 terms += self._heard(window, solution)
@@ -248,9 +257,11 @@ class MovingHorizonEstimator(WindowedEstimator):
             x, Y, beta = self._ahead(last, flow, drift)
             self._refuse_overflow(flow, Y, sample.t)
             found = found._replace(beta=beta, sound=found.sound and found.status == "solver failed")
-        return Answer(x, Y, found, engine, note, cost)
+        return WindowEstimate(x, Y, found, engine, note, cost)
 
-    def _blame(self, window: Window, terms: float, dual: float, numbers: dict[float, int]) -> Contradiction | None:
+    def _blame(
+        self, window: EstimationWindow, terms: float, dual: float, numbers: dict[float, int]
+    ) -> Contradiction | None:
         """Return the output of a sample without which the data come nearest to the bounds."""
         if not np.isfinite(terms):
             return None
@@ -282,12 +293,12 @@ class MovingHorizonEstimator(WindowedEstimator):
         t = float(window.times[j])
         return Contradiction(numbers[t], t, self.plant.outputs.names[i], factor, alone)
 
-    def _over(self, window: Window, terms: float) -> float:
+    def _over(self, window: EstimationWindow, terms: float) -> float:
         """By how much a window costs more than the bounds allow."""
         solution = self._solve(window)
         return solution.dual - terms if solution.status == "ok" else np.inf
 
-    def _heard(self, window: Window, solution: Solution) -> float:
+    def _heard(self, window: EstimationWindow, solution: Solution) -> float:
         """Sum of the discounted noise bounds of the window's samples.
 
         Where no constraint was active, the cost is the one without v; else the truth must be held with a v of its own.
@@ -319,7 +330,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         return np.minimum(kept, shared)
 
 
-def _without(window: Window, j: int, i: int) -> Window:
+def _without(window: EstimationWindow, j: int, i: int) -> EstimationWindow:
     """The window without output i of the sample at node j."""
     masks, residual, y = window.masks.copy(), window.residual.copy(), window.y.copy()
     masks[j, i] = residual[j, i] = y[j, i] = 0.0

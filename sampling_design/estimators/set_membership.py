@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.accuracy.readings import StartError
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.assumed import narrowed
 from sampling_design.estimators.constraints.constraints import Constraints
@@ -12,9 +13,8 @@ from sampling_design.estimators.constraints.window_constraints import WindowCons
 from sampling_design.estimators.kalman import KalmanFilter
 from sampling_design.estimators.online.estimate import Estimate, changed
 from sampling_design.estimators.online.evidence import Assumptions
-from sampling_design.estimators.online.history import State
+from sampling_design.estimators.online.history import EstimatorState
 from sampling_design.plants.plant import Plant
-from sampling_design.recovery.readings import StartError
 
 
 class SetMembershipEstimator(KalmanFilter):
@@ -43,7 +43,7 @@ class SetMembershipEstimator(KalmanFilter):
     -----
     *Claim.* If w, v and the first error keep their bounds, the state lies in the box of half-widths `radii`; the
     ellipsoid is one around that box. Where the data leave a state unbounded it is that of a filter and its radius
-    infinite. *Method.* Two cone programs for each state and sample (`recovery/`): some milliseconds.
+    infinite. *Method.* Two cone programs for each state and sample (`accuracy/`): some milliseconds.
 
     References
     ----------
@@ -90,7 +90,7 @@ class SetMembershipEstimator(KalmanFilter):
         found = super()._assumptions(error)
         return None if found is None else narrowed(found, WindowConstraints(self.table, self._given))
 
-    def _known(self, state: State, node: int, estimate: Estimate) -> Estimate:
+    def _known(self, state: EstimatorState, node: int, estimate: Estimate) -> Estimate:
         filtered = super()._known(state, node, estimate)
         if filtered.status == "prior":
             return filtered

@@ -15,14 +15,14 @@ from scipy.linalg import lapack
 
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.gap_flows.flows import GapFlow
-from sampling_design.estimators.online.estimator import Taken
-from sampling_design.estimators.online.history import Node, State
-from sampling_design.estimators.online.open_loop import OpenLoopEstimator, Verdict
-from sampling_design.estimators.online.rounded import Precision, faded, rounding
+from sampling_design.estimators.online.estimator import CheckedSample
+from sampling_design.estimators.online.history import EstimatorState, HistoryNode
+from sampling_design.estimators.online.open_loop import OpenLoopEstimator, SolveVerdict
+from sampling_design.estimators.online.rounding import CovariancePrecision, faded, rounding
 from sampling_design.estimators.window.means import IntegralFlows, MeanReading, means_of
-from sampling_design.estimators.window.sliding import Arriving, Histories, Opening
+from sampling_design.estimators.window.sliding import BandCache, IncomingNode, InitialNode
 from sampling_design.estimators.window.square_root import covariance_root
-from sampling_design.estimators.window.window_problem import Window, build_window
+from sampling_design.estimators.window.window_problem import EstimationWindow, build_window
 
 Array = npt.NDArray[np.float64]
 
@@ -33,26 +33,26 @@ SAME_TIME = 4.0
 LEFT_OUT = "A composite sample began before the window: it counts for the interval alone."
 
 
-class Start(NamedTuple):
+class WindowStart(NamedTuple):
     """Where a window begins: time, prior, bound on the prior term, root of P^-1 (None for P2's), nodes inside."""
 
     s: float
     x: Array
     energy: float
     root: Array | None
-    inside: tuple[Node, ...]
+    inside: tuple[HistoryNode, ...]
 
 
-class Answer(NamedTuple):
+class WindowEstimate(NamedTuple):
     """What a window says of its last sample: state, covariance, what they are worth, and how they were found."""
 
     x: Array
     Y: Array
-    found: Verdict
+    found: SolveVerdict
     engine: str = ""
     note: str = ""
     cost: float = np.nan
-    precision: Precision | None = None
+    precision: CovariancePrecision | None = None
 
 
 class WindowedEstimator(OpenLoopEstimator):
@@ -68,11 +68,11 @@ class WindowedEstimator(OpenLoopEstimator):
 
     def _keep_windows(self) -> None:
         """Begin to remember windows; to be called once weights and bounds are set."""
-        self._histories, self._slides = Histories(self.weights, self._sample_energy), not self.constraints.active
+        self._histories, self._slides = BandCache(self.weights, self._sample_energy), not self.constraints.active
         self._fixed_prior: Array = self.weights.prior_root @ self.weights.prior_root.T
         self._worst: tuple[Array | None, float] = (None, 0.0)  # a covariance in units of the prior: its largest value
 
-    def _prepare(self, state: State, t: float) -> None:
+    def _prepare(self, state: EstimatorState, t: float) -> None:
         """Put the gaps of a new window that may be unknown into the table, at most three, in one batch."""
         s, nodes = t - self.horizon, state.nodes
         gaps = [t - nodes[-1].t]
@@ -95,13 +95,13 @@ class WindowedEstimator(OpenLoopEstimator):
         if self._slides:
             self.table.prepare(before[before > 0].tolist(), arriving[arriving > 0].tolist(), self._fixed_prior)
 
-    def _last_gap(self, state: State, t: float) -> tuple[GapFlow, Array]:
+    def _last_gap(self, state: EstimatorState, t: float) -> tuple[GapFlow, Array]:
         return self._between(state, state.last.t, t)
 
-    def _between(self, state: State, a: float, b: float) -> tuple[GapFlow, Array]:
+    def _between(self, state: EstimatorState, a: float, b: float) -> tuple[GapFlow, Array]:
         return self.table.one(b - a), self._drift.between(state, a, b)
 
-    def _start(self, state: State, t: float) -> Start:
+    def _start(self, state: EstimatorState, t: float) -> WindowStart:
         """Return where the window of a solve at t begins, with the online estimate there.
 
         Numbers that overflow are looked at, so that numpy need not tell of them.
@@ -110,7 +110,7 @@ class WindowedEstimator(OpenLoopEstimator):
         slack = SAME_TIME * math.ulp(max(abs(t), self.horizon))
         given = nodes[0].sample.y is None
         if given and s <= nodes[0].t + slack:
-            return Start(nodes[0].t, nodes[0].x, nodes[0].beta, None, nodes[1:])
+            return WindowStart(nodes[0].t, nodes[0].x, nodes[0].beta, None, nodes[1:])
         anchor = state.node_before(s + slack)
         node = nodes[anchor]
         closed = self.weights.cost == "paper" and node.sample.y is not None
@@ -121,15 +121,15 @@ class WindowedEstimator(OpenLoopEstimator):
             closed = False
         inside = nodes[anchor if closed else anchor + 1 :]
         if self.arrival_cost == "filtered":
-            return Start(s, x, beta, covariance_root(Y), inside)
+            return WindowStart(s, x, beta, covariance_root(Y), inside)
         if not math.isfinite(beta):
-            return Start(s, x, beta, None, inside)
+            return WindowStart(s, x, beta, None, inside)
         factor = self.weights.prior_factor
         if self._worst[0] is not Y:
             self._worst = Y, float(lapack.dsyev(factor.T.dot(Y).dot(factor), compute_v=0)[0][-1])
-        return Start(s, x, self._worst[1] * beta, None, inside)
+        return WindowStart(s, x, self._worst[1] * beta, None, inside)
 
-    def _flown_to(self, state: State, node: Node, s: float) -> tuple[Array, Array, float]:
+    def _flown_to(self, state: EstimatorState, node: HistoryNode, s: float) -> tuple[Array, Array, float]:
         """Return state, covariance and radius of the prior at s; where the discount overflows, undiscounted."""
         flow, drift = self._between(state, node.t, s)
         x, Y, beta = self._flown(node, flow, drift)
@@ -144,12 +144,12 @@ class WindowedEstimator(OpenLoopEstimator):
 
     def _slid(
         self,
-        state: State,
-        start: Start,
+        state: EstimatorState,
+        start: WindowStart,
         t: float,
         measured: tuple[Array, Array, Array],
         last_gap: tuple[GapFlow, Array],
-    ) -> Answer | None:
+    ) -> WindowEstimate | None:
         """Return what the window without constraints says, from what is remembered of it; None where that is no use.
 
         Numbers that overflow are looked at, so that numpy need not tell of them.
@@ -163,7 +163,7 @@ class WindowedEstimator(OpenLoopEstimator):
         sample = None if opening is None else (opening.y, opening.mask, opening.feedthrough)
         prior = self._fixed_prior if start.root is None else start.root @ start.root.T
         flow, drift = last_gap
-        new = Arriving(t, *measured, flow, drift)
+        new = IncomingNode(t, *measured, flow, drift)
         held = self._histories.of(nodes, first)
         if held is None:
             return None
@@ -179,7 +179,7 @@ class WindowedEstimator(OpenLoopEstimator):
         if not sliding.append(new, reference, predicted=first < len(nodes)):
             return None
         self._histories.begun(sliding)
-        optimum = sliding.solve(at, Opening(s, start.x, prior, sample), gap)
+        optimum = sliding.solve(at, InitialNode(s, start.x, prior, sample), gap)
         if optimum is None:
             return None
         terms = faded(start.energy, math.exp(self.weights.eta * (s - t))) + self._lost(t - s)
@@ -187,13 +187,13 @@ class WindowedEstimator(OpenLoopEstimator):
         found = self._judged(terms, optimum.dual, nodes[-1])
         if found.status == "bounds disproved" and nodes[-1].stands:
             return None
-        return Answer(optimum.x, optimum.Y, found, "banded", "", optimum.cost, optimum.precision)
+        return WindowEstimate(optimum.x, optimum.Y, found, "banded", "", optimum.cost, optimum.precision)
 
-    def _left_out(self, sample: Taken, start: Start) -> str:
+    def _left_out(self, sample: CheckedSample, start: WindowStart) -> str:
         """What is said of a mean that began before the window."""
         return LEFT_OUT if any(since < start.s for _, since, _ in means_of(sample)) else ""
 
-    def _heard_means(self, window: Window, end: int | None = None) -> float:
+    def _heard_means(self, window: EstimationWindow, end: int | None = None) -> float:
         """A bound on what the noise of the means costs: of correlated outputs, together with the readings beside.
 
         With `end` only of those that end at that node.
@@ -207,7 +207,7 @@ class WindowedEstimator(OpenLoopEstimator):
             masks = masks * (np.arange(len(masks)) == end)[:, None]
         return window.total(self._sample_energy(masks))
 
-    def _limited(self, sample: Taken, feedthrough: Array) -> Array | None:
+    def _limited(self, sample: CheckedSample, feedthrough: Array) -> Array | None:
         """Return what C x lies between (2, p), as limits of detection say: y = C x + D u + v, |v| within its bound."""
         if not sample.told or self._v_bound is None or all(each.since is not None for each in sample.told):
             return None
@@ -228,12 +228,12 @@ class WindowedEstimator(OpenLoopEstimator):
 
     def _window(
         self,
-        state: State,
-        start: Start,
-        sample: Taken,
+        state: EstimatorState,
+        start: WindowStart,
+        sample: CheckedSample,
         measured: tuple[Array, Array, Array],
         limits: Array | None = None,
-    ) -> Window:
+    ) -> EstimationWindow:
         """Return the window problem from `start` to a sample, `measured` = (y, mask, D u), with `limits` of C x."""
         t = sample.t
         inside = [node for node in start.inside if node.t > start.s]
@@ -278,7 +278,7 @@ class WindowedEstimator(OpenLoopEstimator):
         return replace(window, means=means)
 
     def _path(
-        self, state: State, start: Start, inside: list[Node], times: list[float]
+        self, state: EstimatorState, start: WindowStart, inside: list[HistoryNode], times: list[float]
     ) -> tuple[list[GapFlow], Array, Array]:
         """Return flows and drifts between the nodes, and the online estimates as reference."""
         n = self.plant.n_states
@@ -299,7 +299,7 @@ class WindowedEstimator(OpenLoopEstimator):
 
     def _refined(
         self,
-        state: State,
+        state: EstimatorState,
         times: list[float],
         rows: list[tuple[Array, Array, Array]],
         reference: Array,

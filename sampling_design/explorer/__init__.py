@@ -1,6 +1,6 @@
 """What happens when a sample moves: a time line to drag, in a browser or a notebook."""
 
-from sampling_design._lazy import lazy
+from sampling_design.records.lazy import lazy
 
 _NAMES = {
     "bench": ("Bench",),

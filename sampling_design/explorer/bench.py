@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._files import from_json
-from sampling_design._record import Plain, short
-from sampling_design.certificates.certify import certify
+from sampling_design.accuracy.accuracy import guaranteed_accuracy
+from sampling_design.accuracy.start import InitialError
+from sampling_design.certificates.certification import certify
 from sampling_design.certificates.compare.four_horizons import four_horizons
 from sampling_design.certificates.existence.periodic import certificate_exists, judged
 from sampling_design.design.design import design_schedule
@@ -22,14 +21,15 @@ from sampling_design.errors import ArgumentError, SamplingDesignError
 from sampling_design.observability.count.default_window import default_window
 from sampling_design.observability.count.zero_count import zero_count_bound
 from sampling_design.observability.windows.window_sigma import WindowSigma, window_sigma
-from sampling_design.planning.plan import plan
+from sampling_design.planning.plan import plan_samples
 from sampling_design.planning.problem import PlanProblem, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.modes import split_modes
 from sampling_design.plants.plant import Plant
-from sampling_design.recovery.accuracy import accuracy
-from sampling_design.recovery.start import InitialError
+from sampling_design.records import checks
+from sampling_design.records.file_io import from_json
+from sampling_design.records.record import Plain, short
 from sampling_design.schedules.files import read_schedule, write_schedule
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -75,13 +75,13 @@ class Bench:
         A plan requirement brings period, opening hours, bounds and tolerances along, and can be planned for.
     schedule : PeriodicSchedule, optional
         Where to begin; default: what was saved in `folder` before, else evenly spaced samples.
-    w_bound, v_bound : as for `accuracy`
+    w_bound, v_bound : as for `guaranteed_accuracy`
         With both, the accuracy of every state is shown as well.
     tolerance : (n,) array, optional
         The error of each state that would do, drawn beside its accuracy.
     shadow : (str, str), optional
         Two states or outputs: what the samples of one period leave possible of them is drawn, sample by sample.
-    initial_error : as for `accuracy`
+    initial_error : as for `guaranteed_accuracy`
         What is known at the start of that period.
     folder : path, optional
         Where `save` writes, and what was saved is found again; default: the current one, where nothing is looked for.
@@ -122,7 +122,7 @@ class Bench:
         self.period = float(self.requirement.period or self.window)
         self.w_bound, self.v_bound, self.words = w_bound, v_bound, words
         self.folder = None if folder is None else Path(folder)
-        self.tolerance = None if tolerance is None else _checks.vector("tolerance", tolerance, plant.n_states)
+        self.tolerance = None if tolerance is None else checks.vector("tolerance", tolerance, plant.n_states)
         self.rows: list[str] | Array | None = None
         self.labels = list(plant.states.labels())
         if self.problem is not None:
@@ -162,7 +162,7 @@ class Bench:
         if not 1 <= len(marks) <= MOST_MARKS:
             raise ArgumentError(f"`marks` must be 1 to {MOST_MARKS} samples, got {len(marks)}. Add one.")
         found: dict[float, npt.NDArray[np.bool_]] = {}
-        placed = [(_checks.number("t", mark.get("t")), mark) for mark in marks]
+        placed = [(checks.number("t", mark.get("t")), mark) for mark in marks]
         for at, mark in sorted(placed, key=lambda one: one[0]):
             t = at % self.period
             on = np.array(mark.get("on"), dtype=bool)
@@ -347,7 +347,9 @@ class Bench:
     def _accuracy(self) -> Reply:
         if self.w_bound is None or self.v_bound is None:
             raise ArgumentError("`w_bound` and `v_bound` are needed for the accuracy: give both at the start.")
-        found = accuracy(self.plant, self.schedule, w_bound=self.w_bound, v_bound=self.v_bound, of=self.rows, rtol=0.05)
+        found = guaranteed_accuracy(
+            self.plant, self.schedule, w_bound=self.w_bound, v_bound=self.v_bound, of=self.rows, rtol=0.05
+        )
         profile = found.profile
         finite = np.isfinite(found.upper)
         return {
@@ -393,7 +395,7 @@ class Bench:
             kept = None if mask is None else mask[order][:k]
             labels = None if mask is None else self.plant.outputs.names
             first = Schedule(times[:k], outputs=kept, output_names=labels, time_unit=self.plant.time_unit)
-            found = accuracy(
+            found = guaranteed_accuracy(
                 self.plant,
                 first,
                 w_bound=self.w_bound,
@@ -414,7 +416,7 @@ class Bench:
     def _plan(self) -> Reply:
         if self.problem is None:
             raise ArgumentError("`requirement` must be a plan requirement for that: tolerances, prices, opening hours.")
-        found = plan(self.plant, self.problem.requirement, search_seconds=PLAN_SECONDS)
+        found = plan_samples(self.plant, self.problem.requirement, search_seconds=PLAN_SECONDS)
         self.schedule = found.schedule
         return {"said": found.explain(), "marks": self.marks()}
 

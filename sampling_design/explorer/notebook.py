@@ -6,21 +6,21 @@ from typing import TYPE_CHECKING, TypedDict, Unpack
 
 import numpy.typing as npt
 
-from sampling_design._door import door
+from sampling_design.accuracy.start import InitialError
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import MissingExtraError
 from sampling_design.explorer.bench import Bench
 from sampling_design.explorer.server import MODULE
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.plants.plant import Plant
-from sampling_design.recovery.start import InitialError
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 if TYPE_CHECKING:
     from anywidget import AnyWidget
 
 
-class Wishes(TypedDict, total=False):
+class BenchOptions(TypedDict, total=False):
     """What a `Bench` takes beside plant, requirement and schedule."""
 
     w_bound: npt.ArrayLike
@@ -32,12 +32,12 @@ class Wishes(TypedDict, total=False):
     words: str
 
 
-@door
+@checked
 def explore(
     plant: Plant | Bench,
     requirement: Requirement | PlanRequirement | None = None,
     schedule: PeriodicSchedule | None = None,
-    **wishes: Unpack[Wishes],
+    **wishes: Unpack[BenchOptions],
 ) -> AnyWidget:
     """Return a time line of samples to drag, with what they prove; a notebook shows it (extra `explore`).
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from sampling_design import _checks
-from sampling_design._door import door
 from sampling_design.design.problem.requirement import OutputAccess, Requirement
 from sampling_design.explorer.bench import Bench
 from sampling_design.planning.requirement import AccuracyGoal, PlanRequirement, SensorTerms
 from sampling_design.plants.library import oscillator
 from sampling_design.plants.plant import Plant, Signals
+from sampling_design.records import checks
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 
@@ -102,7 +102,7 @@ SCENES = {"pathological": _pathological, "even": _even, "laboratory": _laborator
 set shrinking sample by sample, the cheapest plan that keeps a tolerance."""
 
 
-@door
+@checked
 def scene(name: str) -> Bench:
     """Return the bench of a ready-made scene.
 
@@ -120,4 +120,4 @@ def scene(name: str) -> Bench:
     ArgumentError
         If there is no such scene.
     """
-    return SCENES[_checks.word("name", name, SCENES)]()
+    return SCENES[checks.word("name", name, SCENES)]()

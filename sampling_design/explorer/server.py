@@ -13,10 +13,10 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
-from sampling_design import _checks
 from sampling_design.errors import ArgumentError
 from sampling_design.explorer.bench import Bench
 from sampling_design.explorer.socket_frames import TEXT, accepted, frame, messages
+from sampling_design.records import checks
 
 MODULE = Path(__file__).with_name("explorer.js")
 LARGEST = 1_000_000
@@ -222,7 +222,7 @@ def serve(bench: Bench, port: int = 0, idle: float = 3600.0, ready: Callable[[st
     ArgumentError
         If `idle` is not positive, or the port is taken or none.
     """
-    idle = _checks.positive("idle", idle)
+    idle = checks.positive("idle", idle)
     try:
         opened = Server(bench, port)
     except (OSError, OverflowError) as error:

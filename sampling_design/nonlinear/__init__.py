@@ -1,6 +1,6 @@
 """Nonlinear plants and their moving horizon estimation, on CasADi (extra `nonlinear`)."""
 
-from sampling_design._lazy import lazy
+from sampling_design.records.lazy import lazy
 
 _NAMES = {
     "collocation": ("Collocation",),

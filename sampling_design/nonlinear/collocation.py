@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sampling_design import _checks
-from sampling_design._record import Record, short
+from sampling_design.records import checks
+from sampling_design.records.record import Record, short
 
 BETWEEN = ("held", "linear")
 """What an input does between the times at which it is given."""
@@ -55,13 +55,13 @@ class Collocation(Record):
 
     def __post_init__(self) -> None:
         if self.w_step is not None:
-            object.__setattr__(self, "w_step", _checks.positive("w_step", self.w_step))
+            object.__setattr__(self, "w_step", checks.positive("w_step", self.w_step))
         if self.capacity is not None:
-            object.__setattr__(self, "capacity", _checks.whole("capacity", self.capacity, 1))
-        object.__setattr__(self, "degree", _checks.whole("degree", self.degree, 1))
+            object.__setattr__(self, "capacity", checks.whole("capacity", self.capacity, 1))
+        object.__setattr__(self, "degree", checks.whole("degree", self.degree, 1))
         if self.accuracy is not None:
-            object.__setattr__(self, "accuracy", _checks.positive("accuracy", self.accuracy))
-        _checks.word("inputs", self.inputs, BETWEEN)
+            object.__setattr__(self, "accuracy", checks.positive("accuracy", self.accuracy))
+        checks.word("inputs", self.inputs, BETWEEN)
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("degree", str(self.degree)), ("pieces", "M/60" if self.w_step is None else short(self.w_step))]
@@ -105,9 +105,9 @@ class WindowSolver(Record):
     _slip: ClassVar[str] = "Use WindowSolver(tolerance=, max_iterations=, starts=)."
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "tolerance", _checks.positive("tolerance", self.tolerance))
-        object.__setattr__(self, "max_iterations", _checks.whole("max_iterations", self.max_iterations, 1))
-        object.__setattr__(self, "starts", _checks.whole("starts", self.starts))
+        object.__setattr__(self, "tolerance", checks.positive("tolerance", self.tolerance))
+        object.__setattr__(self, "max_iterations", checks.whole("max_iterations", self.max_iterations, 1))
+        object.__setattr__(self, "starts", checks.whole("starts", self.starts))
 
     def _rows(self) -> list[tuple[str, str]]:
         return [(key, short(getattr(self, key))) for key in ("tolerance", "max_iterations", "starts")]

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from sampling_design import _checks
-from sampling_design._door import door
 from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.signatures import checked
 
 if TYPE_CHECKING:
     from casadi import SX
 
 
-@door
+@checked
 def from_expressions(
     x: object,
     f: object,
@@ -78,12 +78,12 @@ def from_expressions(
 def _expression(key: str, value: object) -> SX:
     ca = casadi()
     if not isinstance(value, (ca.SX, ca.MX)):
-        raise ArgumentError(f"`{key}` must be an expression of casadi, got {_checks.described(value)}.")
+        raise ArgumentError(f"`{key}` must be an expression of casadi, got {checks.described(value)}.")
     found: SX = value
     return found
 
 
-@door
+@checked
 def from_linear(plant: Plant, *, noises: bool = True) -> NonlinearPlant:
     """Return a linear plant as a nonlinear one.
 

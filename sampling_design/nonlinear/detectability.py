@@ -9,20 +9,20 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._checks import Seed
-from sampling_design._door import door
-from sampling_design._record import YesOrNo, short
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import marginal
 from sampling_design.estimators.gap_flows.flows import discounted_length
-from sampling_design.evidence import Claim
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.region import own_box
 from sampling_design.nonlinear.simulation import Integrator
-from sampling_design.nonlinear.tightest import TightestPairs, Trajectory
+from sampling_design.nonlinear.tightest_pairs import SampledTrajectory, TightestPairs
 from sampling_design.nonlinear.weights import NonlinearWeights, scaled_weights
+from sampling_design.records import checks
+from sampling_design.records.checks import Seed
+from sampling_design.records.evidence import Claim
+from sampling_design.records.record import YesOrNo, short
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.sampling_set import SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -133,7 +133,7 @@ class DetectabilityEvidence(YesOrNo):
         return "held" if self.holds else "failed"
 
 
-@door
+@checked
 def check_detectability(
     plant: NonlinearPlant,
     schedule: Schedule | PeriodicSchedule,
@@ -210,8 +210,8 @@ def check_detectability(
         raise ArgumentError("`cost` must give a rate here: CostFunction(eta=...).")
     study = _Study(plant, scaled_weights(plant, cost), start, duration, step, u)
     left = study.weights.P2 if P1 is None else scaled_weights(plant, CostFunction(P2=P1), name="P1").P2  # type: ignore[arg-type]
-    rng = _checks.generator(rng)
-    count, sets = _checks.whole("pairs", pairs, 1), SamplingSet(schedule)
+    rng = checks.generator(rng)
+    count, sets = checks.whole("pairs", pairs, 1), SamplingSet(schedule)
     if count > MOST_PAIRS:
         raise ArgumentError(f"`pairs` must be at most {MOST_PAIRS}: each takes milliseconds, got {pairs!r}.")
     found = []
@@ -225,7 +225,7 @@ def check_detectability(
     return study.evidence(found, count - len(found))
 
 
-class Looked(NamedTuple):
+class PairOutcome(NamedTuple):
     """What a pair shows: the least ratio, when, the scaled difference then, and the growth in P2, and when.
 
     quiet : that growth with equal disturbances.
@@ -249,13 +249,13 @@ class _Study:
         self.start = own_box("states", plant.bounds["states"] if start is None else start, plant.n_states)
         if not np.all(np.isfinite(self.start)):
             raise ArgumentError("`start` must be a finite box (lower, upper): the plant's box of states is not.")
-        self.duration = _checks.positive("duration", duration)
-        self.step = self.duration / 40 if step is None else _checks.positive("step", step)
-        self.u = _checks.vector("u", np.zeros(plant.n_inputs) if u is None else u, plant.n_inputs)
+        self.duration = checks.positive("duration", duration)
+        self.step = self.duration / 40 if step is None else checks.positive("step", step)
+        self.u = checks.vector("u", np.zeros(plant.n_inputs) if u is None else u, plant.n_inputs)
         self.integrator = Integrator(plant)
         self.tightest = TightestPairs(plant, weights)
 
-    def evidence(self, found: list[tuple[Looked, PairWitness]], left_out: int) -> DetectabilityEvidence:
+    def evidence(self, found: list[tuple[PairOutcome, PairWitness]], left_out: int) -> DetectabilityEvidence:
         """Return the record of the pairs that stayed in X.
 
         Raises
@@ -269,7 +269,7 @@ class _Study:
         unit = self.plant.time_unit
         statement = f"(16) along {len(found)} random pairs of length {short(self.duration)} {unit}"
         claim = Claim(statement, "Assumption 7", ("only these pairs and grid times",), "sampled")
-        values = _checks.freeze([looked.ratio for looked, _ in found])
+        values = checks.freeze([looked.ratio for looked, _ in found])
         growth, when = max([(1.0, 0.0), *((looked.lam, looked.lam_time) for looked, _ in found)])  # at t = 0 it is 1
         return DetectabilityEvidence(
             ratio=least.ratio,
@@ -286,7 +286,7 @@ class _Study:
             claim=claim,
         )
 
-    def pair(self, times: AnySchedule, P1: Array, rng: np.random.Generator, near: bool) -> Looked | None:
+    def pair(self, times: AnySchedule, P1: Array, rng: np.random.Generator, near: bool) -> PairOutcome | None:
         """Return what a pair shows, where `near` with all small differences from its first one; None outside X."""
         within = times.between(0.0, self.duration)
         samples = within.times
@@ -302,12 +302,12 @@ class _Study:
         j = int(np.argmin(ratio))
         grown = ratios(grid, x, w, v, y, measured, self.weights.P2, self.weights)
         k = int(np.argmin(grown))
-        found = Looked(float(ratio[j]), float(grid[j]), x[j], 1 / float(grown[k]), float(grid[k]))
+        found = PairOutcome(float(ratio[j]), float(grid[j]), x[j], 1 / float(grown[k]), float(grid[k]))
         if not near:
             return found
         scale = {key: signals.scales for key, signals in self.plant.signals.items()}
         first = [part * scale[key] for part, key in zip(one, ("states", "disturbances", "noises"), strict=False)]
-        tight = self.tightest.along(Trajectory(grid, first[0], first[1], first[2], self.u, measured), P1)
+        tight = self.tightest.along(SampledTrajectory(grid, first[0], first[1], first[2], self.u, measured), P1)
         found = found._replace(quiet=tight.quiet)
         if tight.lam > found.lam:
             found = found._replace(lam=tight.lam, lam_time=tight.lam_time)

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._record import Record, counted, short
-from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.functions import PlainFunction, PlantFunctions, TimedFunction, takes_time
 from sampling_design.nonlinear.region import StateRegion, own_box
 from sampling_design.plants.plant import Plant, Signals
+from sampling_design.records import checks
+from sampling_design.records.record import Record, counted, short
+from sampling_design.records.units import check_time_unit
 
 if TYPE_CHECKING:
     from casadi import SX, Function
@@ -47,17 +47,17 @@ class PlantEquations(Record):
         for key in ("sizes", "signals", "bounds"):
             if not isinstance(getattr(self, key), Mapping):
                 raise ArgumentError(
-                    f"`{key}` must be a table of names and values, got {_checks.described(getattr(self, key))}."
+                    f"`{key}` must be a table of names and values, got {checks.described(getattr(self, key))}."
                 )
-        _checks.known_keys("`sizes`", self.sizes, _VECTORS)
-        _checks.known_keys("`signals`", self.signals, _VECTORS)
-        _checks.known_keys("`bounds`", self.bounds, _VECTORS)
+        checks.known_keys("`sizes`", self.sizes, _VECTORS)
+        checks.known_keys("`signals`", self.signals, _VECTORS)
+        checks.known_keys("`bounds`", self.bounds, _VECTORS)
         for key in ("states", "outputs"):
             if key not in self.sizes:
                 raise ArgumentError(f"`sizes` must give the number of {key}.")
         sizes = {"inputs": 0, "disturbances": 0, "noises": self.sizes["outputs"], **self.sizes}
         sizes = {
-            key: _checks.whole(f"sizes[{key!r}]", sizes[key], int(key in ("states", "outputs"))) for key in _VECTORS
+            key: checks.whole(f"sizes[{key!r}]", sizes[key], int(key in ("states", "outputs"))) for key in _VECTORS
         }
         signals = {key: _own_signals(key, self.signals.get(key), sizes[key]) for key in _VECTORS}
         bounds = {key: own_box(key, self.bounds.get(key), sizes[key]) for key in _VECTORS}
@@ -65,7 +65,7 @@ class PlantEquations(Record):
             object.__setattr__(self, key, value)
         region = StateRegion(*bounds["states"]) if self.region is None else self.region
         if not isinstance(region, StateRegion) or region.lower.size != sizes["states"]:
-            shown = _checks.described(region)
+            shown = checks.described(region)
             raise ArgumentError(f"`region` must be a StateRegion of {sizes['states']} states, got {shown}.")
         object.__setattr__(self, "region", region)
         self._functions  # noqa: B018  built now, so that a wrong model is refused at the door
@@ -85,7 +85,7 @@ class PlantEquations(Record):
             ("limits", _no_limits if self.limits is None else self.limits, (x, u), None),
         ):
             if not callable(function):
-                raise ArgumentError(f"`{label}` must be a function, got {_checks.described(function)}.")
+                raise ArgumentError(f"`{label}` must be a function, got {checks.described(function)}.")
             timed = size is not None and takes_time(function)
             try:
                 value = function(*arguments, t) if timed else function(*arguments)
@@ -225,12 +225,12 @@ class PlantEquations(Record):
         return self._evaluate(self.shown_casadi, "noises", x, u, v, t)
 
     def _evaluate(self, function: Function, last: str, x: object, u: object, z: object, t: float) -> Array:
-        x = _checks.vector("x", x, self.sizes["states"])
-        u = _checks.vector("u", _given(u, self.sizes["inputs"]), self.sizes["inputs"])
-        z = _checks.vector(
+        x = checks.vector("x", x, self.sizes["states"])
+        u = checks.vector("u", _given(u, self.sizes["inputs"]), self.sizes["inputs"])
+        z = checks.vector(
             "w" if last == "disturbances" else "v", np.zeros(self.sizes[last]) if z is None else z, self.sizes[last]
         )
-        value = np.array(function(x, u, z, _checks.number("t", t))).ravel()
+        value = np.array(function(x, u, z, checks.number("t", t))).ravel()
         if not np.all(np.isfinite(value)):
             raise ArgumentError(
                 f"`{function.name()}` returns {value.tolist()} at x = {x.tolist()}: the model is not finite there."
@@ -249,13 +249,13 @@ class PlantEquations(Record):
         """
         ca = casadi()
         n, m = self.sizes["states"], self.sizes["inputs"]
-        point = _checks.vector("x", x, n)
-        control = _checks.vector("u", _given(u, m), m)
+        point = checks.vector("x", x, n)
+        control = checks.vector("u", _given(u, m), m)
         xs, us, ws, vs = (
             ca.SX.sym(k, self.sizes[s])
             for k, s in zip("xuwv", ("states", "inputs", "disturbances", "noises"), strict=True)
         )
-        when = _checks.number("t", t)
+        when = checks.number("t", t)
         fx, hx = self.rate_casadi(xs, us, ws, when), self.shown_casadi(xs, us, vs, when)
         wanted = [
             ca.jacobian(fx, xs),
@@ -281,7 +281,7 @@ class PlantEquations(Record):
             If the iteration does not converge.
         """
         scale = self.signals["states"].scales
-        z = _checks.vector("guess", guess, self.sizes["states"]) / scale
+        z = checks.vector("guess", guess, self.sizes["states"]) / scale
         for _ in range(_NEWTON_STEPS):
             residual = self.f(z * scale, u) / scale
             step = np.linalg.solve(self.linearise(z * scale, u).A * scale / scale[:, None], residual)
@@ -335,7 +335,7 @@ class PlantEquations(Record):
         ArgumentError
             If a name is none of the five vectors, or a box is empty.
         """
-        _checks.known_keys("`with_bounds`", boxes, _VECTORS)
+        checks.known_keys("`with_bounds`", boxes, _VECTORS)
         return replace(self, bounds={**self.bounds, **boxes})
 
     def _rows(self) -> list[tuple[str, str]]:
@@ -367,4 +367,4 @@ def _own_signals(key: str, value: Signals | Sequence[str] | None, size: int) -> 
         if len(value) != size:
             raise ArgumentError(f"`signals[{key!r}]` must have {size} entries, got {len(value)}.")
         return value
-    return Signals(_checks.names(f"signals[{key!r}]", value, size, _PREFIX[key]))
+    return Signals(checks.names(f"signals[{key!r}]", value, size, _PREFIX[key]))

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sampling_design import _checks
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.plants.plant import Signals
+from sampling_design.records import checks
 
 if TYPE_CHECKING:
     from casadi import SX
@@ -55,7 +55,7 @@ def van_der_pol(coordinates: str = "lienard", largest: float = 2.1, damping: flo
     ArgumentError
         If the coordinates are others.
     """
-    _checks.word("coordinates", coordinates, ("lienard", "velocity"))
+    checks.word("coordinates", coordinates, ("lienard", "velocity"))
     lienard = coordinates == "lienard"
 
     def dynamics(x: SX, u: SX, w: SX) -> list[SX]:

@@ -11,21 +11,21 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._door import door
-from sampling_design._files import from_json, read_text, write_text
-from sampling_design._workers import Workers, check_workers, mapped
 from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.nonlinear import thyroid as model
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.collocation import Collocation
-from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator, Solve
+from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator, SolverRun
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.patient_run import PatientRun
 from sampling_design.nonlinear.report import ThyroidReport
 from sampling_design.nonlinear.simulation import simulate
+from sampling_design.records import checks
+from sampling_design.records.file_io import from_json, read_text, write_text
+from sampling_design.records.signatures import checked
+from sampling_design.records.workers import Workers, check_workers, mapped
 
 FORMAT = "sampling-design/thyroid-runs/1"
 STEP = 2 / 24
@@ -103,9 +103,9 @@ def patient_run(
     """
     _known_case(case)
     steps = _grid_steps(days)
-    plant, scheme = _tools(case, _checks.whole("degree", degree, 1))
-    rng = np.random.default_rng([_checks.whole("seed", seed), _checks.whole("run", run)])
-    times = _checks.freeze(STEP * np.arange(steps + 1))
+    plant, scheme = _tools(case, checks.whole("degree", degree, 1))
+    rng = np.random.default_rng([checks.whole("seed", seed), checks.whole("run", run)])
+    times = checks.freeze(STEP * np.arange(steps + 1))
     w = rng.uniform(-1.0, 1.0, (times.size, 2)) * model.PROCESS_BOUND
     v = rng.uniform(-1.0, 1.0, (times.size, 3)) * model.NOISE_BOUND
     sampled = np.zeros(times.size, dtype=bool)
@@ -136,7 +136,7 @@ def _estimates(
     times: npt.NDArray[np.float64],
     y: npt.NDArray[np.float64],
     chosen: npt.NDArray[np.bool_],
-) -> tuple[npt.NDArray[np.float64], tuple[Solve, ...]]:
+) -> tuple[npt.NDArray[np.float64], tuple[SolverRun, ...]]:
     """Run one scheme over the chosen samples and return its estimate at every time, and its solves."""
     scheme.reset(model.PRIOR_START)
     estimates = []
@@ -145,7 +145,7 @@ def _estimates(
     return np.array(estimates), tuple(scheme.solves)
 
 
-@door
+@checked
 def thyroid_experiment(
     runs: int = 1,
     *,
@@ -210,12 +210,12 @@ def thyroid_experiment(
     >>> report.runs, report.failures
     (1, 0)
     """
-    count = _checks.whole("runs", runs, 1)
+    count = checks.whole("runs", runs, 1)
     check_workers(workers)
     for case in cases:
         _known_case(case)
-    settings: Tree = {"days": _grid_steps(days) * STEP, "seed": _checks.whole("seed", seed)}
-    if _checks.whole("degree", degree, 1) != DEGREE:
+    settings: Tree = {"days": _grid_steps(days) * STEP, "seed": checks.whole("seed", seed)}
+    if checks.whole("degree", degree, 1) != DEGREE:
         settings["degree"] = degree
     lines = {} if path is None else _read(Path(path), settings)
     wanted = [(case, run) for case in cases for run in range(count)]
@@ -253,7 +253,7 @@ def _known_case(case: str) -> None:
 
 
 def _grid_steps(days: float) -> int:
-    steps = round(_checks.positive("days", days) / STEP)
+    steps = round(checks.positive("days", days) / STEP)
     if steps < 1:
         raise ArgumentError(f"`days` must be at least one step of 2 hours, got {days!r}.")
     return steps

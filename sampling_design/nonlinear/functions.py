@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.plants.plant import Plant, Signals
+from sampling_design.records import checks
 
 if TYPE_CHECKING:
     from casadi import SX, Function
@@ -84,7 +84,7 @@ def linear_model(plant: Plant, noises: bool) -> LinearEquations:
     signals = {key: getattr(plant, key) for key in ("states", "inputs", "disturbances", "outputs")}
     if noises:
         signals["noises"] = Signals(
-            _checks.names("v", None, plant.n_outputs, "v"), plant.outputs.units, plant.outputs.scales
+            checks.names("v", None, plant.n_outputs, "v"), plant.outputs.units, plant.outputs.scales
         )
     return LinearEquations(dynamics, measurement, sizes, signals)
 

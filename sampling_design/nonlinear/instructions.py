@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from sampling_design._record import Plain
 from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear._casadi import casadi
+from sampling_design.records.record import Plain
 
 if TYPE_CHECKING:
     from casadi import Function

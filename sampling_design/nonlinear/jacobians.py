@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._record import Plain, finite_or_nones, short
 from sampling_design.checkers.inclusion_file import region as region_of
 from sampling_design.checkers.parts import Plant as FilePlant
 from sampling_design.checkers.slopes import enclosed
@@ -18,7 +17,8 @@ from sampling_design.nonlinear.equations import PlantEquations
 from sampling_design.nonlinear.instructions import instructions
 from sampling_design.nonlinear.region import drawn
 from sampling_design.plants.plant import Plant
-from sampling_design.uncertain.plants.inclusion import Hull, Members
+from sampling_design.records.record import Plain, finite_or_nones, short
+from sampling_design.uncertain.plants.inclusion import InclusionMembers, MemberHull
 
 if TYPE_CHECKING:
     from casadi import SX
@@ -35,7 +35,7 @@ SUSPECTS = 12
 """Linearisations in which a refusal looks for what has no certificate."""
 
 
-class Symbols(NamedTuple):
+class SymbolicPlant(NamedTuple):
     """x, u, w, f(x, u, w) and h(x, u) as dense columns."""
 
     x: SX
@@ -45,7 +45,7 @@ class Symbols(NamedTuple):
     h: SX
 
 
-def symbols_of(plant: PlantEquations) -> Symbols:
+def symbols_of(plant: PlantEquations) -> SymbolicPlant:
     """Return the plant's functions without noise.
 
     Raises
@@ -62,7 +62,7 @@ def symbols_of(plant: PlantEquations) -> Symbols:
     if plant.n_noises and not (square and np.array_equal(np.array(ca.DM(slope)), np.eye(plant.n_noises))):
         raise ArgumentError("`measurement` must add one noise to each output, y = h(x, u) + v, for a certificate.")
     quiet = ca.substitute(shown, v, ca.SX.zeros(plant.n_noises)) if plant.n_noises else shown
-    return Symbols(x, u, w, ca.densify(plant.f_casadi(x, u, w)), ca.densify(quiet))
+    return SymbolicPlant(x, u, w, ca.densify(plant.f_casadi(x, u, w)), ca.densify(quiet))
 
 
 def model_of(plant: PlantEquations) -> dict[str, Plain]:
@@ -101,7 +101,7 @@ def jacobians_at(plant: PlantEquations, x: Array, u: Array, w: Array) -> tuple[A
     return stack[0][fine], stack[1][fine]
 
 
-def members_of(plant: PlantEquations, rng: np.random.Generator) -> Members:
+def members_of(plant: PlantEquations, rng: np.random.Generator) -> InclusionMembers:
     """Jacobians at points of the region, equal ones once.
 
     Raises
@@ -114,10 +114,10 @@ def members_of(plant: PlantEquations, rng: np.random.Generator) -> Members:
     if not len(AG):
         raise ArgumentError("`region` must hold states at which the model has derivatives, got none among its points.")
     AG, C = distinct(AG), distinct(C)
-    return Members(AG, C, tuple(f"point {k}" for k in range(len(AG))), len(AG) == 1 and len(C) == 1)
+    return InclusionMembers(AG, C, tuple(f"point {k}" for k in range(len(AG))), len(AG) == 1 and len(C) == 1)
 
 
-def hull_of(plant: PlantEquations, halvings: int, size: Callable[[Array], Array]) -> Hull | None:
+def hull_of(plant: PlantEquations, halvings: int, size: Callable[[Array], Array]) -> MemberHull | None:
     """Return what interval arithmetic says over cells of the region, halved where it helps; None if not finite."""
     low, high = (np.concatenate([np.ravel(bounds[k]) for bounds in boxes_of(plant)])[None] for k in (0, 1))
     centre = plant.centre
@@ -143,7 +143,7 @@ def hull_of(plant: PlantEquations, halvings: int, size: Callable[[Array], Array]
         M, moves = cells(low, high)
     if not all(np.isfinite(X).all() for X in (M, moves, C, EC, shifts)):
         return None
-    return Hull(M, moves, C[0], with_entries(C, shifts, EC)[:, 0])
+    return MemberHull(M, moves, C[0], with_entries(C, shifts, EC)[:, 0])
 
 
 def with_entries(middle: Array, moves: Array, radii: Array) -> Array:

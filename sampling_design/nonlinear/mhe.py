@@ -8,21 +8,21 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._checks import freeze
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.estimators.online.estimator import Taken
-from sampling_design.estimators.online.history import Node, State
+from sampling_design.estimators.online.estimator import CheckedSample
+from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.nlp import WindowData, WindowProgram, WindowSolution
 from sampling_design.nonlinear.open_loop import NonlinearOpenLoop
 from sampling_design.nonlinear.outliers import Outliers, beyond
-from sampling_design.nonlinear.promise import Flown, InclusionPromise, cost_for, horizon_for
+from sampling_design.nonlinear.promise import InclusionPromise, WindowTrajectory, cost_for, horizon_for
 from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.smoothed import SmoothedWindow, smoothed_window
 from sampling_design.nonlinear.weights import fit_covariance, output_slope, scaled_weights, warn_of_scales
 from sampling_design.nonlinear.window_search import WHOLE, WindowAnswer, WindowSearch
+from sampling_design.records.checks import freeze
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 
 Array = npt.NDArray[np.float64]
@@ -34,7 +34,7 @@ ARRIVAL_FLOOR = 1e-8
 """Standard deviations that a filtered arrival weight assumes at least, in those of P2."""
 
 
-class Solve(NamedTuple):
+class SolverRun(NamedTuple):
     """What one window problem took: time, status, iterations, seconds of this thread, intervals, attempts, degree.
 
     `error`: what the discretisation costs, in standard deviations of the estimate.
@@ -61,7 +61,7 @@ class NonlinearStart(NamedTuple):
     square: float
     counted: float
     root: Array
-    inside: tuple[Node, ...]
+    inside: tuple[HistoryNode, ...]
     closed: bool
     prior: bool
 
@@ -206,14 +206,14 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         """How often the program was built."""
         return self.search.builds
 
-    def _restart(self, state: State) -> None:
+    def _restart(self, state: EstimatorState) -> None:
         self.state = state
-        self.solves: list[Solve] = []
+        self.solves: list[SolverRun] = []
         self.search.forget()
         self._latest: tuple[WindowData, WindowAnswer] | None = None
         self._seen = False
 
-    def _advance(self, state: State, sample: Taken) -> Node:
+    def _advance(self, state: EstimatorState, sample: CheckedSample) -> HistoryNode:
         if not self._seen:
             self._seen = True
             warn_of_scales(self.plant, "outputs", [sample.y])
@@ -228,7 +228,7 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
             refined = True
         solution = answer.solution
         self.solves.append(
-            Solve(
+            SolverRun(
                 sample.t,
                 solution.status,
                 solution.iterations,
@@ -260,7 +260,7 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         note = " ".join(filter(None, (*words, gated)))
         return self._node(taken, x, "ok", Y, square, counted, note, scheduled, cost=solution.cost, **details)
 
-    def _counted(self, state: State, sample: Taken) -> tuple[float, bool]:
+    def _counted(self, state: EstimatorState, sample: CheckedSample) -> tuple[float, bool]:
         """When the last sample that the proof takes was, this one included, and whether all gaps are certified."""
         last, promise = state.last, self.promise
         if promise is None:
@@ -270,7 +270,7 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         scheduled = last.scheduled and bool(np.isfinite(promise.age(sample.t, before)))
         return (sample.t if complete and promise.counts(sample.t, before) else before), scheduled
 
-    def _gated(self, state: State, sample: Taken) -> tuple[Taken, str]:
+    def _gated(self, state: EstimatorState, sample: CheckedSample) -> tuple[CheckedSample, str]:
         """Leave out the outputs of a sample that lie beyond the gate, and say so."""
         gate, patience = self.outliers.gate, self.outliers.patience
         recent = [node for node in state.nodes[-patience:] if node.sample.y is not None and not node.mask.any()]
@@ -290,7 +290,7 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         return sample._replace(y=freeze(np.where(far, np.nan, sample.y))), note
 
     def _bound(
-        self, state: State, data: WindowData, answer: WindowAnswer, start: NonlinearStart, counts: bool
+        self, state: EstimatorState, data: WindowData, answer: WindowAnswer, start: NonlinearStart, counts: bool
     ) -> float:
         """Return the bound on V at the window's end, after the fact."""
         promise, solution = self.promise, answer.solution
@@ -311,14 +311,16 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         if self.search.program.keeps_v:
             misfit = misfit + solution.point.v * self.plant.signals["noises"].scales
         w = solution.point.w * self.plant.signals["disturbances"].scales
-        flown = Flown(data.edges, nodes, w, misfit, counted, jumps * self._scale)
+        flown = WindowTrajectory(data.edges, nodes, w, misfit, counted, jumps * self._scale)
         last = start.counted
         if start.prior:
             last = promise.origin(start.t, next((t for t in data.edges[counted].tolist()), np.inf))
         square = min(start.square, promise.largest(start.t, last, start.prior))
         return promise.radius(flown, start.x, square if not start.prior else promise.largest(start.t, last, True), last)
 
-    def _window(self, state: State, sample: Taken) -> tuple[WindowData, WindowSolution, NonlinearStart]:
+    def _window(
+        self, state: EstimatorState, sample: CheckedSample
+    ) -> tuple[WindowData, WindowSolution, NonlinearStart]:
         """Return the window that ends with `sample`, and its open loop from the prior and the latest estimate."""
         start = self._start(state, sample.t)
         rows = {node.t: (node.y, node.mask) for node in start.inside}
@@ -342,7 +344,7 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         )
         return data, self.search.guess(edges, self._path(state, edges, start.x) / self._scale), start
 
-    def _start(self, state: State, t: float) -> NonlinearStart:
+    def _start(self, state: EstimatorState, t: float) -> NonlinearStart:
         """Return where the window begins, the online estimate there, what it weighs, and the samples in it."""
         nodes, s = state.nodes, t - self.horizon
         slack = SAME_TIME * max(abs(t), self.horizon)
@@ -392,7 +394,7 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
             edges += [a + (b - a) * k / count for k in range(1, count)] + [b]
         return np.array(edges)
 
-    def _path(self, state: State, edges: Array, prior: Array) -> Array:
+    def _path(self, state: EstimatorState, edges: Array, prior: Array) -> Array:
         """Return the online estimates at the edges: known at samples, open loop after the last one."""
         last = state.last
         x, t = last.x, last.t

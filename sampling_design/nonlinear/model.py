@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._record import Plain
 from sampling_design.nonlinear.equations import PlantEquations
 from sampling_design.nonlinear.functions import linear_model
 from sampling_design.nonlinear.jacobians import hull_of, linearisations_of, members_of, model_of
 from sampling_design.plants.plant import Plant
-from sampling_design.uncertain.plants.inclusion import Hull, LinearInclusion, Members
+from sampling_design.records.record import Plain
+from sampling_design.uncertain.plants.inclusion import InclusionMembers, LinearInclusion, MemberHull
 
 Array = npt.NDArray[np.float64]
 
@@ -112,11 +112,11 @@ class NonlinearPlant(PlantEquations, LinearInclusion):
         """
         return model_of(self)
 
-    def members(self, rng: np.random.Generator) -> Members:
+    def members(self, rng: np.random.Generator) -> InclusionMembers:
         """Jacobians at points of the region."""
         return members_of(self, rng)
 
-    def hull(self, halvings: int, size: Callable[[Array], Array]) -> Hull | None:
+    def hull(self, halvings: int, size: Callable[[Array], Array]) -> MemberHull | None:
         """What interval arithmetic says of the Jacobians over cells of the region."""
         return hull_of(self, halvings, size)
 

@@ -10,16 +10,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._checks import freeze
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.estimators.online.estimate import Estimate, Status
-from sampling_design.estimators.online.estimator import Taken
-from sampling_design.estimators.online.history import Node, State
+from sampling_design.estimators.online.estimator import CheckedSample
+from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.nonlinear.promise import UNCOVERED, InclusionPromise
 from sampling_design.nonlinear.simulation import Integrator, SpreadIntegrator, require_inside
 from sampling_design.nonlinear.weights import NonlinearWeights
+from sampling_design.records import checks
+from sampling_design.records.checks import freeze
 
 Array = npt.NDArray[np.float64]
 
@@ -29,7 +29,7 @@ EDGE = 1e-6
 """States within this share of their scale of the edge of X are in it: the solver ends there."""
 
 
-class Predicted(NamedTuple):
+class OpenLoopPrediction(NamedTuple):
     """The open loop at a time: state, covariance to first order, bound on V, and what went wrong, in words."""
 
     x: Array
@@ -49,7 +49,7 @@ class NonlinearOpenLoop(OnlineEstimator):
     _ramps: bool
 
     @abstractmethod
-    def _restart(self, state: State) -> None:
+    def _restart(self, state: EstimatorState) -> None:
         """Forget all samples."""
 
     def set_up(self) -> None:
@@ -70,7 +70,7 @@ class NonlinearOpenLoop(OnlineEstimator):
         """Forget all samples and start again from a prior; the program stays built."""
         self._restart(self.initial_state(prior, prior_time))
 
-    def initial_state(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> State:
+    def initial_state(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> EstimatorState:
         """Return the state before any sample: `prior` (default 0) at `prior_time`.
 
         Raises
@@ -79,9 +79,9 @@ class NonlinearOpenLoop(OnlineEstimator):
             If the prior has the wrong length, lies outside X, breaks a limit, or f or h are not finite there.
         """
         plant = self.plant
-        x = _checks.vector("prior", np.zeros(plant.n_states) if prior is None else prior, plant.n_states)
+        x = checks.vector("prior", np.zeros(plant.n_states) if prior is None else prior, plant.n_states)
         require_inside(plant, "prior", x)
-        t, still = _checks.number("prior_time", prior_time), np.zeros(plant.n_inputs)
+        t, still = checks.number("prior_time", prior_time), np.zeros(plant.n_inputs)
         over = np.array(plant.limits_casadi(x, still)).ravel()
         if np.any(over > 0):
             k = int(np.argmax(over))
@@ -90,11 +90,13 @@ class NonlinearOpenLoop(OnlineEstimator):
         plant.h(x, still, t=t)
         inverse = np.linalg.solve(self.scaled.twice * self.scaled.P2, np.eye(x.size))
         square = np.inf if self.promise is None else self.promise.largest(t, t, prior=True)
-        return State((self._node(Taken(t), x, "prior", inverse * self._scale * self._scale[:, None], square, t),))
+        return EstimatorState(
+            (self._node(CheckedSample(t), x, "prior", inverse * self._scale * self._scale[:, None], square, t),)
+        )
 
     def _node(
         self,
-        sample: Taken,
+        sample: CheckedSample,
         x: Array,
         status: Status,
         Y: Array,
@@ -103,14 +105,14 @@ class NonlinearOpenLoop(OnlineEstimator):
         note: str = "",
         scheduled: bool = True,
         **details: Any,
-    ) -> Node:
+    ) -> HistoryNode:
         """Return a snapshot with the linearised covariance Y and the bound on V; what is linear only is empty."""
         x, Y = freeze(x), freeze(Y)
         estimate = self._said(sample.t, x, status, Y, square, counted, note, scheduled, **details)
         y = np.zeros(self.plant.n_outputs) if sample.y is None else np.nan_to_num(sample.y)
         mask = np.zeros(y.size) if sample.y is None else np.isfinite(sample.y).astype(np.float64)
         nothing = np.zeros(0)
-        return Node(
+        return HistoryNode(
             t=sample.t,
             y=y,
             mask=mask,
@@ -158,20 +160,20 @@ class NonlinearOpenLoop(OnlineEstimator):
             **details,
         )
 
-    def _since(self, state: State, node: Node, t: float) -> float:
+    def _since(self, state: EstimatorState, node: HistoryNode, t: float) -> float:
         """When a sample last counted before t: before the first one, as long ago as lets it count."""
         if self.promise is None or node.counted != node.t or node.sample.y is not None:
             return node.counted
         return self.promise.origin(node.t, t)
 
-    def _input(self, state: State, t: float) -> Array:
+    def _input(self, state: EstimatorState, t: float) -> Array:
         """The input in force from t on."""
         u = state.input_at(t)
         if u is None:
             return np.zeros(self.plant.n_inputs)
         return self._input_until(state, t, t) if self._ramps else u
 
-    def _input_until(self, state: State, a: float, b: float) -> Array:
+    def _input_until(self, state: EstimatorState, a: float, b: float) -> Array:
         """What the input in force from a on has become at b, with none given in between."""
         u = state.input_at(a)
         if u is None:
@@ -183,7 +185,9 @@ class NonlinearOpenLoop(OnlineEstimator):
         share = (b - times[k - 1]) / (times[k] - times[k - 1])
         return np.asarray(u + share * (state.inputs[k][1] - u))
 
-    def _flown(self, state: State, x: Array, a: float, b: float, Y: Array | None = None) -> tuple[Array, Array | None]:
+    def _flown(
+        self, state: EstimatorState, x: Array, a: float, b: float, Y: Array | None = None
+    ) -> tuple[Array, Array | None]:
         """Return the open loop from x at a to b, with w = 0 and the inputs that were given, and its covariance."""
         if b <= a:
             return x, Y
@@ -196,13 +200,15 @@ class NonlinearOpenLoop(OnlineEstimator):
             x = self._integrator.step(x, u, still, start, stop, later)
         return x, Y
 
-    def _open_loop(self, state: State, node: Node, t: float) -> Predicted:
+    def _open_loop(self, state: EstimatorState, node: HistoryNode, t: float) -> OpenLoopPrediction:
         """Return the open loop from a node at t, in X; if even that fails, the node's estimate. The words say so."""
         nothing = np.diag(np.full(node.x.size, np.inf))
         try:
             x, Y = self._flown(state, node.x, node.t, t, node.Y)
         except SolverError as error:
-            return Predicted(node.x, nothing, np.inf, f"The open loop fails too, the last estimate is held: {error}")
+            return OpenLoopPrediction(
+                node.x, nothing, np.inf, f"The open loop fails too, the last estimate is held: {error}"
+            )
         Y = nothing if Y is None else Y
         square, promise = float("inf"), self.promise
         if promise is not None and np.isfinite(node.beta):
@@ -210,7 +216,7 @@ class NonlinearOpenLoop(OnlineEstimator):
             if np.isfinite(promise.age(t, last)) and promise.holds(x):
                 square = promise.ahead(node.beta, node.t, t)
         kept, words = self._kept(x, self._input(state, t))
-        return Predicted(kept, Y, square if kept is x else np.inf, words)
+        return OpenLoopPrediction(kept, Y, square if kept is x else np.inf, words)
 
     def _kept(self, x: Array, u: Array) -> tuple[Array, str]:
         """Return the nearest state in the box X, and say where x was if that was elsewhere, or where g is positive."""
@@ -229,7 +235,7 @@ class NonlinearOpenLoop(OnlineEstimator):
             words = f"{words} The open loop leaves X: limit {k + 1} is {over[k]:.6g}, above 0.".strip()
         return kept, words
 
-    def _predict(self, state: State, t: float) -> Estimate:
+    def _predict(self, state: EstimatorState, t: float) -> Estimate:
         node = state.nodes[state.node_before(t)]
         if node.t == t:
             return node.estimate

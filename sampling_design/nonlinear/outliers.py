@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._record import Record, short
+from sampling_design.records import checks
+from sampling_design.records.record import Record, short
 
 Array = npt.NDArray[np.float64]
 
@@ -57,8 +57,8 @@ class Outliers(Record):
         for key in ("huber", "gate"):
             value = getattr(self, key)
             if value is not None:
-                object.__setattr__(self, key, _checks.positive(key, value))
-        object.__setattr__(self, "patience", _checks.whole("patience", self.patience, 1))
+                object.__setattr__(self, key, checks.positive(key, value))
+        object.__setattr__(self, "patience", checks.whole("patience", self.patience, 1))
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [(key, "-" if getattr(self, key) is None else short(getattr(self, key))) for key in ("huber", "gate")]

@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._record import Record, short
 from sampling_design.checkers.strict import Tree
-from sampling_design.nonlinear.mhe import Solve
+from sampling_design.nonlinear.mhe import SolverRun
 from sampling_design.nonlinear.thyroid import SCALING
+from sampling_design.records.record import Record, short
 
 Array = npt.NDArray[np.float64]
 SCHEMES = ("standard", "sample_based")
@@ -48,8 +48,8 @@ class PatientRun(Record):
     sampled: npt.NDArray[np.bool_]
     standard: Array
     sample_based: Array
-    solves_standard: tuple[Solve, ...]
-    solves_sample_based: tuple[Solve, ...]
+    solves_standard: tuple[SolverRun, ...]
+    solves_sample_based: tuple[SolverRun, ...]
 
     def errors(self, scheme: str) -> Array:
         """Return the scaled error z - zhat of a scheme, (N, 6)."""
@@ -64,7 +64,7 @@ class PatientRun(Record):
         """Plain data of what a report needs; None for a span that the run does not reach."""
         line: Tree = {"case": self.case, "run": self.run, "samples": int(self.sampled.sum())}
         for scheme in SCHEMES:
-            solves: tuple[Solve, ...] = getattr(self, f"solves_{scheme}")
+            solves: tuple[SolverRun, ...] = getattr(self, f"solves_{scheme}")
             values = {span: self.rmse(scheme, span) for span in SPANS}
             line[scheme] = {
                 "rmse": {span: value if np.isfinite(value) else None for span, value in values.items()},

@@ -9,8 +9,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._record import Plain
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import MATRICES, CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import noise_bound
@@ -19,6 +17,8 @@ from sampling_design.estimators.online.guarantee import own_horizon, too_short
 from sampling_design.nonlinear.jacobians import model_of
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.region import StateRegion
+from sampling_design.records import checks
+from sampling_design.records.record import Plain
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 
 Array = npt.NDArray[np.float64]
@@ -34,7 +34,7 @@ UNCOVERED = "a gap or an output that the certificate does not cover, a state out
 """Why an estimate under a certificate may have none."""
 
 
-class Flown(NamedTuple):
+class WindowTrajectory(NamedTuple):
     """A trajectory of the window as the bound needs it, physical.
 
     times (K+1,), x (K+1, n), w (K, q), misfit (K+1, p) = y - h(x), counted (K+1,) where the proof takes the sample,
@@ -141,12 +141,12 @@ class InclusionPromise:
         grown = np.exp(-self.eta * length) * square + self.w_square * float(discounted_length(self.eta, length))
         return float(grown * (1 + ROUNDING))
 
-    def radius(self, flown: Flown, prior: Array, square: float, last: float) -> float:
+    def radius(self, flown: WindowTrajectory, prior: Array, square: float, last: float) -> float:
         """Return the bound on V at the window's end; infinite where some gap is not certified.
 
         Parameters
         ----------
-        flown : Flown
+        flown : WindowTrajectory
         prior : (n,) array
             Estimate at the window's start, before the sample there if that one counts.
         square : float
@@ -234,7 +234,7 @@ def horizon_for(
     if certificate is None:
         return own_horizon(horizon), ""
     own = certificate.horizon("arrival")
-    length = own.length if horizon is None else _checks.positive("horizon", horizon)
+    length = own.length if horizon is None else checks.positive("horizon", horizon)
     if not all(np.array_equal(getattr(cost, key), getattr(certificate, key)) for key in (*MATRICES, "eta")):
         return length, "No a-priori claim: the weights differ from the certificate's."
     return length, too_short(length, own.minimum) if length <= own.minimum else ""

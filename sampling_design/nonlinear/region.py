@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._record import Plain, Record, finite_or_nones, short
 from sampling_design.checkers.half_spaces import holds_a_point
 from sampling_design.errors import ArgumentError
+from sampling_design.records import checks
+from sampling_design.records.record import Plain, Record, finite_or_nones, short
 
 Array = npt.NDArray[np.float64]
 Box = tuple[Array, Array]
@@ -59,26 +59,26 @@ class StateRegion(Record):
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        lower, upper = (_checks.floats(key, getattr(self, key)) for key in ("lower", "upper"))
+        lower, upper = (checks.floats(key, getattr(self, key)) for key in ("lower", "upper"))
         wrong = lower.ndim != 1 or lower.shape != upper.shape or np.isnan([lower, upper]).any()
         if wrong or np.any(lower > upper):
             raise ArgumentError("`lower` and `upper` of a region must be vectors of one length, lower <= upper.")
         n = lower.size
-        rows = _checks.matrix("rows", np.zeros((0, n)) if self.rows is None else self.rows, None, n)
-        offsets = _checks.vector("offsets", () if self.offsets is None else self.offsets, len(rows))
+        rows = checks.matrix("rows", np.zeros((0, n)) if self.rows is None else self.rows, None, n)
+        offsets = checks.vector("offsets", () if self.offsets is None else self.offsets, len(rows))
         for key, value in {"lower": lower, "upper": upper, "rows": rows, "offsets": offsets}.items():
             object.__setattr__(self, key, _frozen(value))
         if not (some := holds_a_point(lower, upper, rows, offsets)):
             empty, many = "hold a state: none is in its box and its half-spaces", "have fewer half-spaces to be judged"
             raise ArgumentError(f"`rows` and `offsets` of a region must {many if some is None else empty}.")
-        about = self.middle if self.about is None else _checks.vector("about", self.about, n)
+        about = self.middle if self.about is None else checks.vector("about", self.about, n)
         if not (np.all(lower <= about) and np.all(about <= upper)):
             raise ArgumentError("`about` must lie between `lower` and `upper` of the region.")
         object.__setattr__(self, "about", _frozen(about))
 
     def holds(self, x: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Whether states (..., n) lie in the region."""
-        points = _checks.floats("x", x)
+        points = checks.floats("x", x)
         inside = np.all((points >= self.lower) & (points <= self.upper), axis=-1)
         return np.asarray(inside & np.all(points @ self.rows.T <= self.offsets, axis=-1))
 
@@ -114,7 +114,7 @@ def _frozen(value: Array) -> Array:
 
 
 def _side(key: str, value: object, size: int) -> Array:
-    side = _checks.floats(f"bounds[{key!r}]", value)
+    side = checks.floats(f"bounds[{key!r}]", value)
     if side.shape not in ((), (size,)):
         raise ArgumentError(f"`bounds[{key!r}]` must be a pair (lower, upper) of numbers or of {size} entries each.")
     return np.broadcast_to(side, (size,)).copy()
@@ -139,7 +139,7 @@ def own_box(key: str, box: object, size: int) -> Box:
 
 def _pair(key: str, box: object) -> Sequence[object]:
     if not isinstance(box, (Sequence, np.ndarray)) or isinstance(box, str) or len(box) != 2:
-        raise ArgumentError(f"`bounds[{key!r}]` must be a pair (lower, upper), got {_checks.described(box)}.")
+        raise ArgumentError(f"`bounds[{key!r}]` must be a pair (lower, upper), got {checks.described(box)}.")
     return box  # type: ignore[return-value]
 
 

@@ -7,10 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from sampling_design import _checks
-from sampling_design._record import Record, finite_or_none, short
 from sampling_design.checkers.strict import Tree
 from sampling_design.nonlinear.patient_run import SCHEMES, SPANS
+from sampling_design.records import checks
+from sampling_design.records.record import Record, finite_or_none, short
 
 PAPER_RMSE = {"standard": 0.2244, "sample_based": 0.2275}
 """Printed in the paper's Section VI."""
@@ -69,7 +69,7 @@ class ThyroidReport(Record):
     def rmse(self, case: str, scheme: str, span: str = "all") -> np.ndarray:
         """Return the RMSE of every run of a case (NaN where a run is too short for the span)."""
         for key, value, known in (("case", case, self.cases), ("scheme", scheme, SCHEMES), ("span", span, SPANS)):
-            _checks.word(key, value, known)
+            checks.word(key, value, known)
         values = [line[scheme]["rmse"][span] for line in self.lines if line["case"] == case]
         return np.array(values, dtype=float)
 

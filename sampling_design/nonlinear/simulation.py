@@ -7,11 +7,11 @@ import re
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.collocation import BETWEEN
 from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.records import checks
 
 Array = npt.NDArray[np.float64]
 TOLERANCE = 1e-10
@@ -77,12 +77,12 @@ def simulate(
     >>> bool(abs(simulate(decay, [1.0], [0.0, 1.0])[-1, 0] - np.exp(-1)) < 1e-8)
     True
     """
-    start = _checks.vector("x0", x0, plant.n_states)
+    start = checks.vector("x0", x0, plant.n_states)
     require_inside(plant, "x0", start)
-    grid = _checks.increasing("times", times)
+    grid = checks.increasing("times", times)
     controls = _per_time("u", u, grid.size, plant.n_inputs)
     noise = _per_time("w", w, grid.size, plant.n_disturbances)
-    _checks.word("input_between", input_between, BETWEEN)
+    checks.word("input_between", input_between, BETWEEN)
     later = controls[1:] if input_between == "linear" else controls
     integrator = Integrator(plant, tolerance)
     states = np.empty((grid.size, plant.n_states))
@@ -219,5 +219,5 @@ def _per_time(name: str, value: npt.ArrayLike | None, rows: int, columns: int) -
         return np.zeros((rows, columns))
     array = np.asarray(value, dtype=float)
     if array.ndim == 1:
-        array = np.broadcast_to(_checks.vector(name, array, columns), (rows, columns))
-    return _checks.matrix(name, array, rows, columns)
+        array = np.broadcast_to(checks.vector(name, array, columns), (rows, columns))
+    return checks.matrix(name, array, rows, columns)

@@ -8,20 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._checks import freeze
-from sampling_design._record import Gridded, Table, Variable, short
 from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.nlp import WindowData
 from sampling_design.nonlinear.weights import NonlinearWeights
 from sampling_design.nonlinear.window_search import WindowAnswer
 from sampling_design.nonlinear.window_spread import smoothed_covariances
+from sampling_design.records.checks import freeze
+from sampling_design.records.record import CurveRecord, TableRecord, Variable, short
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SmoothedWindow(Table, Gridded):
+class SmoothedWindow(TableRecord, CurveRecord):
     """The states of a window given all of its samples, physical.
 
     Attributes

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from sampling_design import _checks
-from sampling_design._checks import known_keys
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.plants.plant import Signals
+from sampling_design.records import checks
+from sampling_design.records.checks import known_keys
 
 if TYPE_CHECKING:
     from casadi import SX
@@ -27,7 +27,7 @@ DAY = 86400.0
 
 
 @dataclass(frozen=True)
-class Parameter:
+class ModelConstant:
     """A constant of the model: value, unit, and whether it was found or reconstructed."""
 
     value: float
@@ -39,46 +39,46 @@ class Parameter:
 _RATIO = 0.32425  # l/s: outflow of T4 over T4 in the thyroid, from the balances at rest
 _K_MCT8 = 4.7e-6
 
-PARAMETERS: Mapping[str, Parameter] = {
-    "TBG": Parameter(3e-7, "mol/l", "found"),
-    "TBPA": Parameter(4.5e-6, "mol/l", "found"),
-    "IBS": Parameter(8e-6, "mol/l", "found"),
-    "K30": Parameter(2e9, "l/mol", "found"),
-    "K31": Parameter(2e9, "l/mol", "found"),
-    "K41": Parameter(2e10, "l/mol", "found"),
-    "K42": Parameter(2e8, "l/mol", "found"),
-    "TRH": Parameter(6.9e-9, "mol/l", "found", "constant; its daily swing is left out"),
-    "G_H": Parameter(473.0214, "mU/s", "found", "a tabulated 817 is excluded by the paper's x(0)"),
-    "D_H": Parameter(4.7e-8, "mol/l", "found"),
-    "S_S": Parameter(100.0, "l/mU", "found"),
-    "D_S": Parameter(50.0, "mU/l", "found"),
-    "L_S": Parameter(1.6879e6, "l/mol", "found", "1.68e6 in tables"),
-    "G_R": Parameter(1.0, "mol/s", "found"),
-    "D_R": Parameter(1e-10, "mol/l", "found"),
-    "alpha_S": Parameter(0.4, "1/l", "found"),
-    "beta_S": Parameter(2.3e-4, "1/s", "found"),
-    "alpha_S2": Parameter(2.6e5, "1/l", "found"),
-    "beta_S2": Parameter(140.0, "1/s", "found", "the ratio to alpha_S2 is confirmed by the paper's x(0)"),
-    "G_T": Parameter(3.375e-12, "mol/s", "found", "healthy; the patient has an eighth (reconstructed from x(0))"),
-    "D_T": Parameter(2.75, "mU/l", "found"),
-    "G_T3": Parameter(1.8882e-13, "mol/s", "found", "not reduced in the patient; 3.94e-13 does not fit x(0)"),
-    "k_Dio": Parameter(1.0, "mU/l", "found"),
-    "G_D1": Parameter(2.3527e-8, "mol/s", "found"),
-    "K_M1": Parameter(5e-7, "mol/l", "found"),
-    "G_D2": Parameter(4.3e-15, "mol/s", "found"),
-    "K_M2": Parameter(1e-9, "mol/l", "found"),
-    "alpha_T": Parameter(0.1, "1/l", "found"),
-    "beta_T": Parameter(1.1e-6, "1/s", "found"),
-    "alpha_31": Parameter(2.6e-2, "1/l", "found"),
-    "beta_31": Parameter(8e-6, "1/s", "found"),
-    "alpha_32": Parameter(1.3e5, "1/l", "found"),
-    "beta_32": Parameter(8.3e-4, "1/s", "found"),
-    "K_MCT8": Parameter(_K_MCT8, "mol/l", "reconstructed", "only G_MCT8/K_MCT8 acts, since T4_th is far below it"),
-    "G_MCT8": Parameter(
+PARAMETERS: Mapping[str, ModelConstant] = {
+    "TBG": ModelConstant(3e-7, "mol/l", "found"),
+    "TBPA": ModelConstant(4.5e-6, "mol/l", "found"),
+    "IBS": ModelConstant(8e-6, "mol/l", "found"),
+    "K30": ModelConstant(2e9, "l/mol", "found"),
+    "K31": ModelConstant(2e9, "l/mol", "found"),
+    "K41": ModelConstant(2e10, "l/mol", "found"),
+    "K42": ModelConstant(2e8, "l/mol", "found"),
+    "TRH": ModelConstant(6.9e-9, "mol/l", "found", "constant; its daily swing is left out"),
+    "G_H": ModelConstant(473.0214, "mU/s", "found", "a tabulated 817 is excluded by the paper's x(0)"),
+    "D_H": ModelConstant(4.7e-8, "mol/l", "found"),
+    "S_S": ModelConstant(100.0, "l/mU", "found"),
+    "D_S": ModelConstant(50.0, "mU/l", "found"),
+    "L_S": ModelConstant(1.6879e6, "l/mol", "found", "1.68e6 in tables"),
+    "G_R": ModelConstant(1.0, "mol/s", "found"),
+    "D_R": ModelConstant(1e-10, "mol/l", "found"),
+    "alpha_S": ModelConstant(0.4, "1/l", "found"),
+    "beta_S": ModelConstant(2.3e-4, "1/s", "found"),
+    "alpha_S2": ModelConstant(2.6e5, "1/l", "found"),
+    "beta_S2": ModelConstant(140.0, "1/s", "found", "the ratio to alpha_S2 is confirmed by the paper's x(0)"),
+    "G_T": ModelConstant(3.375e-12, "mol/s", "found", "healthy; the patient has an eighth (reconstructed from x(0))"),
+    "D_T": ModelConstant(2.75, "mU/l", "found"),
+    "G_T3": ModelConstant(1.8882e-13, "mol/s", "found", "not reduced in the patient; 3.94e-13 does not fit x(0)"),
+    "k_Dio": ModelConstant(1.0, "mU/l", "found"),
+    "G_D1": ModelConstant(2.3527e-8, "mol/s", "found"),
+    "K_M1": ModelConstant(5e-7, "mol/l", "found"),
+    "G_D2": ModelConstant(4.3e-15, "mol/s", "found"),
+    "K_M2": ModelConstant(1e-9, "mol/l", "found"),
+    "alpha_T": ModelConstant(0.1, "1/l", "found"),
+    "beta_T": ModelConstant(1.1e-6, "1/s", "found"),
+    "alpha_31": ModelConstant(2.6e-2, "1/l", "found"),
+    "beta_31": ModelConstant(8e-6, "1/s", "found"),
+    "alpha_32": ModelConstant(1.3e5, "1/l", "found"),
+    "beta_32": ModelConstant(8.3e-4, "1/s", "found"),
+    "K_MCT8": ModelConstant(_K_MCT8, "mol/l", "reconstructed", "only G_MCT8/K_MCT8 acts, since T4_th is far below it"),
+    "G_MCT8": ModelConstant(
         _RATIO * _K_MCT8, "mol/s", "reconstructed", "the ratio 0.32425 l/s closes the balances at rest"
     ),
-    "alpha_th": Parameter(250.0, "1/l", "reconstructed", "weak: no data constrain it"),
-    "beta_th": Parameter(4.4e-6, "1/s", "reconstructed", "weak: irrelevant at rest"),
+    "alpha_th": ModelConstant(250.0, "1/l", "reconstructed", "weak: no data constrain it"),
+    "beta_th": ModelConstant(4.4e-6, "1/s", "reconstructed", "weak: irrelevant at rest"),
 }
 
 PATIENT_SECRETION = 1 / 8
@@ -182,7 +182,7 @@ def constants_of(
     patient: bool, w_reading: Literal["per_second", "per_day"], changes: Mapping[str, float]
 ) -> tuple[dict[str, float], float]:
     """Values of the parameters, and seconds per unit of time of w."""
-    _checks.word("w_reading", w_reading, ("per_second", "per_day"))
+    checks.word("w_reading", w_reading, ("per_second", "per_day"))
     known_keys("the parameters of the model", changes, PARAMETERS)
     values = {key: parameter.value for key, parameter in PARAMETERS.items()}
     if patient:

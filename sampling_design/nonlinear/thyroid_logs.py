@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
 from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.thyroid import DAY, constants_of, loop
 from sampling_design.plants.plant import Signals
+from sampling_design.records import checks
 
 if TYPE_CHECKING:
     from casadi import SX
@@ -98,7 +98,7 @@ def inflows(
 
 def logarithms(x: npt.ArrayLike, basis: npt.ArrayLike = TUBE) -> Array:
     """Return the coordinates basis log(x/REST) of concentrations x (..., 6) [mol/l, mU/l]."""
-    return np.asarray(np.log(_checks.floats("x", x) / REST) @ _checks.floats("basis", basis).T)
+    return np.asarray(np.log(checks.floats("x", x) / REST) @ checks.floats("basis", basis).T)
 
 
 def logarithmic_thyroid(
@@ -131,7 +131,7 @@ def logarithmic_thyroid(
     >>> logarithmic_thyroid().n_states
     6
     """
-    rows = _checks.matrix("basis", basis, 6, 6)
+    rows = checks.matrix("basis", basis, 6, 6)
     values, unit = constants_of(patient, w_reading, changes)
     if np.linalg.matrix_rank(rows) < 6:
         raise ArgumentError("`basis` must be invertible: each state is some product of powers of the coordinates.")

@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
-from sampling_design import _checks
 from sampling_design.errors import SolverError
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
-from sampling_design.uncertain.plants.time_varying import TOLERANCE, MatrixOfTime, Spent, TimeVaryingPlant
+from sampling_design.records import checks
+from sampling_design.uncertain.plants.time_varying import TOLERANCE, IntegrationEffort, MatrixOfTime, TimeVaryingPlant
 
 Array = npt.NDArray[np.float64]
 
@@ -27,12 +27,12 @@ def plant_along(plant: NonlinearPlant, start: npt.ArrayLike, horizon: float, u: 
     SolverError
         If the trajectory cannot be followed.
     """
-    x0 = _checks.vector("start", start, plant.n_states)
-    control = _checks.vector("u", np.zeros(plant.n_inputs) if not np.size(u) else u, plant.n_inputs)
-    end, scale = _checks.positive("horizon", horizon), plant.states.scales
+    x0 = checks.vector("start", start, plant.n_states)
+    control = checks.vector("u", np.zeros(plant.n_inputs) if not np.size(u) else u, plant.n_inputs)
+    end, scale = checks.positive("horizon", horizon), plant.states.scales
     still = np.zeros(plant.n_disturbances)
 
-    spent = Spent()
+    spent = IntegrationEffort()
 
     def rate(t: float, z: Array) -> Array:
         spent.one_more(t)

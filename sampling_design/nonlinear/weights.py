@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._door import door
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import ArrivalKind, CostFunction, Form
 from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.records import checks
+from sampling_design.records.signatures import checked
 
 Array = npt.NDArray[np.float64]
 
@@ -55,8 +55,8 @@ def scaled_weights(
             found[weight] = default * np.eye(scale.size)
         else:
             # scaled before it is judged: physical entries may differ by 24 orders of magnitude
-            physical = _checks.matrix(typed, value, scale.size, scale.size)
-            found[weight] = _checks.definite(typed, physical * scale * scale[:, None], scale.size)
+            physical = checks.matrix(typed, value, scale.size, scale.size)
+            found[weight] = checks.definite(typed, physical * scale * scale[:, None], scale.size)
     return NonlinearWeights(**found, eta=cost.eta or 0.0, twice=1.0 if cost.form == "certificate" else 2.0)
 
 
@@ -104,7 +104,7 @@ def output_slope(plant: NonlinearPlant, x: Array, u: Array, t: float) -> Array:
     return plant.linearise(x, u, t).C
 
 
-@door
+@checked
 def cost_from_deviations(
     plant: NonlinearPlant,
     *,
@@ -160,7 +160,7 @@ def cost_from_deviations(
     given = {"prior": prior, "v": v, "w": np.zeros(0) if w is None else w}
     square = {}
     for key, size in sizes.items():
-        value = _checks.vector(key, given[key], size)
+        value = checks.vector(key, given[key], size)
         if np.any(value <= 0):
             raise ArgumentError(f"`{key}` must hold positive standard deviations, got {float(value.min())!r}.")
         square[key] = value**2
@@ -169,7 +169,7 @@ def cost_from_deviations(
     twice = 1.0 if form == "certificate" else 2.0
     P2, Qw = (
         np.diag(1 / square["prior"]) / twice,
-        np.diag(1 / (square["w"] * _checks.positive("w_time", w_time))) / twice,
+        np.diag(1 / (square["w"] * checks.positive("w_time", w_time))) / twice,
     )
     R = np.diag(2 / square["v"])
     return CostFunction(P2, Qw if w is not None else None, R, R / twice, eta, form, arrival)

@@ -1,12 +1,12 @@
 """What a plant and a set of sample times show of the state together."""
 
-from sampling_design._lazy import lazy
+from sampling_design.records.lazy import lazy
 
 _NAMES = {
     "count.critical_length": ("critical_length",),
     "count.default_window": ("default_window",),
     "count.loss_tolerance": ("loss_tolerance",),
-    "count.pbh": ("UnseenModes", "require_observable", "unseen_modes"),
+    "count.pbh": ("UnobservableModes", "require_observable", "unobservable_modes"),
     "count.zero_count": ("ZeroCountBound", "zero_count_bound"),
     "windows.sampled": ("observability_gramian", "observability_matrix", "sigma_min"),
     "windows.window_sigma": ("WindowProfile", "WindowSigma", "WindowWitness", "window_sigma"),

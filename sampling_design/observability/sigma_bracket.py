@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from sampling_design._record import Record, short
+from sampling_design.records.record import Record, short
 
 
 class SigmaBracket(Record):

@@ -12,11 +12,11 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.planning.attacks import AttackPool
 from sampling_design.planning.cost_proof import CostBranch, CostLeaf, CostProof, CostTree
-from sampling_design.planning.cover import Cover, CoverModel, Key, relaxed
-from sampling_design.planning.hitting import hit
-from sampling_design.planning.work import RELAXED, Work
+from sampling_design.planning.covering import CoveringRows, CoverModel, Key, relaxed
+from sampling_design.planning.hidden_trajectories import HiddenTrajectories
+from sampling_design.planning.hitting_set import hit
+from sampling_design.planning.work_budget import RELAXED, WorkBudget
 
 Array = npt.NDArray[np.float64]
 
@@ -61,7 +61,12 @@ Finder: TypeAlias = Callable[[Array, float], None]
 
 
 def separated(
-    cover: Cover, pool: AttackPool, level: float, keys: list[Key], work: Work, below: float = np.inf
+    cover: CoveringRows,
+    pool: HiddenTrajectories,
+    level: float,
+    keys: list[Key],
+    work: WorkBudget,
+    below: float = np.inf,
 ) -> tuple[list[Key], Array]:
     """Rows of the pool until the relaxation keeps them all, and its point, among choices below a cost."""
     keys = [key for key in keys if pool.attacks[key[0]].reach >= level]
@@ -83,13 +88,15 @@ def separated(
     return keys, x
 
 
-def _relaxed(model: CoverModel, low: Array, high: Array, price: float, work: Work) -> tuple[Array, Array, float]:
+def _relaxed(model: CoverModel, low: Array, high: Array, price: float, work: WorkBudget) -> tuple[Array, Array, float]:
     """The relaxation, counted."""
     work.add(RELAXED, model.A.nnz)
     return relaxed(model, low, high, price)
 
 
-def _violated(cover: Cover, pool: AttackPool, views: dict[int, Array], x: Array, known: set[Key]) -> list[Key]:
+def _violated(
+    cover: CoveringRows, pool: HiddenTrajectories, views: dict[int, Array], x: Array, known: set[Key]
+) -> list[Key]:
     """Ends at which a fractional point sees too little of an attack, first where it sees least."""
     steps = pool.steps
     z = cover.seen(x)
@@ -116,11 +123,11 @@ def _violated(cover: Cover, pool: AttackPool, views: dict[int, Array], x: Array,
 
 
 def prove_cost(
-    cover: Cover,
-    pool: AttackPool,
+    cover: CoveringRows,
+    pool: HiddenTrajectories,
     level: float,
     target: float,
-    work: Work,
+    work: WorkBudget,
     keys: list[Key] | None = None,
     *,
     find: Finder | None = None,
@@ -141,7 +148,7 @@ def prove_cost(
 
 
 def _counted(
-    cover: Cover, pool: AttackPool, level: float, target: float, work: Work, find: Finder | None
+    cover: CoveringRows, pool: HiddenTrajectories, level: float, target: float, work: WorkBudget, find: Finder | None
 ) -> CostProof | None:
     """The proof where nothing but the number of samples counts, or None."""
     known = -1
@@ -158,12 +165,12 @@ class _Prover:
 
     def __init__(
         self,
-        cover: Cover,
-        pool: AttackPool,
+        cover: CoveringRows,
+        pool: HiddenTrajectories,
         level: float,
         target: float,
         keys: list[Key],
-        work: Work,
+        work: WorkBudget,
         *,
         find: Finder | None,
         decide: bool,
@@ -227,15 +234,15 @@ class _Prover:
 
 
 def out_of_reach(
-    cover: Cover,
-    pool: AttackPool,
+    cover: CoveringRows,
+    pool: HiddenTrajectories,
     limit: float,
     known: float,
     high: float,
     width: float,
     *,
     keys: list[Key],
-    work: Work,
+    work: WorkBudget,
     find: Finder | None = None,
 ) -> CostProof | None:
     """The proof with the highest level at which every choice costs more than `limit`; None if there is no work for one.

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sampling_design._record import Plain, Record, short
-from sampling_design._units import spoken, time_factor
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.robustness import LOST
+from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.units import spoken, time_factor
 
 
 @dataclass(frozen=True)

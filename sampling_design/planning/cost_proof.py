@@ -8,8 +8,8 @@ from typing import TypeAlias, Union
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.planning.attacks import AttackPool
-from sampling_design.planning.cover import Cover, Key, proven
+from sampling_design.planning.covering import CoveringRows, Key, proven
+from sampling_design.planning.hidden_trajectories import HiddenTrajectories
 
 Array = npt.NDArray[np.float64]
 
@@ -44,7 +44,7 @@ class CostProof:
     tree: CostTree
 
 
-def proven_cost(cover: Cover, pool: AttackPool, proof: CostProof) -> float:
+def proven_cost(cover: CoveringRows, pool: HiddenTrajectories, proof: CostProof) -> float:
     """What a proof's multipliers prove, worked out anew; no solver."""
     if any(not pool.ends[pool.attacks[a].goal][end % pool.steps] for a, end in proof.keys):
         return -np.inf

@@ -14,14 +14,14 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._door import door
-from sampling_design._record import Plain, Record, counted, short
-from sampling_design._units import spoken
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import gap_ratios, proven_ratio, settles
-from sampling_design.planning.spread_sequence import SampleSequence, departs_and_returns, is_apart, planned, too_soon
+from sampling_design.planning.sequence_deviation import SampleSequence, departs_and_returns, is_apart, planned, too_soon
+from sampling_design.records import checks
+from sampling_design.records.record import Plain, Record, counted, short
+from sampling_design.records.signatures import checked
+from sampling_design.records.units import spoken
 from sampling_design.schedules.schedule import Schedule
 
 Array = npt.NDArray[np.float64]
@@ -141,7 +141,7 @@ class PlanDates(Record):
         }
 
 
-@door
+@checked
 def plan_dates(plan: Plan, periods: int = 1, *, prove: bool = True) -> PlanDates:
     """Return a plan on real dates, with every change of the clocks and every holiday in it judged together.
 
@@ -173,7 +173,7 @@ def plan_dates(plan: Plan, periods: int = 1, *, prove: bool = True) -> PlanDates
     calendar = plan.requirement.calendar
     if calendar is None:
         raise ArgumentError("`plan` has no calendar: its times are no dates.")
-    run = _Dating(plan, _checks.whole("periods", periods, 1), prove)
+    run = _Dating(plan, checks.whole("periods", periods, 1), prove)
     return run.dates()
 
 

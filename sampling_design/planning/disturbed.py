@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._checks import freeze
 from sampling_design.errors import NotDetectableError
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.robustness import PlanRobustness
 from sampling_design.planning.sequence import proven_ratio, settles, worst_ratio
-from sampling_design.planning.spread_sequence import SampleSequence, planned
-from sampling_design.planning.work import Work
+from sampling_design.planning.sequence_deviation import SampleSequence, planned
+from sampling_design.planning.work_budget import WorkBudget
+from sampling_design.records.checks import freeze
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -26,7 +26,7 @@ SAME = 1e-4
 """Figures worked out anew may be larger by this share: solvers of other machines."""
 
 
-def plan_robustness(plan: PlanFigures, work: Work | None = None) -> PlanRobustness | None:
+def plan_robustness(plan: PlanFigures, work: WorkBudget | None = None) -> PlanRobustness | None:
     """Return what a plan bears; None where it keeps nothing, or where nothing bounds what a change does.
 
     Raises
@@ -37,7 +37,7 @@ def plan_robustness(plan: PlanFigures, work: Work | None = None) -> PlanRobustne
     if not plan.keeps:
         return None
     N = plan.samples
-    plan.oracle.count(work or Work())
+    plan.oracle.count(work or WorkBudget())
     try:
         late, step, late_ratio = zip(*(_late(plan, k) for k in range(N)), strict=True)
         single = [_judged(plan, without(plan, k, 1)) for k in range(N)]

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.planning.adversary import fly
-from sampling_design.planning.attacks import AttackPool, HiddenMotion, peaks_of
+from sampling_design.planning.adversary_program import fly
 from sampling_design.planning.cost_proof import CostBranch, CostProof, CostTree, proven_cost
-from sampling_design.planning.cover import Cover
-from sampling_design.planning.motion import Motion
+from sampling_design.planning.covering import CoveringRows
+from sampling_design.planning.discrete_plant import DiscretePlant
+from sampling_design.planning.filter_deviation import RasterFilter
+from sampling_design.planning.hidden_trajectories import HiddenTrajectories, HiddenTrajectory, peaks_of
 from sampling_design.planning.problem import PlanProblem
-from sampling_design.planning.spread import RasterFilter
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -42,12 +42,12 @@ class PlanBound:
         No plan keeps the tolerances for less than `cost.value`.
     """
 
-    attacks: tuple[HiddenMotion, ...]
+    attacks: tuple[HiddenTrajectory, ...]
     ratio: CostProof | None
     cost: CostProof | None
 
 
-def gathered(pool: AttackPool, ratio: CostProof | None, cost: CostProof | None) -> PlanBound:
+def gathered(pool: HiddenTrajectories, ratio: CostProof | None, cost: CostProof | None) -> PlanBound:
     """Return the bound with no more attacks than its proofs use."""
     used = sorted({key[0] for proof in (ratio, cost) if proof is not None for key in proof.keys})
     place = {a: k for k, a in enumerate(used)}
@@ -60,7 +60,7 @@ def gathered(pool: AttackPool, ratio: CostProof | None, cost: CostProof | None) 
     return PlanBound(tuple(pool.attacks[a] for a in used), moved(ratio), moved(cost))
 
 
-def reflown(problem: PlanProblem, motion: Motion, attack: HiddenMotion) -> HiddenMotion | None:
+def reflown(problem: PlanProblem, motion: DiscretePlant, attack: HiddenTrajectory) -> HiddenTrajectory | None:
     """An attack as its flight, flown anew and made admissible, proves it; None if the flight is not one motion.
 
     Of a tangent: the filter run anew.
@@ -91,10 +91,10 @@ def reflown(problem: PlanProblem, motion: Motion, attack: HiddenMotion) -> Hidde
     peaks = peaks_of(flown.path @ motion.H.T / factor, problem.steps, attack.at_sample) * (1 + 2 * KEPT)
     if reach <= 0:
         return None
-    return HiddenMotion(attack.goal, reach, attack.end, attack.at_sample, np.asarray(peaks), flight)
+    return HiddenTrajectory(attack.goal, reach, attack.end, attack.at_sample, np.asarray(peaks), flight)
 
 
-def _filtered(problem: PlanProblem, motion: Motion, attack: HiddenMotion) -> HiddenMotion | None:
+def _filtered(problem: PlanProblem, motion: DiscretePlant, attack: HiddenTrajectory) -> HiddenTrajectory | None:
     """A tangent worked out anew where it touches, by the filter from nothing unknown on."""
     z = np.roll(attack.touches, -((attack.end + 1) % problem.steps), axis=0)[::-1]
     if not problem.goals[attack.goal].spread or np.any(z < 0) or np.any(z > 1):
@@ -103,12 +103,14 @@ def _filtered(problem: PlanProblem, motion: Motion, attack: HiddenMotion) -> Hid
     return None if found is None else replace(found, reach=found.reach * (1 - KEPT), end=attack.end)
 
 
-def holds(bound: PlanBound, cover: Cover, limited: Cover, motion: Motion, ends: list[Mask], most: float) -> bool:
+def holds(
+    bound: PlanBound, cover: CoveringRows, limited: CoveringRows, motion: DiscretePlant, ends: list[Mask], most: float
+) -> bool:
     """Whether both proofs hold: attacks flown anew, multipliers added up anew.
 
     `cover` has no limits of its own; `limited` has those of the requirement; `most` is what the ratio's plans may cost.
     """
-    pool = AttackPool(cover.problem.steps, ends)
+    pool = HiddenTrajectories(cover.problem.steps, ends)
     for attack in bound.attacks:
         flown = reflown(cover.problem, motion, attack)
         if flown is None or flown.reach < attack.reach * (1 - 1e-6):
@@ -125,7 +127,7 @@ def holds(bound: PlanBound, cover: Cover, limited: Cover, motion: Motion, ends: 
     return True
 
 
-def attack_to_dict(attack: HiddenMotion) -> dict[str, object]:
+def attack_to_dict(attack: HiddenTrajectory) -> dict[str, object]:
     """Plain data; peaks are left out, since they are worked out anew."""
     flight = attack.flight
     if flight is None:
@@ -147,19 +149,19 @@ def attack_to_dict(attack: HiddenMotion) -> dict[str, object]:
     }
 
 
-def attack_of(problem: PlanProblem, motion: Motion, data: dict[str, object]) -> HiddenMotion:
+def attack_of(problem: PlanProblem, motion: DiscretePlant, data: dict[str, object]) -> HiddenTrajectory:
     """An attack from plain data that a strict reader has passed."""
     if "point" in data:
         point, end = np.zeros(problem.allowed.shape), int(str(data["end"]))
         for back, sensor, share in np.array(data["point"], dtype=float).reshape(-1, 3):
             point[int(back), int(sensor)] = share
         reach, at_sample = float(str(data["reach"])), bool(data["at_sample"])
-        return HiddenMotion(int(str(data["goal"])), reach, end, at_sample, np.zeros_like(point), None, point)
+        return HiddenTrajectory(int(str(data["goal"])), reach, end, at_sample, np.zeros_like(point), None, point)
     knots = np.array(data["knots"], dtype=np.intp)
     flight = fly(motion, knots, np.array(data["states"]), np.array(data["w"]))
     at_sample = bool(data["at_sample"])
     peaks = peaks_of(flight.path @ motion.H.T, problem.steps, at_sample)
-    return HiddenMotion(
+    return HiddenTrajectory(
         int(str(data["goal"])), float(str(data["reach"])), int(str(data["end"])), at_sample, peaks, flight
     )
 

@@ -8,19 +8,19 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._record import Record
-from sampling_design._units import SECONDS
+from sampling_design.accuracy.accuracy import Accuracy
+from sampling_design.accuracy.deviation import StandardDeviation
 from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design.planning.accuracy_oracle import AccuracyOracle
+from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.evidence import PlanBound
-from sampling_design.planning.motion import motion_of
 from sampling_design.planning.opening import PlanClock
-from sampling_design.planning.oracle import Oracle
-from sampling_design.planning.problem import Goal, PlanProblem, pose_plan
+from sampling_design.planning.problem import PlanProblem, RowGoal, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.robustness import PlanRobustness
 from sampling_design.plants.plant import Plant
-from sampling_design.recovery.accuracy import Accuracy
-from sampling_design.recovery.deviation import StandardDeviation
+from sampling_design.records.record import Record
+from sampling_design.records.units import SECONDS
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 Array = npt.NDArray[np.float64]
@@ -49,7 +49,7 @@ class PlanFigures(Record):
         return pose_plan(self.plant, self.requirement)
 
     @property
-    def goals(self) -> tuple[Goal, ...]:
+    def goals(self) -> tuple[RowGoal, ...]:
         """The goals as rows."""
         return self.problem.goals
 
@@ -59,9 +59,9 @@ class PlanFigures(Record):
         return self.problem.chosen(self.schedule)
 
     @cached_property
-    def oracle(self) -> Oracle:
+    def oracle(self) -> AccuracyOracle:
         """Judges samples near this plan in floats; how far back it looks is found from the plan itself."""
-        oracle = Oracle(self.problem, motion_of(self.problem))
+        oracle = AccuracyOracle(self.problem, motion_of(self.problem))
         oracle.judge(self.chosen)
         return oracle
 

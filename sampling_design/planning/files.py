@@ -10,9 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from sampling_design._checks import freeze
-from sampling_design._door import door
-from sampling_design._files import from_json, read_text, to_json, usable, write_text
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.files import certificate_from_dict
 from sampling_design.checkers.parts import time_unit
@@ -32,8 +29,8 @@ from sampling_design.checkers.strict import (
     word,
 )
 from sampling_design.planning.cost_proof import CostBranch, CostLeaf, CostProof, CostTree
+from sampling_design.planning.discrete_plant import DiscretePlant, motion_of
 from sampling_design.planning.evidence import PlanBound, attack_of
-from sampling_design.planning.motion import Motion, motion_of
 from sampling_design.planning.plan import proven_plan
 from sampling_design.planning.plan_record import FORMAT, LEFT_OUT, Plan, same_samples
 from sampling_design.planning.problem import PlanProblem, pose_plan
@@ -41,6 +38,9 @@ from sampling_design.planning.requirement_file import plan_requirement_from_dict
 from sampling_design.planning.robustness import PlanRobustness
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import first_difference
+from sampling_design.records.checks import freeze
+from sampling_design.records.file_io import from_json, read_text, to_json, usable, write_text
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.files import schedule_from_dict
 from sampling_design.schedules.schedule import PeriodicSchedule
 
@@ -88,7 +88,7 @@ _TREE: Reader = table(
 )
 
 
-@door
+@checked
 def save_plan(plan: Plan, path: str | os.PathLike[str]) -> Path:
     """Write a plan as JSON, whole or not at all; return the path.
 
@@ -110,8 +110,8 @@ def save_plan(plan: Plan, path: str | os.PathLike[str]) -> Path:
     return write_text(path, to_json(plan.to_dict()))
 
 
-@door
-def load_plan(path: str | os.PathLike[str]) -> Plan:
+@checked
+def read_plan(path: str | os.PathLike[str]) -> Plan:
     """Read a plan; what it guarantees is worked out anew, so that a file never says more than can be proven.
 
     Parameters
@@ -184,7 +184,7 @@ def _robustness(data: object, found: Plan) -> PlanRobustness | None:
     return PlanRobustness(time_unit=data["time_unit"], lost=data["lost"], **arrays)
 
 
-def _bound(problem: PlanProblem, motion: Motion, tree: Mapping[str, object]) -> PlanBound:
+def _bound(problem: PlanProblem, motion: DiscretePlant, tree: Mapping[str, object]) -> PlanBound:
     attacks = tree["attacks"]
     assert isinstance(attacks, list)
     for k, attack in enumerate(attacks):

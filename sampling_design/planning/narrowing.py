@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.planning.attacks import HiddenMotion
-from sampling_design.planning.oracle import Oracle
+from sampling_design.planning.accuracy_oracle import AccuracyOracle
+from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 
 Mask = npt.NDArray[np.bool_]
 
@@ -19,7 +19,7 @@ MOST_FAILURES = 4
 """Measurements in a row that no motion can do without, after which it is left at that."""
 
 
-def narrowed(oracle: Oracle, attack: HiddenMotion, level: float) -> HiddenMotion:
+def narrowed(oracle: AccuracyOracle, attack: HiddenTrajectory, level: float) -> HiddenTrajectory:
     """A motion that ends where this one does, reaches a level as it does, and that fewer measurements show.
 
     Those that show it least are taken first, many at once while that succeeds.
@@ -47,7 +47,7 @@ def narrowed(oracle: Oracle, attack: HiddenMotion, level: float) -> HiddenMotion
     return attack
 
 
-def shown(oracle: Oracle, attack: HiddenMotion, level: float) -> Mask:
+def shown(oracle: AccuracyOracle, attack: HiddenTrajectory, level: float) -> Mask:
     """Which of all that may be measured shows a motion that is scaled to reach just a level (M, p)."""
     steps = oracle.problem.steps
     back = (attack.end - np.arange(steps)) % steps

@@ -12,8 +12,8 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._record import Plain, Record
 from sampling_design.errors import ArgumentError
+from sampling_design.records.record import Plain, Record
 from sampling_design.schedules.time_stamps import parse_date, passed, time_zone
 
 Array = npt.NDArray[np.float64]

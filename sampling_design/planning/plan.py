@@ -9,12 +9,8 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._checks import freeze
-from sampling_design._door import door
-from sampling_design._record import short
-from sampling_design._units import spoken
-from sampling_design.certificates.certify import certify
+from sampling_design.accuracy.accuracy import Accuracy, guaranteed_accuracy
+from sampling_design.certificates.certification import certify
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.errors import (
     ArgumentError,
@@ -24,22 +20,26 @@ from sampling_design.errors import (
     NotDetectableError,
     UndecidedError,
 )
-from sampling_design.planning.attacks import HiddenMotion
-from sampling_design.planning.blind import finer_raster, modes_of
+from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.bounds import out_of_reach, prove_cost
-from sampling_design.planning.cover import Cover, cheapest
+from sampling_design.planning.covering import CoveringRows, cheapest
+from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.disturbed import plan_robustness
 from sampling_design.planning.evidence import EASED, PlanBound, gathered
-from sampling_design.planning.held import GoalProofs, HeldChoices, ProvenChoice
-from sampling_design.planning.motion import motion_of
-from sampling_design.planning.oracle import Oracle
+from sampling_design.planning.feasible_choices import FeasibleChoices, GoalProofs, ProvenChoice
+from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.planning.plan_record import Plan, deviation_of, is_free, limit_of, reached, without_limits
 from sampling_design.planning.problem import SAME_PRICE, PlanProblem, coarser, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.search import PlanSearch
-from sampling_design.planning.work import AFTER, CERTIFIED, GAINS, Work, WorkSpentError
+from sampling_design.planning.undetected_modes import finer_raster, modes_of
+from sampling_design.planning.work_budget import AFTER, CERTIFIED, GAINS, WorkBudget, WorkSpentError
 from sampling_design.plants.plant import Plant
-from sampling_design.recovery.accuracy import Accuracy, accuracy
+from sampling_design.records import checks
+from sampling_design.records.checks import freeze
+from sampling_design.records.record import short
+from sampling_design.records.signatures import checked
+from sampling_design.records.units import spoken
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -76,8 +76,8 @@ WIDTH = 0.002
 """Relative width to which the level out of reach is found."""
 
 
-@door
-def plan(
+@checked
+def plan_samples(
     plant: Plant,
     requirement: PlanRequirement,
     *,
@@ -122,8 +122,9 @@ def plan(
 
     Notes
     -----
-    *Claim.* `reached` is proven for all real times by `accuracy`; no admissible choice on the raster of the same cost
-    is better than `bound.ratio.level` times every tolerance, and none keeps them for less than `bound.cost.value`.
+    *Claim.* `reached` is proven for all real times by `guaranteed_accuracy`; no admissible choice on the raster of the
+    same cost is better than `bound.ratio.level` times every tolerance, and none keeps them for less than
+    `bound.cost.value`.
     *Method.* Attacks: disturbances that drive a goal to its tolerance while nothing measured shows them. Any plan must
     see every attack; moved by whole steps, an attack is one again. The cheapest choice that sees all attacks so far is
     judged, and what breaks it joins (implicit hitting sets). The bounds are multipliers over attacks. *Numerical
@@ -138,12 +139,12 @@ def plan(
     >>> plant = Plant([[0.0]], [[1.0]], states=["level"])
     >>> wanted = PlanRequirement({"level": 0.52}, period=8.0, raster=1.0, w_bound=0.1,
     ...                          sensors={"y1": {"noise_bound": 0.1}})
-    >>> found = plan(plant, wanted)
+    >>> found = plan_samples(plant, wanted)
     >>> found.samples, found.bound.cost.value
     (2, 2.0)
     """
     problem = pose_plan(plant, requirement)
-    seconds = np.inf if search_seconds is None else _checks.positive("search_seconds", search_seconds)
+    seconds = np.inf if search_seconds is None else checks.positive("search_seconds", search_seconds)
     run = _Planning(problem, seconds, progress)
     try:
         found = run.cheapest() if requirement.aim == "cheapest" else run.most_accurate()
@@ -154,7 +155,7 @@ def plan(
         left_out.append("bound")
     work.until(*AFTER[2], firm=True)
 
-    def room_for(name: str, make: Callable[[Plan, Work], Made | None]) -> Made | None:
+    def room_for(name: str, make: Callable[[Plan, WorkBudget], Made | None]) -> Made | None:
         nonlocal found
         try:
             if found.status != "interrupted":
@@ -173,7 +174,7 @@ def plan(
     return replace(found, certificate=certified, robustness=bears, left_out=tuple(left_out))
 
 
-def plan_certificate(found: Plan, work: Work | None = None) -> Certificate | None:
+def plan_certificate(found: Plan, work: WorkBudget | None = None) -> Certificate | None:
     """That the samples show the whole state, or None.
 
     Raises
@@ -181,7 +182,7 @@ def plan_certificate(found: Plan, work: Work | None = None) -> Certificate | Non
     WorkSpentError
         If it takes more work than there is left.
     """
-    (work or Work()).add(CERTIFIED, found.samples * found.plant.n_states**2)
+    (work or WorkBudget()).add(CERTIFIED, found.samples * found.plant.n_states**2)
     try:
         return certify(found.plant, found.schedule)
     except (CertificateError, UndecidedError, NotDetectableError):
@@ -194,10 +195,10 @@ class _Planning:
     def __init__(self, problem: PlanProblem, work: float, progress: Progress | None, first: float = COARSER):
         self.problem, self.progress, self.first = problem, progress, first
         self.motion = motion_of(problem)
-        self.oracle = Oracle(problem, self.motion)
+        self.oracle = AccuracyOracle(problem, self.motion)
         self.oracle.work.limit = self.oracle.work.budget = work
         self.search = PlanSearch(problem, self.oracle, progress)
-        self.held = HeldChoices(problem, self.oracle.work, self._ratios)
+        self.held = FeasibleChoices(problem, self.oracle.work, self._ratios)
 
     def started(self) -> list[Mask]:
         """What a search on a coarser raster holds: it is as good on this one, which has all of its times.
@@ -264,7 +265,7 @@ class _Planning:
             return self._nearest(last)
         best = self.held.cheapest([chosen for chosen, _ in search.held], everything)
         sure, cost = best is last, self.problem.cost(best.chosen)
-        frame = Cover(without_limits(self.problem), fixed=is_free(self.problem))
+        frame = CoveringRows(without_limits(self.problem), fixed=is_free(self.problem))
         search.sharpen(1 / EASED**2, cost)
         self.oracle.work.until(*AFTER[0])
         least = prove_cost(frame, search.pool, 1 / EASED**2, cost, self.oracle.work, find=search.find)
@@ -448,7 +449,7 @@ class _Planning:
             if finer is not None:
                 help_ = f"The raster hides it: one of {spoken(finer, unit)} shows it."
             raise InfeasibleRequirementError(
-                "Not even measuring at every allowed time shows all that `accuracy` asks for: "
+                "Not even measuring at every allowed time shows all that `guaranteed_accuracy` asks for: "
                 f"{modes_of(self.motion, blindness)} never fades and stays hidden. {help_}",
                 "raster" if finer is not None else "accuracy",
             )
@@ -468,14 +469,14 @@ class _Planning:
             other, _ = cheapest(search.cover, model, np.zeros(model.c.size), self.oracle.work)
             if other is None:
                 raise InfeasibleRequirementError(
-                    "No choice within the limits shows all that `accuracy` asks for: a motion that never fades stays "
-                    "hidden. Allow more samples or other hours.",
+                    "No choice within the limits shows all that `guaranteed_accuracy` asks for: a motion that never "
+                    "fades stays hidden. Allow more samples or other hours.",
                     "cost_limit",
                 )
             chosen = other
         return chosen
 
-    def _refuse(self, attacks: list[HiddenMotion]) -> None:
+    def _refuse(self, attacks: list[HiddenTrajectory]) -> None:
         """Say which goals not even all that is allowed keeps, each with what it does keep."""
         ratios = np.zeros(len(self.problem.goals))
         if self.oracle.spread is not None:
@@ -511,7 +512,7 @@ def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy | None:
         raise NotDetectableError("`schedule` reads no sensor that has a `noise_bound`.")
     schedule = problem.schedule(told)
     v = np.tile(np.where(np.isfinite(problem.v_bound), problem.v_bound, 1.0), (len(schedule), 1))
-    return accuracy(
+    return guaranteed_accuracy(
         problem.plant, schedule, w_bound=problem.requirement.w_bound, v_bound=v, of=np.array(rows), rtol=RTOL
     )
 

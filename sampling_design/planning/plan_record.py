@@ -7,20 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._record import Plain, counted, short
-from sampling_design._units import spoken
+from sampling_design.accuracy.accuracy import Accuracy
+from sampling_design.accuracy.deviation import StandardDeviation, standard_deviation
 from sampling_design.errors import NotDetectableError
 from sampling_design.planning.comparison import PlanComparison
-from sampling_design.planning.cover import Cover
+from sampling_design.planning.covering import CoveringRows
+from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.disturbed import bears
 from sampling_design.planning.evidence import attack_to_dict, holds, proof_to_dict
 from sampling_design.planning.figures import PlanFigures
-from sampling_design.planning.motion import motion_of
+from sampling_design.planning.filter_deviation import RasterFilter
 from sampling_design.planning.problem import PlanProblem
-from sampling_design.planning.spread import RasterFilter
 from sampling_design.plants.plant import first_difference
-from sampling_design.recovery.accuracy import Accuracy
-from sampling_design.recovery.deviation import StandardDeviation, standard_deviation
+from sampling_design.records.record import Plain, counted, short
+from sampling_design.records.units import spoken
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
@@ -96,8 +96,8 @@ class Plan(PlanFigures):
             return False
         free = is_free(problem)
         ends = [ends_of(problem, g) for g in range(len(problem.goals))]
-        limited, most = Cover(problem, fixed=free), limit_of(problem, self.cost)
-        loose = Cover(without_limits(problem), fixed=free)
+        limited, most = CoveringRows(problem, fixed=free), limit_of(problem, self.cost)
+        loose = CoveringRows(without_limits(problem), fixed=free)
         return holds(self.bound, loose, limited, motion_of(problem), ends, most)
 
     def _extras_hold(self) -> bool:

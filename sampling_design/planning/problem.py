@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._units import SECONDS, spoken, time_factor
+from sampling_design.accuracy.rows import wanted_rows
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.planning.opening import DAYS, week_hours
 from sampling_design.planning.requirement import KINDS, PlanRequirement, SensorTerms, duration
 from sampling_design.plants.plant import Plant
-from sampling_design.recovery.rows import wanted_rows
+from sampling_design.records import checks
+from sampling_design.records.units import SECONDS, spoken, time_factor
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 Array = npt.NDArray[np.float64]
@@ -32,7 +32,7 @@ SAME_PRICE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Goal:
+class RowGoal:
     """One row with its tolerance, and at which ends of the raster it must hold."""
 
     name: str
@@ -73,7 +73,7 @@ class PlanProblem:
 
     plant: Plant
     requirement: PlanRequirement
-    goals: tuple[Goal, ...]
+    goals: tuple[RowGoal, ...]
     step: float
     allowed: Mask
     price: Array
@@ -178,7 +178,7 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
     steps, step = _raster(plant, requirement, unit)
     for name in requirement.sensors:
         if name not in plant.outputs.names:
-            _checks.known_keys("`sensors`", [name], plant.outputs.names)
+            checks.known_keys("`sensors`", [name], plant.outputs.names)
     terms = [requirement.sensors.get(name, SensorTerms()) for name in plant.outputs.names]
     allowed = _allowed(plant, requirement, terms, steps, step)
     if not allowed.any():
@@ -307,7 +307,7 @@ def _steps(name: str, value: float | str, unit: str, plant: Plant, steps: int, s
     return int(np.ceil(least / step - WHOLE))
 
 
-def _goals(plant: Plant, requirement: PlanRequirement, unit: str, step: float) -> list[Goal]:
+def _goals(plant: Plant, requirement: PlanRequirement, unit: str, step: float) -> list[RowGoal]:
     found = []
     for name, goal in requirement.accuracy.items():
         rows = wanted_rows(plant, [name] if goal.row is None else [list(goal.row)])
@@ -321,13 +321,13 @@ def _goals(plant: Plant, requirement: PlanRequirement, unit: str, step: float) -
                     f"`accuracy.{name}.at` must name times on the raster of {step!r}, got {goal.when()}."
                 )
         found.append(
-            Goal(name, rows.matrix[0], rows.units[0], goal.tolerance, at, np.round(steps), goal.kind == KINDS[1])
+            RowGoal(name, rows.matrix[0], rows.units[0], goal.tolerance, at, np.round(steps), goal.kind == KINDS[1])
         )
     return found
 
 
 def _check_bounds(
-    plant: Plant, requirement: PlanRequirement, terms: list[SensorTerms], goals: tuple[Goal, ...]
+    plant: Plant, requirement: PlanRequirement, terms: list[SensorTerms], goals: tuple[RowGoal, ...]
 ) -> None:
     """Refuse goals whose bounds are missing."""
     if not goals:
@@ -344,14 +344,14 @@ def _check_bounds(
             raise ArgumentError(f"`sensors` have no `{size}`: accuracy of {asks[0]} needs it.")
 
 
-def _intensities(plant: Plant, requirement: PlanRequirement, goals: tuple[Goal, ...]) -> Array:
+def _intensities(plant: Plant, requirement: PlanRequirement, goals: tuple[RowGoal, ...]) -> Array:
     """Intensity of each disturbance, 0 where no goal asks for it."""
     given = requirement.w_intensity
     if given is None or not any(goal.spread for goal in goals):
         return np.zeros(plant.n_disturbances)
     if np.ndim(given) == 0:
-        return np.full(plant.n_disturbances, _checks.nonnegative("w_intensity", given))
-    entries = _checks.vector("w_intensity", given, plant.n_disturbances)
+        return np.full(plant.n_disturbances, checks.nonnegative("w_intensity", given))
+    entries = checks.vector("w_intensity", given, plant.n_disturbances)
     if np.any(entries < 0):
         raise ArgumentError(f"`w_intensity` must not be negative, got {float(entries.min())!r}.")
     return np.array(entries)

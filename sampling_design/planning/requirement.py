@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, ClassVar, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._record import Plain, Record, counted, short
-from sampling_design._units import SECONDS, check_time_unit
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.opening import OpeningCalendar, week_hours
+from sampling_design.records import checks
+from sampling_design.records.record import Plain, Record, counted, short
+from sampling_design.records.units import SECONDS, check_time_unit
 
 Array = npt.NDArray[np.float64]
 Duration: TypeAlias = float | str
@@ -36,7 +36,7 @@ def duration(name: str, value: object, unit: str) -> float:
         If it is neither, or not positive.
     """
     if not isinstance(value, str):
-        return _checks.positive(name, value)
+        return checks.positive(name, value)
     found = _DURATION.fullmatch(value.strip())
     if not found or found[2] not in SECONDS or float(found[1]) <= 0:
         raise ArgumentError(f'`{name}` must be a time like 0.25 or "15 min", got {value!r:.60}.')
@@ -82,13 +82,13 @@ class AccuracyGoal(Record):
 
     def __post_init__(self) -> None:
         _word("kind", self.kind, KINDS)
-        object.__setattr__(self, "tolerance", _checks.positive("tolerance", self.tolerance))
+        object.__setattr__(self, "tolerance", checks.positive("tolerance", self.tolerance))
         if isinstance(self.at, str):
             _word("at", self.at, TIMES)
         else:
-            object.__setattr__(self, "at", tuple(_checks.increasing("at", self.at).tolist()))
+            object.__setattr__(self, "at", tuple(checks.increasing("at", self.at).tolist()))
         if self.row is not None:
-            object.__setattr__(self, "row", _checks.vector("row", self.row))
+            object.__setattr__(self, "row", checks.vector("row", self.row))
 
     def when(self) -> str:
         """Say at which times it holds."""
@@ -143,13 +143,13 @@ class SensorTerms(Record):
     noise_deviation: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "price", _checks.nonnegative("price", self.price))
+        object.__setattr__(self, "price", checks.nonnegative("price", self.price))
         if self.noise_bound is not None:
-            object.__setattr__(self, "noise_bound", _checks.nonnegative("noise_bound", self.noise_bound))
+            object.__setattr__(self, "noise_bound", checks.nonnegative("noise_bound", self.noise_bound))
         if self.noise_deviation is not None:
-            object.__setattr__(self, "noise_deviation", _checks.positive("noise_deviation", self.noise_deviation))
+            object.__setattr__(self, "noise_deviation", checks.positive("noise_deviation", self.noise_deviation))
         if self.longest_use is not None:
-            object.__setattr__(self, "longest_use", _checks.whole("longest_use", self.longest_use))
+            object.__setattr__(self, "longest_use", checks.whole("longest_use", self.longest_use))
         if self.hours is not None:
             object.__setattr__(self, "hours", week_hours("hours", self.hours))
 
@@ -262,7 +262,7 @@ class PlanRequirement(Record):
             ("sensors", self.sensors, "terms by output"),
         ):
             if not isinstance(held, (Mapping, type(None))):
-                raise ArgumentError(f"`{key}` must be a table of {of}, got {_checks.described(held)}.")
+                raise ArgumentError(f"`{key}` must be a table of {of}, got {checks.described(held)}.")
         own["accuracy"] = {str(k): _goal(str(k), v) for k, v in dict(self.accuracy or {}).items()}
         own["sensors"] = {str(k): _terms(str(k), v) for k, v in dict(self.sensors or {}).items()}
         if self.calendar is not None and not isinstance(self.calendar, OpeningCalendar):
@@ -271,10 +271,10 @@ class PlanRequirement(Record):
                 raise ArgumentError("`calendar.start` is missing.")
             own["calendar"] = OpeningCalendar(**table)
         if self.samples is not None:
-            own["samples"] = _checks.whole("samples", self.samples, 1)
+            own["samples"] = checks.whole("samples", self.samples, 1)
         if self.cost_limit is not None:
-            own["cost_limit"] = _checks.positive("cost_limit", self.cost_limit)
-        own["visit_price"] = _checks.nonnegative("visit_price", self.visit_price)
+            own["cost_limit"] = checks.positive("cost_limit", self.cost_limit)
+        own["visit_price"] = checks.nonnegative("visit_price", self.visit_price)
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
         for key in ("period", "raster", "spacing"):
@@ -299,7 +299,7 @@ class PlanRequirement(Record):
             If an entry is unknown, or as for `PlanRequirement`.
         """
         known = {f.name: getattr(self, f.name) for f in fields(self)}
-        _checks.known_keys("the requirement", changes, known)
+        checks.known_keys("the requirement", changes, known)
         if {"samples", "cost_limit"} & changes.keys() and "aim" not in changes:
             known["aim"] = None
         return PlanRequirement(**{**known, **changes})
@@ -340,13 +340,13 @@ class PlanRequirement(Record):
 
 def _word(name: str, value: object, known: tuple[str, ...]) -> None:
     if not isinstance(value, str) or value not in known:
-        raise ArgumentError(f"`{name}` must be one of {', '.join(map(repr, known))}, got {_checks.described(value)}.")
+        raise ArgumentError(f"`{name}` must be one of {', '.join(map(repr, known))}, got {checks.described(value)}.")
 
 
 def _table(name: str, value: object, kind: type) -> dict[str, object]:
     if not isinstance(value, Mapping):
-        raise ArgumentError(f"`{name}` must be a table of keys and values, got {_checks.described(value)}.")
-    _checks.known_keys(f"`{name}`", value, [f.name for f in fields(kind)])
+        raise ArgumentError(f"`{name}` must be a table of keys and values, got {checks.described(value)}.")
+    checks.known_keys(f"`{name}`", value, [f.name for f in fields(kind)])
     return {str(key): item for key, item in value.items()}
 
 
@@ -358,7 +358,7 @@ def _goal(name: str, value: object) -> AccuracyGoal:
         if "tolerance" not in table:
             raise ArgumentError(f"`accuracy.{name}.tolerance` is missing.")
         return AccuracyGoal(**table)  # type: ignore[arg-type]
-    return AccuracyGoal(_checks.positive(f"accuracy.{name}", value))
+    return AccuracyGoal(checks.positive(f"accuracy.{name}", value))
 
 
 def _terms(name: str, value: object) -> SensorTerms:

@@ -6,8 +6,6 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from sampling_design._door import door
-from sampling_design._files import read_tree, usable, write_tree
 from sampling_design.checkers.parts import time_unit
 from sampling_design.checkers.strict import (
     anything,
@@ -26,6 +24,8 @@ from sampling_design.errors import ArgumentError
 from sampling_design.planning.requirement import AIMS, FORMAT, KINDS, TIMES, PlanRequirement
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant
+from sampling_design.records.file_io import read_tree, usable, write_tree
+from sampling_design.records.signatures import checked
 
 
 def _duration(value: object, place: str) -> float | str:
@@ -97,7 +97,7 @@ _TREE = table(
 )
 
 
-@door
+@checked
 def read_plan_requirement(path: str | os.PathLike[str]) -> PlanRequirement:
     """Read the requirement of a plan from a `.toml` or `.json` file; a plant in it is left alone.
 
@@ -147,7 +147,7 @@ def plan_requirement_from_dict(data: Mapping[str, object], where: str = "require
         return PlanRequirement(**tree)
 
 
-@door
+@checked
 def write_plan_requirement(requirement: PlanRequirement, path: str | os.PathLike[str]) -> Path:
     """Write the requirement of a plan as `.toml` or `.json`, whole or not at all; return the path.
 

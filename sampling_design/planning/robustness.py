@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._record import Plain, Record, finite_or_nones, short
-from sampling_design._units import spoken
+from sampling_design.records.record import Plain, Record, finite_or_nones, short
+from sampling_design.records.units import spoken
 
 Array = npt.NDArray[np.float64]
 

@@ -13,16 +13,16 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.planning.attacks import MOST_ENDS, AttackPool, HiddenMotion, weighed
+from sampling_design.planning.accuracy_oracle import SETTLED, AccuracyOracle
 from sampling_design.planning.bounds import BELOW, separated
-from sampling_design.planning.cover import NODES, Cover, Key, cheapest
+from sampling_design.planning.covering import NODES, CoveringRows, Key, cheapest
+from sampling_design.planning.discrete_plant import UndetectedModes
 from sampling_design.planning.evidence import EASED
-from sampling_design.planning.hitting import Hit, hit
-from sampling_design.planning.motion import Blindness
+from sampling_design.planning.hidden_trajectories import MOST_ENDS, HiddenTrajectories, HiddenTrajectory, weighed
+from sampling_design.planning.hitting_set import HittingSet, hit
 from sampling_design.planning.narrowing import narrowed
-from sampling_design.planning.oracle import SETTLED, Oracle
 from sampling_design.planning.problem import PlanProblem
-from sampling_design.planning.work import WEIGHED
+from sampling_design.planning.work_budget import WEIGHED
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -66,7 +66,7 @@ STEP = 0.03
 
 
 @dataclass(eq=False)
-class Found:
+class PlanSearchState:
     """Where a search stands."""
 
     chosen: Mask | None = None
@@ -80,12 +80,12 @@ class Found:
 class PlanSearch:
     """A search over choices of one problem, with its pool of attacks."""
 
-    def __init__(self, problem: PlanProblem, oracle: Oracle, progress: Progress | None = None):
+    def __init__(self, problem: PlanProblem, oracle: AccuracyOracle, progress: Progress | None = None):
         self.problem, self.oracle, self.progress = problem, oracle, progress
         self.free = bool(problem.allowed.all()) and all(goal.at != "given times" for goal in problem.goals)
-        self.cover = Cover(problem, fixed=self.free)
-        self.pool = AttackPool(problem.steps, [_ends(problem, g) for g in range(len(problem.goals))])
-        self.found = Found()
+        self.cover = CoveringRows(problem, fixed=self.free)
+        self.pool = HiddenTrajectories(problem.steps, [_ends(problem, g) for g in range(len(problem.goals))])
+        self.found = PlanSearchState()
         self.spread = all(goal.spread for goal in problem.goals)
         self.held: list[tuple[Mask, float]] = []
         """Every choice that was the best so far, and what it was judged to be: none is forgotten."""
@@ -103,7 +103,7 @@ class PlanSearch:
         work = self.oracle.work
         return work.over or (bool(self.held) and work.spent > self.share * work.budget)
 
-    def add(self, attacks: list[HiddenMotion], level: float) -> None:
+    def add(self, attacks: list[HiddenTrajectory], level: float) -> None:
         """Keep attacks that reach a level."""
         for attack in attacks:
             if attack.reach > level:
@@ -159,7 +159,7 @@ class PlanSearch:
         found = [self.oracle.tangent(z, g) for g, goal in enumerate(self.problem.goals) if goal.spread]
         self.add([t for t in found if t is not None], level)
 
-    def see(self, blindness: Blindness, level: float) -> None:
+    def see(self, blindness: UndetectedModes, level: float) -> None:
         """Ask for a measurement that shows what never fades, by a motion that reaches a level if there is one."""
         self.blind.append(blindness.where)
         attack = self.oracle.drifting(blindness, level) if self.oracle.few else None
@@ -175,7 +175,7 @@ class PlanSearch:
         wanted = np.unique(np.concatenate([open_again, ends[:: max(1, ends.size // 4)]]))
         return [int(e) + steps for e in wanted[np.isin(wanted, ends)][:8]]
 
-    def faint(self, g: int, end: int, level: float, known: Mask) -> HiddenMotion | None:
+    def faint(self, g: int, end: int, level: float, known: Mask) -> HiddenTrajectory | None:
         """Find and keep one faint attack, hidden from `known`; none against a standard deviation, or a level of 0."""
         if self.problem.goals[g].spread or level <= 0:
             return None
@@ -207,7 +207,7 @@ class PlanSearch:
                 return True
         return None
 
-    def _few(self, level: float) -> Hit | None:
+    def _few(self, level: float) -> HittingSet | None:
         """A choice within the limits that sees every attack of the pool, or that none does; None if given up."""
         while self.counted:
             found = hit(self.cover, self.pool, level, self.cover.dearest, self.oracle.work, self.blind)
@@ -268,7 +268,7 @@ class PlanSearch:
             self._fainter(max(attacks, key=lambda a: a.reach), level, trial)
         return False
 
-    def _fainter(self, attack: HiddenMotion, level: float, known: Mask) -> None:
+    def _fainter(self, attack: HiddenTrajectory, level: float, known: Mask) -> None:
         """Keep an attack like one that `known` does not see, which less of what may be measured sees."""
         if attack.flight is None or not self.oracle.few:
             self.faint(attack.goal, attack.end + self.problem.steps, level, known)

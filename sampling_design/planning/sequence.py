@@ -10,17 +10,17 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.planning.adversary import RasterWindow
+from sampling_design.accuracy.between_samples import Integrals, RowBetweenSamples, open_row
+from sampling_design.accuracy.sample_chain import SampleChain
+from sampling_design.accuracy.search import ChainSearch
+from sampling_design.planning.accuracy_oracle import AccuracyOracle
+from sampling_design.planning.adversary_program import RasterWindow
 from sampling_design.planning.figures import PlanFigures
-from sampling_design.planning.oracle import Oracle
-from sampling_design.planning.problem import WHOLE, Goal
+from sampling_design.planning.problem import WHOLE, RowGoal
 from sampling_design.planning.sequence_chain import phase_of, plan_chain, sequence_chain
-from sampling_design.planning.settling import settled_factors
-from sampling_design.planning.spread_sequence import SampleSequence, asked, departs_and_returns, spread_of
-from sampling_design.planning.work import BETWEEN, CHAIN, GAINS
-from sampling_design.recovery.between import Integrals, Open, open_row
-from sampling_design.recovery.chain import SampleChain
-from sampling_design.recovery.search import ChainSearch
+from sampling_design.planning.sequence_deviation import SampleSequence, asked, departs_and_returns, spread_of
+from sampling_design.planning.transient_bound import settled_factors
+from sampling_design.planning.work_budget import BETWEEN, CHAIN, GAINS
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -103,12 +103,12 @@ def _bounded_worst(plan: PlanFigures, sequence: SampleSequence, above: float, un
     return worst
 
 
-def steps_skipped(oracle: Oracle, sequence: SampleSequence, k: int) -> int:
+def steps_skipped(oracle: AccuracyOracle, sequence: SampleSequence, k: int) -> int:
     """Steps of the gap after a sample that are not judged."""
     return int(np.ceil(sequence.skipped(k) / oracle.problem.step - WHOLE))
 
 
-def window_after(oracle: Oracle, sequence: SampleSequence, k: int) -> tuple[RasterWindow, int, int]:
+def window_after(oracle: AccuracyOracle, sequence: SampleSequence, k: int) -> tuple[RasterWindow, int, int]:
     """The window that ends with a sample, its step, and how many steps it is to the next one.
 
     It reaches as far back as matters to the plan, and over as many samples: where some are late or lost, farther.
@@ -204,7 +204,7 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, told: dict[int, 
     return max(worst, float(usual) * wider)
 
 
-def _gap_bound(search: ChainSearch, opened: Open, k: int, goal: Goal, asked: list[float]) -> float:
+def _gap_bound(search: ChainSearch, opened: RowBetweenSamples, k: int, goal: RowGoal, asked: list[float]) -> float:
     """A bound on one row over the gap after a sample: offsets are solved where it is highest, until it is enough."""
     enough = goal.tolerance
     if goal.at == "after each sample":

@@ -8,24 +8,24 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._checks import freeze
-from sampling_design._linalg import discounted_flow
-from sampling_design.errors import NotDetectableError
-from sampling_design.planning.figures import PlanFigures
-from sampling_design.planning.spread_sequence import SampleSequence
-from sampling_design.recovery.atoms import Atoms
-from sampling_design.recovery.chain import (
+from sampling_design.accuracy.bounded_directions import BoundedDirections
+from sampling_design.accuracy.finite import covariance_root, finite_atoms
+from sampling_design.accuracy.riccati import updated
+from sampling_design.accuracy.sample_chain import (
+    ChainGap,
     ChainSample,
-    Gap,
     LengthFlow,
     SampleChain,
     make_gap,
     noise_units,
     refuse_growth,
 )
-from sampling_design.recovery.finite import covariance_root, finite_atoms
-from sampling_design.recovery.riccati import updated
-from sampling_design.recovery.start import StartSet
+from sampling_design.accuracy.start import StartSet
+from sampling_design.errors import NotDetectableError
+from sampling_design.numerics.linalg import discounted_flow
+from sampling_design.planning.figures import PlanFigures
+from sampling_design.planning.sequence_deviation import SampleSequence
+from sampling_design.records.checks import freeze
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 Array = npt.NDArray[np.float64]
@@ -61,7 +61,9 @@ def phase_of(schedule: PeriodicSchedule, t: float) -> int:
     return int(np.argmin(np.abs(phase - np.round(phase))))
 
 
-def sequence_chain(plan: PlanFigures, own: SampleChain, sequence: SampleSequence) -> tuple[SampleChain, list[Atoms]]:
+def sequence_chain(
+    plan: PlanFigures, own: SampleChain, sequence: SampleSequence
+) -> tuple[SampleChain, list[BoundedDirections]]:
     """The chain of a sequence and what its filter bounds; `own` is the plan's chain.
 
     Coordinates and gains after a sample that is the plan's are the plan's: any of them are a proof. Before the first
@@ -91,7 +93,7 @@ def sequence_chain(plan: PlanFigures, own: SampleChain, sequence: SampleSequence
         L.append(root)
         samples.append(sample)
     lengths: dict[float, LengthFlow] = {}
-    made: list[Gap] = []
+    made: list[ChainGap] = []
     for k, h in enumerate(gaps.tolist()):
         phase = phases[k]
         if same[k] and phase is not None:

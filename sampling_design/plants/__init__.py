@@ -1,6 +1,6 @@
 """Plants: what is measured, independent of when."""
 
-from sampling_design._lazy import lazy
+from sampling_design.records.lazy import lazy
 
 _NAMES = {
     "clusters": ("EigenvalueCluster", "eigenvalue_clusters"),

@@ -7,9 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._door import door
-from sampling_design._record import Record, short
 from sampling_design.plants.grouping import (
     CLUSTER_CAP,
     DOUBT,
@@ -19,6 +16,9 @@ from sampling_design.plants.grouping import (
     group_eigenvalues,
     radius,
 )
+from sampling_design.records import checks
+from sampling_design.records.record import Record, short
+from sampling_design.records.signatures import checked
 
 Complex = npt.NDArray[np.complex128]
 
@@ -84,7 +84,7 @@ def format_eigenvalue(value: complex, digits: int = 6, grain: float = 0.0) -> st
     return f"{real:.{digits}g}" if imaginary == 0 else f"{real:.{digits}g}{imaginary:+.{digits}g}i"
 
 
-@door
+@checked
 def eigenvalue_clusters(
     A: npt.ArrayLike, *, rounding: float | None = None, cap: float = CLUSTER_CAP
 ) -> tuple[EigenvalueCluster, ...]:
@@ -137,13 +137,13 @@ def eigenvalue_clusters(
     Eigenvalue 0+2i, 1-fold, semisimple.
     Eigenvalue 0-2i, 1-fold, semisimple.
     """
-    matrix = _checks.matrix("A", A)
+    matrix = checks.matrix("A", A)
     n = matrix.shape[0]
-    matrix = _checks.matrix("A", matrix, n, n)
-    error = n * np.finfo(float).eps if rounding is None else _checks.positive("rounding", rounding)
+    matrix = checks.matrix("A", matrix, n, n)
+    error = n * np.finfo(float).eps if rounding is None else checks.positive("rounding", rounding)
     if n == 0:
         return ()
-    return clusters_of(balanced_schur(matrix), error, _checks.positive("cap", cap))[0]
+    return clusters_of(balanced_schur(matrix), error, checks.positive("cap", cap))[0]
 
 
 def clusters_of(form: SchurForm, error: float, cap: float) -> tuple[tuple[EigenvalueCluster, ...], list[list[int]]]:

@@ -13,13 +13,13 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks, _files
-from sampling_design._door import door
-from sampling_design._units import check_time_unit
 from sampling_design.checkers.parts import PLANT
 from sampling_design.checkers.strict import MOST_BYTES, Tree
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.plant import FORMAT, GROUPS, MATRICES, Plant, Signals
+from sampling_design.records import checks, file_io
+from sampling_design.records.signatures import checked
+from sampling_design.records.units import check_time_unit
 
 _COLUMNS = {"A": "states", "B": "inputs", "C": "states", "D": "inputs", "G": "disturbances"}
 _KEYS = ("names", "units", "scales")
@@ -27,7 +27,7 @@ _TREE = ("format", "name", "time_unit", "matrices", *GROUPS, "source")
 _FLAT = ("format", "name", "time_unit", *MATRICES, *(f"{g}_{k}" for g in GROUPS for k in _KEYS), "citation")
 
 
-@door
+@checked
 def read_plant(path: str | os.PathLike[str], time_unit: str | None = None) -> Plant:
     """Read a plant from a .toml, .json, .mat or .npz file.
 
@@ -65,12 +65,12 @@ def read_plant(path: str | os.PathLike[str], time_unit: str | None = None) -> Pl
     """
     where = os.fspath(path)
     if not Path(where).suffix and not Path(where).exists():
-        _files.read_bytes(where)  # says so, and what may have been meant
+        file_io.read_bytes(where)  # says so, and what may have been meant
     read = _by_suffix(where, {"toml": _read_toml, "json": _read_json, "mat": _read_mat, "npz": _read_npz})
     return plant_from_dict(read(where), where, time_unit)
 
 
-@door
+@checked
 def write_plant(plant: Plant, path: str | os.PathLike[str]) -> Path:
     """Write a plant to a .toml, .json, .mat or .npz file, whole or not at all; return the path.
 
@@ -91,7 +91,7 @@ def write_plant(plant: Plant, path: str | os.PathLike[str]) -> Path:
     """
     where = os.fspath(path)
     encode = _by_suffix(where, {"toml": _as_toml, "json": _as_json, "mat": _as_mat, "npz": _as_npz})
-    return _files.write_bytes(where, encode(plant.to_dict()))
+    return file_io.write_bytes(where, encode(plant.to_dict()))
 
 
 def plant_from_dict(data: Mapping[str, Any], where: str = "plant", time_unit: str | None = None) -> Plant:
@@ -115,18 +115,18 @@ def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
         raise ArgumentError("the file is empty, expected a plant.")
     if stray := [key for key in MATRICES if key in data and "matrices" not in data]:
         raise ArgumentError(f"`{stray[0]}` stands in a table: write the line [matrices] before it.")
-    _checks.known_keys("the file", data, _TREE)
+    checks.known_keys("the file", data, _TREE)
     if "format" not in data:
         raise ArgumentError(f'`format` is missing: the file begins with the line format = "{FORMAT}".')
     if data.get("format") != FORMAT:
         raise ArgumentError(f"`format` must be {FORMAT!r}, got {data.get('format')!r}. Is this a plant file?")
     matrices = _table(data, "matrices")
-    _checks.known_keys("[matrices]", matrices, MATRICES)
+    checks.known_keys("[matrices]", matrices, MATRICES)
     missing = [key for key in ("A", "C") if key not in matrices]
     if missing:
         raise ArgumentError(f"`{missing[0]}` is missing in [matrices]. Was the file cut off?")
     source = _table(data, "source")
-    _checks.known_keys("[source]", source, ("citation",))
+    checks.known_keys("[source]", source, ("citation",))
     groups = {group: _signals_from_dict(group, _table(data, group)) for group in GROUPS}
     _exactly(data)
     arrays: Tree = {key: _rows(value, groups[_COLUMNS[key]]) for key, value in matrices.items()}
@@ -141,7 +141,7 @@ def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
 
 def _exactly(data: Mapping[str, Any]) -> None:
     """Refuse numbers that are booleans or texts, and whatever else the plant's grammar does not allow."""
-    _files.exactly(PLANT, {key: value for key, value in data.items() if key != "time_unit"})
+    file_io.exactly(PLANT, {key: value for key, value in data.items() if key != "time_unit"})
 
 
 def _located(where: str, error: ArgumentError) -> FileFormatError:
@@ -177,7 +177,7 @@ def _rows(value: npt.ArrayLike, columns: Sized | None) -> npt.ArrayLike:
 
 
 def _signals_from_dict(group: str, table: Mapping[str, Any]) -> Signals | None:
-    _checks.known_keys(f"[{group}]", table, _KEYS)
+    checks.known_keys(f"[{group}]", table, _KEYS)
     if not table:
         return None
     if "names" not in table:
@@ -198,11 +198,11 @@ def _by_suffix(where: str, table: Mapping[str, Callable[..., Any]]) -> Callable[
 
 
 def _read_toml(where: str) -> dict[str, object]:
-    return _files.from_toml(_files.read_text(where), where)
+    return file_io.from_toml(file_io.read_text(where), where)
 
 
 def _read_json(where: str) -> dict[str, object]:
-    return _files.from_json(_files.read_text(where), where)
+    return file_io.from_json(file_io.read_text(where), where)
 
 
 def _as_toml(tree: Tree) -> bytes:
@@ -222,11 +222,11 @@ def _toml_matrix(key: str, rows: list[list[float]]) -> str:
 
 
 def _as_json(tree: Mapping[str, object]) -> bytes:
-    return _files.to_json(tree).encode("utf-8")
+    return file_io.to_json(tree).encode("utf-8")
 
 
 def _read_npz(where: str) -> dict[str, object]:
-    content = _files.read_bytes(where)
+    content = file_io.read_bytes(where)
     try:
         _check_archive(content, where)
         with np.load(io.BytesIO(content), allow_pickle=False) as archive:  # object arrays are refused: they are pickles
@@ -256,7 +256,7 @@ def _read_mat(where: str) -> dict[str, object]:
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadWarning
 
-    content = _files.read_bytes(where)
+    content = file_io.read_bytes(where)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", MatReadWarning)  # a variable that is there twice
@@ -271,7 +271,7 @@ def _read_mat(where: str) -> dict[str, object]:
 def _tree(flat: Mapping[str, Any], where: str) -> dict[str, object]:
     """Return flat array names as the tree of the file format."""
     try:
-        _checks.known_keys("the file", flat, _FLAT)
+        checks.known_keys("the file", flat, _FLAT)
         return _tree_of(flat)
     except ArgumentError as error:
         raise _located(where, error) from None

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack, rsf2csf, schur
 
-from sampling_design._balance import balance, balanced
 from sampling_design.errors import ArgumentError
+from sampling_design.numerics.balancing import balance, balanced
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]

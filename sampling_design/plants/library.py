@@ -7,12 +7,12 @@ from collections.abc import Callable
 import numpy as np
 from scipy import sparse
 
-from sampling_design import _checks
-from sampling_design._door import door
 from sampling_design.checkers.strict import likely
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.plants.sparse import SparsePlant
+from sampling_design.records import checks
+from sampling_design.records.signatures import checked
 
 # speeds of the tidal constituents [degree/h] and round typical amplitudes [m], of no particular gauge
 TIDES = {
@@ -81,7 +81,7 @@ def oscillator(omega: float = 1.0) -> Plant:
     array([[ 0.,  1.],
            [-4.,  0.]])
     """
-    omega = _checks.positive("omega", omega)
+    omega = checks.positive("omega", omega)
     return Plant(
         [[0.0, 1.0], [-(omega**2), 0.0]],
         [[1.0, 0.0]],
@@ -131,7 +131,7 @@ def satellite(period: float = 5554.0) -> Plant:
     >>> bool(np.allclose(plant.transition(5554.0)[4, [0, 1, 2, 3, 5]], 0.0, atol=1e-9))
     True
     """
-    n = 2 * np.pi / _checks.positive("period", period)
+    n = 2 * np.pi / checks.positive("period", period)
     axes = ("radial", "along_track", "cross_track")
     stiffness = np.diag([3 * n**2, 0.0, -(n**2)])
     coriolis = np.array([[0.0, 2 * n, 0.0], [-2 * n, 0.0, 0.0], [0.0, 0.0, 0.0]])
@@ -271,7 +271,7 @@ def three_compartment(weight: float = 70.0) -> Plant:
     >>> np.sort(np.linalg.eigvals(three_compartment().A)).round(4)
     array([-0.2987, -0.0302, -0.0024])
     """
-    V1 = 0.228 * _checks.positive("weight", weight)
+    V1 = 0.228 * checks.positive("weight", weight)
     k10, k12, k13, k21, k31 = 0.119, 0.112, 0.042, 0.055, 0.0033
     compartments = ("central", "fast", "slow")
     return Plant(
@@ -345,7 +345,7 @@ PLANTS: dict[str, Callable[[], Plant]] = {
 }
 
 
-@door
+@checked
 def named_plant(name: str) -> Plant:
     """Return a plant of the library by its name.
 
@@ -384,8 +384,8 @@ def heat_plate(side: int = 100, *, sensors: int = 4) -> SparsePlant:
     >>> heat_plate(10).n_states
     100
     """
-    side = _checks.whole("side", side, 2)
-    sensors = _checks.whole("sensors", sensors, 1)
+    side = checks.whole("side", side, 2)
+    sensors = checks.whole("sensors", sensors, 1)
     ring = np.ones(side)
     ring[[0, -1]] = 0.5
     line = sparse.diags_array([np.ones(side - 1), -2 * ring, np.ones(side - 1)], offsets=[-1, 0, 1])
@@ -419,9 +419,9 @@ def droop_network(nodes: int = 2000, *, meters: int = 6, seed: int = 1) -> Spars
     """
     from scipy.spatial import Delaunay
 
-    nodes = _checks.whole("nodes", nodes, 10)
-    meters = _checks.whole("meters", meters, 1)
-    rng = np.random.default_rng(_checks.whole("seed", seed))
+    nodes = checks.whole("nodes", nodes, 10)
+    meters = checks.whole("meters", meters, 1)
+    rng = np.random.default_rng(checks.whole("seed", seed))
     places = rng.uniform(size=(nodes, 2))
     corners = Delaunay(places).simplices
     pairs = np.unique(

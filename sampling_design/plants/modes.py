@@ -8,10 +8,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack, qr, solve_triangular
 
-from sampling_design import _checks
-from sampling_design._checks import freeze
-from sampling_design._door import door
-from sampling_design._record import Plain, Record, short
 from sampling_design.errors import MathematicsError
 from sampling_design.plants.clusters import (
     EigenvalueCluster,
@@ -21,6 +17,10 @@ from sampling_design.plants.clusters import (
 )
 from sampling_design.plants.grouping import CLUSTER_CAP, SchurForm, balanced_schur
 from sampling_design.plants.plant import Plant, Signals
+from sampling_design.records import checks
+from sampling_design.records.checks import freeze
+from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.signatures import checked
 
 __all__ = ["EigenvalueCluster", "ModalSplit", "eigenvalue_clusters", "split_modes"]
 
@@ -137,7 +137,7 @@ def _listed(clusters: object) -> str:
     return ", ".join(words) or "none"
 
 
-@door
+@checked
 def split_modes(
     plant: Plant,
     decay_rate: float = 0.0,
@@ -199,14 +199,14 @@ def split_modes(
     >>> split_modes(plant, decay_rate=4.0).retained is plant
     True
     """
-    decay_rate = _checks.nonnegative("decay_rate", decay_rate)
+    decay_rate = checks.nonnegative("decay_rate", decay_rate)
     n = plant.n_states
-    error = n * np.finfo(float).eps if rounding is None else _checks.positive("rounding", rounding)
-    _checks.positive("cluster_cap", cluster_cap)
+    error = n * np.finfo(float).eps if rounding is None else checks.positive("rounding", rounding)
+    checks.positive("cluster_cap", cluster_cap)
     if n == 0:
         return _split(plant, _Verdict(decay_rate, 0.0, (), (), np.zeros(0, dtype=complex)), _undivided(0, True))
     form = balanced_schur(plant.A)
-    strip = OFFSET * form.speed if offset is None else _checks.nonnegative("offset", offset)
+    strip = OFFSET * form.speed if offset is None else checks.nonnegative("offset", offset)
     clusters, positions = clusters_of(form, error, cluster_cap)
     line = 0.0 - decay_rate / 2
     select = np.zeros(n, dtype=np.int32)

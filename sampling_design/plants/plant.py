@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._modal import exponential
-from sampling_design._record import Plain, Record, counted, short
-from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError
+from sampling_design.numerics.modal_flow import exponential
 from sampling_design.plants.systems import CARRIED, StateSpace, check_system, driven, is_system, parts_of
+from sampling_design.records import checks
+from sampling_design.records.record import Plain, Record, counted, short
+from sampling_design.records.units import check_time_unit
 
 if TYPE_CHECKING:
     import control
@@ -60,14 +60,14 @@ class Signals(Record):
 
     def __post_init__(self) -> None:
         if isinstance(self.names, str) or not isinstance(self.names, Sequence):
-            raise ArgumentError(f"`names` must be a list of strings, got {_checks.described(self.names)}.")
+            raise ArgumentError(f"`names` must be a list of strings, got {checks.described(self.names)}.")
         count = len(self.names)
-        names = _checks.names("names", self.names, count, "")
+        names = checks.names("names", self.names, count, "")
         listed = isinstance(self.units, Sequence) and not isinstance(self.units, str)
         units = (tuple(self.units) or ("",) * count) if listed else ()
         if len(units) != count or not all(isinstance(u, str) for u in units):
-            raise ArgumentError(f"`units` must be {count} strings, one per name, got {_checks.described(self.units)}.")
-        scales = _checks.vector("scales", np.ones(count) if self.scales is None else self.scales, count)
+            raise ArgumentError(f"`units` must be {count} strings, one per name, got {checks.described(self.units)}.")
+        scales = checks.vector("scales", np.ones(count) if self.scales is None else self.scales, count)
         if np.any(scales <= 0):
             raise ArgumentError(f"`scales` must be positive, got {short(scales)}.")
         for key, value in {"names": names, "units": units, "scales": scales}.items():
@@ -187,24 +187,24 @@ class Plant(Record):
 
     def __post_init__(self) -> None:
         self._take_system()
-        A = _checks.matrix("A", self.A)
+        A = checks.matrix("A", self.A)
         n = A.shape[0]
         if A.shape[1] != n:
             slip = " Decimals have a point, not a comma: 0.5." if A.shape[1] == 2 * n else ""
             raise ArgumentError(f"`A` must be square, got shape {A.shape}.{slip}")
         empty = self.C is not None and np.size(np.asarray(self.C, dtype=object)) == 0 and n > 0
-        C = np.zeros((0, n)) if empty else _checks.matrix("C", self.C, None, n)
+        C = np.zeros((0, n)) if empty else checks.matrix("C", self.C, None, n)
         p = C.shape[0]
         if p == 0:
             raise ArgumentError("`C` must have at least one row: a plant without outputs cannot be measured.")
-        B = _checks.matrix("B", np.zeros((n, 0)) if self.B is None else self.B, n)
-        D = _checks.matrix("D", np.zeros((p, B.shape[1])) if self.D is None else self.D, p, B.shape[1])
-        G = _checks.matrix("G", np.eye(n) if self.G is None else self.G, n)
+        B = checks.matrix("B", np.zeros((n, 0)) if self.B is None else self.B, n)
+        D = checks.matrix("D", np.zeros((p, B.shape[1])) if self.D is None else self.D, p, B.shape[1])
+        G = checks.matrix("G", np.eye(n) if self.G is None else self.G, n)
         owned: dict[str, object] = {"A": A, "B": B, "C": C, "D": D, "G": G}
         owned["time_unit"] = check_time_unit("s" if self.time_unit is None else self.time_unit)
         for key in ("name", "source"):
             if not isinstance(getattr(self, key), str):
-                raise ArgumentError(f"`{key}` must be a string, got {_checks.described(getattr(self, key))}.")
+                raise ArgumentError(f"`{key}` must be a string, got {checks.described(getattr(self, key))}.")
         sizes = {"states": n, "outputs": p, "inputs": B.shape[1], "disturbances": G.shape[1]}
         for key, size in sizes.items():
             owned[key] = _signals(key, getattr(self, key), size)
@@ -248,11 +248,11 @@ class Plant(Record):
 
     def transition(self, t: npt.ArrayLike) -> Array:
         """Return e^{A t}: (n, n) for a number t, (N, n, n) for an array of N times."""
-        times = _checks.floats("t", t)
+        times = checks.floats("t", t)
         if times.ndim > 1:
             raise ArgumentError(f"`t` must be a number or a vector of times, got shape {times.shape}.")
         if not np.isfinite(times).all():
-            raise ArgumentError(f"`t` must be finite, got {_checks.described(t)}.")
+            raise ArgumentError(f"`t` must be finite, got {checks.described(t)}.")
         result = exponential(self.A)(times)
         return result[0] if times.ndim == 0 else result
 
@@ -418,4 +418,4 @@ def _signals(key: str, value: Signals | Sequence[str] | None, size: int) -> Sign
         if len(value) != size:
             raise ArgumentError(f"`{key}` must have {size} entries, got {len(value)}.")
         return value
-    return Signals(_checks.names(key, value, size, _PREFIX[key]))
+    return Signals(checks.names(key, value, size, _PREFIX[key]))

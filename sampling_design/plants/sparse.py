@@ -11,12 +11,12 @@ import numpy.typing as npt
 from scipy import sparse
 from scipy.sparse.linalg import ArpackError, eigsh, splu
 
-from sampling_design import _checks
-from sampling_design._door import door
-from sampling_design._record import Plain, Record, short
-from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.plants.plant import ORDER, Plant, Signals
+from sampling_design.records import checks
+from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.signatures import checked
+from sampling_design.records.units import check_time_unit
 
 Array = npt.NDArray[np.float64]
 
@@ -116,7 +116,7 @@ class SparsePlant(Record):
         for key, matrix in (("B", B), ("G", G)):
             if matrix is not None and matrix.shape[0] != n:
                 raise ArgumentError(f"`{key}` must have {n} rows, got {matrix.shape[0]}.")
-        mass = _checks.vector("mass", np.ones(n) if self.mass is None else self.mass, n)
+        mass = checks.vector("mass", np.ones(n) if self.mass is None else self.mass, n)
         if np.any(mass <= 0):
             raise ArgumentError(f"`mass` must be positive, got {short(float(mass.min()))}.")
         check_time_unit(self.time_unit)
@@ -235,7 +235,7 @@ class SparseSplit(Record):
         return f"{kept}; the others decay by themselves at the rate asked for ({why[self.proof]})."
 
 
-@door
+@checked
 def split_sparse(plant: SparsePlant, decay_rate: float = 0.0, *, offset: float | None = None) -> SparseSplit:
     """Find the modes of a sparse plant that must be observed, and prove that none was missed.
 
@@ -287,12 +287,12 @@ def split_sparse(plant: SparsePlant, decay_rate: float = 0.0, *, offset: float |
     >>> split.eigenvalues.size, split.proof
     (1, 'inertia')
     """
-    decay_rate = _checks.nonnegative("decay_rate", decay_rate)
+    decay_rate = checks.nonnegative("decay_rate", decay_rate)
     root = np.sqrt(plant.mass)
     scale = sparse.diags_array(1 / root)
     S = sparse.csc_array(scale @ plant.A @ scale)
     size = float(np.max(abs(S).sum(axis=1)))
-    strip = OFFSET * size if offset is None else _checks.nonnegative("offset", offset)
+    strip = OFFSET * size if offset is None else checks.nonnegative("offset", offset)
     skew = float(np.max(abs(S - S.T).sum(axis=1)))  # half of it bounds what the skew part moves eigenvalues by
     symmetric = skew <= 4 * EPS * size
     line = -decay_rate / 2 - strip
@@ -330,7 +330,7 @@ def split_sparse(plant: SparsePlant, decay_rate: float = 0.0, *, offset: float |
 
 
 def _sparse(key: str, value: object) -> sparse.csr_array:
-    matrix = sparse.csr_array(value) if sparse.issparse(value) else np.atleast_2d(_checks.floats(key, value))
+    matrix = sparse.csr_array(value) if sparse.issparse(value) else np.atleast_2d(checks.floats(key, value))
     if matrix.ndim != 2 or matrix.dtype.kind not in "fiu":
         raise ArgumentError(f"`{key}` must be a real matrix, got {matrix.ndim} dimensions of {matrix.dtype}.")
     matrix = sparse.csr_array(matrix.astype(np.float64))
@@ -438,9 +438,9 @@ def _record(
         plant=plant,
         decay_rate=decay_rate,
         retained=retained,
-        basis=_checks.freeze(basis),
-        left=_checks.freeze(left),
-        eigenvalues=_checks.freeze(values),
+        basis=checks.freeze(basis),
+        left=checks.freeze(left),
+        eigenvalues=checks.freeze(values),
         line=float(line),
         proof=proof,
         perturbation=float(lost),

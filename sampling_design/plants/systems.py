@@ -8,8 +8,8 @@ from typing import NamedTuple, Protocol, cast
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._checks import described
 from sampling_design.errors import ArgumentError
+from sampling_design.records.checks import described
 
 Array = npt.NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from sampling_design import _files
-from sampling_design._checks import described
-from sampling_design._verbs import register
 from sampling_design.errors import ArgumentError
+from sampling_design.records import file_io
+from sampling_design.records.checks import described
+from sampling_design.records.dispatch import register
 
 # record -> (file of this room, function), also for what is derived from it; one without a picture is not listed
 _PICTURES = {
@@ -26,7 +26,7 @@ _PICTURES = {
     "PatientRun": ("thyroid", "draw_patient_run"),
     "PatientFigure": ("thyroid", "draw_figure"),
     "Accuracy": ("accuracy", "draw_accuracy"),
-    "Shadow": ("accuracy", "draw_shadow"),
+    "Projection": ("accuracy", "draw_shadow"),
     "WorstCaseSigma": ("explorations", "draw_worst_case"),
     "ParetoFront": ("explorations", "draw_pareto"),
     "SampleLosses": ("explorations", "draw_losses"),
@@ -98,4 +98,4 @@ def save(record: object, path: str | os.PathLike[str], dpi: int = 130, **beside:
     metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}[kind]
     buffer = io.BytesIO()
     first.figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
-    return _files.write_bytes(target, buffer.getvalue())
+    return file_io.write_bytes(target, buffer.getvalue())

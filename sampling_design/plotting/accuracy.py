@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
-from sampling_design._record import short
+from sampling_design.accuracy.accuracy import Accuracy
+from sampling_design.accuracy.projection import Projection
 from sampling_design.plotting import style
-from sampling_design.recovery.accuracy import Accuracy
-from sampling_design.recovery.shadow import Shadow
+from sampling_design.records.record import short
 
 Array = npt.NDArray[np.float64]
 
@@ -112,7 +112,7 @@ def _panels(count: int) -> style.Panels:
     return axes
 
 
-def draw_shadow(result: Shadow, ax: Axes | None = None) -> Axes:
+def draw_shadow(result: Projection, ax: Axes | None = None) -> Axes:
     """Draw both polygons of the exact set, and beside it the ellipse of a quadratic cost."""
     one = ax if ax is not None else style.new_axes(None, height=4.5)
     turn = np.linspace(0.0, 2 * np.pi, 241)

@@ -7,15 +7,15 @@ from textwrap import shorten
 import numpy as np
 from matplotlib.axes import Axes
 
-from sampling_design._linalg import discounted_flow
-from sampling_design._record import short
 from sampling_design.certificates.compare.four_horizons import FourHorizons
 from sampling_design.certificates.compare.tradeoff import TradeoffCurve
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.exact.information import InformationCurve, information_curve
 from sampling_design.certificates.exact.window_problem import noise_input
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
+from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.plotting import style
+from sampling_design.records.record import short
 
 _COLOURS = (style.FAILED, style.ATTAINED, style.PROVEN, style.MEASURED)
 

@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
-from sampling_design._record import short
 from sampling_design.design.schedule_design import ScheduleDesign
 from sampling_design.errors import ArgumentError
 from sampling_design.plotting import style
 from sampling_design.plotting.schedules import draw_schedule
 from sampling_design.plotting.windows import draw_window_sigma
+from sampling_design.records.record import short
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 

@@ -8,12 +8,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from sampling_design._record import short
 from sampling_design.design.losses import SampleLosses
 from sampling_design.design.pareto import ParetoFront, ParetoPoint
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseSigma
 from sampling_design.plotting import style
+from sampling_design.records.record import short
 
 
 def draw_worst_case(result: WorstCaseSigma, ax: Axes | None = None) -> Axes:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
-from sampling_design._record import short
 from sampling_design.plotting import style
+from sampling_design.records.record import short
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 
 

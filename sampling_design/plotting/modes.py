@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
-from sampling_design._linalg import expm_batch
 from sampling_design.certificates.existence.counterexample import Counterexample
+from sampling_design.numerics.linalg import expm_batch
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plotting import style
 

@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib import ticker
 from matplotlib.axes import Axes
 
-from sampling_design._record import short
 from sampling_design.certificates.compare.robustness import Robustness
 from sampling_design.plotting import style
+from sampling_design.records.record import short
 
 
 def draw_robustness(result: Robustness, ax: Axes | None = None) -> Axes | style.Panels:

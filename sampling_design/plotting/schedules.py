@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
-from sampling_design._record import counted, short
 from sampling_design.plotting import style
+from sampling_design.records.record import counted, short
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 

@@ -17,8 +17,8 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
 
-from sampling_design._record import short
-from sampling_design._units import SECONDS
+from sampling_design.records.record import short
+from sampling_design.records.units import SECONDS
 from sampling_design.schedules.time_stamps import parse_date
 
 MEASURED = "#2b6398"

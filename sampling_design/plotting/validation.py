@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
-from sampling_design._record import short
 from sampling_design.plotting import style
+from sampling_design.records.record import short
 from sampling_design.validation.report import ValidationReport
 from sampling_design.validation.schedule_log import ScheduleLog
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
-from sampling_design._record import short
 from sampling_design.observability.windows.window_sigma import WindowSigma
 from sampling_design.plotting import style
+from sampling_design.records.record import short
 
 
 def draw_window_sigma(result: WindowSigma, ax: Axes | None = None, *, columns: int = 3) -> Axes:

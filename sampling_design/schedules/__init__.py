@@ -1,6 +1,6 @@
 """Schedules: when something is measured, independent of what."""
 
-from sampling_design._lazy import lazy
+from sampling_design.records.lazy import lazy
 
 _NAMES = {
     "calendar": ("CalendarEntry", "write_calendar_csv", "write_ics"),

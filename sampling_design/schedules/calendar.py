@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
-from sampling_design import _checks
-from sampling_design._door import door
-from sampling_design._files import write_text
-from sampling_design._units import SECONDS
 from sampling_design.errors import ArgumentError
+from sampling_design.records import checks
+from sampling_design.records.file_io import write_text
+from sampling_design.records.signatures import checked
+from sampling_design.records.units import SECONDS
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.schedules.time_stamps import parse_date, time_zone
@@ -32,7 +32,7 @@ class CalendarEntry:
     outputs: tuple[str, ...]
 
 
-@door
+@checked
 def calendar(
     schedule: AnySchedule,
     start: str | datetime | None = None,
@@ -98,7 +98,7 @@ def calendar(
     return tuple(entries)
 
 
-@door
+@checked
 def write_calendar_csv(
     schedule: AnySchedule,
     path: str | os.PathLike[str],
@@ -137,7 +137,7 @@ def write_calendar_csv(
     return write_text(path, "\n".join(lines) + "\n")
 
 
-@door
+@checked
 def write_ics(
     schedule: AnySchedule,
     path: str | os.PathLike[str],
@@ -186,7 +186,7 @@ def write_ics(
     ----------
     RFC 5545.
     """
-    zero, grain = _start(schedule, start, zone), 1.0 if raster is None else _checks.positive("raster", raster)
+    zero, grain = _start(schedule, start, zone), 1.0 if raster is None else checks.positive("raster", raster)
     if grain != int(grain):
         raise ArgumentError(f"`raster` must be whole seconds in an iCalendar file, got {raster!r}.")
     rule = None
@@ -234,7 +234,7 @@ def _start(schedule: AnySchedule, start: str | datetime | None, zone: str | None
 def _grain(schedule: AnySchedule, raster: float | None) -> int:
     """Grid of the dates in microseconds."""
     if raster is not None:
-        return max(1, round(_checks.positive("raster", raster) * 1e6))
+        return max(1, round(checks.positive("raster", raster) * 1e6))
     gaps = schedule.gaps
     close = gaps.size > 0 and float(gaps.min()) * SECONDS[schedule.time_unit or ""] < 1.0
     return 1 if close else 1_000_000
@@ -245,7 +245,7 @@ def _part(schedule: AnySchedule, span: float | None) -> Schedule:
         if isinstance(schedule, Schedule):
             return schedule
         return Schedule(schedule.times, schedule.outputs, **schedule._details())
-    span = _checks.positive("span", span)
+    span = checks.positive("span", span)
     if isinstance(schedule, PeriodicSchedule) and span / schedule.period * len(schedule) > _MOST_ENTRIES:
         raise ArgumentError(f"`span` = {span!r} {schedule.time_unit} asks for more than {_MOST_ENTRIES} dates.")
     return schedule.between(0.0, span, closed="left")
@@ -327,7 +327,7 @@ def _repeating(
     if span is None:
         return [(entry, rule) for entry in cycle]
     # UNTIL is inclusive and whole seconds, the span half-open
-    last = _date(zero, _checks.positive("span", span) * unit) - timedelta(seconds=1)
+    last = _date(zero, checks.positive("span", span) * unit) - timedelta(seconds=1)
     return [(entry, f"{rule};UNTIL={_utc(last)}") for entry in cycle if entry.time < span]
 
 

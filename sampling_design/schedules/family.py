@@ -11,10 +11,10 @@ from typing import ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._checks import Seed
-from sampling_design._record import Plain, Record
 from sampling_design.errors import ArgumentError
+from sampling_design.records import checks
+from sampling_design.records.checks import Seed
+from sampling_design.records.record import Plain, Record
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 AnySchedule = Schedule | PeriodicSchedule
@@ -39,7 +39,7 @@ EQUAL_RTOL = 1e-9
 
 
 @dataclass(frozen=True)
-class Step:
+class FamilyStep:
     """What may come next: after a time within [low, high] a sample with these outputs (none of them: it is lost)."""
 
     word: Word
@@ -48,11 +48,11 @@ class Step:
     outputs: tuple[bool, ...]
 
 
-Steps = Callable[[Word], list[Step]]
+Steps = Callable[[Word], list[FamilyStep]]
 
 
 @dataclass(frozen=True)
-class Variation:
+class FamilyVariation:
     """Members near one: `build(x)` for x near `origin`, as far as `spread`."""
 
     origin: Array
@@ -61,7 +61,7 @@ class Variation:
 
 
 @dataclass(frozen=True)
-class Leeway:
+class TimingTolerance:
     """How far a sample may lie from a plan, and how many may be missing: what can be judged one sample at a time.
 
     Parameters
@@ -168,7 +168,7 @@ class SamplingFamily(Record, ABC):
     # What a sample taken is held against (estimators/online/).
 
     @property
-    def leeway(self) -> Leeway | None:
+    def leeway(self) -> TimingTolerance | None:
         """The plan and how far its samples may leave it, if that says all; None: `contains` is asked."""
         return None
 
@@ -178,7 +178,7 @@ class SamplingFamily(Record, ABC):
         self, periods: Sequence[float], rng: np.random.Generator, quick: bool = False
     ) -> Iterator[PeriodicSchedule]:
         """Yield periodic members worth a look; over `periods` two modes of the plant alias."""
-        periods = _checks.vector("periods", periods).tolist()
+        periods = checks.vector("periods", periods).tolist()
         low, high, unit = self.min_gap, self.d_max, self.nominal.time_unit
         for gap in (low, high):
             if self.contains(ends := PeriodicSchedule(np.array([gap]), time_unit=unit)):
@@ -194,7 +194,7 @@ class SamplingFamily(Record, ABC):
                     if self.contains(word):
                         yield word
 
-    def variation(self, start: PeriodicSchedule) -> Variation | None:
+    def variation(self, start: PeriodicSchedule) -> FamilyVariation | None:
         """Return the members near `start` among which a worse one may be sought: gaps of the same sum."""
         spread = (self.d_max - self.min_gap) / 4
         if len(start) < 2 or spread <= 0:
@@ -206,7 +206,7 @@ class SamplingFamily(Record, ABC):
                 return start
             return PeriodicSchedule(np.append(gaps, last), time_unit=start.time_unit)
 
-        return Variation(np.array(start.gaps)[:-1], spread, build)
+        return FamilyVariation(np.array(start.gaps)[:-1], spread, build)
 
     def narrowed(self, fraction: float) -> Self | None:
         """Return the part of the family around its nominal schedule, None where that has no obvious meaning."""
@@ -222,14 +222,14 @@ def gap_steps(shortest: float, longest: float, room: Callable[[Word], float], me
     borders = np.linspace(shortest, longest, cells + 1).tolist()
     every = (True,) * outputs
 
-    def steps(word: Word) -> list[Step]:
+    def steps(word: Word) -> list[FamilyStep]:
         old = () if word == START else word
         found = []
         for k, (low, high) in enumerate(pairwise(borders)):
             low = 0.0 if word == START and k == 0 else low
             high = min(high, room(old))
             if low <= high:
-                found.append(Step((low, *old)[:kept], low, high, every))
+                found.append(FamilyStep((low, *old)[:kept], low, high, every))
         return found
 
     return steps
@@ -293,9 +293,9 @@ def extent(duration: float | None, samples: int | None, default: float, gap: flo
     if duration is not None and samples is not None:
         raise ArgumentError("give `duration` or `samples`, not both.")
     if samples is not None:
-        stop, count = np.inf, float(_checks.whole("samples", samples, 1))
+        stop, count = np.inf, float(checks.whole("samples", samples, 1))
     else:
-        stop = default if duration is None else _checks.positive("duration", duration)
+        stop = default if duration is None else checks.positive("duration", duration)
         count = stop / gap
     if count > MOST_DRAWN:
         name = "duration" if samples is None else "samples"

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from typing import Any
 
-from sampling_design import _checks
-from sampling_design._door import door
-from sampling_design._files import exactly
-from sampling_design._record import Plain
 from sampling_design.checkers import family_file
 from sampling_design.checkers.strict import anything
 from sampling_design.errors import ArgumentError
+from sampling_design.records import checks
+from sampling_design.records.file_io import exactly
+from sampling_design.records.record import Plain
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.files import schedule_from_dict
 from sampling_design.schedules.gap_range import GapRange  # noqa: F401  # a family is known once its file is loaded
@@ -21,7 +21,7 @@ from sampling_design.schedules.lost_samples import LostSamples  # noqa: F401
 from sampling_design.schedules.spaced_windows import SpacedWindows  # noqa: F401
 
 
-@door
+@checked
 def family_to_dict(family: SamplingFamily) -> dict[str, Plain]:
     """Return a family as plain data; `kind` names it.
 
@@ -37,7 +37,7 @@ def family_to_dict(family: SamplingFamily) -> dict[str, Plain]:
     return family.to_dict()
 
 
-@door
+@checked
 def family_from_dict(data: Mapping[str, Any]) -> SamplingFamily:
     """Return the family in plain data.
 
@@ -67,7 +67,7 @@ def family_from_dict(data: Mapping[str, Any]) -> SamplingFamily:
     given = [field for field in fields(build) if field.init]  # type: ignore[arg-type]  # every kind is a dataclass
     needed = [field.name for field in given if field.default is MISSING]
     optional = [field.name for field in given if field.default is not MISSING]
-    _checks.known_keys(f"a family of kind {kind!r}", data, ("kind", *needed, *optional))
+    checks.known_keys(f"a family of kind {kind!r}", data, ("kind", *needed, *optional))
     missing = [key for key in needed if key not in data]
     if missing:
         raise ArgumentError(f"a family of kind {kind!r} needs `{missing[0]}`.")

@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from sampling_design import _checks, _files
-from sampling_design._door import door
-from sampling_design._files import csv_rows, decimal, from_json, read_text, to_json, write_text
-from sampling_design._record import Plain
-from sampling_design._units import check_time_unit
 from sampling_design.checkers import schedule_file
 from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.records import checks, file_io
+from sampling_design.records.file_io import csv_rows, decimal, from_json, read_text, to_json, write_text
+from sampling_design.records.record import Plain
+from sampling_design.records.signatures import checked
+from sampling_design.records.units import check_time_unit
 from sampling_design.schedules.family import AnySchedule
-from sampling_design.schedules.schedule import Details, PeriodicSchedule, Schedule
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule, ScheduleDetails
 
 FORMAT = "sampling-design/schedule/1"
 _MARK = "# sampling-design schedule"
@@ -26,7 +26,7 @@ _DETAILS = ("time_unit", "origin", "output_names")
 _REDUNDANCY = 1e-9  # gaps and times of one file may differ by this fraction of the period, no more
 
 
-@door
+@checked
 def schedule_to_dict(schedule: AnySchedule) -> dict[str, Plain]:
     """Return a schedule as plain data: kind "finite" (times) or "periodic" (gaps, first, times, period).
 
@@ -47,7 +47,7 @@ def schedule_to_dict(schedule: AnySchedule) -> dict[str, Plain]:
     return schedule.to_dict()
 
 
-@door
+@checked
 def schedule_from_dict(data: Mapping[str, Any]) -> AnySchedule:
     """Return the schedule in plain data, every float to the last bit.
 
@@ -75,18 +75,18 @@ def schedule_from_dict(data: Mapping[str, Any]) -> AnySchedule:
     details = {key: data[key] for key in _DETAILS if key in data}
     outputs = data.get("outputs")
     if kind == "finite":
-        _checks.known_keys("a finite schedule", data, ("kind", "times", "outputs", *_DETAILS))
+        checks.known_keys("a finite schedule", data, ("kind", "times", "outputs", *_DETAILS))
         if "times" not in data:
             raise ArgumentError("a finite schedule needs `times`.")
-        _files.exactly(schedule_file.FINITE, data)
+        file_io.exactly(schedule_file.FINITE, data)
         return Schedule(data["times"], outputs, **details)
     if kind != "periodic":
         raise ArgumentError(f'`kind` of a schedule must be "finite" or "periodic", got {kind!r}.')
     known = ("kind", "gaps", "first", "times", "period", "outputs", *_DETAILS)
-    _checks.known_keys("a periodic schedule", data, known)
+    checks.known_keys("a periodic schedule", data, known)
     if ("times" in data) != ("period" in data):
         raise ArgumentError("a periodic schedule needs `times` and `period` together, got only one of them.")
-    _files.exactly(schedule_file.PERIODIC, data)
+    file_io.exactly(schedule_file.PERIODIC, data)
     if "gaps" not in data:
         if "times" not in data:
             raise ArgumentError("a periodic schedule needs `gaps`, or `times` and `period`.")
@@ -105,7 +105,7 @@ def schedule_from_dict(data: Mapping[str, Any]) -> AnySchedule:
     return by_times
 
 
-@door
+@checked
 def write_schedule(schedule: AnySchedule, path: str | os.PathLike[str]) -> Path:
     """Write a schedule as `.csv` or `.json`, whole or not at all, and return the path.
 
@@ -140,7 +140,7 @@ def write_schedule(schedule: AnySchedule, path: str | os.PathLike[str]) -> Path:
     return write_text(path, _to_csv(schedule))
 
 
-@door
+@checked
 def read_schedule(path: str | os.PathLike[str]) -> AnySchedule:
     """Return the schedule in a `.csv` or `.json` file.
 
@@ -261,7 +261,7 @@ def _header(line: str, where: str) -> dict[str, str]:
         if not key:
             continue
         try:
-            _checks.known_keys("the first line", [key], ("time_unit", "period", "origin"))
+            checks.known_keys("the first line", [key], ("time_unit", "period", "origin"))
         except ArgumentError as error:
             raise in_file(error, where, 1) from None
         if not equals or not value.strip() or key in keys:
@@ -279,7 +279,9 @@ def _build(
         check_time_unit(keys["time_unit"])
         every = not names or all(all(row) for row in mask)
         outputs = None if every else np.array(mask, dtype=bool)
-        details = Details(time_unit=keys["time_unit"], origin=keys.get("origin"), output_names=tuple(names) or None)
+        details = ScheduleDetails(
+            time_unit=keys["time_unit"], origin=keys.get("origin"), output_names=tuple(names) or None
+        )
         if "period" not in keys:
             return Schedule(np.array(times), outputs, **details)
         period = decimal(keys["period"])

@@ -7,11 +7,11 @@ from typing import Self
 
 import numpy as np
 
-from sampling_design import _checks
-from sampling_design._checks import Seed
-from sampling_design._record import Plain, short
-from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError
+from sampling_design.records import checks
+from sampling_design.records.checks import Seed
+from sampling_design.records.record import Plain, short
+from sampling_design.records.units import check_time_unit
 from sampling_design.schedules.family import (
     AnySchedule,
     SamplingFamily,
@@ -54,7 +54,7 @@ class GapRange(SamplingFamily, kind="gap-range"):
     remembers = False
 
     def __post_init__(self) -> None:
-        shortest, longest = _checks.positive("shortest", self.shortest), _checks.positive("longest", self.longest)
+        shortest, longest = checks.positive("shortest", self.shortest), checks.positive("longest", self.longest)
         if longest < shortest:
             raise ArgumentError(
                 f"`longest` must be at least `shortest` = {shortest!r}, got {longest!r}. Did you swap them?"
@@ -99,7 +99,7 @@ class GapRange(SamplingFamily, kind="gap-range"):
         ArgumentError
             If both are given or one is not positive.
         """
-        rng = _checks.generator(rng)
+        rng = checks.generator(rng)
         stop, most = extent(duration, samples, 20 * self.longest, self.longest)
         gaps = [float(rng.uniform(0.0, self.longest))]
         time = gaps[0]

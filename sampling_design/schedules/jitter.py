@@ -10,21 +10,21 @@ from typing import Self
 
 import numpy as np
 
-from sampling_design import _checks
-from sampling_design._checks import Seed
-from sampling_design._record import Plain, short
 from sampling_design.errors import ArgumentError
+from sampling_design.records import checks
+from sampling_design.records.checks import Seed
+from sampling_design.records.record import Plain, short
 from sampling_design.schedules.family import (
     OUTWARD,
     RANDOM_WORDS,
     START,
     AnySchedule,
     Array,
-    Leeway,
+    FamilyStep,
+    FamilyVariation,
     SamplingFamily,
-    Step,
     Steps,
-    Variation,
+    TimingTolerance,
     Word,
     extent,
     in_family_unit,
@@ -74,7 +74,7 @@ class Jitter(SamplingFamily, kind="jitter"):
 
     def __post_init__(self) -> None:
         least = SamplingSet(self.schedule).min_gap
-        radius = _checks.nonnegative("radius", self.radius)
+        radius = checks.nonnegative("radius", self.radius)
         if 2 * radius >= least:
             raise ArgumentError(
                 f"`radius` must be less than half of the least gap {short(least)}, got {short(radius)}: "
@@ -146,7 +146,7 @@ class Jitter(SamplingFamily, kind="jitter"):
         ArgumentError
             If both are given, or the nominal schedule is finite and one is.
         """
-        rng = _checks.generator(rng)
+        rng = checks.generator(rng)
         part = nominal_part(self.schedule, duration, samples, 20 * self.d_max)
         shifts = np.array([pick(rng, -self.radius, self.radius) for _ in range(len(part))])
         return Schedule(np.maximum(part.times + shifts, 0.0), part.outputs, **part._details())
@@ -162,7 +162,7 @@ class Jitter(SamplingFamily, kind="jitter"):
         masks, reach, cells = masks_of(schedule, outputs), reach_of(schedule), DEVIATION_CELLS[memory]
         borders = np.linspace(-radius, radius, cells + 1).tolist() if radius else [0.0, 0.0]
 
-        def steps(word: Word) -> list[Step]:
+        def steps(word: Word) -> list[FamilyStep]:
             start = word == START
             phase, *last = (-1, 0.0, 0.0) if start else (int(word[0]), float(word[1]), float(word[2]))
             found = []
@@ -171,7 +171,7 @@ class Jitter(SamplingFamily, kind="jitter"):
                 for a, b in pairwise(borders):
                     low, high = (0.0, reach[j] + radius + b) if start else (gap + a - last[1], gap + b - last[0])
                     wider = OUTWARD * (gap + radius) if radius else 0.0  # no deviation, no rounding
-                    found.append(Step((j, a, b), max(low - wider, 0.0), high + wider, masks[j]))
+                    found.append(FamilyStep((j, a, b), max(low - wider, 0.0), high + wider, masks[j]))
             return found
 
         return steps
@@ -186,9 +186,9 @@ class Jitter(SamplingFamily, kind="jitter"):
         return type(self)(schedule, self.radius)
 
     @property
-    def leeway(self) -> Leeway:
+    def leeway(self) -> TimingTolerance:
         """Every sample within the radius."""
-        return Leeway(self.schedule, radius=self.radius)
+        return TimingTolerance(self.schedule, radius=self.radius)
 
     def suspects(
         self, periods: Sequence[float], rng: np.random.Generator, quick: bool = False
@@ -198,13 +198,13 @@ class Jitter(SamplingFamily, kind="jitter"):
         for _ in range(4 * RANDOM_WORDS):
             yield self._shifted(rng.choice([-1.0, 0.0, 1.0], 2 * len(cycle)) * self.radius)
 
-    def variation(self, start: PeriodicSchedule) -> Variation | None:
+    def variation(self, start: PeriodicSchedule) -> FamilyVariation | None:
         """Return two periods with other deviations, near those of `start`."""
         cycle = period_of(self.schedule)
         if len(start) == len(cycle) or not self.radius:
             return None
         origin = np.array(start.times) - np.append(cycle.times, cycle.times + cycle.period)
-        return Variation(origin, self.radius, self._shifted)
+        return FamilyVariation(origin, self.radius, self._shifted)
 
     def _shifted(self, shifts: Array) -> PeriodicSchedule:
         """Two periods with these deviations."""

@@ -11,17 +11,17 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._checks import Seed
-from sampling_design._record import Plain, short
 from sampling_design.errors import ArgumentError
+from sampling_design.records import checks
+from sampling_design.records.checks import Seed
+from sampling_design.records.record import Plain, short
 from sampling_design.schedules.family import (
     START,
     AnySchedule,
-    Leeway,
+    FamilyStep,
     SamplingFamily,
-    Step,
     Steps,
+    TimingTolerance,
     Word,
     in_family_unit,
     masks_of,
@@ -69,7 +69,7 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
 
     def __post_init__(self) -> None:
         SamplingSet(self.schedule)
-        most, of = _checks.whole("most", self.most), _checks.whole("of", self.of, 1)
+        most, of = checks.whole("most", self.most), checks.whole("of", self.of, 1)
         if most >= of:
             raise ArgumentError(f"`most` must be less than `of` = {of}, got {most}: every sample could be lost.")
         object.__setattr__(self, "most", most)
@@ -159,7 +159,7 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
         ArgumentError
             If both are given, or the nominal schedule is finite and one is.
         """
-        rng = _checks.generator(rng)
+        rng = checks.generator(rng)
         part = nominal_part(self.schedule, duration, samples, 20 * self.d_max)
         lost = np.zeros(len(part), dtype=bool)
         for i in range(lost.size):
@@ -180,15 +180,15 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
         schedule, remembered = period_of(self.schedule), self.most + 1 + memory
         masks, reach, lost = masks_of(schedule, outputs), reach_of(schedule), (False,) * outputs
 
-        def steps(word: Word) -> list[Step]:
+        def steps(word: Word) -> list[FamilyStep]:
             start = word == START
             phase, *bits = (-1,) if start else tuple(int(x) for x in word)
             found = []
             for j in range(len(schedule)) if start else [(phase + 1) % len(schedule)]:
                 low, high = (0.0, reach[j]) if start else (float(schedule.gaps[j]),) * 2
-                found.append(Step((j, *_recent((0, *bits), remembered)), low, high, masks[j]))
+                found.append(FamilyStep((j, *_recent((0, *bits), remembered)), low, high, masks[j]))
                 if sum(bits[: remembered - 1]) < self.most:
-                    found.append(Step((j, *_recent((1, *bits), remembered)), low, high, lost))
+                    found.append(FamilyStep((j, *_recent((1, *bits), remembered)), low, high, lost))
             return found
 
         return steps
@@ -203,9 +203,9 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
         return type(self)(schedule, self.most, self.of)
 
     @property
-    def leeway(self) -> Leeway:
+    def leeway(self) -> TimingTolerance:
         """Every sample on time or missing."""
-        return Leeway(self.schedule, most=self.most, of=self.of)
+        return TimingTolerance(self.schedule, most=self.most, of=self.of)
 
     def suspects(
         self, periods: Sequence[float], rng: np.random.Generator, quick: bool = False

@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._record import Record, short
 from sampling_design.errors import ArgumentError
-from sampling_design.schedules.schedule import Details, PeriodicSchedule, Schedule
+from sampling_design.records import checks
+from sampling_design.records.record import Record, short
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule, ScheduleDetails
 
 Array = npt.NDArray[np.float64]
 
@@ -126,7 +126,7 @@ class SamplingSet(Record):
         i = self._index(i)
         if i == 1:
             return self.schedule
-        mask, details = self.schedule.outputs, self.schedule._details() | Details(origin=None)
+        mask, details = self.schedule.outputs, self.schedule._details() | ScheduleDetails(origin=None)
         if isinstance(self.schedule, PeriodicSchedule):
             turn = -((i - 1) % len(self.schedule))
             turned = None if mask is None else np.roll(mask, turn, axis=0)
@@ -135,7 +135,7 @@ class SamplingSet(Record):
         return Schedule(times[i - 1 :] - times[i - 2], None if mask is None else mask[i - 1 :], **details)
 
     def _index(self, i: int) -> int:
-        i = _checks.whole("i", i, 1)
+        i = checks.whole("i", i, 1)
         if not self.is_periodic and i > len(self.schedule):
             raise ArgumentError(f"`i` must be at most {len(self.schedule)}, the number of samples, got {i}.")
         return i
@@ -158,7 +158,7 @@ class SamplingSet(Record):
         counted; one period of them for a periodic schedule. *Numerical aspects.* A sample within rounding of
         the window's end counts, so that the number errs on the large side, as its users need it.
         """
-        T = _checks.nonnegative("T", T)
+        T = checks.nonnegative("T", T)
         starts = self.schedule.times
         if isinstance(self.schedule, PeriodicSchedule):
             last = float(starts[-1]) + T

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, ClassVar, TypedDict, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._record import Plain, Record, counted, short
-from sampling_design._units import check_time_unit, time_factor
 from sampling_design.errors import ArgumentError
+from sampling_design.records import checks
+from sampling_design.records.record import Plain, Record, counted, short
+from sampling_design.records.units import check_time_unit, time_factor
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -21,7 +21,7 @@ MOST_TIMES = 20_000_000
 _GAPS_SLIP = "Did you pass gaps? Use Schedule.from_gaps."
 
 
-class Details(TypedDict, total=False):
+class ScheduleDetails(TypedDict, total=False):
     """What a schedule may carry besides its times, all of it optional."""
 
     time_unit: str | None
@@ -43,14 +43,14 @@ class _Sampled(Record):
         mask = values.get("outputs")
         if self.output_names is not None:
             if not isinstance(self.output_names, (tuple, list)):
-                came = _checks.described(self.output_names)
+                came = checks.described(self.output_names)
                 raise ArgumentError(f"`output_names` must be a list of strings, got {came}.")
             length = len(self.output_names) if mask is None else np.shape(mask)[1]
-            values["output_names"] = _checks.names("output_names", self.output_names, length, "y")
+            values["output_names"] = checks.names("output_names", self.output_names, length, "y")
         for key, value in values.items():
             object.__setattr__(self, key, value)
 
-    def _details(self) -> Details:
+    def _details(self) -> ScheduleDetails:
         return {"time_unit": self.time_unit, "origin": self.origin, "output_names": self.output_names}
 
     def _plain(self, mask: Mask | None, **times: Plain) -> dict[str, Plain]:
@@ -96,15 +96,15 @@ class Schedule(_Sampled):
     if TYPE_CHECKING:  # callers may pass anything that becomes an array
 
         def __init__(
-            self, times: npt.ArrayLike, outputs: npt.ArrayLike | None = None, **details: Unpack[Details]
+            self, times: npt.ArrayLike, outputs: npt.ArrayLike | None = None, **details: Unpack[ScheduleDetails]
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        times = _checks.increasing("times", self.times, _GAPS_SLIP)
-        self._own(times=times, outputs=_checks.output_mask("outputs", self.outputs, times.size))
+        times = checks.increasing("times", self.times, _GAPS_SLIP)
+        self._own(times=times, outputs=checks.output_mask("outputs", self.outputs, times.size))
 
     @classmethod
-    def from_gaps(cls, gaps: npt.ArrayLike, **details: Unpack[Details]) -> Schedule:
+    def from_gaps(cls, gaps: npt.ArrayLike, **details: Unpack[ScheduleDetails]) -> Schedule:
         """Return the schedule whose first sample is at gaps[0] and whose later ones follow by gaps[1], gaps[2], ...
 
         Raises
@@ -112,7 +112,7 @@ class Schedule(_Sampled):
         ArgumentError
             If gaps[0] is negative or a later gap is not positive.
         """
-        owned = _checks.vector("gaps", gaps)
+        owned = checks.vector("gaps", gaps)
         if owned.size and owned[0] < 0:
             raise ArgumentError(f"`gaps` must not be negative, got gaps[0] = {float(owned[0])!r}.")
         _positive_gaps(owned[1:], offset=1)
@@ -143,7 +143,7 @@ class Schedule(_Sampled):
     def in_unit(self, unit: str) -> Schedule:
         """Return the same schedule with times in `unit`; its own unit must be known."""
         c = time_factor(self.time_unit or "", unit)
-        return Schedule(self.times * c, self.outputs, **(self._details() | Details(time_unit=unit)))
+        return Schedule(self.times * c, self.outputs, **(self._details() | ScheduleDetails(time_unit=unit)))
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data, exact; `schedule_from_dict` reads it back."""
@@ -212,30 +212,34 @@ class PeriodicSchedule(_Sampled):
             gaps: npt.ArrayLike,
             first: float | None = None,
             outputs: npt.ArrayLike | None = None,
-            **details: Unpack[Details],
+            **details: Unpack[ScheduleDetails],
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        gaps = _checks.vector("gaps", self.gaps)
+        gaps = checks.vector("gaps", self.gaps)
         if not gaps.size:
             raise ArgumentError("`gaps` must not be empty: a periodic schedule has at least one sample per period.")
         _positive_gaps(gaps, offset=0)
-        first = float(gaps[0]) if self.first is None else _checks.nonnegative("first", self.first)
+        first = float(gaps[0]) if self.first is None else checks.nonnegative("first", self.first)
         period = float(np.sum(gaps))
         if first > period:
             raise ArgumentError(f"`first` must lie in [0, period] = [0, {period!r}], got {first!r}.")
-        times = _checks.freeze(first + np.concatenate([[0.0], np.cumsum(gaps[1:])]))
+        times = checks.freeze(first + np.concatenate([[0.0], np.cumsum(gaps[1:])]))
         if np.any(np.diff(times, append=times[0] + period) <= 0):
             raise ArgumentError(
                 f"`gaps` must be told apart from zero beside the period {period!r} in double precision, "
                 f"got a gap of {float(gaps.min())!r}."
             )
-        mask = _checks.output_mask("outputs", self.outputs, gaps.size)
+        mask = checks.output_mask("outputs", self.outputs, gaps.size)
         self._own(gaps=gaps, first=first, outputs=mask, times=times, period=period)
 
     @classmethod
     def from_times(
-        cls, times: npt.ArrayLike, period: float, outputs: npt.ArrayLike | None = None, **details: Unpack[Details]
+        cls,
+        times: npt.ArrayLike,
+        period: float,
+        outputs: npt.ArrayLike | None = None,
+        **details: Unpack[ScheduleDetails],
     ) -> PeriodicSchedule:
         """Return the schedule with samples at `times` + k `period`, k = 0, 1, ...
 
@@ -247,8 +251,8 @@ class PeriodicSchedule(_Sampled):
         ArgumentError
             If there are no times, they are unsorted, repeated or negative, or do not fit one period.
         """
-        owned = _checks.increasing("times", times, "Did you pass gaps? Use PeriodicSchedule(gaps).")
-        length = _checks.positive("period", period)
+        owned = checks.increasing("times", times, "Did you pass gaps? Use PeriodicSchedule(gaps).")
+        length = checks.positive("period", period)
         if not owned.size:
             raise ArgumentError("`times` must not be empty: a periodic schedule has at least one sample per period.")
         if owned[-1] - owned[0] >= length:
@@ -259,7 +263,7 @@ class PeriodicSchedule(_Sampled):
         if owned[0] > length:
             raise ArgumentError(f"`times` must begin in [0, period] = [0, {length!r}], got {float(owned[0])!r}.")
         gaps = np.concatenate([[owned[0] + length - owned[-1]], np.diff(owned)])
-        mask = _checks.output_mask("outputs", outputs, owned.size)
+        mask = checks.output_mask("outputs", outputs, owned.size)
         schedule = cls(gaps, float(owned[0]), mask, **details)
         # times and period as given, not as sums of gaps, so that a file of times comes back to the last bit
         schedule._own(times=owned, period=length)
@@ -297,7 +301,7 @@ class PeriodicSchedule(_Sampled):
     def in_unit(self, unit: str) -> PeriodicSchedule:
         """Return the same schedule with times in `unit`; its own unit must be known."""
         c = time_factor(self.time_unit or "", unit)
-        details = self._details() | Details(time_unit=unit)
+        details = self._details() | ScheduleDetails(time_unit=unit)
         return PeriodicSchedule.from_times(self.times * c, self.period * c, self.outputs, **details)
 
     def to_dict(self) -> dict[str, Plain]:
@@ -323,7 +327,7 @@ class PeriodicSchedule(_Sampled):
 
 
 def _inside(times: Array, start: float, stop: float, closed: str) -> Mask:
-    _checks.word("closed", closed, ("both", "left", "right", "neither"))
+    checks.word("closed", closed, ("both", "left", "right", "neither"))
     low = times >= start if closed in ("both", "left") else times > start
     high = times <= stop if closed in ("both", "right") else times < stop
     return np.asarray(low & high)

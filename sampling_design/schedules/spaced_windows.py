@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sampling_design import _checks
-from sampling_design._checks import Seed
-from sampling_design._record import Plain, short
-from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
+from sampling_design.records import checks
+from sampling_design.records.checks import Seed
+from sampling_design.records.record import Plain, short
+from sampling_design.records.units import check_time_unit
 from sampling_design.schedules.family import (
     GAP_MEMORY,
     OUTWARD,
@@ -78,8 +78,8 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
     time_unit: str | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        window, count = _checks.positive("window", self.window), _checks.whole("count", self.count, 1)
-        spacing = _checks.positive("spacing", self.spacing)
+        window, count = checks.positive("window", self.window), checks.whole("count", self.count, 1)
+        spacing = checks.positive("spacing", self.spacing)
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
         for key, value in {"window": window, "count": count, "spacing": spacing}.items():
@@ -174,7 +174,7 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
         InfeasibleRequirementError
             If no endless schedule belongs to the family.
         """
-        rng = _checks.generator(rng)
+        rng = checks.generator(rng)
         self._need_endless()
         stop, most = extent(duration, samples, 10 * self.window, self.window / self.count)
         if stop < self.window:

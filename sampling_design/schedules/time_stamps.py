@@ -9,17 +9,17 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
 
-from sampling_design._door import door
-from sampling_design._files import csv_rows, decimal, read_text
-from sampling_design._units import SECONDS, check_time_unit
 from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.records.file_io import csv_rows, decimal, read_text
+from sampling_design.records.signatures import checked
+from sampling_design.records.units import SECONDS, check_time_unit
 from sampling_design.schedules.files import in_file
 from sampling_design.schedules.schedule import Schedule
 
 MICROSECONDS = 1_000_000
 
 
-@door
+@checked
 def import_time_stamps(
     path: str | os.PathLike[str],
     time_unit: str,

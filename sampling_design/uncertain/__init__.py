@@ -1,7 +1,7 @@
 """Plants that are not exactly known: numbers in ranges, between vertices, or varying in time."""
 
-from sampling_design._lazy import lazy
-from sampling_design._verbs import register
+from sampling_design.records.dispatch import register
+from sampling_design.records.lazy import lazy
 
 _NAMES = {
     "existence.largest_box": ("largest_box",),
@@ -24,10 +24,10 @@ _REGISTERED = {
     ("window_sigma", _VARYING): "observability.window_sigma_varying:window_sigma_varying",
     ("worst_case_sigma", _BOX): "observability.worst_case_over_box:worst_case_over_box",
     ("certificate_exists", _BOX): "existence.existence_over_box:existence_over_box",
-    ("accuracy", _BOX): "accuracy.accuracy_over_box:accuracy_over_box",
-    ("accuracy", _VARYING): "accuracy.accuracy_varying:accuracy_along",
+    ("guaranteed_accuracy", _BOX): "accuracy.accuracy_over_box:accuracy_over_box",
+    ("guaranteed_accuracy", _VARYING): "accuracy.accuracy_varying:accuracy_along",
     ("certify", f"{__name__}.plants.inclusion.LinearInclusion"): "inclusion.certify_inclusion:certify_plant",
-    ("load_certificate", "inclusion"): "inclusion.certificate_file:read_inclusion",
+    ("read_certificate", "inclusion"): "inclusion.certificate_file:read_inclusion",
     ("verify_rigorously", "inclusion"): "inclusion.inclusion_balls:inclusion",
 }
 for (_verb, _kind), _does in _REGISTERED.items():

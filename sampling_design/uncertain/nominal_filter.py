@@ -11,19 +11,19 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
-from sampling_design import _checks
-from sampling_design._linalg import discounted_flow, expm_batch
+from sampling_design.accuracy.readings import StartError
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import build_weights, noise_bound
 from sampling_design.estimators.gap_flows.flows import GapFlow, discounted_length
 from sampling_design.estimators.kalman import KalmanFilter
 from sampling_design.estimators.online.estimate import Estimate
-from sampling_design.estimators.online.estimator import Taken
+from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.online.evidence import Assumptions
-from sampling_design.estimators.online.history import Node, State
+from sampling_design.estimators.online.history import EstimatorState, HistoryNode
+from sampling_design.numerics.linalg import discounted_flow, expm_batch
 from sampling_design.plants.plant import Signals
-from sampling_design.recovery.readings import StartError
+from sampling_design.records import checks
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 Array = npt.NDArray[np.float64]
@@ -97,7 +97,7 @@ class NominalFilter(KalmanFilter):
         maximum_delay: float = 0.0,
     ):
         if not isinstance(plant, UncertainPlant):
-            raise ArgumentError(f"`plant` must be an UncertainPlant, got {_checks.described(plant)}. Use KalmanFilter.")
+            raise ArgumentError(f"`plant` must be an UncertainPlant, got {checks.described(plant)}. Use KalmanFilter.")
         if plant.vertices:
             raise ArgumentError("`plant` must have parameters in a box, got one between vertices.")
         nominal = plant.nominal
@@ -107,7 +107,7 @@ class NominalFilter(KalmanFilter):
         self.model = plant
         into, self._rows, self._known_size = _channels(plant, bound)
         size = np.concatenate([np.linalg.norm(self._rows * nominal.states.scales, axis=1), self._known_size])
-        size = np.where(size > 0, size, 1.0) * _checks.positive("typical", typical)
+        size = np.where(size > 0, size, 1.0) * checks.positive("typical", typical)
         self._q = (energy if 0 < energy < np.inf else 1.0) / size**2
         wide = replace(
             nominal,
@@ -135,24 +135,24 @@ class NominalFilter(KalmanFilter):
     def _assumptions(self, error: StartError) -> Assumptions | None:
         return None  # intervals of the data would take the nominal plant for the true one
 
-    def _undiscounted(self, node: Node, flow: GapFlow) -> Array | None:
+    def _undiscounted(self, node: HistoryNode, flow: GapFlow) -> Array | None:
         return None  # its bound on the disturbance knows nothing of the mismatch
 
-    def _advance(self, state: State, sample: Taken) -> Node:
+    def _advance(self, state: EstimatorState, sample: CheckedSample) -> HistoryNode:
         self._inputs = state.inputs
         try:
             return super()._advance(state, sample)
         finally:
             self._before = None
 
-    def _predict(self, state: State, t: float) -> Estimate:
+    def _predict(self, state: EstimatorState, t: float) -> Estimate:
         self._inputs = state.inputs
         try:
             return super()._predict(state, t)
         finally:
             self._before = None
 
-    def _flown(self, node: Node, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
+    def _flown(self, node: HistoryNode, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
         x, Y, beta = super()._flown(node, flow, drift)
         if flow.gap > 0 and np.isfinite(beta) and np.isfinite(Y).all():
             beta = self._walked(node, flow.gap)
@@ -172,7 +172,7 @@ class NominalFilter(KalmanFilter):
 
     # --- the size of the mismatch along a gap -------------------------------------------------------------------------
 
-    def _walked(self, node: Node, gap: float) -> float:
+    def _walked(self, node: HistoryNode, gap: float) -> float:
         """The radius after a gap, the mismatch bounded step by step."""
         A = self.plant.A
         start, end = node.t, node.t + gap

@@ -1,8 +1,9 @@
 """Validation: does what was promised come true? Trials, worst cases, and a report that compares."""
 
-from sampling_design._lazy import lazy
+from sampling_design.records.lazy import lazy
 
 _NAMES = {
+    "comparison": ("validate",),
     "report": ("Finding", "ValidationReport"),
     "scenario": ("SimulatedRecord", "simulate_record"),
     "schedule_log": ("ScheduleLog", "compare_schedule"),

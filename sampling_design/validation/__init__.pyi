@@ -1,4 +1,5 @@
 # Written from the table in __init__.py by `python -m tests.house.front_door`.
+from sampling_design.validation.comparison import validate as validate
 from sampling_design.validation.report import Finding as Finding
 from sampling_design.validation.report import ValidationReport as ValidationReport
 from sampling_design.validation.scenario import SimulatedRecord as SimulatedRecord

@@ -14,22 +14,22 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._linalg import discounted_flow, symmetrise
-from sampling_design.estimators.gap_flows.cost_weights import Weights
-from sampling_design.validation.scenario import Inputs, ScenarioBounds
+from sampling_design.estimators.gap_flows.cost_weights import CostWeights
+from sampling_design.numerics.linalg import discounted_flow, symmetrise
+from sampling_design.validation.scenario import RunInputs, ScenarioBounds
 from sampling_design.validation.timeline import Timeline
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
 
-class Weighing(Protocol):
+class LinearEstimator(Protocol):
     """An estimator, as far as its errors depend on it; `arrival_cost` is "fixed" where it names none."""
 
-    weights: Weights
+    weights: CostWeights
 
 
-class Absorb(NamedTuple):
+class SampleUpdate(NamedTuple):
     """What a window does with a sample: e += gain innovation, cost += |root innovation|^2."""
 
     sample: int
@@ -47,7 +47,7 @@ class SolveWindow:
     start: int
     end: int
     given: bool
-    absorbs: dict[int, Absorb]
+    absorbs: dict[int, SampleUpdate]
     discount: float
     worst: float
     known: float
@@ -67,7 +67,7 @@ class ErrorRows:
         return np.flatnonzero(np.concatenate([[False], self.at[1:] == self.at[:-1]]))
 
 
-class Errors(NamedTuple):
+class RunErrors(NamedTuple):
     """Errors xhat - x (r, R, n) and radii (r, R) of r runs at the rows of a map."""
 
     e: Array
@@ -105,7 +105,7 @@ class ErrorMap:
     prior_energy: float
     eta: float
 
-    def apply(self, inputs: Inputs) -> Errors:
+    def apply(self, inputs: RunInputs) -> RunErrors:
         """Return errors and radii of a batch of runs."""
         line, runs = self.timeline, inputs.e0.shape[0]
         n, rows = line.plant.n_states, self.rows
@@ -130,7 +130,7 @@ class ErrorMap:
                 online[k] = e, radius
             found[row], radii[row] = e, radius
             row += 1
-        return Errors(found.transpose(1, 0, 2), radii.T)
+        return RunErrors(found.transpose(1, 0, 2), radii.T)
 
     def _flown(self, radius: Array, h: float) -> Array:
         return np.asarray(radius * np.exp(-self.eta * h) + self.w_energy * discounted(self.eta, h))
@@ -162,7 +162,7 @@ class ErrorMap:
                 d[k] = d[k] @ line.F[c].T + w[:, c] @ line.gamma[c].T
         return d
 
-    def ellipsoid_ratio(self, errors: Errors) -> Array:
+    def ellipsoid_ratio(self, errors: RunErrors) -> Array:
         """Return |e|^2_Pi / radius, (r, R): at most 1 where the ellipsoid holds the truth."""
         square = np.sum(np.einsum("kab,rkb->rka", self.half, errors.e) ** 2, axis=2)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -176,7 +176,7 @@ def discounted(eta: float, h: npt.ArrayLike) -> Array:
     return length if eta == 0 else np.asarray(-np.expm1(-eta * length) / eta)
 
 
-def build_error_map(timeline: Timeline, estimator: Weighing, bounds: ScenarioBounds) -> ErrorMap:
+def build_error_map(timeline: Timeline, estimator: LinearEstimator, bounds: ScenarioBounds) -> ErrorMap:
     """Return the error map of an estimator that names its `weights` (prior, w, y, eta), and `arrival_cost`.
 
     Parameters
@@ -218,7 +218,14 @@ class _Builder:
     """Covariances and gains of all windows, in order of time."""
 
     def __init__(
-        self, estimator: Weighing, line: Timeline, F: Array, W: Array, growth: Array, H: Array, bounds: ScenarioBounds
+        self,
+        estimator: LinearEstimator,
+        line: Timeline,
+        F: Array,
+        W: Array,
+        growth: Array,
+        H: Array,
+        bounds: ScenarioBounds,
     ):
         self.weights, self.line, self.F, self.W, self.growth, self.H = estimator.weights, line, F, W, growth, H
         self.filtered = getattr(estimator, "arrival_cost", "fixed") == "filtered"
@@ -264,7 +271,7 @@ class _Builder:
             Y = online[start] if self.filtered else Y
         length = times[end] - times[start]
         known = self.w_energy * float(discounted(self.weights.eta, length)) if length > 0 else 0.0
-        absorbs: dict[int, Absorb] = {}
+        absorbs: dict[int, SampleUpdate] = {}
         for k in range(start, end + 1):
             if k > start:
                 Y = symmetrise(self.growth[k - 1] * self.F[k - 1] @ Y @ self.F[k - 1].T + self.W[k - 1])
@@ -273,10 +280,10 @@ class _Builder:
                 known += self.energies[self.sample_of[k]] * float(np.exp(self.weights.eta * (times[k] - times[end])))
         return SolveWindow(start, end, given, absorbs, float(np.exp(-self.weights.eta * length)), worst, known), Y
 
-    def _absorbed(self, j: int, Y: Array) -> tuple[Absorb, Array]:
+    def _absorbed(self, j: int, Y: Array) -> tuple[SampleUpdate, Array]:
         H = self.H[j]
         half = np.linalg.cholesky(H @ Y @ H.T + np.eye(H.shape[0]))
         root = np.asarray(np.linalg.solve(half, np.eye(H.shape[0])))
         gain = (Y @ H.T @ root.T) @ root
         rest = np.eye(Y.shape[0]) - gain @ H
-        return Absorb(j, gain, root), symmetrise(rest @ Y @ rest.T + gain @ gain.T)
+        return SampleUpdate(j, gain, root), symmetrise(rest @ Y @ rest.T + gain @ gain.T)

@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._journal import Journal
-from sampling_design._workers import Workers, numbered
 from sampling_design.errors import FileFormatError
+from sampling_design.records.journal import Journal
+from sampling_design.records.workers import Workers, numbered
 from sampling_design.validation.error_map import ErrorMap
 from sampling_design.validation.promise import Promise
-from sampling_design.validation.scenario import Inputs, ScenarioBounds, draw_inputs
+from sampling_design.validation.scenario import RunInputs, ScenarioBounds, draw_inputs
 
 Array = npt.NDArray[np.float64]
 
@@ -53,7 +53,7 @@ def run_block(block: RunBlock) -> Trials:
     return measured(found, block.promise, block.measure, draw_inputs(line, block.bounds, block.seeds))
 
 
-def measured(found: ErrorMap, promise: Promise | None, measure: Array, inputs: Inputs) -> Trials:
+def measured(found: ErrorMap, promise: Promise | None, measure: Array, inputs: RunInputs) -> Trials:
     """Compare the errors of a batch with the promise (if there is one) and with the ellipsoids."""
     errors = found.apply(inputs)
     size = np.sqrt(np.sum((errors.e @ measure.T) ** 2, axis=2))

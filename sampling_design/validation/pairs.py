@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.estimators.gap_flows.cost_weights import marginal
+from sampling_design.numerics.linalg import symmetrise
 from sampling_design.validation.error_map import discounted
 from sampling_design.validation.timeline import Timeline
 
@@ -19,7 +19,7 @@ MOST_STARTS = 80
 """Window starts that are tried; they are spread evenly over the break points where there are more."""
 
 
-class Pairs(NamedTuple):
+class TrajectoryPairs(NamedTuple):
     """Differences of r pairs from one start: chi (r, n), w (r, T, q) and v (r, N, p) along the whole timeline."""
 
     chi: Array
@@ -27,7 +27,7 @@ class Pairs(NamedTuple):
     v: Array
 
 
-class Look(NamedTuple):
+class WorstRatio(NamedTuple):
     """The largest ratio of the two sides of (16), the start and the time where it was seen."""
 
     ratio: float
@@ -40,7 +40,7 @@ def _stops(line: Timeline, start: int, span: float) -> int:
     return int(np.searchsorted(line.times, line.times[start] + span, side="right")) - 1
 
 
-def sides(line: Timeline, certificate: SampledCertificate, start: int, stop: int, pairs: Pairs) -> Look:
+def sides(line: Timeline, certificate: SampledCertificate, start: int, stop: int, pairs: TrajectoryPairs) -> WorstRatio:
     """Simulate pairs from break point `start` to `stop`; return the largest |Dx|^2_P1 over the right side of (16).
 
     The right side counts samples in (start, t]; before and after each sample is looked at.
@@ -64,12 +64,12 @@ def sides(line: Timeline, certificate: SampledCertificate, start: int, stop: int
             total = total + np.einsum("ri,ij,rj->r", y, marginal(certificate.R, seen), y)
             total = total + np.einsum("ri,ij,rj->r", v, marginal(certificate.Qv, seen), v)
             best = max(best, (float(np.max(left / total)), c + 1))
-    return Look(best[0], float(line.times[start]), float(line.times[best[1]]))
+    return WorstRatio(best[0], float(line.times[start]), float(line.times[best[1]]))
 
 
 def random_pairs(
     line: Timeline, certificate: SampledCertificate, span: float, rng: np.random.Generator, count: int, starts: int = 8
-) -> Look:
+) -> WorstRatio:
     """Return the worst of `count` random pairs from each of some starts; noise that hides what is seen among them."""
     plant, looks = line.plant, []
     R, Qv = certificate.R, certificate.Qv
@@ -82,7 +82,7 @@ def random_pairs(
         size = rng.choice([0.0, 0.1, 1.0], size=(count, 1, 1))
         w = size * (rng.normal(size=(count, line.cells, plant.n_disturbances)) @ units[1].T) / np.sqrt(span)
         v = _hiding(line, int(start), stop, chi, w, blind) * rng.uniform(0.0, 1.5, size=(count, 1, 1))
-        looks.append(sides(line, certificate, int(start), stop, Pairs(chi, w, v)))
+        looks.append(sides(line, certificate, int(start), stop, TrajectoryPairs(chi, w, v)))
     return max(looks, key=lambda look: look.ratio)
 
 
@@ -105,7 +105,7 @@ class _Forward(NamedTuple):
     after: list[Array]
 
 
-def worst_pair(line: Timeline, certificate: SampledCertificate, span: float) -> Look:
+def worst_pair(line: Timeline, certificate: SampledCertificate, span: float) -> WorstRatio:
     """Return how near the worst pair comes to equality in (16), over starts, times and w constant on cells.
 
     Least right side that leads to Dx(t) = xi is xi'Y^-1 xi; the pair that reaches it is found by going back from the
@@ -151,7 +151,7 @@ def _forward(line: Timeline, certificate: SampledCertificate, start: int, stop: 
     return run
 
 
-def _backward(line: Timeline, certificate: SampledCertificate, start: int, stop: int) -> Pairs:
+def _backward(line: Timeline, certificate: SampledCertificate, start: int, stop: int) -> TrajectoryPairs:
     """The pair of least right side that ends, just before `stop`'s sample, in the worst direction."""
     run, plant = _forward(line, certificate, start, stop), line.plant
     root = np.linalg.cholesky(certificate.P1).T
@@ -170,4 +170,4 @@ def _backward(line: Timeline, certificate: SampledCertificate, start: int, stop:
         dual = np.linalg.solve(run.before[c + 1 - start], x)
         w[0, c] = unit @ gamma.T @ dual
         x = np.exp(certificate.eta * line.lengths[c]) * run.after[c - start] @ line.F[c].T @ dual
-    return Pairs(x[None], w, v)
+    return TrajectoryPairs(x[None], w, v)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.estimators.gap_flows.cost_weights import marginal
 from sampling_design.validation.error_map import ErrorRows, discounted
-from sampling_design.validation.scenario import Inputs
+from sampling_design.validation.scenario import RunInputs
 from sampling_design.validation.timeline import Timeline
 
 Array = npt.NDArray[np.float64]
@@ -31,7 +31,7 @@ class Promise:
     rate: float
     gain: float
 
-    def along(self, line: Timeline, rows: ErrorRows, inputs: Inputs) -> Array:
+    def along(self, line: Timeline, rows: ErrorRows, inputs: RunInputs) -> Array:
         """Return the right side at every row, for every run: (r, R)."""
         samples = {int(b): j for j, b in enumerate(line.samples)}
         total = _square(inputs.e0, self.prior)

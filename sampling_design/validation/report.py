@@ -9,9 +9,9 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._record import Plain, YesOrNo, short
-from sampling_design.evidence import Strength
 from sampling_design.plants.plant import Plant
+from sampling_design.records.evidence import Strength
+from sampling_design.records.record import Plain, YesOrNo, short
 
 Array = npt.NDArray[np.float64]
 
@@ -104,7 +104,7 @@ class Finding(YesOrNo):
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class ErrorCurve:
     """Errors of one scenario over time: the largest and the median of its runs, in the report's norm."""
 
     name: str
@@ -113,7 +113,7 @@ class Course:
 
 
 @dataclass(frozen=True, eq=False)
-class Example:
+class ExampleRun:
     """One run of the real estimator: errors and radii (R, n) at some times (R,)."""
 
     times: Array
@@ -150,8 +150,8 @@ class ValidationReport(YesOrNo):
     times: Array
     bound: Array | None
     norm: str
-    courses: tuple[Course, ...] = ()
-    example: Example | None = None
+    courses: tuple[ErrorCurve, ...] = ()
+    example: ExampleRun | None = None
     settings: Mapping[str, object] = field(default_factory=dict)
     skipped: tuple[str, ...] = ()
 

@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._checks import Seed
-from sampling_design._door import door
-from sampling_design._record import Plain, Record, counted, short
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.checks import Seed
+from sampling_design.records.record import Plain, Record, counted, short
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.timeline import Timeline, build_timeline, exact_flow
 
@@ -32,7 +32,7 @@ UNMOVED = 1e-12
 """Share of what the strongest disturbance does to a mode below which another one does nothing to it."""
 
 
-class Inputs(NamedTuple):
+class RunInputs(NamedTuple):
     """What drives the errors of r runs: e0 (r, n), w (r, T, q) constant over each cell, v (r, N, p)."""
 
     e0: Array
@@ -75,9 +75,9 @@ class ScenarioBounds:
 def _bound(name: str, value: npt.ArrayLike | None, scales: Array) -> Array:
     if value is None:
         return scales
-    if _checks.dimensions(value) == 0:
-        return np.asarray(_checks.nonnegative(name, value))
-    found = _checks.vector(name, value, scales.size)
+    if checks.dimensions(value) == 0:
+        return np.asarray(checks.nonnegative(name, value))
+    found = checks.vector(name, value, scales.size)
     if np.any(found < 0):
         raise ArgumentError(f"`{name}` must not be negative, got {float(found.min())!r}.")
     return found
@@ -126,7 +126,7 @@ def norm_of(bound: Array) -> float:
 
 def draw_inputs(
     line: Timeline, bounds: ScenarioBounds, seeds: Sequence[np.random.SeedSequence], noise: str | None = None
-) -> Inputs:
+) -> RunInputs:
     """Return random inputs within the bounds, one run per seed; of any kind, the noise unless one is named.
 
     Half of the runs have independent noise, a quarter extremal and a quarter constant.
@@ -142,7 +142,7 @@ def draw_inputs(
         share = rng.random()
         kind = noise or NOISES[2 if share < 0.25 else 1 if share < 0.5 else 0]
         v[k] = _noise(bounds.v, kind, v[k].shape, rng)
-    return Inputs(e0, w, v * line.masks)
+    return RunInputs(e0, w, v * line.masks)
 
 
 def _noise(bound: Array, kind: str, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
@@ -168,7 +168,7 @@ def _disturbance(line: Timeline, bound: Array, rng: np.random.Generator) -> Arra
     return np.asarray(wave * most_along(bound, rng.normal(size=q)))
 
 
-def resonant_inputs(line: Timeline, bounds: ScenarioBounds) -> tuple[Inputs, tuple[str, ...]]:
+def resonant_inputs(line: Timeline, bounds: ScenarioBounds) -> tuple[RunInputs, tuple[str, ...]]:
     """Return disturbances in step with each mode (two phases for a swinging one), from rest and without noise.
 
     The amplitude l'x of a mode with left eigenvector l obeys a' = lambda a + l'G w; pushed with
@@ -194,16 +194,18 @@ def resonant_inputs(line: Timeline, bounds: ScenarioBounds) -> tuple[Inputs, tup
             names.append(f"{short(value.imag, 4)} rad per {plant.time_unit}, phase {short(phase, 3)}")
     runs = len(waves)
     quiet = np.zeros((runs, line.samples.size, plant.n_outputs))
-    return Inputs(np.zeros((runs, plant.n_states)), np.array(waves).reshape(runs, line.cells, -1), quiet), tuple(names)
+    return RunInputs(np.zeros((runs, plant.n_states)), np.array(waves).reshape(runs, line.cells, -1), quiet), tuple(
+        names
+    )
 
 
-def initial_inputs(line: Timeline, bounds: ScenarioBounds) -> Inputs:
+def initial_inputs(line: Timeline, bounds: ScenarioBounds) -> RunInputs:
     """Return initial errors along each state, both at once with all signs of the first two, and nothing else."""
     n = line.plant.n_states
     directions = np.vstack([np.eye(n), np.ones(n), np.where(np.arange(n) % 2, -1.0, 1.0)])
     e0 = np.array([most_along(bounds.e0, row) for row in directions])
     quiet = np.zeros((e0.shape[0], line.samples.size, line.plant.n_outputs))
-    return Inputs(e0, np.zeros((e0.shape[0], line.cells, line.plant.n_disturbances)), quiet)
+    return RunInputs(e0, np.zeros((e0.shape[0], line.cells, line.plant.n_disturbances)), quiet)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -247,7 +249,7 @@ class SimulatedRecord(Record):
         return f"{count} of a simulated truth over {span}, exact up to rounding, with {self.noise} noise."
 
 
-@door
+@checked
 def simulate_record(
     plant: Plant,
     schedule: AnySchedule,
@@ -297,12 +299,12 @@ def simulate_record(
     >>> len(record.measurements), bool(abs(record.v).max() <= 1.0)
     (10, True)
     """
-    seed = _checks.generator(rng).bit_generator.seed_seq.spawn(1)  # type: ignore[attr-defined]
+    seed = checks.generator(rng).bit_generator.seed_seq.spawn(1)  # type: ignore[attr-defined]
     bounds = ScenarioBounds.of(plant, w_bound, v_bound)
     line = build_timeline(plant, schedule, duration)
-    drawn = draw_inputs(line, bounds, seed, _checks.word("noise", noise, NOISES))
+    drawn = draw_inputs(line, bounds, seed, checks.word("noise", noise, NOISES))
     changes = _inputs(plant, inputs)
-    start = np.zeros(plant.n_states) if x0 is None else _checks.vector("x0", x0, plant.n_states)
+    start = np.zeros(plant.n_states) if x0 is None else checks.vector("x0", x0, plant.n_states)
     states = _trajectory(line, start, drawn.w[0], changes)
     return _measured(line, states, drawn, changes, noise)
 
@@ -310,8 +312,8 @@ def simulate_record(
 def _inputs(plant: Plant, given: Sequence[tuple[float, npt.ArrayLike]]) -> list[tuple[float, Array]]:
     for pair in given:
         if not isinstance(pair, (tuple, list)) or len(pair) != 2:
-            raise ArgumentError(f"`inputs` must hold pairs (t, u), got {_checks.described(pair)}.")
-    checked = [(_checks.number("inputs", t), _checks.vector("inputs", u, plant.n_inputs)) for t, u in given]
+            raise ArgumentError(f"`inputs` must hold pairs (t, u), got {checks.described(pair)}.")
+    checked = [(checks.number("inputs", t), checks.vector("inputs", u, plant.n_inputs)) for t, u in given]
     return sorted(checked, key=lambda pair: pair[0])
 
 
@@ -349,7 +351,7 @@ def _flows(plant: Plant, lengths: Array, matrix: str) -> tuple[Array, Array]:
 
 
 def _measured(
-    line: Timeline, states: Array, drawn: Inputs, changes: list[tuple[float, Array]], noise: str
+    line: Timeline, states: Array, drawn: RunInputs, changes: list[tuple[float, Array]], noise: str
 ) -> SimulatedRecord:
     """Put outputs at the samples and inputs at their times into one record, in order of time."""
     plant, when = line.plant, line.times[line.samples]

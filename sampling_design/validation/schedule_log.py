@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._door import door
-from sampling_design._record import Plain, Record, finite_or_nones, short
-from sampling_design._units import spoken
 from sampling_design.errors import ArgumentError
-from sampling_design.observability.meeting import meet
+from sampling_design.observability.alignment import meet
 from sampling_design.observability.windows.pieces import window_pieces
 from sampling_design.observability.windows.window_sigma import RTOL, WindowSigma, sigma_of_pieces
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.record import Plain, Record, finite_or_nones, short
+from sampling_design.records.signatures import checked
+from sampling_design.records.units import spoken
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
@@ -146,7 +146,7 @@ class ScheduleLog(Record):
         return text + f"The worst window keeps {short(100 * self.kept, 3)} % of the plan: {worst}."
 
 
-@door
+@checked
 def compare_schedule(
     plant: Plant,
     schedule: Schedule | PeriodicSchedule,
@@ -201,11 +201,11 @@ def compare_schedule(
     >>> log.missed, round(log.largest_deviation, 3)
     (array([3.]), 0.2)
     """
-    actual = _checks.increasing("times", times)
+    actual = checks.increasing("times", times)
     if not actual.size:
         raise ArgumentError("`times` must hold at least one sample: there is nothing to compare with the plan.")
-    length = _checks.positive("window", window)
-    taken = Schedule(actual, _checks.output_mask("outputs", outputs, actual.size), time_unit=plant.time_unit)
+    length = checks.positive("window", window)
+    taken = Schedule(actual, checks.output_mask("outputs", outputs, actual.size), time_unit=plant.time_unit)
     plan = meet(plant, schedule)
     planned = plan.between(0.0, float(actual[-1]) + _half_gap(plan))
     if not len(planned):

@@ -8,24 +8,24 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._journal import Journal
-from sampling_design._record import short
-from sampling_design._workers import Workers
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.constraints import Constraints
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.mhe import CLOSED_FORM, MovingHorizonEstimator
-from sampling_design.evidence import Strength
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.evidence import Strength
+from sampling_design.records.journal import Journal
+from sampling_design.records.record import short
+from sampling_design.records.workers import Workers
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import Schedule
 from sampling_design.validation.error_map import ErrorMap, build_error_map
 from sampling_design.validation.monte_carlo import Trials, measured, monte_carlo, ratio
 from sampling_design.validation.pairs import random_pairs, worst_pair
 from sampling_design.validation.promise import Promise, promise_of
-from sampling_design.validation.report import ROUNDING, Course, Example, Finding, ValidationReport
+from sampling_design.validation.report import ROUNDING, ErrorCurve, ExampleRun, Finding, ValidationReport
 from sampling_design.validation.scenario import (
     ScenarioBounds,
     draw_inputs,
@@ -35,7 +35,7 @@ from sampling_design.validation.scenario import (
     resonant_inputs,
 )
 from sampling_design.validation.timeline import Timeline, build_timeline, default_duration
-from sampling_design.validation.trials import Run, driven, extent, real_run, true_run
+from sampling_design.validation.trials import EstimatedRun, driven, extent, real_run, true_run
 from sampling_design.validation.worst_disturbance import worst_energy, worst_push
 
 Array = npt.NDArray[np.float64]
@@ -85,8 +85,8 @@ class Study:
         self.journal: Journal | None = None
         self.skipped: list[str] = []
         self.findings: list[Finding] = []
-        self.courses: list[Course] = []
-        self.example: Example | None = None
+        self.courses: list[ErrorCurve] = []
+        self.example: ExampleRun | None = None
         estimator = self.estimator()
         self.horizon, self.begins = float(estimator.horizon), estimator.begins
         self.line = self._timeline(duration, self.horizon)
@@ -101,7 +101,7 @@ class Study:
 
     def _timeline(self, duration: float | None, horizon: float) -> Timeline:
         length = default_duration(self.schedule, horizon) if duration is None else duration
-        length = _checks.positive("duration", length)
+        length = checks.positive("duration", length)
         if isinstance(self.schedule, Schedule):
             length = min(length, float(self.schedule.times[-1]))
         return build_timeline(self.plant, self.schedule, length, horizon, self.begins)
@@ -162,7 +162,7 @@ class Study:
 
     def _judge(self, scenario: str, seen: Trials, strength: Strength = "sampled") -> None:
         """Findings that every linear scenario leaves: a-priori bound, plain bound, ellipsoids."""
-        self.courses.append(Course(scenario, seen.size.max(axis=0), np.median(seen.size, axis=0)))
+        self.courses.append(ErrorCurve(scenario, seen.size.max(axis=0), np.median(seen.size, axis=0)))
         if self.promise is not None:
             worst, source = float(np.max(seen.promised)), self.promise.theorem
             self._find("a-priori bound", scenario, 1.0, worst, source=source, strength=strength, note=_spread(seen))
@@ -275,7 +275,7 @@ class Study:
         line, found = self._short()
         inputs = draw_inputs(line, self.bounds, seeds[:REAL_RUNS])
         plant, expected = driven(self.plant), found.apply(inputs).e
-        runs: list[Run] = []
+        runs: list[EstimatedRun] = []
         for k in range(inputs.e0.shape[0]):
             truth = true_run(line, inputs, k)
             runs.append(real_run(line, found.rows, truth, self.estimator(plant if truth.u is not None else None)))
@@ -283,14 +283,14 @@ class Study:
         errors = np.array([run.errors(found.rows) for run in runs])
         self._agree("real estimator", errors, expected)
         self._held("real estimator", runs, found)
-        self.example = Example(found.rows.times, errors[0], np.array([e.ellipsoid_radii for e in runs[0].estimates]))
+        self.example = ExampleRun(found.rows.times, errors[0], np.array([e.ellipsoid_radii for e in runs[0].estimates]))
 
     def _agree(self, scenario: str, errors: Array, expected: Array) -> None:
         size = float(np.max(np.linalg.norm(expected @ self.measure.T, axis=2)))
         away = float(np.max(np.linalg.norm((errors - expected) @ self.measure.T, axis=2)))
         self._find("difference to the linear error map", scenario, AGREEMENT, away / size if size else away)
 
-    def _held(self, scenario: str, runs: list[Run], found: ErrorMap) -> None:
+    def _held(self, scenario: str, runs: list[EstimatedRun], found: ErrorMap) -> None:
         ratios = np.array(
             [[e.ratio(x) for e, x in zip(r.estimates, r.truth.states[found.rows.at], strict=True)] for r in runs]
         )
@@ -324,7 +324,7 @@ class Study:
             tell(0.5, label)
 
 
-def _active(runs: list[Run], found: ErrorMap) -> float:
+def _active(runs: list[EstimatedRun], found: ErrorMap) -> float:
     solves = [run.estimates[row] for run in runs for row in found.rows.samples]
     return float(np.mean([e.engine not in CLOSED_FORM for e in solves]))
 

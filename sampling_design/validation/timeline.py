@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._linalg import expm_batch
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.composed_flow import state_units
-from sampling_design.observability.meeting import meet
+from sampling_design.numerics.linalg import expm_batch
+from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -82,7 +82,7 @@ def build_timeline(
     ArgumentError
         If there is no sample in [0, duration], or the schedule does not fit the plant.
     """
-    length = _checks.positive("duration", duration)
+    length = checks.positive("duration", duration)
     inside = meet(plant, schedule).between(0.0, length)
     if not len(inside):
         raise ArgumentError(f"`schedule` holds no sample in [0, {length!r}]: there is nothing to compare.")
@@ -98,7 +98,7 @@ def build_timeline(
     F, gamma = exact_flow(plant, np.diff(breaks), plant.G)
     return Timeline(
         plant=plant,
-        times=_checks.freeze(breaks),
+        times=checks.freeze(breaks),
         F=F,
         gamma=gamma,
         samples=np.searchsorted(breaks, times),

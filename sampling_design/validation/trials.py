@@ -12,7 +12,7 @@ from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import Estimator
 from sampling_design.plants.plant import Plant
 from sampling_design.validation.error_map import ErrorRows
-from sampling_design.validation.scenario import Inputs
+from sampling_design.validation.scenario import RunInputs
 from sampling_design.validation.timeline import Timeline, exact_flow
 
 Array = npt.NDArray[np.float64]
@@ -28,7 +28,7 @@ def driven(plant: Plant) -> Plant:
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
+class TrueRun:
     """A run's true states (T+1, n), outputs (N, p) with NaN where not measured, and inputs (N+1, n), from 0 and each
     sample on (None where the plant needs none). The prior is 0: the truth starts at minus the initial error."""
 
@@ -37,18 +37,18 @@ class Truth:
     u: Array | None
 
 
-class Run(NamedTuple):
+class EstimatedRun(NamedTuple):
     """Estimates at every row of a map, and the truth beside them."""
 
     estimates: tuple[Estimate, ...]
-    truth: Truth
+    truth: TrueRun
 
     def errors(self, rows: ErrorRows) -> Array:
         """Errors at the rows, (R, n)."""
         return np.array([e.x for e in self.estimates]) - self.truth.states[rows.at]
 
 
-def true_run(line: Timeline, inputs: Inputs, run: int = 0) -> Truth:
+def true_run(line: Timeline, inputs: RunInputs, run: int = 0) -> TrueRun:
     """Simulate the truth of one run of `inputs`, exactly; an unstable one is steered back to zero at each sample."""
     plant = line.plant
     pace = float(np.max(np.linalg.eigvals(plant.A).real, initial=0.0))
@@ -72,10 +72,10 @@ def true_run(line: Timeline, inputs: Inputs, run: int = 0) -> Truth:
         if b in marks:
             applied.append(u)
     first = 1 if line.samples[0] > 0 else 0
-    return Truth(states, np.array(outputs), np.array(applied)[: len(outputs) + first] if steered else None)
+    return TrueRun(states, np.array(outputs), np.array(applied)[: len(outputs) + first] if steered else None)
 
 
-def real_run(line: Timeline, rows: ErrorRows, truth: Truth, estimator: Estimator) -> Run:
+def real_run(line: Timeline, rows: ErrorRows, truth: TrueRun, estimator: Estimator) -> EstimatedRun:
     """Feed a truth's outputs to an estimator and ask it at every row."""
     first = 1 if line.samples[0] > 0 else 0
     if truth.u is not None and first:
@@ -89,10 +89,10 @@ def real_run(line: Timeline, rows: ErrorRows, truth: Truth, estimator: Estimator
             j += 1
         else:
             found.append(estimator.predict(t))
-    return Run(tuple(found), truth)
+    return EstimatedRun(tuple(found), truth)
 
 
-def extent(truth: Truth, room: float = 0.0) -> tuple[Array, Array]:
+def extent(truth: TrueRun, room: float = 0.0) -> tuple[Array, Array]:
     """Return a box that holds the truth at every break point and the prior 0, wider by `room` times its size."""
     low = np.minimum(truth.states.min(axis=0), 0.0)
     high = np.maximum(truth.states.max(axis=0), 0.0)

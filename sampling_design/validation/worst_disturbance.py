@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from sampling_design.validation.error_map import ErrorMap, SolveWindow, discounted
 from sampling_design.validation.promise import Promise
-from sampling_design.validation.scenario import Inputs, ScenarioBounds, most_along
+from sampling_design.validation.scenario import RunInputs, ScenarioBounds, most_along
 
 Array = npt.NDArray[np.float64]
 
@@ -73,7 +73,7 @@ class WorstEnergy(NamedTuple):
 
     ratio: float
     row: int
-    inputs: Inputs
+    inputs: RunInputs
 
 
 def worst_energy(found: ErrorMap, promise: Promise) -> WorstEnergy:
@@ -95,7 +95,7 @@ def worst_energy(found: ErrorMap, promise: Promise) -> WorstEnergy:
     assert best is not None
     ratio, row, direction, parts = best
     e0, w, v = (D @ (np.swapaxes(E, -1, -2) @ direction)[..., None] for E, D in _terms(found, promise, row, parts))
-    return WorstEnergy(ratio, row, Inputs(*(part[None, ..., 0] for part in (e0, w, v))))
+    return WorstEnergy(ratio, row, RunInputs(*(part[None, ..., 0] for part in (e0, w, v))))
 
 
 def _terms(found: ErrorMap, promise: Promise, row: int, parts: Sensitivity) -> list[tuple[Array, Array]]:
@@ -126,7 +126,7 @@ def _weighted(found: ErrorMap, promise: Promise, row: int, parts: Sensitivity) -
     return flat
 
 
-def worst_push(found: ErrorMap, bounds: ScenarioBounds, root: Array) -> Inputs:
+def worst_push(found: ErrorMap, bounds: ScenarioBounds, root: Array) -> RunInputs:
     """Return the inputs within the bounds that push the last error furthest, along each axis of |root e|, both ends.
 
     A linear functional over boxes and balls is largest at a corner or on the sphere, cell by cell: bang-bang.
@@ -139,4 +139,4 @@ def worst_push(found: ErrorMap, bounds: ScenarioBounds, root: Array) -> Inputs:
             aims = [np.swapaxes(E, -1, -2) @ axis for E in parts]
             runs.append([most_along(b, aim) for b, aim in zip((bounds.e0, bounds.w, bounds.v), aims, strict=True)])
     e0, w, v = (np.array(part) for part in zip(*runs, strict=True))
-    return Inputs(e0, w, v * found.timeline.masks)
+    return RunInputs(e0, w, v * found.timeline.masks)

@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from sampling_design import _checks
-from sampling_design._door import door
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 
-@door
+@checked
 def standard_mhe(
     plant: Plant, period: float, *, horizon: float, **options: Any
 ) -> tuple[MovingHorizonEstimator, PeriodicSchedule]:
@@ -42,7 +42,7 @@ def standard_mhe(
     ArgumentError
         If the horizon is shorter than the period, or as in `MovingHorizonEstimator`.
     """
-    gap = _checks.positive("period", period)
+    gap = checks.positive("period", period)
     if horizon < gap:
         raise ArgumentError(f"`horizon` must be at least one `period` = {gap!r}, got {horizon!r}.")
     cost = options.pop("cost", None) or CostFunction()
@@ -53,7 +53,7 @@ def standard_mhe(
     )
 
 
-@door
+@checked
 def periodic_at_equal_cost(schedule: Schedule | PeriodicSchedule) -> PeriodicSchedule:
     """Return the regular schedule with as many samples per time as `schedule`, from the same first sample.
 

@@ -8,8 +8,9 @@ import time
 
 import numpy as np
 
-from sampling_design import PeriodicGains, PeriodicSchedule, Plant, accuracy
-from sampling_design._linalg import discounted_flow
+from sampling_design import PeriodicSchedule, Plant, guaranteed_accuracy
+from sampling_design.accuracy.recursion import PeriodicGains
+from sampling_design.numerics.linalg import discounted_flow
 
 A = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1], [0, 0, -4, -0.1]], float)
 PLANT = Plant(A, [[1.0, 0.0, 1.0, 0.0]])
@@ -37,7 +38,7 @@ def kalman_steps():
 
 def settled_gains():
     """The update of precomputed gains, after its start is forgotten."""
-    gains = PeriodicGains(accuracy(PLANT, SCHEDULE, w_bound=0.02, v_bound=0.3, rtol=0.05), initial_error=1.0)
+    gains = PeriodicGains(guaranteed_accuracy(PLANT, SCHEDULE, w_bound=0.02, v_bound=0.3, rtol=0.05), initial_error=1.0)
     while not gains.settled:
         gains.update([0.0])
     return gains.update

@@ -20,8 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from sampling_design import PeriodicSchedule, Plant, Schedule, Signals, certify, unseen_modes
+from sampling_design import PeriodicSchedule, Plant, Schedule, certify
 from sampling_design.errors import SamplingDesignError, UndecidedError
+from sampling_design.observability.count.pbh import unobservable_modes
+from sampling_design.plants.plant import Signals
 from tests.rescale import Units
 
 LONG = 20.0
@@ -86,7 +88,7 @@ def drawn(seed: int) -> tuple[Plant, Any]:
         if not C.any():
             continue
         plain = Plant(S @ J @ np.linalg.inv(S), C @ np.linalg.inv(S), G=G if rng.random() < 0.7 else None)
-        if not len(unseen_modes(plain, 0.0)):
+        if not len(unobservable_modes(plain, 0.0)):
             break
     schedule = times_of(rng, p)
     units = Units.drawn(rng, plain)

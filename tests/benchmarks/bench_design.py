@@ -6,10 +6,11 @@ The first call of each function loads the solver; pytest-benchmark's warm-up kee
 import numpy as np
 import pytest
 
-from sampling_design import Plant, Requirement, design_schedule, library
+from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.design.bounds.relaxation import relax_placed
 from sampling_design.design.bounds.weak_duality import placed_bound
 from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.plants import library
 
 
 def daylight(days):

@@ -14,10 +14,12 @@ import numpy as np
 import pytest
 from scipy.optimize import differential_evolution, shgo
 
-from sampling_design import PeriodicSchedule, Requirement, design_schedule, library, split_modes, window_sigma
+from sampling_design import PeriodicSchedule, Requirement, design_schedule, window_sigma
 from sampling_design.design.problem.posing import pose, resolve
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.schedule_design import designed_plant
+from sampling_design.plants import library
+from sampling_design.plants.modes import split_modes
 from tests.benchmarks.design_bounds import PROBLEMS
 
 DOCS = Path(__file__).parents[2] / "docs"

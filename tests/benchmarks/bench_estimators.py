@@ -14,14 +14,14 @@ import pytest
 from scipy.linalg import solveh_banded
 
 from sampling_design import Constraints, KalmanFilter, MovingHorizonEstimator, Plant
+from sampling_design.accuracy.record_program import RecordProgram
+from sampling_design.accuracy.record_readings import read_record
 from sampling_design.estimators.constraints.reference import solve_reference
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.estimators.online.estimator import Taken
+from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.window.smoother import information_band, smooth, solve_banded
 from sampling_design.estimators.window.square_root import solve_square_root
-from sampling_design.estimators.window.window_problem import Window
-from sampling_design.recovery.record_program import RecordProgram
-from sampling_design.recovery.record_readings import read_record
+from sampling_design.estimators.window.window_problem import EstimationWindow
 
 A = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1], [0, 0, -4, -0.1]], float)
 PLANT = Plant(A, [[1.0, 0.0, 1.0, 0.0]])
@@ -52,13 +52,13 @@ def last_window(options=None):
     mhe = MovingHorizonEstimator(PLANT, horizon=20.0, cost=CostFunction(eta=0.2), **BOUNDS, **(options or {}))
     t, y, _ = next(warm(mhe))
     state = mhe.state
-    sample = Taken(t, y)
+    sample = CheckedSample(t, y)
     return mhe, mhe._window(state, mhe._start(state, t), sample, mhe._measured(state, sample))
 
 
 def fresh(window):
     """The same window without anything cached on it; the transitions stay, as they do between updates."""
-    return Window(**{name: getattr(window, name) for name in Window.__dataclass_fields__})
+    return EstimationWindow(**{name: getattr(window, name) for name in EstimationWindow.__dataclass_fields__})
 
 
 def test_banded_solver_alone(benchmark):

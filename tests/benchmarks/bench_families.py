@@ -21,7 +21,7 @@ def test_certify_gap_range_with_rate_chosen(benchmark):
 
 
 def test_certify_four_states(benchmark):
-    found = benchmark(sd.certify, sd.library.helicopter_he1(), sd.GapRange(0.2, 0.5), eta=0.3)
+    found = benchmark(sd.certify, sd.plants.library.helicopter_he1(), sd.GapRange(0.2, 0.5), eta=0.3)
     assert found.lam < 3
 
 

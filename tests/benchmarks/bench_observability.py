@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from sampling_design import PeriodicSchedule, Plant, observability_matrix, window_sigma
-from sampling_design._modal import ModalFlow
+from sampling_design import PeriodicSchedule, Plant, window_sigma
+from sampling_design.numerics.modal_flow import ModalFlow
+from sampling_design.observability.windows.sampled import observability_matrix
 from sampling_design.plants import library
 
 RNG = np.random.default_rng(0)

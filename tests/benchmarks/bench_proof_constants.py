@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from sampling_design import PeriodicSchedule, certify_detectability, constants_from_proof, named_plant
+from sampling_design import PeriodicSchedule, named_plant
+from sampling_design.certificates.detectability.best_rate import certify_detectability
+from sampling_design.certificates.paper.proof_constants import constants_from_proof
 
 
 @pytest.mark.parametrize("name", ["oscillator", "satellite", "tidal_gauge"])

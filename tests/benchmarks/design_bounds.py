@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from sampling_design import Plant, Requirement, design_schedule, library
+from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.errors import InfeasibleRequirementError
+from sampling_design.plants import library
 from tests.benchmarks.bench_design import daylight, oscillators
 from tests.oracles.requirements import random_problem
 

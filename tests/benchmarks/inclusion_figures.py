@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sampling_design import GapRange, Plant, UncertainParameter, UncertainPlant, load_certificate
+from sampling_design import GapRange, Plant, UncertainParameter, UncertainPlant, read_certificate
 from sampling_design.nonlinear import examples
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.thyroid_logs import DOSE, patient_in_tube, patient_under_therapy
@@ -41,7 +41,7 @@ def oscillator(share: float) -> UncertainPlant:
 
 def stored(name: str) -> Made:
     """A certificate of the repository, whose search takes minutes."""
-    return lambda: load_certificate(ROOT / "examples" / "data" / f"{name}.json")  # type: ignore[return-value]
+    return lambda: read_certificate(ROOT / "examples" / "data" / f"{name}.json")  # type: ignore[return-value]
 
 
 def gap(found: InclusionCertificate) -> str:

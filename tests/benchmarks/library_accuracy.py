@@ -10,7 +10,8 @@ import time
 
 import numpy as np
 
-from sampling_design import PeriodicSchedule, accuracy, library
+from sampling_design import PeriodicSchedule, guaranteed_accuracy
+from sampling_design.plants import library
 
 SCHEDULES = {
     "double_integrator": (4, 10.0),
@@ -37,7 +38,7 @@ def measured(name, rtol=0.01):
     """Accuracy of all states and the process time that it took."""
     plant = getattr(library, name)()
     before = time.process_time()
-    found = accuracy(
+    found = guaranteed_accuracy(
         plant,
         schedule_of(name),
         w_bound=plant.disturbances.scales,

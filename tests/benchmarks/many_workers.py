@@ -26,8 +26,8 @@ from typing import Any
 from joblib.externals.loky import get_reusable_executor
 
 import sampling_design as sd
-from sampling_design import library
-from sampling_design.sweeps import sweep
+from sampling_design.plants import library
+from sampling_design.records.sweeps import sweep
 
 PAGE = Path(__file__).parents[2] / "docs" / "many_workers.md"
 SIMULATED = (2, 4, 8, 16, 64)
@@ -108,9 +108,9 @@ def questions(quick: bool) -> dict[str, Callable[[Any], Any]]:
     counts, runs = range(4, 4 + some), 20 if quick else 4000
     each_design = partial(sd.design_schedule, INTEGRATORS)
     each_certificate = partial(sd.certify, INTEGRATORS, eta=0.05)
-    each_accuracy = partial(sd.accuracy, CART, w_bound=0.01, v_bound=0.1)
+    each_accuracy = partial(sd.guaranteed_accuracy, CART, w_bound=0.01, v_bound=0.1)
     return {
-        f"`pareto`: {some} counts of samples": lambda w: sd.pareto(INTEGRATORS, ASKED, counts, workers=w),
+        f"`pareto`: {some} counts of samples": lambda w: sd.pareto_front(INTEGRATORS, ASKED, counts, workers=w),
         f"`sweep`: designs of {some} requirements": lambda w: sweep(each_design, asked, workers=w),
         f"`sweep`: certificates of {few} families of gaps": lambda w: sweep(each_certificate, gaps, workers=w),
         f"`sweep`: accuracies of {few} schedules": lambda w: sweep(each_accuracy, schedules, workers=w),
@@ -148,7 +148,7 @@ def overheads() -> tuple[float, float]:
     """Seconds to start two workers that can answer, and to hand over one job."""
     began = time.perf_counter()
     pool = get_reusable_executor(max_workers=2, reuse=False)
-    list(pool.map(sd.split_modes, [CART, CART]))
+    list(pool.map(sd.plants.split_modes, [CART, CART]))
     start, many = time.perf_counter() - began, 400
     began = time.perf_counter()
     list(pool.map(abs, range(many)))

@@ -61,7 +61,7 @@ def main(counts, names):
         for samples in counts:
             began = time.process_time()
             try:
-                found = sd.plan(*posed(name, samples), search_seconds=WORK, certificate=False, robustness=False)
+                found = sd.plan_samples(*posed(name, samples), search_seconds=WORK, certificate=False, robustness=False)
             except sd.SamplingDesignError as error:
                 print(f"| {name} | {samples} | {type(error).__name__}: {error!s:.80} | | | |", flush=True)
                 continue

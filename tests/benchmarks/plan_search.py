@@ -17,8 +17,8 @@ import numpy as np
 from scipy.optimize import differential_evolution
 
 import sampling_design as sd
-from sampling_design.planning.motion import motion_of
-from sampling_design.planning.oracle import Oracle
+from sampling_design.planning.accuracy_oracle import AccuracyOracle
+from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.plan import accuracy_of
 from tests.benchmarks.plan_gaps import posed
 
@@ -53,7 +53,7 @@ class Rival:
 
     def __init__(self, problem, seconds):
         self.problem, self.seconds = problem, seconds
-        self.oracle, self.began = Oracle(problem, motion_of(problem)), time.process_time()
+        self.oracle, self.began = AccuracyOracle(problem, motion_of(problem)), time.process_time()
         self.best, self.chosen, self.tried = np.inf, None, 0
 
     def __call__(self, shares):
@@ -87,7 +87,7 @@ def main(times, told):
     for name in [n for n in CASES if n in told] or list(CASES):
         plant, requirement = CASES[name]()
         began = time.process_time()
-        found = sd.plan(plant, requirement, certificate=False, robustness=False)
+        found = sd.plan_samples(plant, requirement, certificate=False, robustness=False)
         spent, level = time.process_time() - began, found.bound.ratio.level
         for how in [r for r in RIVALS if r in told] or list(RIVALS):
             rival = Rival(found.problem, times * spent)

@@ -24,8 +24,6 @@ from sampling_design import (
     Requirement,
     SpacedWindows,
     design_schedule,
-    library,
-    split_sparse,
     window_sigma,
     worst_case_sigma,
 )
@@ -33,6 +31,8 @@ from sampling_design.design.bounds import weak_duality as bound
 from sampling_design.design.bounds.relaxation import relax_placed
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
+from sampling_design.plants import library
+from sampling_design.plants.sparse import split_sparse
 
 DOCS = Path(__file__).parents[2] / "docs"
 PERIOD = 6.28

@@ -5,15 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sampling_design import (
-    GapRange,
-    MovingHorizonEstimator,
-    Plant,
-    certify,
-    read_measurements,
-    read_plant,
-    weights_from_bounds,
-)
+from sampling_design import GapRange, MovingHorizonEstimator, Plant, certify, read_measurements, read_plant
+from sampling_design.certificates.exact.bound_weights import weights_from_bounds
 from sampling_design.errors import ArgumentError
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sampling_design.certificates.exact.budget_scale import EXACT, Setting
+from sampling_design.certificates.exact.noise_gain_scale import EXACT, RateWindows
 
 
 class Known:
@@ -30,7 +30,7 @@ RISES = {
 def test_the_scale_is_the_one_on_the_budget_from_above(name, budget):
     rises, root = RISES[name]
     known = Known(rises)
-    P, log_lambda = Setting(known, np.eye(1), np.eye(1)).scaled(np.eye(1), budget)
+    P, log_lambda = RateWindows(known, np.eye(1), np.eye(1)).scaled(np.eye(1), budget)
     scale = float(np.log(P[0, 0]))
     assert scale == pytest.approx(root(np.log(budget)), abs=4 * EXACT)
     assert log_lambda - scale <= np.log(budget)
@@ -39,11 +39,11 @@ def test_the_scale_is_the_one_on_the_budget_from_above(name, budget):
 
 @pytest.mark.parametrize("rises", [lambda s: s + 5.0, lambda s: np.nan, lambda s: np.inf])
 def test_no_scale_keeps_a_budget_that_none_can(rises):
-    assert Setting(Known(rises), np.eye(1), np.eye(1)).scaled(np.eye(1), 3.0) is None
+    assert RateWindows(Known(rises), np.eye(1), np.eye(1)).scaled(np.eye(1), 3.0) is None
 
 
 @pytest.mark.parametrize("hair", [1e-4, 1e-8, 1e-12])
 def test_a_budget_that_every_scale_misses_by_a_hair_is_given_up_soon(hair):
     known = Known(lambda s: s + np.log(3.0) + hair)
-    assert Setting(known, np.eye(1), np.eye(1)).scaled(np.eye(1), 3.0) is None
+    assert RateWindows(known, np.eye(1), np.eye(1)).scaled(np.eye(1), 3.0) is None
     assert known.asked <= 60

@@ -11,18 +11,18 @@ from sampling_design import (
     PeriodicSchedule,
     Plant,
     Schedule,
-    Signals,
     certificate_exists,
     certify,
-    load_certificate,
-    smallest_repair,
-    tradeoff_curve,
+    read_certificate,
 )
+from sampling_design.certificates.compare.tradeoff import tradeoff_curve
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.window_gains import WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem
-from sampling_design.certificates.form import seal
+from sampling_design.certificates.existence.periodic import smallest_repair
+from sampling_design.certificates.form import digest
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, UndecidedError
+from sampling_design.plants.plant import Signals
 from tests.oracles import riccati as oracle
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], name="oscillator")
@@ -126,12 +126,12 @@ def test_tradeoff_curve_falls_in_horizon_and_rises_in_gain():
 def test_file_round_trip_is_exact(tmp_path):
     made = given(schedule=PeriodicSchedule([0.7, 1.1], 0.2, [[1], [1]]))
     path = made.save(tmp_path / "c.json")
-    again = load_certificate(path, plant=OSCILLATOR)
+    again = read_certificate(path, plant=OSCILLATOR)
     assert again.to_dict() == made.to_dict()
     assert again.save(tmp_path / "d.json").read_text() == path.read_text()
     assert again.verify().passed
     with pytest.raises(CertificateError, match="certifies another plant"):
-        load_certificate(path, plant=DOUBLE)
+        read_certificate(path, plant=DOUBLE)
 
 
 def test_altered_and_truncated_files_are_refused(tmp_path):
@@ -139,13 +139,13 @@ def test_altered_and_truncated_files_are_refused(tmp_path):
     text = path.read_text()
     path.write_text(text.replace('"eta": 0.4', '"eta": 0.3'))
     with pytest.raises(FileFormatError, match="the digest does not fit the content"):
-        load_certificate(path)
+        read_certificate(path)
     path.write_text('{"format": "sampling-design/plant/1"}')
     with pytest.raises(FileFormatError, match="is no certificate: `format` must be"):
-        load_certificate(path)
+        read_certificate(path)
     path.write_text(text[: len(text) // 2])
     with pytest.raises(FileFormatError, match="Was the file cut off"):
-        load_certificate(path)
+        read_certificate(path)
 
 
 @pytest.mark.parametrize(
@@ -163,11 +163,11 @@ def test_altered_and_truncated_files_are_refused(tmp_path):
 def test_files_that_are_no_certificate_are_refused(tmp_path, change, words):
     data = json.loads(json.dumps(given().to_dict()))
     change(data)
-    data["digest"] = seal.digest(data)
+    data["digest"] = digest.digest(data)
     path = tmp_path / "c.json"
     path.write_text(json.dumps(data))
     with pytest.raises(FileFormatError, match=words):
-        load_certificate(path)
+        read_certificate(path)
 
 
 @pytest.mark.parametrize(

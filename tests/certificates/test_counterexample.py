@@ -66,7 +66,7 @@ def test_units_of_the_states_neither_make_nor_hide_a_counterexample():
     found = counterexample_of(there, GapRange(3.0, 3.3))
     assert found.schedule.gaps == pytest.approx([np.pi])
     assert found.verify()
-    assert sd.find_counterexample(there, GapRange(0.5, 1.5), 0.1)[0] is None
+    assert sd.certificates.find_counterexample(there, GapRange(0.5, 1.5), 0.1)[0] is None
 
 
 def test_a_false_counterexample_is_not_believed():
@@ -106,11 +106,13 @@ def test_an_unseen_mode_is_a_counterexample_at_every_schedule():
 
 
 def test_without_a_counterexample_the_least_margin_is_told():
-    found, (margin, schedule, _) = sd.find_counterexample(OSCILLATOR, GapRange(0.5, 3.0), 0.1)
+    found, (margin, schedule, _) = sd.certificates.find_counterexample(OSCILLATOR, GapRange(0.5, 3.0), 0.1)
     assert found is None
     assert margin == pytest.approx(sd.certificate_exists(OSCILLATOR, schedule, 0.1).margin)
     assert GapRange(0.5, 3.0).contains(schedule)
-    found, (margin, schedule, _) = sd.find_counterexample(OSCILLATOR, Jitter(PeriodicSchedule([1.0, 2.0]), 0.3), 0.1)
+    found, (margin, schedule, _) = sd.certificates.find_counterexample(
+        OSCILLATOR, Jitter(PeriodicSchedule([1.0, 2.0]), 0.3), 0.1
+    )
     assert found is None
     assert margin > 0.01
     assert Jitter(PeriodicSchedule([1.0, 2.0]), 0.3).contains(schedule)
@@ -127,7 +129,7 @@ def test_gaps_of_ten_thousand_years_are_decided_at_once(longest):
     """Twenty million turns fit into every word: a few hundred periods are tried, and the search says so."""
     tide = Plant([[0.0, 1.4e-4, 0.0], [-1.4e-4, 0.0, 0.0], [0.0, 0.0, 0.0]], [[1.0, 0.0, 1.0]])
     begun = time.process_time()
-    found, near = sd.find_counterexample(tide, GapRange(3e11, longest), 1e-12, quick=True)
+    found, near = sd.certificates.find_counterexample(tide, GapRange(3e11, longest), 1e-12, quick=True)
     assert time.process_time() - begun < 10
     assert found is None or found.verify()
     assert "periods at which modes alias were tried" in near.searched
@@ -135,7 +137,9 @@ def test_gaps_of_ten_thousand_years_are_decided_at_once(longest):
 
 def test_a_search_ends_within_its_budget_and_says_so():
     begun = time.process_time()
-    found, near = sd.find_counterexample(OSCILLATOR, LostSamples(PeriodicSchedule([1.0]), 3, 12), 0.1, budget=0.05)
+    found, near = sd.certificates.find_counterexample(
+        OSCILLATOR, LostSamples(PeriodicSchedule([1.0]), 3, 12), 0.1, budget=0.05
+    )
     assert time.process_time() - begun < 2
     assert found is None
     assert "the search ended after 0.05 s" in near.searched
@@ -149,7 +153,7 @@ def test_dense_samples_are_never_called_aliased(period):
             sd.certificate_exists(OSCILLATOR, PeriodicSchedule([period]), 0.4)
     else:
         assert "do not tell them apart" in sd.certificate_exists(OSCILLATOR, PeriodicSchedule([period]), 0.4).reason
-    assert sd.find_counterexample(OSCILLATOR, GapRange(period, period), 0.4)[0] is None
+    assert sd.certificates.find_counterexample(OSCILLATOR, GapRange(period, period), 0.4)[0] is None
 
 
 def test_what_no_output_sees_is_missed_by_dense_samples_too():

@@ -5,17 +5,12 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
-from sampling_design import (
-    ArgumentError,
-    DetectabilityCertificate,
-    Plant,
-    certify_detectability,
-    detectability_from_proof,
-    named_plant,
-)
+from sampling_design import ArgumentError, Plant, named_plant
 from sampling_design.certificates.detectability import best_rate as room
+from sampling_design.certificates.detectability.best_rate import certify_detectability, detectability_from_proof
+from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
 from sampling_design.errors import CertificateError, NotDetectableError, SolverError
-from sampling_design.evidence import SolverRecord
+from sampling_design.records.evidence import SolverRecord
 from tests.oracles.proof_constants import dissipation_top
 
 DOUBLE = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])

@@ -8,19 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sampling_design import (
-    ArgumentError,
-    DetectabilityCertificate,
-    PeriodicSchedule,
-    Plant,
-    certify,
-    certify_detectability,
-    detectability_from_proof,
-    load_certificate,
-    named_plant,
-    robustness,
-)
-from sampling_design.certificates.form import seal
+from sampling_design import ArgumentError, PeriodicSchedule, Plant, certify, named_plant, read_certificate, robustness
+from sampling_design.certificates.detectability.best_rate import certify_detectability, detectability_from_proof
+from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
+from sampling_design.certificates.form import digest
 from sampling_design.checkers import check, claims, detectability
 from sampling_design.checkers.detectability import INEQUALITY
 from sampling_design.checkers.outcome import Refused
@@ -50,7 +41,7 @@ EACH = pytest.mark.parametrize("k", range(6))
 
 
 def redigested(data):
-    data["digest"] = seal.digest(data)
+    data["digest"] = digest.digest(data)
     return data
 
 
@@ -62,7 +53,7 @@ def stated(k):
 def test_the_file_returns_the_record_bit_for_bit(k, tmp_path):
     made = certificates()[k]
     path = made.save(tmp_path / "certificate.json")
-    back = load_certificate(path, plant=made.plant)
+    back = read_certificate(path, plant=made.plant)
     assert type(back) is DetectabilityCertificate
     assert back.to_dict() == made.to_dict()
     np.testing.assert_array_equal(back.P, made.P)
@@ -95,7 +86,7 @@ def test_any_altered_byte_is_refused(old, tmp_path):
     assert text.count(old) >= 1
     path.write_text(text.replace(old, new, 1))
     with pytest.raises((CertificateError, FileFormatError), match=r"the digest does not fit the content|occurs twice"):
-        load_certificate(path)
+        read_certificate(path)
     if old != '"version": ':
         assert check(json.loads(path.read_text()))["inequality"] == "digest"
 
@@ -106,7 +97,7 @@ def test_a_file_that_was_cut_off_is_refused(part, tmp_path):
     text = path.read_text()
     path.write_text(text[: int(part * len(text))])
     with pytest.raises(FileFormatError, match="Was the file cut off"):
-        load_certificate(path)
+        read_certificate(path)
 
 
 @EACH
@@ -114,7 +105,7 @@ def test_a_file_about_another_plant_is_refused(k, tmp_path):
     path = certificates()[k].save(tmp_path / "certificate.json")
     other = certificates()[(k + 1) % 6].plant
     with pytest.raises(CertificateError, match="certifies another plant"):
-        load_certificate(path, plant=other)
+        read_certificate(path, plant=other)
 
 
 @pytest.mark.parametrize(
@@ -151,7 +142,7 @@ def test_content_that_is_no_certificate_is_refused(change, words, tmp_path):
     path = tmp_path / "certificate.json"
     path.write_text(json.dumps(redigested(data)))
     with pytest.raises(FileFormatError, match=words):
-        load_certificate(path)
+        read_certificate(path)
 
 
 @pytest.mark.parametrize(
@@ -166,7 +157,7 @@ def test_what_json_should_not_hold_is_refused(old, new, words, tmp_path):
     path = certificates()[0].save(tmp_path / "certificate.json")
     path.write_text(path.read_text().replace(old, new, 1))
     with pytest.raises(FileFormatError, match=words):
-        load_certificate(path)
+        read_certificate(path)
 
 
 def mutated(data, rng):
@@ -367,7 +358,7 @@ def test_digest_and_claim_come_first():
 def test_no_states_leave_nothing_to_prove(tmp_path):
     plant = Plant(np.zeros((0, 0)), np.zeros((1, 0)))
     made = DetectabilityCertificate(plant, np.zeros((0, 0)), eta=1.0, c_w=1.0, c_y=1.0)
-    back = load_certificate(made.save(tmp_path / "certificate.json"))
+    back = read_certificate(made.save(tmp_path / "certificate.json"))
     assert back.verify().passed
     assert back.verify(rigorous=True).verdict == "proven"
 
@@ -408,5 +399,5 @@ def test_wrong_arguments_are_refused():
 
 def test_a_certificate_about_samples_is_not_taken_for_one(tmp_path):
     path = certify(OSCILLATOR, PeriodicSchedule([1.0]), eta=0.4).save(tmp_path / "certificate.json")
-    assert not isinstance(load_certificate(path), DetectabilityCertificate)
+    assert not isinstance(read_certificate(path), DetectabilityCertificate)
     assert check(json.loads(path.read_text()))["passed"]

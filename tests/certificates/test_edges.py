@@ -7,19 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sampling_design import (
-    GapRange,
-    PeriodicSchedule,
-    Plant,
-    Schedule,
-    certify,
-    certify_family,
-    certify_from_proof,
-    tradeoff_curve,
-)
+from sampling_design import GapRange, PeriodicSchedule, Plant, Schedule, certify
+from sampling_design.certificates.compare.tradeoff import tradeoff_curve
 from sampling_design.certificates.exact import efforts, precise, proof, weight_choice
 from sampling_design.certificates.exact.canonical import canonical, evened
+from sampling_design.certificates.families.certify_family import certify_family
 from sampling_design.certificates.paper import proof_constants
+from sampling_design.certificates.paper.proof_constants import certify_from_proof
 from sampling_design.errors import ArgumentError, SolverError, UndecidedError
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])

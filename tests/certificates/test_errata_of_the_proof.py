@@ -6,15 +6,10 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
-from sampling_design import (
-    DetectabilityCertificate,
-    PeriodicSchedule,
-    Plant,
-    Schedule,
-    certify_detectability,
-    constants_from_proof,
-    detectability_from_proof,
-)
+from sampling_design import PeriodicSchedule, Plant, Schedule
+from sampling_design.certificates.detectability.best_rate import certify_detectability, detectability_from_proof
+from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
+from sampling_design.certificates.paper.proof_constants import constants_from_proof
 from sampling_design.certificates.paper.restarts import output_predictor, restart_times
 from sampling_design.errors import ArgumentError, CertificateError, NotDetectableError
 from tests.oracles.proof_constants import partition_exists, riccati_margin, worst_28

@@ -87,7 +87,7 @@ FAMILIES = [
 def test_every_kind_of_family_is_certified_saved_and_read(which, tmp_path):
     found = sd.certify(OSCILLATOR, which, eta=0.2)
     assert found.verify().passed
-    back = sd.load_certificate(found.save(tmp_path / "family.json"))
+    back = sd.read_certificate(found.save(tmp_path / "family.json"))
     assert back.to_dict() == found.to_dict()
     assert json.loads((tmp_path / "family.json").read_text())["claim"] == "family"
     assert back.family.to_dict() == found.family.to_dict()
@@ -97,7 +97,7 @@ def test_every_kind_of_family_is_certified_saved_and_read(which, tmp_path):
 
 
 def test_outputs_of_the_nominal_schedule_are_followed():
-    plant = Plant(OSCILLATOR.A, np.eye(2), outputs=sd.Signals(["x", "v"]))
+    plant = Plant(OSCILLATOR.A, np.eye(2), outputs=sd.plants.Signals(["x", "v"]))
     mask = np.array([[1, 0], [0, 1]], bool)
     nominal = PeriodicSchedule([1.0, 1.0], outputs=mask, output_names=("x", "v"))
     both = sd.certify(plant, Jitter(PeriodicSchedule([1.0, 1.0]), 0.1), eta=0.4, P2=np.eye(2))
@@ -119,7 +119,7 @@ def test_memory_is_grown_on_demand():
     assert which.d_max > np.pi
     assert len(set(found.graph.words)) > 2
     with pytest.raises(UndecidedError, match=r"undecided at rate 0\.1"):
-        sd.certify_family(OSCILLATOR, which, eta=0.1, memory=0)
+        sd.certificates.certify_family(OSCILLATOR, which, eta=0.1, memory=0)
 
 
 @pytest.mark.long
@@ -143,7 +143,7 @@ def test_the_margin_stops_growing():
 def test_the_undecided_say_how_far_both_sides_came():
     with pytest.raises(UndecidedError, match="Certified is: Every schedule whose gaps lie between") as caught:
         # gaps of pi - 1e-7: seen by every sample, but too little for the numbers of a certificate
-        sd.certify_family(OSCILLATOR, GapRange(2.0, np.pi - 1e-7), eta=0.1, memory=0)
+        sd.certificates.certify_family(OSCILLATOR, GapRange(2.0, np.pi - 1e-7), eta=0.1, memory=0)
     details = caught.value.details
     assert caught.value.exit_code == 3
     assert details["status"] == "undecided"
@@ -156,7 +156,7 @@ def test_the_undecided_say_how_far_both_sides_came():
 def test_a_badly_scaled_plant_keeps_its_lambda():
     scale = np.array([1e6, 1e-3])
     plant = Plant(np.diag(scale) @ OSCILLATOR.A @ np.diag(1 / scale), OSCILLATOR.C / scale, G=np.diag(scale),
-                  states=sd.Signals(["x", "v"], scales=scale))  # fmt: skip
+                  states=sd.plants.Signals(["x", "v"], scales=scale))  # fmt: skip
     plain = sd.certify(OSCILLATOR, GapRange(0.5, 1.5), eta=0.4)
     scaled = sd.certify(plant, GapRange(0.5, 1.5), eta=0.4)
     assert scaled.lam == pytest.approx(plain.lam, rel=5e-3)
@@ -169,7 +169,7 @@ def test_a_plant_without_states_needs_nothing():
 
 
 def test_unstable_and_several_states():
-    helicopter = sd.library.helicopter_he1()
+    helicopter = sd.plants.library.helicopter_he1()
     found = sd.certify(helicopter, GapRange(0.2, 0.5), eta=0.3)
     assert found.verify().passed
     assert found.lam < 3.0
@@ -189,9 +189,9 @@ def test_records_say_what_they_prove():
 
 def test_what_does_not_fit_is_refused_at_the_door():
     with pytest.raises(ArgumentError, match="`family` must be a SamplingFamily, got list"):
-        sd.certify_family(OSCILLATOR, [1.0, 2.0])
+        sd.certificates.certify_family(OSCILLATOR, [1.0, 2.0])
     with pytest.raises(ArgumentError, match="`plant` must be a Plant"):
-        sd.certify_family(np.eye(2), GapRange(0.5, 1.5))
+        sd.certificates.certify_family(np.eye(2), GapRange(0.5, 1.5))
     with pytest.raises(ArgumentError, match="`family` is in h and the plant in s"):
         sd.certify(OSCILLATOR, GapRange(0.5, 1.5, time_unit="h"))
     with pytest.raises(ArgumentError, match="must be a PeriodicSchedule: a finite one has no long run"):
@@ -199,7 +199,7 @@ def test_what_does_not_fit_is_refused_at_the_door():
     with pytest.raises(ArgumentError, match=r"`noise_gain` must be above 1, got 1\.0"):
         sd.certify(OSCILLATOR, GapRange(0.5, 1.5), noise_gain=1.0)
     with pytest.raises(ArgumentError, match="`memory` must be a whole number from 0 to 4 for this family, got 9"):
-        sd.certify_family(OSCILLATOR, GapRange(0.5, 1.5), eta=0.1, memory=9)
+        sd.certificates.certify_family(OSCILLATOR, GapRange(0.5, 1.5), eta=0.1, memory=9)
     with pytest.raises(sd.errors.InfeasibleRequirementError, match="an endless schedule needs"):
         sd.certify(OSCILLATOR, SpacedWindows(2.0, 3, 0.9), eta=0.1)
     large = LostSamples(PeriodicSchedule(np.ones(60)), 2, 8)
@@ -230,7 +230,7 @@ def test_damaged_graphs_are_refused_by_name(tmp_path):
     path = tmp_path / "cut.json"
     path.write_text(json.dumps(whole))
     with pytest.raises(FileFormatError, match="`graph` is missing in the certificate"):
-        sd.load_certificate(path)
+        sd.read_certificate(path)
 
 
 def test_graphs_hold_what_their_words_say():

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sampling_design import PeriodicSchedule, Plant, Schedule, certify, four_horizons
+from sampling_design import PeriodicSchedule, Plant, Schedule, certify
 from sampling_design.certificates.compare import contraction
 from sampling_design.certificates.compare.contraction import (
     MOST_PERIODS,
@@ -13,6 +13,7 @@ from sampling_design.certificates.compare.contraction import (
     least_contracting,
     spectral_radius,
 )
+from sampling_design.certificates.compare.four_horizons import four_horizons
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, certify, information_curve
+from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, certify
+from sampling_design.certificates.exact.information import information_curve
 from sampling_design.errors import ArgumentError
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])

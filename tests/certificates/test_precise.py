@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from sampling_design import PeriodicSchedule, Plant, Schedule
-from sampling_design._balls import ball, definite, floats, matrix, precision
 from sampling_design.certificates.exact import precise
 from sampling_design.certificates.exact.canonical import canonical
 from sampling_design.certificates.exact.given_weights import weights_of
@@ -16,6 +15,7 @@ from sampling_design.certificates.exact.window_gains import WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.checkers.work import Work
 from sampling_design.errors import SolverError, UndecidedError
+from sampling_design.numerics.balls import ball, definite, floats, matrix, precision
 from tests.benchmarks.bench_certify_random import drawn
 from tests.oracles.riccati import settled
 

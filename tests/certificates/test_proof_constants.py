@@ -6,21 +6,14 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
-from sampling_design import (
-    ArgumentError,
-    PeriodicSchedule,
-    Plant,
-    Schedule,
-    certify_detectability,
-    certify_from_proof,
-    constants_from_proof,
-    detectability_from_proof,
-    four_horizons,
-    split_modes,
-)
+from sampling_design import ArgumentError, PeriodicSchedule, Plant, Schedule
+from sampling_design.certificates.compare.four_horizons import four_horizons
+from sampling_design.certificates.detectability.best_rate import certify_detectability, detectability_from_proof
 from sampling_design.certificates.paper import gain_sweep
+from sampling_design.certificates.paper.proof_constants import certify_from_proof, constants_from_proof
 from sampling_design.certificates.paper.restarts import output_predictor
 from sampling_design.errors import CertificateError, NotDetectableError, SolverError
+from sampling_design.plants.modes import split_modes
 from tests.oracles.proof_constants import largest_on_a_grid, riccati_margin, worst_27, worst_28
 
 DOUBLE = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])

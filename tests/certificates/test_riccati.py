@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sampling_design import GapRange, PeriodicSchedule, Plant, Schedule, Signals, certify, certify_family
+from sampling_design import GapRange, PeriodicSchedule, Plant, Schedule, certify
 from sampling_design.certificates.exact.riccati import (
     at_peak,
     located,
@@ -15,7 +15,9 @@ from sampling_design.certificates.exact.riccati import (
     updated,
 )
 from sampling_design.certificates.exact.window_problem import noise_input, window_problem
+from sampling_design.certificates.families.certify_family import certify_family
 from sampling_design.errors import ArgumentError, SolverError
+from sampling_design.plants.plant import Signals
 from tests.oracles import riccati as oracle
 
 

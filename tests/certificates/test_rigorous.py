@@ -11,15 +11,16 @@ import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, certify, certify_from_proof, named_plant
-from sampling_design import _balls as balls
-from sampling_design._ball_flow import Clock, OutOfTime
-from sampling_design.certificates.rigorous.ball_problem import BallTimes, BallWeights, ScheduleFrame, Unproven, noise
+from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, certify, named_plant
+from sampling_design.certificates.paper.proof_constants import certify_from_proof
+from sampling_design.certificates.rigorous.ball_problem import BallFailure, BallTimes, BallWeights, ScheduleFrame, noise
 from sampling_design.certificates.rigorous.ball_proof import settled
 from sampling_design.certificates.rigorous.decide import _decided, assumption_7, verify_rigorously
 from sampling_design.certificates.rigorous.refutation import RefutationSearch, refute
 from sampling_design.checkers.claims import certificate as content
 from sampling_design.errors import CertificateError, MissingExtraError
+from sampling_design.numerics import balls as balls
+from sampling_design.numerics.ball_flow import OutOfTime, TimeBudget
 from tests.checkers.test_sampled import redigested, scaled, verdict_by_scan
 from tests.oracles import riccati as oracle
 
@@ -264,10 +265,10 @@ def test_an_altered_file_is_refused_by_its_digest(made):
 
 
 def test_the_verdict_is_that_of_the_file(made, tmp_path):
-    from sampling_design import load_certificate
+    from sampling_design import read_certificate
 
     path = made("partial outputs").save(tmp_path / "certificate.json")
-    assert load_certificate(path).verify(rigorous=True).verdict == "proven"
+    assert read_certificate(path).verify(rigorous=True).verdict == "proven"
     assert verify_rigorously(json.loads(path.read_text())).verdict == "proven"
 
 
@@ -286,10 +287,10 @@ def test_a_channel_that_does_not_drive_may_be_without_weight():
     with balls.precision():
         assert np.allclose(balls.floats(noise(np.array([[1.0, 1.0], [3.0, 3.0]]), Qw)), [[0.5, 1.5], [1.5, 4.5]])
         assert np.allclose(balls.floats(noise(np.array([[1.0, 0.0]]), np.diag([2.0, 0.0]))), [[0.5]])
-        with pytest.raises(Unproven, match="Qw is singular in a direction that drives the plant"):
+        with pytest.raises(BallFailure, match="Qw is singular in a direction that drives the plant"):
             noise(np.array([[1.0, 1.0 + 2.0**-50]]), Qw)
         for indefinite in ([[0.0, 1.0], [1.0, 0.0]], [[1.0, 2.0], [2.0, 1.0]]):
-            with pytest.raises(Unproven, match="Qw is not positive definite, not even semidefinite"):
+            with pytest.raises(BallFailure, match="Qw is not positive definite, not even semidefinite"):
                 noise(np.zeros((1, 2)), np.array(indefinite))
 
 
@@ -310,7 +311,7 @@ def test_chosen_weights_are_proven():
     ],
 )
 def test_what_stops_a_proof_says_why(run, message, made):
-    with balls.precision(), pytest.raises(Unproven, match=message):
+    with balls.precision(), pytest.raises(BallFailure, match=message):
         run(content(made("oscillator").to_dict()))
 
 
@@ -327,8 +328,8 @@ def test_an_inequality_that_is_exactly_tight_is_undecided():
         eta=0.1,
     ).to_dict()
     assert verify_rigorously(held).verdict == "undecided"
-    with balls.precision(), pytest.raises(Unproven, match="could not be decided: it is tight or nearly so"):
-        assumption_7(content(held), Clock(60.0))
+    with balls.precision(), pytest.raises(BallFailure, match="could not be decided: it is tight or nearly so"):
+        assumption_7(content(held), TimeBudget(60.0))
 
 
 @pytest.mark.parametrize(
@@ -341,8 +342,8 @@ def test_an_inequality_that_is_exactly_tight_is_undecided():
 def test_files_that_are_not_understood_stop_the_proof(change, message, made):
     data = made("oscillator").to_dict() | change
     data = data if "digest" in change else redigested(data)
-    with balls.precision(), pytest.raises(Unproven, match=message):
-        _decided(data, Clock(60.0))
+    with balls.precision(), pytest.raises(BallFailure, match=message):
+        _decided(data, TimeBudget(60.0))
 
 
 def test_a_recursion_that_grows_has_no_family():
@@ -360,7 +361,7 @@ def test_a_recursion_that_grows_has_no_family():
         c = content(made_up)
         frame = framed(c, BallWeights(c.plant, c.weights).P2, "aliased")
         with pytest.raises(ArithmeticError, match="the recursion does not settle"):
-            settled(frame, 1e-2, Clock(60.0))
+            settled(frame, 1e-2, TimeBudget(60.0))
 
 
 def test_the_search_for_a_counterexample_keeps_to_the_budget(made):
@@ -372,9 +373,9 @@ def test_the_search_for_a_counterexample_keeps_to_the_budget(made):
             return framed(c, BallWeights(c.plant, c.weights).P2, "out of reach")
 
         with pytest.raises(OutOfTime, match="the budget ran out"):
-            refute(make, Clock(-1.0))
-        with pytest.raises(Unproven, match="out of reach fails by"):
-            refute(make, Clock(60.0))
+            refute(make, TimeBudget(-1.0))
+        with pytest.raises(BallFailure, match="out of reach fails by"):
+            refute(make, TimeBudget(60.0))
 
 
 def test_the_search_for_a_counterexample_walks_in_doubles(made):
@@ -383,7 +384,7 @@ def test_the_search_for_a_counterexample_walks_in_doubles(made):
     with balls.precision():
         c = content(data)
         frame = framed(c, BallWeights(c.plant, c.weights).P2, "out of reach")
-        search, Y = RefutationSearch(frame, False, Clock(60.0)), frame.start
+        search, Y = RefutationSearch(frame, False, TimeBudget(60.0)), frame.start
         for duration in (0.0, 0.3, float(frame.schedule.gaps[0])):
             exact = balls.floats(frame.flow.step(Y, balls.ball(duration)))
             assert search.step(balls.floats(Y), duration) == pytest.approx(exact, rel=1e-12)

@@ -7,21 +7,16 @@ import json
 import numpy as np
 import pytest
 
-from sampling_design import (
-    DetectabilityCertificate,
-    Plant,
-    certify_detectability,
-    detectability_from_proof,
-    load_certificate,
-    named_plant,
-)
-from sampling_design import _balls as balls
-from sampling_design._ball_flow import Clock
-from sampling_design.certificates.form.seal import digest
-from sampling_design.certificates.rigorous.ball_problem import Unproven
+from sampling_design import Plant, named_plant, read_certificate
+from sampling_design.certificates.detectability.best_rate import certify_detectability, detectability_from_proof
+from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
+from sampling_design.certificates.form.digest import digest
+from sampling_design.certificates.rigorous.ball_problem import BallFailure
 from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.certificates.rigorous.dissipation_balls import INEQUALITY, decided, detectability, downhill
 from sampling_design.checkers.claims import certificate
+from sampling_design.numerics import balls as balls
+from sampling_design.numerics.ball_flow import TimeBudget
 from tests.oracles import dissipation as oracle
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -42,7 +37,7 @@ def stated():
 def test_what_is_made_is_proven_with_the_slack_of_the_checker(name, method, tmp_path):
     plant = named_plant(name)
     made = detectability_from_proof(plant) if method == "proof" else certify_detectability(plant, method=method)
-    back = load_certificate(made.save(tmp_path / "certificate.json"), plant)
+    back = read_certificate(made.save(tmp_path / "certificate.json"), plant)
     plain, rigorous = back.verify(), back.verify(rigorous=True)
     assert (plain.passed, rigorous.verdict) == (True, "proven")
     assert rigorous.amount == pytest.approx(plain.amount, rel=2e-3)
@@ -139,8 +134,8 @@ def test_the_symmetric_part_is_what_counts_of_a_matrix_that_is_symmetric_but_for
     ],
 )
 def test_what_stops_a_proof_says_why(change, message):
-    with balls.precision(), pytest.raises(Unproven, match=message):
-        detectability(certificate(redigested({**stated(), **change})), Clock(60.0))
+    with balls.precision(), pytest.raises(BallFailure, match=message):
+        detectability(certificate(redigested({**stated(), **change})), TimeBudget(60.0))
 
 
 def test_elimination_finds_a_direction_where_floats_see_none():
@@ -151,7 +146,7 @@ def test_elimination_finds_a_direction_where_floats_see_none():
         value, z = downhill(form)
         assert -1.0 < float(value) < 0
         assert z == pytest.approx([-1.0, 1.0])
-        with pytest.raises(Unproven, match="an eigenvalue relative to the size of its terms") as stop:
+        with pytest.raises(BallFailure, match="an eigenvalue relative to the size of its terms") as stop:
             decided("form > 0", form, [form[0, 0], form[0, 0]])
     assert stop.value.where["amount"] < 0
     assert np.abs(stop.value.where["direction"]) == pytest.approx([np.sqrt(0.5)] * 2)
@@ -162,7 +157,7 @@ def test_elimination_finds_a_direction_where_floats_see_none():
 def test_the_record_is_the_file(tmp_path):
     made = certify_detectability(OSCILLATOR)
     wrong = dataclasses.replace(made, c_w=made.c_w / 2)
-    verdict = load_certificate(wrong.save(tmp_path / "wrong.json")).verify(rigorous=True)
+    verdict = read_certificate(wrong.save(tmp_path / "wrong.json")).verify(rigorous=True)
     assert verdict.verdict == "refuted"
     assert [label for label, _ in verdict._rows()][:4] == ["verdict", "passed", "inequality", "direction"]
     assert copy.deepcopy(verdict).to_dict()["direction"] == verdict.direction

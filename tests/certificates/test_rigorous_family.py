@@ -18,14 +18,14 @@ from sampling_design import (
     SpacedWindows,
     certify,
 )
-from sampling_design import _balls as balls
-from sampling_design._ball_flow import Clock
 from sampling_design.certificates.families.certify_family import certify_family
-from sampling_design.certificates.rigorous.ball_problem import BallWeights, Unproven
+from sampling_design.certificates.rigorous.ball_problem import BallFailure, BallWeights
 from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.certificates.rigorous.family_balls import BallIntervals
 from sampling_design.checkers.claims import certificate
 from sampling_design.checkers.cover import covers
+from sampling_design.numerics import balls as balls
+from sampling_design.numerics.ball_flow import TimeBudget
 from tests.checkers.test_sampled import redigested
 from tests.oracles import riccati as oracle
 
@@ -206,6 +206,6 @@ def test_an_interval_that_is_exactly_tight_is_undecided(made):
     with balls.precision():
         c = certificate(data)
         weights = BallWeights(c.plant, c.weights)
-        tight = BallIntervals(weights, weights.P2, [], "P2 <= P2", Clock(60.0))
-        with pytest.raises(Unproven, match="could not be decided: it is tight or nearly so"):
+        tight = BallIntervals(weights, weights.P2, [], "P2 <= P2", TimeBudget(60.0))
+        with pytest.raises(BallFailure, match="could not be decided: it is tight or nearly so"):
             tight.prove(weights.P2, None, Fraction(0), Fraction(0))

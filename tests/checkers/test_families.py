@@ -9,7 +9,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, SpacedWindows
-from sampling_design.certificates.form import seal
+from sampling_design.certificates.form import digest
 from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.checkers import check, claims, families
 from sampling_design.checkers.outcome import Refused
@@ -27,7 +27,7 @@ WHICH = {
 
 @cache
 def made(kind):
-    return sd.certify_family(OSCILLATOR, WHICH[kind], eta=0.3, memory=1)
+    return sd.certificates.certify_family(OSCILLATOR, WHICH[kind], eta=0.3, memory=1)
 
 
 def data_of(kind):
@@ -35,7 +35,7 @@ def data_of(kind):
 
 
 def verdict(data):
-    data["digest"] = seal.digest(data)
+    data["digest"] = digest.digest(data)
     return check(data)
 
 
@@ -171,7 +171,7 @@ def test_nominal_schedules_are_judged_too():
     assert "must have 2 rows of 1 numbers 0 or 1" in verdict(data)["reason"]
     data = data_of("jitter")
     del data["times"]["schedule"]["period"]
-    data["digest"] = seal.digest(data)
+    data["digest"] = digest.digest(data)
     with pytest.raises(BadFile, match="must have `times` and `period` together, or neither"):
         claims.certificate(data)
 
@@ -245,4 +245,4 @@ def test_what_is_no_word_of_a_family_is_a_bad_file(kind, word):
     data = data_of(kind)
     data["graph"]["words"][1] = word
     with pytest.raises(BadFile, match="must be a word of the family, got a list"):
-        claims.certificate(data | {"digest": seal.digest(data)})
+        claims.certificate(data | {"digest": digest.digest(data)})

@@ -9,8 +9,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sampling_design import PeriodicSchedule, Plant, certify, load_certificate
-from sampling_design.certificates.rigorous.ball_problem import Unproven
+from sampling_design import PeriodicSchedule, Plant, certify, read_certificate
+from sampling_design.certificates.rigorous.ball_problem import BallFailure
 from sampling_design.certificates.rigorous.decide import _decided
 from sampling_design.checkers import check, claims, parts, sampled, strict
 from sampling_design.checkers.cover import need
@@ -87,7 +87,7 @@ def test_what_is_not_exactly_right_is_refused_with_its_place(change, words, tmp_
     assert check(data)["verdict"] == "bad file"
     with pytest.raises((ArgumentError, FileFormatError), match=re.escape(words)):
         raise_as_a_file(data, tmp_path)
-    with pytest.raises(Unproven, match="the data are no certificate: ") as stopped:
+    with pytest.raises(BallFailure, match="the data are no certificate: ") as stopped:
         _decided(data, None)
     assert stopped.value.verdict == "bad file"
 
@@ -107,7 +107,7 @@ def test_what_is_no_table_or_altered_is_refused(tmp_path):
     path = tmp_path / "c.json"
     path.write_text(json.dumps(altered))
     with pytest.raises(FileFormatError, match="the digest does not fit the content") as caught:
-        load_certificate(path)
+        read_certificate(path)
     assert caught.value.exit_code == 2
 
 

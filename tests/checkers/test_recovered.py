@@ -12,6 +12,8 @@ import pytest
 from typer.testing import CliRunner
 
 import sampling_design as sd
+from sampling_design.accuracy.interval import Interval, state_interval
+from sampling_design.accuracy.readings import AboveRange, BelowDetection, CompositeReading
 from sampling_design.checkers import check, claims, recovered
 from sampling_design.checkers.long_numbers import BITS, doubles, long_flow
 from sampling_design.checkers.outcome import Refused, Undecided
@@ -20,8 +22,6 @@ from sampling_design.checkers.strict import from_json
 from sampling_design.cli import reading
 from sampling_design.cli.app import app
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
-from sampling_design.recovery.interval import Interval, interval
-from sampling_design.recovery.readings import Above, Below, Mean
 from tests.laws.test_interval_of_the_data_always_holds_the_truth import adversarial_run
 from tests.oracles.estimators import transition
 
@@ -38,9 +38,9 @@ def data_of(seed=0, **options):
 @pytest.fixture(scope="module")
 def whole():
     record = data_of()
-    record[3] = (record[3][0], [Below(record[3][1][0] + 0.1)], None)
-    record[6] = (record[6][0], [Mean(record[6][1][0], since=record[5][0])], None)
-    found = interval(SPRING, record, record[-1][0] + 0.3, initial_error=[3.0, 3.0], of=["x1", "x2"], **GIVEN)
+    record[3] = (record[3][0], [BelowDetection(record[3][1][0] + 0.1)], None)
+    record[6] = (record[6][0], [CompositeReading(record[6][1][0], since=record[5][0])], None)
+    found = state_interval(SPRING, record, record[-1][0] + 0.3, initial_error=[3.0, 3.0], of=["x1", "x2"], **GIVEN)
     return found, json.loads(json.dumps(found._sealed()))
 
 
@@ -79,10 +79,10 @@ def test_the_command_and_the_folder_alone_prove_it(whole, tmp_path):
     forged_end(data)
     path.with_name("forged.json").write_text(json.dumps(sealed(data)))
     assert CliRunner().invoke(app, ["verify", str(path.with_name("forged.json"))]).exit_code == 1
-    sd.write_plant(sd.Plant([[0.0]], [[1.0]]), tmp_path / "other.toml")
+    sd.plants.write_plant(sd.Plant([[0.0]], [[1.0]]), tmp_path / "other.toml")
     with pytest.raises(CertificateError, match="is about another plant"):
         reading.interval(path, sd.read_plant(tmp_path / "other.toml"))
-    kind = sd.certify_detectability(SPRING).save(tmp_path / "detectability.json")
+    kind = sd.certificates.certify_detectability(SPRING).save(tmp_path / "detectability.json")
     data["t"] = "late"
     late = tmp_path / "late.json"
     late.write_text(json.dumps(data))
@@ -91,7 +91,7 @@ def test_the_command_and_the_folder_alone_prove_it(whole, tmp_path):
     with pytest.raises(FileFormatError, match="Use load_certificate for a certificate"):
         Interval.load(kind)
     with pytest.raises(FileFormatError, match=r"holds an interval\. Use Interval\.load"):
-        sd.load_certificate(path)
+        sd.read_certificate(path)
     with pytest.raises(ArgumentError, match=r"`path` of an interval must end in \.json"):
         whole[0].save(tmp_path / "interval.txt")
 
@@ -192,8 +192,8 @@ def test_a_mean_begins_at_a_known_time(whole):
 
 def test_a_contradiction_is_proven_too(tmp_path):
     walk = sd.Plant([[0.0]], [[1.0]])
-    record = [(0.0, [1.0], None), (1.0, [Above(2.0)], None)]
-    found = interval(walk, record, w_bound=0.1, v_bound=0.05)
+    record = [(0.0, [1.0], None), (1.0, [AboveRange(2.0)], None)]
+    found = state_interval(walk, record, w_bound=0.1, v_bound=0.05)
     path = found.save(tmp_path / "no.json")
     again = Interval.load(path)
     assert again.contradiction == pytest.approx(5.0, rel=1e-4)
@@ -214,7 +214,7 @@ def test_a_contradiction_is_proven_too(tmp_path):
 def test_the_bound_is_what_quadrature_says(whole):
     """g by scipy's expm, the integral of |G'g| by a fine sum: no line is shared."""
     record = data_of(1)
-    found = interval(SPRING, record, initial_error=2.0, prior_time=0.0, of="x2", **GIVEN)
+    found = state_interval(SPRING, record, initial_error=2.0, prior_time=0.0, of="x2", **GIVEN)
     c = recovered_parts(found)
     A, gains, times = SPRING.A, found.gains[0, 0], found.readings.times
     g, total = np.array([0.0, 1.0]), 0.0
@@ -301,7 +301,7 @@ def test_what_rounding_hides_is_undecided(whole):
 
 def test_an_open_start_has_no_contradiction_that_the_rest_of_it_could_hide(tmp_path):
     walk = sd.Plant([[0.0]], [[1.0]])
-    found = interval(walk, [(0.0, [1.0], None), (1.0, [2.0], None)], w_bound=0.1, v_bound=0.05)
+    found = state_interval(walk, [(0.0, [1.0], None), (1.0, [2.0], None)], w_bound=0.1, v_bound=0.05)
     assert found.readings.start.root is None
     assert found.verify(rigorous=True)
 
@@ -318,11 +318,11 @@ def test_intervals_of_adversarial_runs_are_proven_with_every_rounding(name):
         assert found.verify(rigorous=True), (name, seed)
 
 
-@pytest.mark.parametrize("plant", [sd.library.oscillator(), sd.library.satellite()])
+@pytest.mark.parametrize("plant", [sd.plants.library.oscillator(), sd.plants.library.satellite()])
 def test_the_first_sample_alone_proves_what_it_shows(plant):
     """With fewer readings than states gains must leave exactly nothing of a free start."""
     given = {"w_bound": plant.disturbances.scales.tolist(), "v_bound": plant.outputs.scales.tolist()}
-    found = interval(plant, [(1.7e9, np.ones(plant.n_outputs), None)], **given)
+    found = state_interval(plant, [(1.7e9, np.ones(plant.n_outputs), None)], **given)
     assert np.array_equal(np.isfinite(found.radii), np.abs(plant.C).sum(axis=0) > 0)
     data = found._sealed()
     assert check(data)["verdict"] == "proven"
@@ -338,7 +338,7 @@ def test_a_part_that_no_reading_shows_leaves_the_others_proven(size):
     A = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.5 * size, 0.0, -0.3]])
     plant, rng = sd.Plant(A, [[1.0, 0.0, 0.0]], G=np.diag([1.0, 1.0, size])), np.random.default_rng(0)
     record = [(1.7e9 + t, [np.sin(t) + rng.uniform(-0.1, 0.1)], None) for t in np.cumsum(rng.uniform(0.4, 1.2, 9))]
-    found = interval(plant, record, w_bound=0.05, v_bound=0.2)
+    found = state_interval(plant, record, w_bound=0.05, v_bound=0.2)
     assert np.isfinite(found.radii).tolist() == [True, True, False]
     data = found._sealed()
     assert check(data)["verdict"] == "proven"

@@ -23,11 +23,11 @@ from sampling_design import (
     Schedule,
     SpacedWindows,
     certify,
-    certify_detectability,
-    certify_family,
 )
 from sampling_design import checkers as checker
-from sampling_design.certificates.form import seal
+from sampling_design.certificates.detectability.best_rate import certify_detectability
+from sampling_design.certificates.families.certify_family import certify_family
+from sampling_design.certificates.form import digest
 from sampling_design.checkers import claims, outcome, sampled
 from tests.oracles import riccati as oracle
 
@@ -52,7 +52,7 @@ def certificates():
 
 
 def redigested(data):
-    data["digest"] = seal.digest(data)
+    data["digest"] = digest.digest(data)
     return data
 
 

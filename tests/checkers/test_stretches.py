@@ -5,12 +5,12 @@ import pytest
 from scipy.linalg import expm
 
 from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, certify
-from sampling_design._ball_flow import BallFlow, fallen
-from sampling_design._balls import ball, floats, matrix, precision
 from sampling_design.certificates.form.verdict import verdict_of
 from sampling_design.checkers import claims, numbers, sampled
 from sampling_design.checkers.frame import largest
 from sampling_design.checkers.work import Work
+from sampling_design.numerics.ball_flow import BallFlow, fallen
+from sampling_design.numerics.balls import ball, floats, matrix, precision
 
 SEEDS = 12
 

@@ -96,7 +96,7 @@ def test_no_file_of_the_room_is_read_for_nothing():
 def test_what_another_claim_needs_is_not_opened(claim, tmp_path):
     plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
     if claim == "detectability":
-        sd.certify_detectability(plant).save(tmp_path / "c.json")
+        sd.certificates.certify_detectability(plant).save(tmp_path / "c.json")
     else:
         sd.certify(plant, sd.PeriodicSchedule([0.8, 1.3]), eta=0.4, P2=np.diag([0.5, 0.2])).save(tmp_path / "c.json")
     code = f"""

@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design._balls import ball, definite, matrix, symmetric
 from sampling_design.certificates import files
-from sampling_design.certificates.form.seal import sealed, write_certificate
+from sampling_design.certificates.form.digest import sealed, write_certificate
 from sampling_design.certificates.rigorous import decide
-from sampling_design.certificates.rigorous.ball_problem import Decision, Unproven
+from sampling_design.certificates.rigorous.ball_problem import BallDecision, BallFailure
 from sampling_design.checkers import check, claims, outcome, parts, strict
 from sampling_design.checkers.detectability import downhill
 from sampling_design.checkers.outcome import Refused
+from sampling_design.numerics.balls import ball, definite, matrix, symmetric
 
 INEQUALITY = "P > 0 and A'P + PA + eta P < 0"
 
@@ -93,12 +93,12 @@ def read(data: Any, plant: sd.Plant, found: Decay) -> DecayCertificate:
 # 4. its decision in ball arithmetic
 
 
-def in_balls(c: Decay, clock: Any) -> Decision:
+def in_balls(c: Decay, clock: Any) -> BallDecision:
     A, P, eta = matrix(c.plant.A), symmetric(c.P), ball(c.eta)
     drift = A.transpose() * P
     if not definite(P) or not definite(-(drift + drift.transpose() + P * eta)):
-        raise Unproven(outcome.REFUTED, INEQUALITY, f"{INEQUALITY} fails")
-    return Decision(INEQUALITY, "every state", 0.0)
+        raise BallFailure(outcome.REFUTED, INEQUALITY, f"{INEQUALITY} fails")
+    return BallDecision(INEQUALITY, "every state", 0.0)
 
 
 # 5. where each of them is looked up
@@ -125,7 +125,7 @@ def test_it_is_proven_by_the_checkers_and_in_balls(certificate):
 
 def test_its_file_comes_back_and_the_command_checks_it(certificate, tmp_path, shell):
     path = certificate.save(tmp_path / "decay.json")
-    again = sd.load_certificate(path)
+    again = sd.read_certificate(path)
     assert again.to_dict() == certificate.to_dict()
     told = shell("verify", path)
     assert told.code == 0, told.err

@@ -13,7 +13,7 @@ OSCILLATOR = Path(__file__).parents[2] / "examples" / "plants" / "oscillator.tom
 @pytest.fixture
 def schedule(tmp_path):
     path = tmp_path / "schedule.json"
-    sd.write_schedule(sd.PeriodicSchedule([0.7, 1.6, 0.9, 2.0], time_unit="s"), path)
+    sd.schedules.write_schedule(sd.PeriodicSchedule([0.7, 1.6, 0.9, 2.0], time_unit="s"), path)
     return path
 
 
@@ -44,7 +44,7 @@ def test_a_missing_bound_and_a_wrong_number_are_one_sentence(shell, schedule):
 
 def test_a_schedule_that_ends_has_a_start(shell, tmp_path):
     path = tmp_path / "finite.json"
-    sd.write_schedule(sd.Schedule([0.7, 1.6], time_unit="s"), path)
+    sd.schedules.write_schedule(sd.Schedule([0.7, 1.6], time_unit="s"), path)
     result = shell("accuracy", OSCILLATOR, path, "--w", "0.02", "--v", "0.4", "--initial-error", "0.5,0.5")
     assert result.code == 0
     assert "from 0.7 to 1.6 s" in result.out

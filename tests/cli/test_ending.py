@@ -50,7 +50,9 @@ if any("popen_loky" in word for word in sys.orig_argv):
 def test_processes_that_share_the_work_begin_deaf_to_interrupts(tmp_path):
     """Python's own traceback would be on the screen otherwise, once for each process that is still loading."""
     (tmp_path / "sitecustomize.py").write_text(WHO_LISTENS)
-    code = "import math; from sampling_design._workers import mapped; print(list(mapped(math.sqrt, [4.0, 9.0], 2)))"
+    code = (
+        "import math; from sampling_design.records.workers import mapped; print(list(mapped(math.sqrt, [4.0, 9.0], 2)))"
+    )
     paths = os.pathsep.join([str(tmp_path), *sys.path])
     told = subprocess.run(
         [sys.executable, "-c", code],

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.recovery.readings import Told
+from sampling_design.accuracy.readings import CensoredReading
 from tests.laws.test_what_contradicts_the_bounds_is_never_certified_again import ROWS, WALK
 from tests.laws.test_where_the_clock_has_its_zero_changes_no_answer import RECORDS, STILL, TIMES
 
 
 def asked(shell, folder, rows, *more, plant=STILL):
     """Exit code and data of the command on a record."""
-    sd.write_plant(plant, folder / "plant.toml")
-    sd.write_measurements(rows, folder / "rows.csv")
+    sd.plants.write_plant(plant, folder / "plant.toml")
+    sd.estimators.write_measurements(rows, folder / "rows.csv")
     flags = ("--w-bound", "0.01", "--v-bound", "0.02", "--initial-error", "2")
     found = shell("estimate", folder / "plant.toml", folder / "rows.csv", *flags, "--json", *more)
     return found.code, json.loads(found.out)
@@ -60,7 +60,7 @@ def test_radii_from_means_hold_the_truth_wherever_the_file_begins(shell, tmp_pat
     y[0] = np.cos(0.5), -np.sin(0.5)
     for t, since in zip(rows[1:], (0.6, 2.1, 3.6), strict=True):
         level, rate = (np.sin(t) - np.sin(since)) / (t - since), (np.cos(t) - np.cos(since)) / (t - since)
-        told.append((Told(0, level, level, since), Told(1, rate, rate, since)))
+        told.append((CensoredReading(0, level, level, since), CensoredReading(1, rate, rate, since)))
     _, found = asked(shell, tmp_path, sd.Measurements(STILL, rows, y, told=tuple(told)))
     assert found["certified"] == [True] * 4
     truth = np.stack([np.cos(rows), -np.sin(rows)], axis=1)
@@ -70,7 +70,7 @@ def test_radii_from_means_hold_the_truth_wherever_the_file_begins(shell, tmp_pat
 def test_a_file_may_begin_with_a_mean(shell, tmp_path):
     rows = RECORDS["means"].between(1.9, 9.0)
     assert rows.start == 2.0
-    early = sd.Measurements(STILL, [2.0], [[np.nan, -0.9]], told=((Told(0, 0.4, 0.4, 0.75),),))
+    early = sd.Measurements(STILL, [2.0], [[np.nan, -0.9]], told=((CensoredReading(0, 0.4, 0.4, 0.75),),))
     assert early.start == 0.75
     assert asked(shell, tmp_path, early)[1]["times"] == [2.0]
 
@@ -78,7 +78,7 @@ def test_a_file_may_begin_with_a_mean(shell, tmp_path):
 @pytest.mark.parametrize("radii", ["intervals", "centred", "ellipsoids"])
 @pytest.mark.parametrize("written", [True, False])
 def test_files_and_exit_code_say_it_too(shell, tmp_path, radii, written):
-    sd.write_plant(WALK, tmp_path / "walk.toml")
+    sd.plants.write_plant(WALK, tmp_path / "walk.toml")
     (tmp_path / "y.csv").write_text("time,gauge\n" + "".join(f"{t},{y}\n" for t, (y,) in ROWS))
     flags = ["--w-bound", "0.1", "--v-bound", "0.2", "--initial-error", "5", "--eta", "0.2", "--radii", radii]
     flags += ["-o", tmp_path] if written else []

@@ -49,8 +49,8 @@ def test_what_it_says_where_a_program_asks():
 
 
 def test_what_it_cannot_open_is_refused(shell, tmp_path):
-    once = sd.write_schedule(sd.Schedule([1.0, 2.0], time_unit="s"), tmp_path / "once.csv")
-    other = sd.write_schedule(sd.PeriodicSchedule([1.0], time_unit="s"), tmp_path / "other.csv")
+    once = sd.schedules.write_schedule(sd.Schedule([1.0, 2.0], time_unit="s"), tmp_path / "once.csv")
+    other = sd.schedules.write_schedule(sd.PeriodicSchedule([1.0], time_unit="s"), tmp_path / "other.csv")
     assert "must be a schedule that repeats" in shell("explore", *FILES, "--schedule", once, *ENDS).err
     assert "must have the period" in shell("explore", *FILES, "--schedule", other, *ENDS).err
     assert "`port` 70000 cannot be used" in shell("explore", *FILES, "--port", 70000, *ENDS).err

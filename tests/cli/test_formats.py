@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sampling_design import certify, plan, read_plant, read_schedule
+from sampling_design import certify, plan_samples, read_plant, read_schedule
 from sampling_design.planning.files import save_plan
 from sampling_design.planning.requirement_file import requirement_and_plant
 
@@ -48,7 +48,7 @@ def made(tmp_path_factory):
     (made / "requirement.toml").write_text('format = "sampling-design/requirement/1"\nwindow = 4.0\nsamples = 3\n')
     (made / "readings.csv").write_text("time,position,force_per_mass\n0.5,1.0,0.0\n1.3,0.5,0.0\n2.5,0.1,0.0\n")
     requirement, model = requirement_and_plant(EXAMPLES / "plans" / "oscillator.toml")
-    save_plan(plan(model, requirement, certificate=False, robustness=False), made / "plan.json")
+    save_plan(plan_samples(model, requirement, certificate=False, robustness=False), made / "plan.json")
     certify(read_plant(OSCILLATOR), read_schedule(made / "schedule.csv")).save(made / "certificate.json")
     return made
 

@@ -189,7 +189,10 @@ LINES = {
 CALLS = {
     "a list for C": (lambda: sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [1.0, 0.0]), "One row is [[...]], in two brackets"),
     "degrees": (lambda: sd.Schedule(["0°", "90°"]), "`times`"),
-    "a count for times": (lambda: sd.sigma_min(sd.named_plant("oscillator"), 4), "`times` must have 1 dimension"),
+    "a count for times": (
+        lambda: sd.observability.sigma_min(sd.named_plant("oscillator"), 4),
+        "`times` must have 1 dimension",
+    ),
     "times for gaps": (lambda: sd.PeriodicSchedule([0.0, 1.0, 2.0]), "gaps"),
     "a file's name for a plant": (lambda: sd.certify("plant.toml", sd.PeriodicSchedule([1.0])), "read_plant"),
     "a file's name for a schedule": (lambda: sd.certify(sd.named_plant("oscillator"), "s.csv"), "read_schedule"),
@@ -198,17 +201,19 @@ CALLS = {
         "got PeriodicSchedule",
     ),
     "seconds for hours": (
-        lambda: sd.sigma_min(sd.named_plant("oscillator"), sd.Schedule([1.0, 2.0], time_unit="h")),
+        lambda: sd.observability.sigma_min(sd.named_plant("oscillator"), sd.Schedule([1.0, 2.0], time_unit="h")),
         "in_unit",
     ),
     "an unknown plant": (lambda: sd.named_plant("pendulum"), "'cart_pendulum'"),
     "a plant like none": (lambda: sd.named_plant("rocket"), "'oscillator'"),
     "a bound forgotten": (
-        lambda: sd.accuracy(sd.named_plant("oscillator"), sd.PeriodicSchedule([1.0]), w_bound=0.1),
+        lambda: sd.guaranteed_accuracy(sd.named_plant("oscillator"), sd.PeriodicSchedule([1.0]), w_bound=0.1),
         "`v_bound`",
     ),
     "a bound below zero": (
-        lambda: sd.accuracy(sd.named_plant("oscillator"), sd.PeriodicSchedule([1.0]), w_bound=0.1, v_bound=-1.0),
+        lambda: sd.guaranteed_accuracy(
+            sd.named_plant("oscillator"), sd.PeriodicSchedule([1.0]), w_bound=0.1, v_bound=-1.0
+        ),
         "`v_bound`",
     ),
     "a misspelt name": (lambda: sd.desing_schedule, "design_schedule"),

@@ -17,7 +17,7 @@ def test_every_command_that_draws_takes_the_flag_and_no_other():
 
 
 def test_the_flag_leaves_out_the_picture_and_nothing_else(shell, tmp_path):
-    schedule = sd.write_schedule(sd.PeriodicSchedule([1.0, 1.2], time_unit="s"), tmp_path / "schedule.csv")
+    schedule = sd.schedules.write_schedule(sd.PeriodicSchedule([1.0, 1.2], time_unit="s"), tmp_path / "schedule.csv")
     for name, words in {
         "sigma": ("examples/plants/oscillator.toml", schedule),
         "worst-case": ("examples/plants/oscillator.toml", "--window", "4", "--count", "3", "--spacing", "0.5"),

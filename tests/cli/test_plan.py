@@ -67,9 +67,9 @@ def test_design_writes_table_picture_files_and_dates(shell, tmp_path):
 @pytest.mark.parametrize(("start", "until"), [("2026-10-05", "2026-10-25"), ("2026-03-02", "2026-03-29")])
 def test_a_calendar_of_local_hours_never_leaves_them(shell, tmp_path, start, until):
     """The schedule counts hours that pass: once the clocks are changed, the same samples come at other hours."""
-    sd.write_plant(sd.Plant([[0.0]], [[1.0]], time_unit="h"), tmp_path / "level.toml")
+    sd.plants.write_plant(sd.Plant([[0.0]], [[1.0]], time_unit="h"), tmp_path / "level.toml")
     wanted = sd.Requirement(window=24.0, period=24.0, samples=2, forbidden=[[0.0, 8.0], [18.0, 24.0]])
-    sd.write_requirement(wanted, tmp_path / "hours.toml")
+    sd.design.write_requirement(wanted, tmp_path / "hours.toml")
     dated = ("-o", tmp_path / "out", "--start", start)
     result = shell("design", tmp_path / "level.toml", tmp_path / "hours.toml", *dated, "--zone", "Europe/Berlin")
     assert result.code == 0
@@ -211,10 +211,10 @@ def test_where_to_write_is_settled_before_anything_is_designed(shell, tmp_path, 
 
 
 def test_info_says_what_determining_the_state_means_where_most_of_it_decays(shell, tmp_path):
-    sd.write_plant(sd.Plant(np.diag([0.0, -1.0, -2.0, -3.0]), np.ones((1, 4))), tmp_path / "plant.toml")
+    sd.plants.write_plant(sd.Plant(np.diag([0.0, -1.0, -2.0, -3.0]), np.ones((1, 4))), tmp_path / "plant.toml")
     told = " ".join(shell("info", tmp_path / "plant.toml").out.split())
     assert "To determine the state means here: its one retained direction. The other 3 fade by themselves" in told
-    sd.write_plant(sd.Plant(np.diag([0.0, 0.1, -3.0]), np.ones((1, 3))), tmp_path / "two.toml")
+    sd.plants.write_plant(sd.Plant(np.diag([0.0, 0.1, -3.0]), np.ones((1, 3))), tmp_path / "two.toml")
     told = " ".join(shell("info", tmp_path / "two.toml").out.split())
     assert "its 2 retained directions. The other one fades by itself and needs no samples" in told
     assert "To determine the state means" not in shell("info", EXAMPLES / "plants" / "oscillator.toml").out

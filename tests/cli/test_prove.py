@@ -6,10 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from sampling_design import PeriodicSchedule, certify_detectability, load_certificate, read_plant, write_schedule
+from sampling_design import PeriodicSchedule, read_certificate, read_plant
+from sampling_design.certificates.detectability.best_rate import certify_detectability
 from sampling_design.cli.prove import certify, sampling_certificate
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError
+from sampling_design.schedules.files import write_schedule
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 OSCILLATOR = EXAMPLES / "plants" / "oscillator.toml"
@@ -68,7 +70,7 @@ def test_verify_refuses_a_touched_file(certified, shell):
 
 
 def test_a_false_certificate_is_a_no(certified, shell):
-    from sampling_design.certificates.form.seal import digest
+    from sampling_design.certificates.form.digest import digest
 
     _, folder = certified
     data = json.loads((folder / "certificate.json").read_text())
@@ -150,7 +152,7 @@ def test_detectability_is_certified_without_a_schedule_and_verified(shell, tmp_p
     assert "DetectabilityCertificate" in result.out
     assert (tmp_path / "certificate.json").read_bytes() == file.read_bytes()
     plant = read_plant(OSCILLATOR)
-    assert load_certificate(file, plant).to_dict() == certify_detectability(plant).to_dict()
+    assert read_certificate(file, plant).to_dict() == certify_detectability(plant).to_dict()
     plain = shell("verify", file, "--plant", OSCILLATOR)
     assert plain.code == 0
     assert "Proven: P > 0 and [[A'P + PA" in plain.out
@@ -172,7 +174,7 @@ def test_rate_and_noise_budget_of_detectability_are_those_asked_for(shell):
 
 
 def test_a_false_detectability_file_is_a_no_with_direction(shell, tmp_path):
-    from sampling_design.certificates.form.seal import digest
+    from sampling_design.certificates.form.digest import digest
 
     shell("certify", OSCILLATOR, "--detectability", "-o", tmp_path)
     data = json.loads((tmp_path / "certificate.json").read_text())

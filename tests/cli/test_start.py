@@ -22,7 +22,7 @@ finally:
 STANDARD = {*sys.stdlib_module_names, "__mp_main__", "sitecustomize"}
 ENDING = {
     "sampling_design",
-    "sampling_design._lazy",
+    "sampling_design.records.lazy",
     *(f"sampling_design.{n}" for n in ("cli", "cli.ending", "cli.version")),
 }
 LISTED = {*ENDING, "sampling_design.cli.app", "typer", "shellingham", "click", "annotated_doc", "typing_extensions"}

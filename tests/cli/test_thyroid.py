@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from sampling_design import thyroid_experiment
 from sampling_design.cli.thyroid import thyroid
+from sampling_design.nonlinear.experiment import thyroid_experiment
 from tests.cases import few
 
 WITHOUT = """

@@ -25,7 +25,7 @@ def plant(name):
 @pytest.fixture(scope="module")
 def schedule(tmp_path_factory):
     path = tmp_path_factory.mktemp("plan") / "schedule.csv"
-    return sd.write_schedule(sd.PeriodicSchedule([1.0, 1.2], time_unit="s"), path)
+    return sd.schedules.write_schedule(sd.PeriodicSchedule([1.0, 1.2], time_unit="s"), path)
 
 
 def write_readings(path, times=TIMES, start=0.0, value=np.cos):
@@ -84,9 +84,9 @@ def test_estimate_with_a_schedule_or_its_certificate_is_the_same(shell, tmp_path
     one = json.loads(by_schedule.out)
     assert one["certified"] == [True] * 5
     oscillator, planned = sd.read_plant(OSCILLATOR), sd.read_schedule(schedule)
-    eta = 1 / sd.SamplingSet(planned).d_max
+    eta = 1 / sd.schedules.SamplingSet(planned).d_max
     bounds = {"w_bound": oscillator.disturbances.scales, "v_bound": oscillator.outputs.scales, "initial_error": 2.0}
-    weights = sd.weights_from_bounds(oscillator, eta, **bounds)
+    weights = sd.certificates.weights_from_bounds(oscillator, eta, **bounds)
     sd.certify(oscillator, planned, eta=eta, **weights).save(tmp_path / "c.json")
     two = json.loads(shell("estimate", OSCILLATOR, readings, "--certificate", tmp_path / "c.json", *quiet).out)
     for key in ("x", "radii"):  # the rate that the command takes is 1/1.2 up to the rounding of the file's times
@@ -183,7 +183,7 @@ def test_validate_with_a_false_certificate_fails_with_exit_code_1(shell, tmp_pat
 
 def test_log_says_what_deviations_cost(shell, tmp_path):
     plan = sd.PeriodicSchedule([5554.0 / 12], first=0.0, time_unit="s")
-    sd.write_schedule(plan, tmp_path / "plan.csv")
+    sd.schedules.write_schedule(plan, tmp_path / "plan.csv")
     flags = ("--window", 5554, "-o", tmp_path / "out")
     result = shell("log", plant("satellite"), tmp_path / "plan.csv", DATA / "satellite.csv", *flags)
     assert result.code == 0, result.err
@@ -259,7 +259,7 @@ def test_dates_are_laid_over_a_schedule_by_its_origin(shell, tmp_path):
     assert made.code == 0, made.err
     assert sd.read_schedule(tmp_path / "schedule.csv").origin == "2026-01-05T00:00:00+00:00"
     plan = sd.PeriodicSchedule([1.0, 1.2], time_unit="s", origin="2026-01-05T00:00:00+00:00")
-    path = sd.write_schedule(plan, tmp_path / "plan.csv")
+    path = sd.schedules.write_schedule(plan, tmp_path / "plan.csv")
     found = shell("log", OSCILLATOR, path, dated(tmp_path / "data.csv"), "--window", 2, "--json")
     assert found.code == 0, found.err
     assert json.loads(found.out)["largest_deviation"] < 1e-9
@@ -302,7 +302,7 @@ def test_calendars_of_a_design_are_in_its_zone(shell, tmp_path):
 def test_dates_and_times_without_dates_are_not_mixed(shell, tmp_path, schedule, command):
     data = dated(tmp_path / "data.csv")
     plan = sd.PeriodicSchedule([1.0, 1.2], time_unit="s", origin="2026-01-05T00:00:00+00:00")
-    with_origin = sd.write_schedule(plan, tmp_path / "plan.csv")
+    with_origin = sd.schedules.write_schedule(plan, tmp_path / "plan.csv")
     for path, readings, words in (
         (schedule, data, "`SCHEDULE` does not say which date its time 0 is"),
         (with_origin, write_readings(tmp_path / "plain.csv"), "`MEASUREMENTS` hold times without dates"),
@@ -315,7 +315,7 @@ def test_dates_and_times_without_dates_are_not_mixed(shell, tmp_path, schedule, 
 
 def test_a_plant_without_inputs_can_be_followed(shell, tmp_path):
     path = tmp_path / "plant.json"
-    sd.write_plant(sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], outputs=["level"]), path)
+    sd.plants.write_plant(sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], outputs=["level"]), path)
     (tmp_path / "data.csv").write_text("time,level\n" + "".join(f"{t},{float(np.cos(t))!r}\n" for t in TIMES))
     assert shell("estimate", path, tmp_path / "data.csv").code == 0
 

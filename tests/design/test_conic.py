@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from sampling_design import _conic
-from sampling_design._conic import ConeSolver
 from sampling_design.errors import SolverError
 from sampling_design.estimators.constraints import least_distance
 from sampling_design.estimators.constraints.least_distance_problem import LeastDistance
+from sampling_design.numerics import conic_programs
+from sampling_design.numerics.conic_programs import ConeSolver
 
 RNG = np.random.default_rng(7)
 
@@ -20,14 +20,14 @@ def random_symmetric(n, count):
 
 def test_svec_keeps_the_trace_product_and_comes_back():
     X, Y = random_symmetric(5, 2)
-    assert np.isclose(_conic.svec(X) @ _conic.svec(Y), np.trace(X @ Y), rtol=1e-14)
-    assert np.allclose(_conic.smat(_conic.svec(X)), X, rtol=1e-15)
+    assert np.isclose(conic_programs.svec(X) @ conic_programs.svec(Y), np.trace(X @ Y), rtol=1e-14)
+    assert np.allclose(conic_programs.smat(conic_programs.svec(X)), X, rtol=1e-15)
 
 
 def test_a_cone_program_finds_the_least_eigenvalue_and_its_multiplier():
     S = random_symmetric(4, 1)[0]
-    block = ("psd", _conic.svec(np.eye(4))[:, None], _conic.svec(S))  # S - x I >= 0
-    solution = _conic.solve_cone_program(np.array([-1.0]), [block])
+    block = ("psd", conic_programs.svec(np.eye(4))[:, None], conic_programs.svec(S))  # S - x I >= 0
+    solution = conic_programs.solve_cone_program(np.array([-1.0]), [block])
     values, vectors = np.linalg.eigh(S)
     assert solution.record.status == "solved"
     assert np.isclose(solution.x[0], values[0], atol=1e-7)
@@ -37,17 +37,17 @@ def test_a_cone_program_finds_the_least_eigenvalue_and_its_multiplier():
 def test_linear_cones_and_an_infeasible_program():
     rows = np.array([[1.0], [-1.0]])
     good = [("nonnegative", rows, np.array([3.0, -1.0]))]  # 1 <= x <= 3
-    assert np.isclose(_conic.solve_cone_program(np.array([1.0]), good).x[0], 1.0, atol=1e-7)
+    assert np.isclose(conic_programs.solve_cone_program(np.array([1.0]), good).x[0], 1.0, atol=1e-7)
     bad = [("nonnegative", rows, np.array([1.0, -3.0]))]
-    assert _conic.solve_cone_program(np.array([1.0]), bad).record.status == "infeasible"
+    assert conic_programs.solve_cone_program(np.array([1.0]), bad).record.status == "infeasible"
     fixed = [("zero", np.array([[2.0]]), np.array([5.0]))]
-    assert np.isclose(_conic.solve_cone_program(np.array([1.0]), fixed).x[0], 2.5, atol=1e-7)
+    assert np.isclose(conic_programs.solve_cone_program(np.array([1.0]), fixed).x[0], 2.5, atol=1e-7)
 
 
 def test_unrefined_steps_find_the_same_point_and_what_they_do_not_solve_is_solved_again(monkeypatch):
-    S, cl, asked = random_symmetric(4, 1)[0], _conic.clarabel(), []
-    block = ("psd", _conic.svec(np.eye(4))[:, None], _conic.svec(S))  # S - x I >= 0
-    refined = _conic.solve_cone_program(np.array([-1.0]), [block])
+    S, cl, asked = random_symmetric(4, 1)[0], conic_programs.clarabel(), []
+    block = ("psd", conic_programs.svec(np.eye(4))[:, None], conic_programs.svec(S))  # S - x I >= 0
+    refined = conic_programs.solve_cone_program(np.array([-1.0]), [block])
     solver = cl.DefaultSolver
 
     class Unsolved:
@@ -61,37 +61,37 @@ def test_unrefined_steps_find_the_same_point_and_what_they_do_not_solve_is_solve
     for attempts in ([False], [False, True]):
         poor = len(attempts) > 1
         asked.clear()
-        found = _conic.solve_cone_program(np.array([-1.0]), [block], refined=False, budget=60.0)
+        found = conic_programs.solve_cone_program(np.array([-1.0]), [block], refined=False, budget=60.0)
         assert found.record.status == "solved"
         assert found.x == pytest.approx(refined.x, abs=1e-8)
         assert asked == attempts
 
 
 def test_modelled_problems_say_how_they_ended():
-    cp = _conic.cvxpy()
+    cp = conic_programs.cvxpy()
     x = cp.Variable()
     good = cp.Problem(cp.Minimize(x), [x >= 2])
-    record = _conic.require(_conic.solve(good), "a bounded line")
+    record = conic_programs.require(conic_programs.solve(good), "a bounded line")
     assert record.status == "solved"
     assert record.version
     assert np.isclose(x.value, 2.0, atol=1e-7)
-    assert _conic.solve(cp.Problem(cp.Minimize(x))).status == "unbounded"
+    assert conic_programs.solve(cp.Problem(cp.Minimize(x))).status == "unbounded"
 
 
 def test_a_problem_without_a_point_is_an_error_that_carries_the_status():
-    cp = _conic.cvxpy()
+    cp = conic_programs.cvxpy()
     x = cp.Variable()
-    record = _conic.solve(cp.Problem(cp.Minimize(x), [x >= 2, x <= 1]))
+    record = conic_programs.solve(cp.Problem(cp.Minimize(x), [x >= 2, x <= 1]))
     with pytest.raises(SolverError, match="The solver found no point for two lines") as caught:
-        _conic.require(record, "two lines")
+        conic_programs.require(record, "two lines")
     assert caught.value.status == "infeasible"
     assert caught.value.exit_code == 3
 
 
 def test_a_budget_that_ran_out_is_a_status():
     S = random_symmetric(6, 1)[0]
-    block = ("psd", _conic.svec(np.eye(6))[:, None], _conic.svec(S))
-    assert _conic.solve_cone_program(np.array([-1.0]), [block], iterations=1).record.status == "budget"
+    block = ("psd", conic_programs.svec(np.eye(6))[:, None], conic_programs.svec(S))
+    assert conic_programs.solve_cone_program(np.array([-1.0]), [block], iterations=1).record.status == "budget"
 
 
 @pytest.mark.parametrize("spread", [0.0, 3.0])
@@ -118,17 +118,17 @@ def test_what_a_scaled_program_does_not_solve_is_solved_with_care():
 
 def test_every_problem_is_solved_in_one_thread(monkeypatch):
     """Threads of a solver that wait busily for each other would take the time of other workers."""
-    cl, cp, made, given = _conic.clarabel(), _conic.cvxpy(), [], []
+    cl, cp, made, given = conic_programs.clarabel(), conic_programs.cvxpy(), [], []
     solver, solve = cl.DefaultSolver, cp.Problem.solve
     monkeypatch.setattr(cl, "DefaultSolver", lambda *parts: made.append(parts[-1].max_threads) or solver(*parts))
     monkeypatch.setattr(cp.Problem, "solve", lambda self, **how: given.append(how["max_threads"]) or solve(self, **how))
     rows, b = np.array([[1.0], [-1.0]]), np.array([3.0, -1.0])  # 1 <= x <= 3
-    assert _conic.solve_cone_program(np.ones(1), [("nonnegative", rows, b)]).x[0] == pytest.approx(1.0)
+    assert conic_programs.solve_cone_program(np.ones(1), [("nonnegative", rows, b)]).x[0] == pytest.approx(1.0)
     assert ConeSolver(sparse.csc_matrix(rows), [("nonnegative", 2)]).solve(np.ones(1), b)[0] == pytest.approx(1.0)
     nearest = least_distance.conic(LeastDistance(1, rows[:1], np.ones(1), np.array([np.inf]), [], np.ones(1), [], []))
     assert nearest.z == pytest.approx(1.0)
     assert made == [1, 1, 1]
     x = cp.Variable()
-    assert _conic.solve(cp.Problem(cp.Minimize(x), [x >= 2])).status == "solved"
+    assert conic_programs.solve(cp.Problem(cp.Minimize(x), [x >= 2])).status == "solved"
     assert given == [1]
     assert set(made) == {1}

@@ -6,11 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sampling_design import PeriodicSchedule, Plant, Requirement, Signals, design_schedule, library, window_sigma
+from sampling_design import PeriodicSchedule, Plant, Requirement, design_schedule, window_sigma
 from sampling_design.design.bounds.evidence import UpperBound
 from sampling_design.design.design import _cuts
 from sampling_design.design.problem.posing import pose
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
+from sampling_design.plants import library
+from sampling_design.plants.plant import Signals
 
 
 def oscillator():

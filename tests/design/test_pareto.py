@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from sampling_design import Plant, Requirement, pareto
+from sampling_design import Plant, Requirement, pareto_front
 from sampling_design.errors import ArgumentError, FileFormatError
 
 PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -14,7 +14,7 @@ OPTIONS = {"starts": 2, "branches": 0}
 
 
 def test_sigma_grows_with_the_count_and_impossible_counts_say_why():
-    front = pareto(PLANT, REQUIREMENT, [5, 2, 3, 6, 1], **OPTIONS)
+    front = pareto_front(PLANT, REQUIREMENT, [5, 2, 3, 6, 1], **OPTIONS)
     assert [p.samples for p in front.points] == [1, 2, 3, 5, 6]
     assert "`samples` 1 per period" in front.points[0].obstacle
     assert "room for 5 samples" in front.points[-1].obstacle
@@ -28,12 +28,14 @@ def test_sigma_grows_with_the_count_and_impossible_counts_say_why():
 
 def test_a_file_is_resumed_and_not_designed_again(tmp_path):
     path = tmp_path / "front.json"
-    pareto(PLANT, REQUIREMENT, [3], resume=path, **OPTIONS)
+    pareto_front(PLANT, REQUIREMENT, [3], resume=path, **OPTIONS)
     data = json.loads(path.read_text())
     data["points"][0]["sigma"] = 0.123  # a mark: a point that is designed again would lose it
     path.write_text(json.dumps(data))
     messages = []
-    front = pareto(PLANT, REQUIREMENT, [3, 4], resume=path, progress=lambda f, m: messages.append((f, m)), **OPTIONS)
+    front = pareto_front(
+        PLANT, REQUIREMENT, [3, 4], resume=path, progress=lambda f, m: messages.append((f, m)), **OPTIONS
+    )
     assert front.points[0].sigma == 0.123
     assert front.points[1].sigma > 0.5
     assert len(messages) == 1
@@ -42,25 +44,25 @@ def test_a_file_is_resumed_and_not_designed_again(tmp_path):
 
 def test_a_file_of_another_requirement_is_refused(tmp_path):
     path = tmp_path / "front.json"
-    pareto(PLANT, REQUIREMENT, [3], resume=path, **OPTIONS)
+    pareto_front(PLANT, REQUIREMENT, [3], resume=path, **OPTIONS)
     with pytest.raises(FileFormatError, match="belongs to another plant, requirement or option"):
-        pareto(PLANT, REQUIREMENT.replace(spacing=0.6), [3], resume=path, **OPTIONS)
+        pareto_front(PLANT, REQUIREMENT.replace(spacing=0.6), [3], resume=path, **OPTIONS)
     path.write_text('{"format": "other"}')
     with pytest.raises(FileFormatError, match="`format` must be 'sampling-design/pareto/1'"):
-        pareto(PLANT, REQUIREMENT, [3], resume=path, **OPTIONS)
+        pareto_front(PLANT, REQUIREMENT, [3], resume=path, **OPTIONS)
 
 
 @pytest.mark.long
 def test_executors_and_backends_give_the_same_front():
-    plain = pareto(PLANT, REQUIREMENT, [2, 3], **OPTIONS)
+    plain = pareto_front(PLANT, REQUIREMENT, [2, 3], **OPTIONS)
     with ThreadPoolExecutor(2) as pool:
-        assert pareto(PLANT, REQUIREMENT, [2, 3], workers=pool, **OPTIONS).points == plain.points
-    assert pareto(PLANT, REQUIREMENT, [2, 3], workers="threading", **OPTIONS).points == plain.points
-    assert pareto(PLANT, REQUIREMENT, [2, 3], workers=1, **OPTIONS).points == plain.points
+        assert pareto_front(PLANT, REQUIREMENT, [2, 3], workers=pool, **OPTIONS).points == plain.points
+    assert pareto_front(PLANT, REQUIREMENT, [2, 3], workers="threading", **OPTIONS).points == plain.points
+    assert pareto_front(PLANT, REQUIREMENT, [2, 3], workers=1, **OPTIONS).points == plain.points
 
 
 def test_bad_arguments_are_named():
     with pytest.raises(ArgumentError, match="`counts` must hold at least one"):
-        pareto(PLANT, REQUIREMENT, [])
+        pareto_front(PLANT, REQUIREMENT, [])
     with pytest.raises(ArgumentError, match=r"`workers` must be a concurrent\.futures\.Executor or a Dask client or"):
-        pareto(PLANT, REQUIREMENT, [3], workers=2.5)
+        pareto_front(PLANT, REQUIREMENT, [3], workers=2.5)

@@ -5,9 +5,10 @@ import re
 import numpy as np
 import pytest
 
-from sampling_design import Plant, Requirement, design_schedule, split_modes
+from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.design.problem.posing import pose, resolve
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError, NotObservableError, SolverError
+from sampling_design.plants.modes import split_modes
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 BASE = {"window": 4.0, "spacing": 0.5, "samples": 3}

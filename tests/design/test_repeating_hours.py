@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from sampling_design import Plant, Requirement, design_schedule, library
+from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.design.bounds.evidence import first_bound, placed_part
 from sampling_design.design.bounds.relaxation import grams_at, relax_placed, repeating, solve_relaxation
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.search.fedorov_exchange import is_admissible, spread
 from sampling_design.design.search.rotations import rotated
+from sampling_design.plants import library
 
 
 def hours(repeats, *closed):

@@ -5,7 +5,9 @@ import re
 import numpy as np
 import pytest
 
-from sampling_design import OutputAccess, Requirement, read_requirement, write_requirement
+from sampling_design import Requirement, read_requirement
+from sampling_design.design.problem.requirement import OutputAccess
+from sampling_design.design.problem.requirement_file import write_requirement
 from sampling_design.errors import ArgumentError, FileFormatError
 
 FULL = """

@@ -8,7 +8,6 @@ import pytest
 
 import sampling_design as sd
 from sampling_design import Plant
-from sampling_design._linalg import expm_batch
 from sampling_design.design.bounds.relaxation import relax_placed
 from sampling_design.design.problem.canonical import canonical
 from sampling_design.design.problem.gram import ScaledRows
@@ -18,6 +17,7 @@ from sampling_design.design.search import local_search
 from sampling_design.design.search.fedorov_exchange import is_admissible, packed, repaired, shares_of, spread
 from sampling_design.design.search.local_search import _kick, _ranked, _Refinement, search
 from sampling_design.design.search.refine import refined
+from sampling_design.numerics.linalg import expm_batch
 
 
 def problem(**changes):

@@ -5,15 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sampling_design import (
-    Plant,
-    Signals,
-    load_certificate,
-    read_measurements,
-    read_plant,
-    read_requirement,
-    read_schedule,
-)
+from sampling_design import Plant, read_certificate, read_measurements, read_plant, read_requirement, read_schedule
+from sampling_design.plants.plant import Signals
 
 PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text()
 
@@ -64,6 +57,6 @@ def test_the_measurements(tmp_path):
 def test_the_detectability_certificate(tmp_path):
     path = tmp_path / "certificate.json"
     path.write_text(example("Certificate (JSON)", "json"))
-    found = load_certificate(path, plant=Plant([[1.0]], [[1.0]]))
+    found = read_certificate(path, plant=Plant([[1.0]], [[1.0]]))
     assert (found.eta, found.c_w, found.c_y, found.margin, found.method) == (1.0, 1.0, 4.5, 0.01, "given")
     assert found.verify().passed

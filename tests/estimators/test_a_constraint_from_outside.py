@@ -19,7 +19,7 @@ RECORD = [(t, [0.85 * np.cos(t) + error]) for t, error in zip(TIMES, (0.55, 0.4,
 def diamond(scales):
     """Return {z : sum |z_i| / s_i <= 1}."""
     signs = np.array(list(product((-1.0, 1.0), repeat=len(scales))))
-    return sd.ConvexSet.halfspaces(signs / scales, np.ones(len(signs)))
+    return sd.estimators.ConvexSet.halfspaces(signs / scales, np.ones(len(signs)))
 
 
 def run(**options):

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design._linalg import discounted_flow
 from sampling_design.estimators.gap_flows.composed_flow import FEW, ComposedFlow
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
 from sampling_design.estimators.gap_flows.flows import FlowTable, lower_band
+from sampling_design.numerics.linalg import discounted_flow
 
 PLANTS = {
     "oscillator": [[0.0, 1.0], [-1.0, 0.0]],

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sampling_design import ConvexSet
 from sampling_design.errors import ArgumentError
+from sampling_design.estimators.constraints.convex_set import ConvexSet
 
 TRIANGLE = ConvexSet.halfspaces([[-1.0, 0.0], [0.0, -1.0], [1.0, 2.0]], [0.0, 0.0, 2.0])
 

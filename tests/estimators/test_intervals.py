@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.accuracy.interval import prove, state_interval
+from sampling_design.accuracy.readings import DisturbanceSet, RowReading, StartError, gathered
+from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.evidence import Evidence
-from sampling_design.recovery.interval import interval, prove
-from sampling_design.recovery.readings import Push, Row, StartError, gathered
-from sampling_design.recovery.record_program import RecordProgram
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], B=[[0.0], [1.0]], states=["position", "velocity"])
 TIMES = [0.7, 2.3, 3.2, 5.2, 5.9]
@@ -31,14 +31,14 @@ def followed(estimator, record=RECORD):
 def test_every_estimator_says_what_the_record_says(maker):
     estimator = MAKERS[maker](initial_error=[2.0, 2.0])
     estimate = followed(estimator)
-    alone = interval(PLANT, RECORD, initial_error=[2.0, 2.0], prior_time=0.0, **GIVEN)
+    alone = state_interval(PLANT, RECORD, initial_error=[2.0, 2.0], prior_time=0.0, **GIVEN)
     found = estimate.interval()
     assert found.lower == pytest.approx(alone.lower, rel=1e-4)
     assert found.verify()
     assert estimate.radii == pytest.approx(np.maximum(alone.upper - estimate.x, estimate.x - alone.lower), rel=1e-4)
     assert np.all(estimate.radii < estimate.ellipsoid_radii)
     later = estimator.predict(8.0)
-    beyond = interval(PLANT, RECORD, 8.0, initial_error=[2.0, 2.0], prior_time=0.0, **GIVEN)
+    beyond = state_interval(PLANT, RECORD, 8.0, initial_error=[2.0, 2.0], prior_time=0.0, **GIVEN)
     assert later.interval().upper == pytest.approx(beyond.upper, rel=1e-4)
     (row,) = estimate.interval([[1.0, -1.0]]).radii
     assert row < np.sum(found.radii)
@@ -81,7 +81,7 @@ def test_a_long_record_keeps_its_past_in_its_first_ellipsoid():
     found = estimate.interval()
     assert len(found.readings.times) == 25
     assert found.readings.start.ball
-    whole = interval(PLANT, record, **GIVEN)
+    whole = state_interval(PLANT, record, **GIVEN)
     assert found.radii == pytest.approx(whole.radii, rel=0.01)
     assert found.holds([np.sin(times[-1]), np.cos(times[-1])])
 
@@ -90,11 +90,11 @@ def test_constraints_narrow_it_and_are_in_the_proof():
     free = followed(MAKERS["moving horizon"](initial_error=2.0))
     for sets in (
         {"x": ([-0.9, -2.0], [2.0, 0.95])},
-        {"x": sd.ConvexSet.halfspaces([[-1.0, 1.0]], [1.36])},
+        {"x": sd.estimators.ConvexSet.halfspaces([[-1.0, 1.0]], [1.36])},
         {"v": (-0.05, 0.05)},
         {"v": (0.0, 0.2)},
         {"w": (-0.01, 0.0)},
-        {"w": sd.ConvexSet.ball(0.004, centre=[0.001, 0.0])},
+        {"w": sd.estimators.ConvexSet.ball(0.004, centre=[0.001, 0.0])},
     ):
         estimate = followed(MAKERS["moving horizon"](initial_error=2.0, constraints=sd.Constraints(**sets)))
         found = estimate.interval()
@@ -133,11 +133,11 @@ def test_a_contradiction_is_told_by_the_interval_first():
 def test_a_mean_over_a_day_is_a_row_of_its_own():
     """A constant level, read as a mean: the same as reading it; a ramp: its middle."""
     tank = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
-    still = Push(np.zeros(2), np.zeros((2, 2)), False)
-    rows = [(2.0, (Row(tank.C[0], 1.0, 0.1, since=0.0),)), (6.0, (Row(tank.C[0], 5.0, 0.1, since=4.0),))]
+    still = DisturbanceSet(np.zeros(2), np.zeros((2, 2)), False)
+    rows = [(2.0, (RowReading(tank.C[0], 1.0, 0.1, since=0.0),)), (6.0, (RowReading(tank.C[0], 5.0, 0.1, since=4.0),))]
     readings = gathered(tank, still, StartError(), np.zeros(2), 0.0, rows, ball=False)
     assert readings.times.tolist() == [0.0, 2.0, 4.0, 6.0]
-    found = prove(RecordProgram(readings), 6.0, sd.recovery.rows.wanted_rows(tank))
+    found = prove(RecordProgram(readings), 6.0, sd.accuracy.rows.wanted_rows(tank))
     # x(1) = 1 +- .1 and x(5) = 5 +- .1: slope 1 +- .05, x(6) = 6 +- .15
     assert found.centre == pytest.approx([6.0, 1.0], abs=1e-6)
     assert found.radii == pytest.approx([0.15, 0.05], abs=1e-6)
@@ -146,8 +146,11 @@ def test_a_mean_over_a_day_is_a_row_of_its_own():
 
 @pytest.mark.parametrize("since", [-1.0, 1.0])
 def test_a_mean_lies_after_the_start_and_after_the_mean_before(since):
-    rows = [(2.0, (Row(PLANT.C[0], 1.0, 0.1, since=0.0),)), (3.0, (Row(PLANT.C[0], 1.0, 0.1, since=since),))]
-    push = Push(np.zeros(2), np.eye(2), False)
+    rows = [
+        (2.0, (RowReading(PLANT.C[0], 1.0, 0.1, since=0.0),)),
+        (3.0, (RowReading(PLANT.C[0], 1.0, 0.1, since=since),)),
+    ]
+    push = DisturbanceSet(np.zeros(2), np.eye(2), False)
     with pytest.raises(ArgumentError, match=r"of the mean read at 3\.0 lies before the start or in the mean before it"):
         gathered(PLANT, push, StartError(), np.zeros(2), 0.0, rows, ball=False)
 
@@ -164,7 +167,7 @@ def test_the_set_membership_estimator_returns_the_centre():
         assert estimate.certified
         assert estimate.holds(truth)
         assert np.all(np.abs(truth - estimate.x) <= estimate.radii)
-    alone = interval(PLANT, RECORD, **GIVEN)
+    alone = state_interval(PLANT, RECORD, **GIVEN)
     assert estimate.x == pytest.approx(alone.centre, abs=1e-4)
     assert estimate.radii == pytest.approx(alone.radii, rel=1e-4)
     other = followed(MAKERS["filter"]())
@@ -201,7 +204,7 @@ def test_an_estimate_moves_into_the_middle_of_its_interval(seed):
         assert moved.certified
         assert not moved.on_schedule
         assert moved.note == "Moved into the middle of what the data prove."
-    record = sd.EstimateRecord.collect(plant, found)
+    record = sd.estimators.EstimateRecord.collect(plant, found)
     assert np.array_equal(record.centred().x, [estimate.centred().x for estimate in found])
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.accuracy.interval import state_interval
+from sampling_design.accuracy.readings import AboveRange, BelowDetection, CensoredReading, CompositeReading
 from sampling_design.errors import ArgumentError, FileFormatError
-from sampling_design.recovery.interval import interval
-from sampling_design.recovery.readings import Above, Below, Mean, Told
 
 TANK = sd.Plant(
     [[-0.05]], [[1.0], [1.0]], B=[[1.0]], states=["level"], outputs=["blood", "urine"], inputs=["dose"], time_unit="h"
@@ -20,9 +20,9 @@ def test_a_file_with_limits_and_means_comes_back_exactly(tmp_path):
     record = sd.read_measurements(path, TANK)
     assert [len(row) for row in record.told] == [0, 2, 2, 0]
     rows = list(record)
-    assert rows[1][1] == [Below(0.5), Mean(3.1, 0.0)]
-    assert rows[2][1] == [Above(8.0), Mean(Below(0.2), 24.0)]
-    again = sd.read_measurements(sd.write_measurements(record, tmp_path / "again.csv"), TANK)
+    assert rows[1][1] == [BelowDetection(0.5), CompositeReading(3.1, 0.0)]
+    assert rows[2][1] == [AboveRange(8.0), CompositeReading(BelowDetection(0.2), 24.0)]
+    again = sd.read_measurements(sd.estimators.write_measurements(record, tmp_path / "again.csv"), TANK)
     assert again.told == record.told
     assert np.array_equal(again.y, record.y, equal_nan=True)
     assert record.measured.sum() == 5
@@ -60,7 +60,7 @@ def test_bad_cells_are_refused(tmp_path, cells, match):
 def test_told_belongs_to_rows():
     with pytest.raises(ArgumentError, match="`told` must have an entry for each row"):
         sd.Measurements(TANK, [0.0], [[1.0, np.nan]], told=((), ()))
-    beyond = Told(2, 0.0, 1.0, None)
+    beyond = CensoredReading(2, 0.0, 1.0, None)
     for told in (np.nan, "<0.5", ((3,),), (3,), ((beyond,),)):
         with pytest.raises(ArgumentError, match="`told` must be a tuple of what each row says, got "):
             sd.Measurements(TANK, [0.0], [[1.0, np.nan]], told=told)
@@ -71,20 +71,20 @@ GIVEN = {"w_bound": 0.1, "v_bound": 0.05}
 
 
 def test_limits_are_half_lines():
-    found = interval(WALK, [(0.0, [1.0], None), (1.0, [Below(0.97)], None)], **GIVEN)
+    found = state_interval(WALK, [(0.0, [1.0], None), (1.0, [BelowDetection(0.97)], None)], **GIVEN)
     assert found.lower == pytest.approx([0.85], abs=1e-6)
     assert found.upper == pytest.approx([0.97 + 0.05], abs=1e-6)
-    both = interval(WALK, [(0.0, [1.0], None), (1.0, [Above(1.1)], None)], **GIVEN)
+    both = state_interval(WALK, [(0.0, [1.0], None), (1.0, [AboveRange(1.1)], None)], **GIVEN)
     assert both.lower == pytest.approx([1.05], abs=1e-6)
     assert both.upper == pytest.approx([1.15], abs=1e-6)
     assert both.verify()
-    wrong = interval(WALK, [(0.0, [1.0], None), (1.0, [Below(0.5)], None)], **GIVEN)
+    wrong = state_interval(WALK, [(0.0, [1.0], None), (1.0, [BelowDetection(0.5)], None)], **GIVEN)
     assert wrong.contradiction > 1
 
 
 def test_a_mean_is_the_integral_over_its_time():
     """x(t) = x(2) + what w did; the mean over [0, 2] of a walk differs from x(2) by at most w_bound 2/2."""
-    found = interval(WALK, [(2.0, [Mean(1.0, since=0.0)], None)], prior_time=0.0, **GIVEN)
+    found = state_interval(WALK, [(2.0, [CompositeReading(1.0, since=0.0)], None)], prior_time=0.0, **GIVEN)
     assert found.radii == pytest.approx([0.05 + 0.1 * 1.0], abs=1e-5)
     assert found.centre == pytest.approx([1.0], abs=1e-5)
     assert found.verify()
@@ -92,8 +92,8 @@ def test_a_mean_is_the_integral_over_its_time():
 
 def test_a_mean_counts_what_the_input_adds_to_the_output():
     plant = sd.Plant([[0.0]], [[1.0]], B=[[0.0]], D=[[2.0]], states=["level"])
-    record = [(0.0, None, [0.0]), (1.0, None, [1.0]), (2.0, [Mean(3.0, since=0.0)], None)]
-    found = interval(plant, record, prior_time=0.0, w_bound=0.0, v_bound=0.05)
+    record = [(0.0, None, [0.0]), (1.0, None, [1.0]), (2.0, [CompositeReading(3.0, since=0.0)], None)]
+    found = state_interval(plant, record, prior_time=0.0, w_bound=0.0, v_bound=0.05)
     assert found.centre == pytest.approx([3.0 - 2.0 * 0.5], abs=1e-6)
 
 
@@ -101,11 +101,11 @@ def test_a_mean_counts_what_the_input_adds_to_the_output():
 def test_estimators_use_them_in_intervals(maker):
     estimator = maker(WALK, initial_error=5.0, **GIVEN)
     estimator.update(0.5, [1.0])
-    estimate = estimator.update(1.5, [Below(0.97)])
+    estimate = estimator.update(1.5, [BelowDetection(0.97)])
     found = estimate.interval()
     assert found.upper == pytest.approx([1.02], abs=1e-5)
     assert found.lower == pytest.approx([0.85], abs=1e-5)
-    later = estimator.update(4.0, [Mean(0.9, since=2.0)])
+    later = estimator.update(4.0, [CompositeReading(0.9, since=2.0)])
     assert later.interval().verify()
     assert later.interval().radii[0] < 0.16
     again = estimator.update(4.0, [1.0])
@@ -117,27 +117,29 @@ def test_the_moving_horizon_estimator_and_a_whole_record(tmp_path):
     path.write_text("time,y1,y1_since\n0.5,1,\n1.5,<0.97,\n4,0.9,2\n")
     record = sd.read_measurements(path, WALK)
     found = sd.MovingHorizonEstimator(WALK, horizon=9.0, initial_error=5.0, **GIVEN).run(record)
-    alone = interval(WALK, record, prior_time=0.0, initial_error=5.0, **GIVEN)
+    alone = state_interval(WALK, record, prior_time=0.0, initial_error=5.0, **GIVEN)
     assert found.estimates[-1].interval().upper == pytest.approx(alone.upper, abs=1e-5)
 
 
 def test_what_cannot_be_used_is_refused():
     plain = sd.KalmanFilter(WALK)
     with pytest.raises(ArgumentError, match="`w_bound` and `v_bound` must be given for the limit or mean"):
-        plain.update(1.0, [Below(0.5)])
+        plain.update(1.0, [BelowDetection(0.5)])
     assert plain.state.last.t == 0.0
     bounded = sd.KalmanFilter(WALK, **GIVEN)
-    bounded.update(3.0, [Mean(1.0, since=1.0)])
+    bounded.update(3.0, [CompositeReading(1.0, since=1.0)])
     with pytest.raises(ArgumentError, match=r"`since` = 2\.0 of the mean at t = 4\.0 must lie before it"):
-        bounded.update(4.0, [Mean(1.0, since=2.0)])
+        bounded.update(4.0, [CompositeReading(1.0, since=2.0)])
     with pytest.raises(ArgumentError, match="`limit` must be"):
-        bounded.update(5.0, [Below(np.inf)])
+        bounded.update(5.0, [BelowDetection(np.inf)])
 
 
 def test_estimators_of_nonlinear_plants_take_plain_numbers():
-    plant = sd.from_linear(WALK)
+    plant = sd.nonlinear.from_linear(WALK)
     with pytest.raises(ArgumentError, match="this estimator takes plain numbers only"):
-        sd.NonlinearMovingHorizonEstimator(plant, horizon=5.0, cost=sd.CostFunction(eta=0.1)).update(1.0, [Below(0.5)])
+        sd.NonlinearMovingHorizonEstimator(plant, horizon=5.0, cost=sd.CostFunction(eta=0.1)).update(
+            1.0, [BelowDetection(0.5)]
+        )
 
 
 SPRING = sd.Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0]])
@@ -156,7 +158,7 @@ def limited_run(seed, **options):
         )
         y, now = float(SPRING.C[0] @ x) + rng.uniform(-0.2, 0.2), float(t)
         limit = rng.normal() * 0.3
-        told = y if rng.random() < 0.5 else Below(limit) if y < limit else Above(limit)
+        told = y if rng.random() < 0.5 else BelowDetection(limit) if y < limit else AboveRange(limit)
         found.append(mhe.update(now, [told]))
         truth.append(x)
     return np.array(truth), found
@@ -178,19 +180,19 @@ def test_limits_constrain_the_moving_horizon_estimate_which_still_holds_the_trut
 
 def test_a_limit_moves_the_estimate_under_it():
     plain = sd.MovingHorizonEstimator(SPRING, horizon=6.0, prior=[3.0, 0.0], **BOUNDED)
-    estimate = plain.update(0.1, [Below(1.0)])
+    estimate = plain.update(0.1, [BelowDetection(1.0)])
     assert estimate.x[0] <= 1.0 + 0.2 + 1e-6
     assert estimate.x[0] > 1.1
-    later = plain.update(0.2, [Above(0.5)])
+    later = plain.update(0.2, [AboveRange(0.5)])
     assert later.x[0] >= 0.3 - 1e-6
     both = sd.Plant([[0.0]], [[1.0]])
     torn = sd.MovingHorizonEstimator(both, horizon=6.0, **BOUNDED)
-    torn.update(1.0, [Below(0.0)])
-    assert torn.update(1.0, [Above(5.0)]).interval().contradiction > 1
+    torn.update(1.0, [BelowDetection(0.0)])
+    assert torn.update(1.0, [AboveRange(5.0)]).interval().contradiction > 1
 
 
 def test_limits_stay_where_they_are_when_a_late_sample_is_replayed():
-    rows = [(0.5, [0.4]), (1.0, [Below(0.1)]), (1.6, [0.0]), (2.2, [Above(-0.3)])]
+    rows = [(0.5, [0.4]), (1.0, [BelowDetection(0.1)]), (1.6, [0.0]), (2.2, [AboveRange(-0.3)])]
     ordered = sd.MovingHorizonEstimator(SPRING, horizon=6.0, **BOUNDED)
     late = sd.MovingHorizonEstimator(SPRING, horizon=6.0, **BOUNDED)
     last = [ordered.update(*row) for row in rows][-1]
@@ -199,7 +201,15 @@ def test_limits_stay_where_they_are_when_a_late_sample_is_replayed():
     assert np.allclose(again.x, last.x, atol=1e-10)
 
 
-READ_AT_ONE = [0.3, 0.4, Below(0.5), Above(0.1), Mean(0.3, 0.5), Mean(0.4, 0.5), Mean(Below(0.5), 0.5)]
+READ_AT_ONE = [
+    0.3,
+    0.4,
+    BelowDetection(0.5),
+    AboveRange(0.1),
+    CompositeReading(0.3, 0.5),
+    CompositeReading(0.4, 0.5),
+    CompositeReading(BelowDetection(0.5), 0.5),
+]
 
 
 @pytest.mark.parametrize("first", READ_AT_ONE, ids=str)
@@ -226,11 +236,11 @@ def test_an_output_has_one_reading_at_a_time_whatever_kind_it_is_of(first, late)
         np.testing.assert_allclose(mhe.predict(2.0).x, joined.predict(2.0).x, rtol=0, atol=1e-12)
         assert whole.certified
         with pytest.raises(ArgumentError, match=r"measures twice at 1\.0"):
-            interval(two, [(0.0, [0.3, 0.3]), (1.0, [first, np.nan]), (1.0, [second, np.nan])], **GIVEN)
+            state_interval(two, [(0.0, [0.3, 0.3]), (1.0, [first, np.nan]), (1.0, [second, np.nan])], **GIVEN)
 
 
 @pytest.mark.parametrize("nothing", [(0.1, np.inf), (-np.inf, np.inf), {"y1": np.inf}], ids=str)
 def test_readings_without_a_bound_say_nothing_of_an_interval(nothing):
     rows = [(0.0, [0.5]), (2.0, [0.5])]
-    found = interval(WALK, rows, w_bound=0.1, v_bound=nothing, initial_error=1.0)
+    found = state_interval(WALK, rows, w_bound=0.1, v_bound=nothing, initial_error=1.0)
     assert (found.lower[0], found.upper[0]) == pytest.approx((-1.2, 1.2), rel=1e-6)

@@ -5,16 +5,11 @@ import csv
 import numpy as np
 import pytest
 
-from sampling_design import (
-    Measurements,
-    MovingHorizonEstimator,
-    Plant,
-    read_measurements,
-    write_estimates,
-    write_measurements,
-)
+from sampling_design import Measurements, MovingHorizonEstimator, Plant, read_measurements
 from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.estimators.estimate_file import write_estimates
 from sampling_design.estimators.records.measurement_table import BLOCK
+from sampling_design.estimators.records.measurements import write_measurements
 
 PLANT = Plant(
     [[0.0, 1.0], [-1.0, 0.0]],

@@ -7,15 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sampling_design import Constraints, GuaranteeWarning, Plant, certify
+from sampling_design import Constraints, Plant, certify
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
-from sampling_design.certificates.form.seal import RESOLUTION
+from sampling_design.certificates.form.digest import RESOLUTION
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.kalman import KalmanFilter
 from sampling_design.estimators.mhe import MovingHorizonEstimator
+from sampling_design.estimators.online.estimator import GuaranteeWarning
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 

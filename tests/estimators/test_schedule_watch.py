@@ -13,8 +13,8 @@ from sampling_design import (
     Schedule,
     certify,
 )
+from sampling_design.accuracy.readings import BelowDetection
 from sampling_design.estimators.online.schedule_watch import ScheduleWatch
-from sampling_design.recovery.readings import Below
 
 PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 TIMES = [0.0, 0.9, 2.0, 3.1]
@@ -137,8 +137,8 @@ def test_a_limit_is_no_sample_of_the_schedule_and_disturbs_none():
     for t in (1.0, 2.0, 3.0):
         assert plain.update(t, [0.0]).on_schedule
         assert between.update(t, [0.0]).on_schedule
-        assert between.update(t + 0.4, [Below(5.0)]).on_schedule
-        found = instead.update(t, [Below(5.0)] if t == 2.0 else [0.0])
+        assert between.update(t + 0.4, [BelowDetection(5.0)]).on_schedule
+        found = instead.update(t, [BelowDetection(5.0)] if t == 2.0 else [0.0])
     assert not found.on_schedule
 
 

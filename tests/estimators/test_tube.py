@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.estimators.online.curve import Following
-from sampling_design.estimators.online.tube import joined
+from sampling_design.estimators.online.curve import CurveCollector
+from sampling_design.estimators.online.state_tube import joined
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"])
 GIVEN = {"w_bound": 0.05, "v_bound": 0.2, "initial_error": 0.7}
@@ -49,7 +49,7 @@ def test_a_centred_curve_is_the_middle_of_its_tube():
     """From the middle of the interval at a sample on; where nothing is bounded it is the estimator's."""
 
     def followed(estimator):
-        following = Following(estimator, points=3, centred=True)
+        following = CurveCollector(estimator, points=3, centred=True)
         for t, y in ((0.8, [0.6]), (2.1, [0.7])):
             following.before(t)
             following.after(t, estimator.update(t, y).centred())

@@ -100,7 +100,9 @@ def test_rivals_minimise_the_same_window():
 def test_loops_agree_with_the_rooms():
     plant = sd.named_plant("satellite")
     times = np.linspace(0.0, 900.0, 7)
-    assert np.allclose(seeing.loop_rows(plant, times), sd.observability_matrix(plant, times), rtol=1e-10, atol=1e-10)
+    assert np.allclose(
+        seeing.loop_rows(plant, times), sd.observability.observability_matrix(plant, times), rtol=1e-10, atol=1e-10
+    )
 
 
 @pytest.mark.parametrize("search", [evolve, homology])

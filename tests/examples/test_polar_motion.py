@@ -49,7 +49,7 @@ def test_what_300_days_prove_and_198_do_not(pole):
 
 def test_fixed_dates_are_blind_by_sigma_too():
     for schedule in p.SCHEDULES[-2:]:
-        assert sd.sigma_min(p.plant(), schedule.gap * np.arange(schedule.kept)) < 1e-9
+        assert sd.observability.sigma_min(p.plant(), schedule.gap * np.arange(schedule.kept)) < 1e-9
 
 
 def test_bounds_too_small_are_disproved_and_those_that_are_used_are_not(pole):

@@ -123,7 +123,7 @@ def test_a_tolerance_that_is_not_kept_says_when():
     worst = float(re.search(r"shortly before ([\d.]+),", told[0])[1])
     bench = scene("plan")
     bounds = {"w_bound": bench.w_bound, "v_bound": bench.v_bound}
-    known = sd.accuracy(bench.plant, bench.schedule, **bounds, of=bench.rows, rtol=0.05)
+    known = sd.guaranteed_accuracy(bench.plant, bench.schedule, **bounds, of=bench.rows, rtol=0.05)
     edges, row = known.profile.edges, known.profile.upper[0]
     for t, upper in zip((edges[:-1] + edges[1:]) / 2 % bench.period, row, strict=True):
         assert any((t - a) % bench.period < (b - a) % bench.period for a, b in stretches) == (upper > 0.35)
@@ -183,7 +183,7 @@ def test_accuracy_is_told_state_by_state_and_needs_bounds():
     assert hidden["worst"] == [None, None]
     assert "no bound holds at all times: no sample shows 0+1i, 0-1i" in hidden["told"][0]
     seen = bench.answer({"ask": "accuracy", "marks": marks(1.0, 2.5)})
-    known = sd.accuracy(PLANT, bench.schedule, w_bound=0.02, v_bound=0.1, rtol=0.05)
+    known = sd.guaranteed_accuracy(PLANT, bench.schedule, w_bound=0.02, v_bound=0.1, rtol=0.05)
     assert seen["worst"] == pytest.approx(known.upper)
     assert len(seen["edges"]) == len(seen["upper"][0]) + 1
     assert "`w_bound` and `v_bound`" in Bench(PLANT).answer({"ask": "accuracy"})["error"]

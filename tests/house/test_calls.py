@@ -5,7 +5,7 @@ import inspect
 import re
 from collections.abc import Iterable
 
-import sampling_design
+from tests.front_door import public
 from tests.house.sources import PACKAGE, SOURCES, nodes, parsed
 
 MOST_BY_PLACE = 8
@@ -48,10 +48,10 @@ def public_results() -> dict[str, ast.expr | None]:
     for path in SOURCES:
         for node in parsed(path).body:
             bases = [ast.unparse(base) for base in getattr(node, "bases", [])]
-            if isinstance(node, ast.FunctionDef) and "door" in map(ast.unparse, node.decorator_list):
+            if isinstance(node, ast.FunctionDef) and "checked" in map(ast.unparse, node.decorator_list):
                 results[node.name] = node.returns
             if isinstance(node, ast.ClassDef) and (
-                {"Record", "Table", "Gridded", "SigmaBracket"} & {*bases} or node.name in sampling_design.__all__
+                {"Record", "TableRecord", "CurveRecord", "SigmaBracket"} & {*bases} or node.name in public()
             ):
                 for member in node.body:
                     if isinstance(member, ast.FunctionDef) and not member.name.startswith("_"):
@@ -75,10 +75,9 @@ EXPLAINED = 10
 
 def test_every_long_list_of_arguments_has_its_reason():
     long = {}
-    for name in sampling_design.__all__:
-        thing = getattr(sampling_design, name)
+    for name, thing in public().items():
         made = vars(thing).get("__init__") if inspect.isclass(thing) else thing
-        if inspect.isfunction(made) and "door" in vars(made):
+        if inspect.isfunction(made) and "checked" in vars(made):
             kinds = [p.kind for key, p in inspect.signature(made).parameters.items() if key != "self"]
             long[name] = len([kind for kind in kinds if kind is not inspect.Parameter.VAR_KEYWORD])
     text = (PACKAGE.parent / "docs" / "conventions.md").read_text().split("## Arguments")[1].split("\n## ")[0]

@@ -22,10 +22,10 @@ schedule = sd.design_schedule(plant, sd.Requirement(window=4.0, spacing=0.5, sam
 assert sd.window_sigma(plant, schedule, 4.0).lower > 0
 certificate = sd.certify(plant, schedule)
 assert certificate.verify().passed
-assert sd.load_certificate(certificate.save(sys.argv[1])).lam == certificate.lam
+assert sd.read_certificate(certificate.save(sys.argv[1])).lam == certificate.lam
 estimator = sd.MovingHorizonEstimator(plant, certificate, w_bound=0.1, v_bound=0.1, initial_error=2.0)
 assert estimator.update(0.4, [0.98]).certified
-assert sd.accuracy(plant, schedule, w_bound=0.1, v_bound=0.1).verify()
+assert sd.guaranteed_accuracy(plant, schedule, w_bound=0.1, v_bound=0.1).verify()
 assert sd.validate(plant, schedule, certificate, runs=4, scenarios=["random"]).passed
 for other, words in ((lambda: sd.window_sigma(schedule, schedule, 4.0), "`plant` must be a Plant"),
                      (certificate.plot, "nothing that draws a Certificate is installed")):

@@ -70,7 +70,7 @@ def test_certificates_are_made_by_the_watched_functions_only():
 
 
 def test_every_watched_function_is_wrapped_where_its_module_looks_it_up():
-    from sampling_design.certificates.certify import certify
+    from sampling_design.certificates.certification import certify
     from sampling_design.certificates.detectability import best_rate as detectability
     from sampling_design.certificates.families import certify_family as family
     from sampling_design.certificates.paper import proof_constants
@@ -167,7 +167,7 @@ def test_a_folder_with_too_few_or_wrong_ones_is_refused(judge, tmp_path):
 LIE = """
 import dataclasses
 import sampling_design as sd
-from sampling_design.certificates.certify import certify
+from sampling_design.certificates.certification import certify
 from sampling_design.certificates.exact import proof
 from sampling_design.certificates.form.verdict import Verification
 

@@ -19,7 +19,7 @@ import sampling_design as sd
 from sampling_design.cli import app
 from sampling_design.errors import FileFormatError
 from sampling_design.planning.files import save_plan
-from sampling_design.planning.work import AFTER, Work
+from sampling_design.planning.work_budget import AFTER, WorkBudget
 from tests import command_lines
 from tests.front_door import public
 
@@ -77,7 +77,7 @@ def uneven():
 
 
 def compared():
-    return uneven(), sd.constants_from_proof(OSCILLATOR, EASY)
+    return uneven(), sd.certificates.constants_from_proof(OSCILLATOR, EASY)
 
 
 def family():
@@ -88,19 +88,23 @@ VERBS = {
     "window_sigma": lambda b: sd.window_sigma(HARD, EASY, 300.0, rtol=1e-9, budget=b),
     "worst_case_sigma": lambda b: sd.worst_case_sigma(HARD, sd.SpacedWindows(20.0, 12, 0.5), rtol=1e-9, budget=b),
     "design_schedule": lambda b: sd.design_schedule(HARD, LARGE, branches=10**6, budget=b),
-    "pareto": lambda b: sd.pareto(HARD, LARGE, range(16, 21), budget=b),
+    "pareto": lambda b: sd.pareto_front(HARD, LARGE, range(16, 21), budget=b),
     "certify": lambda b: sd.certify(HARD, EASY, budget=b),
-    "certify_family": lambda b: sd.certify_family(OSCILLATOR, sd.GapRange(0.05, 1.5), budget=b),
-    "find_counterexample": lambda b: sd.find_counterexample(HARD, sd.GapRange(0.5, 40.0), 0.1, budget=b),
+    "certify_family": lambda b: sd.certificates.certify_family(OSCILLATOR, sd.GapRange(0.05, 1.5), budget=b),
+    "find_counterexample": lambda b: sd.certificates.find_counterexample(HARD, sd.GapRange(0.5, 40.0), 0.1, budget=b),
     "sample_losses": lambda b: sd.sample_losses(designed(), budget=b / 4),
     "compare_schedule": lambda b: sd.compare_schedule(HARD, EASY, EASY.between(0, 600.0).times, 100.0, budget=b),
-    "largest_box": lambda b: sd.largest_box(MANY, EASY, window=40.0, rtol=1e-9, budget=b / 16),  # its steps are long
-    "four_horizons": lambda b: sd.four_horizons(OSCILLATOR, EASY, *compared(), budget=b),
+    "largest_box": lambda b: sd.uncertain.largest_box(
+        MANY, EASY, window=40.0, rtol=1e-9, budget=b / 16
+    ),  # its steps are long
+    "four_horizons": lambda b: sd.certificates.four_horizons(OSCILLATOR, EASY, *compared(), budget=b),
     "least_contracting": lambda b: sd.certificates.least_contracting(uneven(), budget=b),
     "robustness": lambda b: sd.robustness(OSCILLATOR, certificate(), longest=8, budget=b),
     "Certificate.verify": lambda b: certificate().verify(rigorous=True, budget=b),
     "FamilyCertificate.verify": lambda b: family().verify(rigorous=True, budget=b),
-    "DetectabilityCertificate.verify": lambda b: sd.certify_detectability(HARD).verify(rigorous=True, budget=b),
+    "DetectabilityCertificate.verify": lambda b: sd.certificates.certify_detectability(HARD).verify(
+        rigorous=True, budget=b
+    ),
     "SampledCertificate.verify": lambda b: certificate().verify(rigorous=True, budget=b),
 }
 PREPARED = {
@@ -111,7 +115,7 @@ PREPARED = {
     "Certificate.verify": certificate,
     "FamilyCertificate.verify": family,
     "SampledCertificate.verify": certificate,
-    "DetectabilityCertificate.verify": lambda: sd.certify_detectability(HARD),
+    "DetectabilityCertificate.verify": lambda: sd.certificates.certify_detectability(HARD),
 }
 """What a call makes before its budget begins: its own seconds do not count."""
 
@@ -182,41 +186,41 @@ TIGHT = ((0.1, 0.0), (0.2, 0.0), (0.5, 0.0))
 @pytest.mark.parametrize("tight", [False, True])
 def test_a_plan_ends_with_its_work_and_says_what_did_not_fit(tight, monkeypatch, tmp_path):
     """Its seconds are counted: so is all that follows the search, and a piece that does not fit in is left out."""
-    works, until, seconds = [], Work.until, 0.05 if tight else 0.4
+    works, until, seconds = [], WorkBudget.until, 0.05 if tight else 0.4
 
     def noted(work, *limit, **how):
         works.append(work)
         until(work, *limit, **how)
 
-    monkeypatch.setattr(Work, "until", noted)
+    monkeypatch.setattr(WorkBudget, "until", noted)
     monkeypatch.setattr("sampling_design.planning.plan.AFTER", TIGHT if tight else AFTER)
-    found = sd.plan(TANK, LEVELS, search_seconds=seconds)
+    found = sd.plan_samples(TANK, LEVELS, search_seconds=seconds)
     assert 0 < works[-1].spent <= allowed(seconds) - 2 * tight
     assert found.keeps
     missing = {name for name in ("certificate", "robustness") if getattr(found, name) is None}
     assert missing == set(found.left_out) - {"bound"} == ({"certificate", "robustness"} if tight else set())
     assert ("left out" in str(found)) == ("Left out: " in found.explain()) == tight
     path = save_plan(found, tmp_path / "plan.json")
-    again = sd.load_plan(path)
+    again = sd.read_plan(path)
     assert again.left_out == found.left_out
     assert ("left out" in str(found.compare(again))) == tight
     if tight:
         path.write_text(path.read_text().replace('"robustness"\n', '"a clock"\n', 1))
         with pytest.raises(FileFormatError, match="left_out"):
-            sd.load_plan(path)
+            sd.read_plan(path)
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     """A hard plant and what belongs to it."""
     place = tmp_path_factory.mktemp("budget")
-    sd.write_plant(HARD, place / "plant.toml")
-    sd.write_plant(OSCILLATOR, place / "oscillator.toml")
-    sd.write_requirement(LARGE, place / "requirement.toml")
-    sd.write_schedule(sd.PeriodicSchedule(EASY.gaps, time_unit="s"), place / "schedule.csv")
+    sd.plants.write_plant(HARD, place / "plant.toml")
+    sd.plants.write_plant(OSCILLATOR, place / "oscillator.toml")
+    sd.design.write_requirement(LARGE, place / "requirement.toml")
+    sd.schedules.write_schedule(sd.PeriodicSchedule(EASY.gaps, time_unit="s"), place / "schedule.csv")
     certificate().save(place / "certificate.json")
     record = sd.simulate_record(HARD, EASY, 200.0).measurements
-    sd.write_measurements(record, place / "measurements.csv")
+    sd.estimators.write_measurements(record, place / "measurements.csv")
     return place
 
 

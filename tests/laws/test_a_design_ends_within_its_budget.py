@@ -8,7 +8,8 @@ import time
 import numpy as np
 import pytest
 
-from sampling_design import Plant, Requirement, design_schedule, library, pareto, sample_losses
+from sampling_design import Plant, Requirement, design_schedule, pareto_front, sample_losses
+from sampling_design.plants import library
 from tests.cases import few
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -53,7 +54,7 @@ def test_a_design_ends_in_time_with_what_it_has(name, budget):
 
 def test_a_front_shares_its_budget_among_the_counts():
     front, seconds = spent(
-        lambda: pareto(
+        lambda: pareto_front(
             OSCILLATOR, Requirement(window=60.0, spacing=0.5), range(4, 40), budget=2.0, starts=50, branches=500
         )
     )

@@ -16,12 +16,12 @@ import pytest
 
 import sampling_design as sd
 from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, Schedule, SpacedWindows
+from sampling_design.accuracy.interval import Interval, state_interval
+from sampling_design.accuracy.readings import BelowDetection, CompositeReading
 from sampling_design.checkers import check
 from sampling_design.checkers.parts import digest
 from sampling_design.checkers.strict import BadFile, from_json
 from sampling_design.errors import SamplingDesignError
-from sampling_design.recovery.interval import Interval, interval
-from sampling_design.recovery.readings import Below, Mean
 from sampling_design.schedules.family_files import family_from_dict
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
 from sampling_design.uncertain.plants.parameter import UncertainParameter
@@ -46,8 +46,8 @@ FULL = Plant(
     G=[[1.0], [3.0]],
     name="all there is",
     time_unit="h",
-    states=sd.Signals(("a", "b"), ("m", "K"), [1.0, 10.0]),
-    outputs=sd.Signals(("p", "q"), ("m", "K")),
+    states=sd.plants.Signals(("a", "b"), ("m", "K"), [1.0, 10.0]),
+    outputs=sd.plants.Signals(("p", "q"), ("m", "K")),
     source="nobody",
 )
 DATED = {"time_unit": "h", "origin": "2026-01-05T00:00", "output_names": ("p", "q")}
@@ -71,11 +71,11 @@ UNCERTAIN = UncertainPlant(
 CERTIFICATES = {
     "periodic": lambda: sd.certify(TWO, PARTLY, eta=0.2, P2=np.eye(2)),
     "finite": lambda: sd.certify(OSCILLATOR, Schedule([0.5, 1.5, 3.0]), eta=0.4, P2=np.eye(2)),
-    "gap range": lambda: sd.certify_family(OSCILLATOR, GapRange(0.9, 1.1), eta=0.2, memory=0),
-    "spaced windows": lambda: sd.certify_family(OSCILLATOR, SpacedWindows(3.0, 2, 1.0), eta=0.2, memory=1),
-    "lost samples": lambda: sd.certify_family(TWO, LostSamples(PARTLY, 1, 3), eta=0.1, memory=0),
-    "jitter": lambda: sd.certify_family(TWO, Jitter(PARTLY, 0.1), eta=0.1, memory=0),
-    "detectability": lambda: sd.certify_detectability(OSCILLATOR),
+    "gap range": lambda: sd.certificates.certify_family(OSCILLATOR, GapRange(0.9, 1.1), eta=0.2, memory=0),
+    "spaced windows": lambda: sd.certificates.certify_family(OSCILLATOR, SpacedWindows(3.0, 2, 1.0), eta=0.2, memory=1),
+    "lost samples": lambda: sd.certificates.certify_family(TWO, LostSamples(PARTLY, 1, 3), eta=0.1, memory=0),
+    "jitter": lambda: sd.certificates.certify_family(TWO, Jitter(PARTLY, 0.1), eta=0.1, memory=0),
+    "detectability": lambda: sd.certificates.certify_detectability(OSCILLATOR),
     "inclusion": lambda: certify_inclusion(UNCERTAIN, GapRange(0.5, 1.0), eta=0.1, pieces=2),
 }
 FAMILIES = {
@@ -85,17 +85,25 @@ FAMILIES = {
     "jitter": Jitter(PeriodicSchedule([1.0, 0.5], 0.25, [[1, 0], [1, 1]]), 0.1),
 }
 FILES = {
-    "plant.toml": (lambda p: sd.write_plant(FULL, p), sd.read_plant, facts_of_plant),
-    "plant.json": (lambda p: sd.write_plant(FULL, p), sd.read_plant, facts_of_plant),
-    "requirement.toml": (lambda p: sd.write_requirement(REQUIREMENT, p), sd.read_requirement, facts_of_requirement),
-    "requirement.json": (lambda p: sd.write_requirement(REQUIREMENT, p), sd.read_requirement, facts_of_requirement),
+    "plant.toml": (lambda p: sd.plants.write_plant(FULL, p), sd.read_plant, facts_of_plant),
+    "plant.json": (lambda p: sd.plants.write_plant(FULL, p), sd.read_plant, facts_of_plant),
+    "requirement.toml": (
+        lambda p: sd.design.write_requirement(REQUIREMENT, p),
+        sd.read_requirement,
+        facts_of_requirement,
+    ),
+    "requirement.json": (
+        lambda p: sd.design.write_requirement(REQUIREMENT, p),
+        sd.read_requirement,
+        facts_of_requirement,
+    ),
     "finite.json": (
-        lambda p: sd.write_schedule(Schedule([0.5, 1.5], [[1, 0], [1, 1]], **DATED), p),
+        lambda p: sd.schedules.write_schedule(Schedule([0.5, 1.5], [[1, 0], [1, 1]], **DATED), p),
         sd.read_schedule,
         facts_of_schedule,
     ),
     "periodic.json": (
-        lambda p: sd.write_schedule(PeriodicSchedule([1.0, 0.5], 0.25, [[1, 0], [1, 1]], **DATED), p),
+        lambda p: sd.schedules.write_schedule(PeriodicSchedule([1.0, 0.5], 0.25, [[1, 0], [1, 1]], **DATED), p),
         sd.read_schedule,
         facts_of_schedule,
     ),
@@ -178,7 +186,7 @@ def sweep_certificates(kind, folder, most=MOST, seed=0, oracles=MOST_ORACLES):
         if not label.startswith("digest"):
             assert verdict["inequality"] != "digest", label
         path.write_text(text)
-        certificate = read(sd.load_certificate, path)
+        certificate = read(sd.read_certificate, path)
         never = "proven" if certificate is None else "bad file"
         assert verdict["verdict"] != never, (label, verdict)
         if certificate is not None:
@@ -279,7 +287,9 @@ def sweep_tables(periodic, folder, most=MOST, seed=0):
     """The same for a schedule's CSV."""
     mask = [[1, 0], [1, 1], [0, 1]]
     ends = PeriodicSchedule.from_times([0.5, 1.5, 3.0], 4.0, mask, **DATED)
-    path = sd.write_schedule(ends if periodic else Schedule([0.5, 1.5, 3.0], mask, **DATED), Path(folder) / "s.csv")
+    path = sd.schedules.write_schedule(
+        ends if periodic else Schedule([0.5, 1.5, 3.0], mask, **DATED), Path(folder) / "s.csv"
+    )
     every = list(mutants.of_table(path.read_text()))
     found = [0, 0]
     for k in np.random.default_rng(seed).permutation(len(every))[:most]:
@@ -301,9 +311,16 @@ def test_a_changed_certificate_is_refused_or_true(kind, tmp_path):
 
 def sweep_intervals(folder, most=MOST, seed=0):
     """The same for an interval; what is proven is evaluated once more by what shares no line with the checker."""
-    record = [(0.0, [1.0], [0.5]), (1.0, [Below(0.9)], None), (2.0, [Mean(0.2, since=1.0)], None), (2.5, [0.0], None)]
+    record = [
+        (0.0, [1.0], [0.5]),
+        (1.0, [BelowDetection(0.9)], None),
+        (2.0, [CompositeReading(0.2, since=1.0)], None),
+        (2.5, [0.0], None),
+    ]
     plant = Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0]], B=[[0.0], [1.0]])
-    path = interval(plant, record, w_bound=0.1, v_bound=0.3, initial_error=[2.0, 2.0]).save(Path(folder) / "i.json")
+    path = state_interval(plant, record, w_bound=0.1, v_bound=0.3, initial_error=[2.0, 2.0]).save(
+        Path(folder) / "i.json"
+    )
     whole, found = json.loads(path.read_text()), {}
     assert checked(path.read_text())["verdict"] == "proven"
     for label, data in drawn(whole, most, seed):

@@ -24,7 +24,7 @@ REFINED = [
 @pytest.mark.parametrize(("plant", "wanted", "rasters", "seconds"), few(REFINED, 0, 1))
 def test_a_finer_raster_is_never_worse(plant, wanted, rasters, seconds):
     found = [
-        sd.plan(plant, sd.PlanRequirement(raster=raster, **wanted), search_seconds=seconds, **BARE)
+        sd.plan_samples(plant, sd.PlanRequirement(raster=raster, **wanted), search_seconds=seconds, **BARE)
         for raster in rasters
     ]
     assert all(each.keeps and each.verify() for each in found)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sampling_design import PeriodicSchedule, Plant, Schedule, certify, tradeoff_curve
-from sampling_design.certificates.certify import chosen
+from sampling_design import PeriodicSchedule, Plant, Schedule, certify
+from sampling_design.certificates.certification import chosen
+from sampling_design.certificates.compare.tradeoff import tradeoff_curve
 from sampling_design.certificates.exact.given_weights import weights_of
 from tests.cases import few
 

@@ -5,12 +5,12 @@ import pytest
 
 import sampling_design as sd
 from sampling_design import plotting
+from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.cli import following
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.envelope import EstimateEnvelope
 from sampling_design.plotting import style
-from sampling_design.recovery.record_program import RecordProgram
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], time_unit="s", states=["place", "speed"])
 BOUNDS = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
@@ -118,7 +118,7 @@ def test_readings_of_a_long_record_keep_their_extremes_and_few_marks(count):
 def test_estimates_of_a_long_record_are_drawn_as_extremes():
     n = 700
     found, times, x, radii = envelope(n)
-    record = sd.EstimateRecord(
+    record = sd.estimators.EstimateRecord(
         plant=PLANT,
         times=times,
         x=x,

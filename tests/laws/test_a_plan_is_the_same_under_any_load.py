@@ -14,7 +14,7 @@ WANTED = sd.PlanRequirement(
 
 
 def planned(seconds):
-    return sd.plan(OSCILLATOR, WANTED, search_seconds=seconds, certificate=False, robustness=False)
+    return sd.plan_samples(OSCILLATOR, WANTED, search_seconds=seconds, certificate=False, robustness=False)
 
 
 def test_clocks_that_run_away_change_no_bit_of_a_plan(monkeypatch):

@@ -13,7 +13,7 @@ import pytest
 import sampling_design as sd
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
-from sampling_design.estimators.online.estimator import Taken
+from sampling_design.estimators.online.estimator import CheckedSample
 from tests.rescale import Units
 
 SAME = 1e-9
@@ -30,7 +30,7 @@ class Watched(MovingHorizonEstimator):
         found = super()._slid(state, start, t, measured, last_gap)
         if found is not None:
             seen = np.where(measured[1] > 0, measured[0], np.nan)
-            whole = self._solved(state, start, Taken(t, seen), measured, last_gap)
+            whole = self._solved(state, start, CheckedSample(t, seen), measured, last_gap)
             self.slid += 1
             self.worst = max(self.worst, difference(found, whole))
         return found

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sampling_design import PeriodicSchedule, Plant, Schedule, certify
-from sampling_design.certificates import certify as room
+from sampling_design.certificates import certification as room
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.window_gains import WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design import _files
-from sampling_design._files import to_json
 from sampling_design.cli import following
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError, FileFormatError
@@ -17,6 +15,8 @@ from sampling_design.estimators.online.estimate import with_proof
 from sampling_design.estimators.online.history import InputHistory
 from sampling_design.estimators.records import measurement_table
 from sampling_design.estimators.records.measurement_table import MeasurementTable
+from sampling_design.records import file_io
+from sampling_design.records.file_io import to_json
 from sampling_design.validation import schedule_log
 from sampling_design.validation.schedule_log import _matched
 
@@ -95,7 +95,7 @@ def test_estimates_written_one_by_one_are_those_of_the_record(tmp_path, monkeypa
     whole = estimator().run(record)
     if radii == "centred":
         whole = whole.centred()
-    moved = sd.EstimateRecord(**{**{k: getattr(whole, k) for k in whole.__dataclass_fields__}})
+    moved = sd.estimators.EstimateRecord(**{**{k: getattr(whole, k) for k in whole.__dataclass_fields__}})
     if radii == "ellipsoids":
         object.__setattr__(moved, "radii", whole.ellipsoid_radii)
         moved.__dict__["estimates"] = tuple(with_proof(each, None) for each in whole.estimates)
@@ -104,7 +104,7 @@ def test_estimates_written_one_by_one_are_those_of_the_record(tmp_path, monkeypa
     printed = capsys.readouterr().out
     expected = {**moved.to_dict(), "radii_of": radii, "guarantee": "words", "horizon": 3.0}
     assert printed == to_json(settings.named(expected)) == (tmp_path / "out/estimates.json").read_text()
-    file = sd.write_estimates(moved, tmp_path / "whole.csv", origin="2026-03-01")
+    file = sd.estimators.write_estimates(moved, tmp_path / "whole.csv", origin="2026-03-01")
     assert (tmp_path / "out/estimates.csv").read_bytes() == file.read_bytes()
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"estimates.csv", "estimates.json", "estimates.png"}
     assert tally.rows() == moved._rows()
@@ -168,7 +168,7 @@ def test_planned_samples_are_matched_as_one_by_one(monkeypatch, together):
 def test_a_long_record_is_judged_in_stretches_as_a_whole(monkeypatch, endless):
     rng = np.random.default_rng(1)
     plan = sd.PeriodicSchedule([1.0, 1.3, 0.9], time_unit="h")
-    plant = replace(PLANT, states=sd.Signals(["level", "rate"], scales=[0.1, 3.0]))
+    plant = replace(PLANT, states=sd.plants.Signals(["level", "rate"], scales=[0.1, 3.0]))
     times = plan.between(0, 60.0).times
     times = (times + rng.uniform(-0.2, 0.2, times.size))[rng.random(times.size) > 0.1]
     masks = rng.random((times.size, 2)) < 0.8
@@ -204,14 +204,14 @@ def test_a_hole_in_any_stretch_is_found_and_what_is_left_open_stays_open(monkeyp
 
 
 def test_json_in_pieces_is_the_json(monkeypatch):
-    monkeypatch.setattr(_files, "PIECES", 3)
+    monkeypatch.setattr(file_io, "PIECES", 3)
     data = {"a": [1.0, 2.5e-300], "b": {"c": None, "d": ["ä", True]}}
-    assert "".join(_files.json_pieces(data)) == to_json(data)
+    assert "".join(file_io.json_pieces(data)) == to_json(data)
     listed = {"a": [1.0, None], "b": {"c": [], "d": [[-0.0, 1.0, 2.0, 3.0], {}]}}
     arrays = {"a": np.array([1.0, np.nan]), "b": {"c": np.zeros(0), "d": [np.array([-0.0, 1.0, 2.0, 3.0]), {}]}}
-    assert "".join(_files.json_pieces(arrays)) == to_json(listed)
+    assert "".join(file_io.json_pieces(arrays)) == to_json(listed)
     with pytest.raises(TypeError, match="set has no JSON"):
-        list(_files.json_pieces({"a": {1.0}}))
+        list(file_io.json_pieces({"a": {1.0}}))
 
 
 def one_by_one(planned, actual):

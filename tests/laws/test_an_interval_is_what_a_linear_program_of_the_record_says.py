@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant
-from sampling_design.recovery.interval import interval
-from sampling_design.recovery.readings import Above, Below, Mean
+from sampling_design.accuracy.interval import state_interval
+from sampling_design.accuracy.readings import AboveRange, BelowDetection, CompositeReading
 from tests.oracles.records import WholeRecord
 
 WITHIN = 0.01
@@ -39,10 +39,10 @@ def reading(rng, value, size, spans):
     got, kind = value + size * rng.uniform(-1, 1), rng.uniform()
     if kind < 0.15:
         limit = got + rng.uniform()
-        return lambda unit: Below(limit * unit), -np.inf, limit + size
+        return lambda unit: BelowDetection(limit * unit), -np.inf, limit + size
     if kind < 0.25:
         limit = got - rng.uniform()
-        return lambda unit: Above(limit * unit), limit - size, np.inf
+        return lambda unit: AboveRange(limit * unit), limit - size, np.inf
     return lambda unit: got * unit, got - size, got + size
 
 
@@ -75,7 +75,7 @@ def drawn(seed, cells=16):
             rows.append((own, low, high))
             busy[i] = busy[i] if since is None else s
             say = said(y[i])
-            found.append(say if since is None else Mean(say, since=typed[times.index(since)]))
+            found.append(say if since is None else CompositeReading(say, since=typed[times.index(since)]))
         record.append((typed[k], found, next((u for a, u in inputs if a == s), None)))
     free = [(None, None)] * n if start is None else [(-a, a) for a in start]
     bounds = free + [(-a, a) for a in np.resize(w_bound, whole.width - n)]
@@ -97,7 +97,7 @@ def drawn(seed, cells=16):
 def wrong(seed):
     """What of an interval is not as the program says."""
     plant, record, given, ends = drawn(seed)
-    found = interval(plant, record, **given)
+    found = state_interval(plant, record, **given)
     known = [abs(end) for end in ends if np.isfinite(end)]
     width = ends[1] - ends[0] if len(known) == 2 else max([1.0, *known])
     said = [] if found.disproof is None and found.verify() else ["not proven"]
@@ -120,7 +120,7 @@ def test_so_is_that_of_a_hundred_more():
 def test_ends_a_hundredth_off_are_told(monkeypatch):
     """The judge itself: what it is told is wider, narrower or infinite is named."""
     plant, record, given, (low, high) = drawn(0)
-    found, more = interval(plant, record, **given), 0.02 * (high - low)
+    found, more = state_interval(plant, record, **given), 0.02 * (high - low)
     for lower, upper in ((found.lower - more, found.upper), (found.lower, found.upper - more), (found.lower, [np.inf])):
         other = replace(found, lower=np.asarray(lower), upper=np.asarray(upper))
         monkeypatch.setitem(globals(), "interval", lambda *record, other=other, **given: other)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.accuracy.readings import BelowDetection, CompositeReading
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.recovery.readings import Below, Mean
 from tests.oracles.composites import posterior
 from tests.rescale import Units
 
@@ -40,7 +40,7 @@ def rows_of(record, inputs):
     for t, read in record:
         y = [np.nan, np.nan]
         for i, value in read.items():
-            y[i] = Mean(*value) if isinstance(value, tuple) else value
+            y[i] = CompositeReading(*value) if isinstance(value, tuple) else value
         found.append((t, y, None))
     if inputs:
         last = record[-1][0]
@@ -119,7 +119,7 @@ def test_a_window_that_slides_past_the_interval_forgets_only_what_a_prior_forget
     whole, off = made("filter", 0.2), []
     for t, y, _ in rows_of(record, False):
         size = np.sqrt(np.diag(whole.update(t, y).covariance))
-        plain = deaf.predict(t) if isinstance(y[0], Mean) else deaf.update(t, y)
+        plain = deaf.predict(t) if isinstance(y[0], CompositeReading) else deaf.update(t, y)
         off.append([np.max(np.abs(each.x - whole.predict(t).x) / size) for each in (mhe.update(t, y), plain)])
     # an interval across the start of a window is known to the filter as a whole, to the window's prior not yet
     near, far = np.array(off)[10:].max(axis=0)
@@ -143,12 +143,12 @@ def test_radii_hold_the_truth_and_blame_finds_the_mean(kind, seed):
     for k in range(250, count, 250):
         y = list(outputs[k] + rng.uniform(-0.5, 0.5, 2))
         if k % 500 == 0:
-            y[0] = Mean(outputs[k - 400 : k, 0].mean() + rng.uniform(-0.5, 0.5), (k - 400) * step)
+            y[0] = CompositeReading(outputs[k - 400 : k, 0].mean() + rng.uniform(-0.5, 0.5), (k - 400) * step)
         estimate = estimator.update(k * step, y)
         assert estimate.certified
         assert estimate.holds(path[k])
         assert np.all(np.abs(path[k] - estimate.x) <= estimate.ellipsoid_radii)
-    wrong = estimator.update(count * step, [Mean(400.0, (count - 400) * step), np.nan])
+    wrong = estimator.update(count * step, [CompositeReading(400.0, (count - 400) * step), np.nan])
     assert wrong.status == "bounds disproved"
     assert (wrong.contradiction.output, wrong.contradiction.t) == ("y1", count * step)
     assert wrong.contradiction.factor > 10
@@ -177,9 +177,9 @@ def test_in_any_units(seed):
         y, z = [np.nan, np.nan], [np.nan, np.nan]
         for i, value in read.items():
             mean = isinstance(value, tuple)
-            y[i] = Mean(*value) if mean else value
+            y[i] = CompositeReading(*value) if mean else value
             size = units.outputs[i]
-            z[i] = Mean(value[0] * size, value[1] * units.time) if mean else value * size
+            z[i] = CompositeReading(value[0] * size, value[1] * units.time) if mean else value * size
         one, other = plain.update(t, y), moved.update(t * units.time, z)
         size = np.sqrt(np.diag(other.covariance))
         assert np.max(np.abs(one.x * units.states - other.x) / size) < 1e-8
@@ -188,16 +188,16 @@ def test_in_any_units(seed):
 def test_without_bounds_a_mean_is_taken_and_a_limit_is_not():
     estimator = made("filter", 0.1)
     estimator.update(1.0, [0.3, np.nan])
-    assert estimator.update(2.0, [Mean(0.4, 0.5), np.nan]).status == "ok"
+    assert estimator.update(2.0, [CompositeReading(0.4, 0.5), np.nan]).status == "ok"
     with pytest.raises(sd.ArgumentError, match="`w_bound` and `v_bound` must be given for the limit or mean at t = 3"):
-        estimator.update(3.0, [Mean(Below(0.4), 2.5), np.nan])
+        estimator.update(3.0, [CompositeReading(BelowDetection(0.4), 2.5), np.nan])
 
 
 def test_what_began_before_the_window_is_said_to_be_left_out():
     mhe = sd.MovingHorizonEstimator(PLANT, horizon=1.0, cost=CostFunction(eta=0.1, **WEIGHTS))
     mhe.update(1.0, [0.1, 0.2])
     mhe.update(2.5, [0.2, np.nan])
-    found = mhe.update(2.8, [np.nan, Mean(0.5, 1.5)])
+    found = mhe.update(2.8, [np.nan, CompositeReading(0.5, 1.5)])
     assert "A composite sample began before the window" in found.note
 
 

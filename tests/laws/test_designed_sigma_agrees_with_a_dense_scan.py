@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from sampling_design import Plant, Requirement, design_schedule, library
+from sampling_design import Plant, Requirement, design_schedule
+from sampling_design.plants import library
 from tests.oracles.design import window_sigma_scan
 
 

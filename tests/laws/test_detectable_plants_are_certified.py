@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sampling_design import PeriodicSchedule, Plant, certify
-from sampling_design.certificates import certify as room
+from sampling_design.certificates import certification as room
 from sampling_design.certificates.exact import efforts, precise, riccati, weight_choice
 from sampling_design.certificates.exact import proof as proofs
 from sampling_design.certificates.exact.canonical import canonical

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
-from sampling_design import Plant, certify_detectability, detectability_from_proof
+from sampling_design import Plant
+from sampling_design.certificates.detectability.best_rate import certify_detectability, detectability_from_proof
 from tests.oracles.proof_constants import trajectories
 
 

@@ -25,7 +25,7 @@ def drawn(seed):
     bounds = {"w_bound": w, "v_bound": v}
     if seed % 2:
         bounds = {"w_bound": w * rng.uniform(0.5, 2, n), "v_bound": v * rng.uniform(0.5, 2, plant.n_outputs)}
-    return sd.accuracy(plant, schedule, of=rng.normal(size=(1, n)), rtol=0.1, **bounds)
+    return sd.guaranteed_accuracy(plant, schedule, of=rng.normal(size=(1, n)), rtol=0.1, **bounds)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -39,14 +39,14 @@ def test_both_sides_are_proven(seed):
 
 def test_what_is_decided_numerically_is_not_called_proven():
     plant = sd.Plant([[0.0]], [[1.0]])
-    found = sd.accuracy(plant, sd.Schedule([0.0, 1.0]), w_bound=0.1, v_bound=0.1)
+    found = sd.guaranteed_accuracy(plant, sd.Schedule([0.0, 1.0]), w_bound=0.1, v_bound=0.1)
     with pytest.raises(sd.errors.ArgumentError, match="`rigorous` is for endless schedules that show every mode"):
         found.verify(rigorous=True)
 
 
 def test_an_exact_sensor_is_not_decided():
     plant = sd.Plant([[0.3]], [[1.0]])
-    found = sd.accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=0.1, v_bound=0.0, rtol=0.1)
+    found = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=0.1, v_bound=0.0, rtol=0.1)
     assert found.closed.all()
     assert found.verify()
     assert not found.verify(rigorous=True)

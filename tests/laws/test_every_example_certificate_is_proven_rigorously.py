@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sampling_design import PeriodicSchedule, certify, read_plant, split_modes
+from sampling_design import PeriodicSchedule, certify, read_plant
 from sampling_design.observability.count.default_window import default_window
+from sampling_design.plants.modes import split_modes
 from tests import kept_certificates
 
 ROOT = Path(__file__).parents[2]

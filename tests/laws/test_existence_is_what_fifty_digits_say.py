@@ -3,17 +3,10 @@
 import numpy as np
 import pytest
 
-from sampling_design import (
-    GapRange,
-    PeriodicSchedule,
-    Plant,
-    certificate_exists,
-    certify,
-    find_counterexample,
-    smallest_repair,
-)
+from sampling_design import GapRange, PeriodicSchedule, Plant, certificate_exists, certify
 from sampling_design.certificates.existence import periodic
-from sampling_design.certificates.existence.periodic import judged, stays_bounded
+from sampling_design.certificates.existence.counterexample import find_counterexample
+from sampling_design.certificates.existence.periodic import judged, smallest_repair, stays_bounded
 from sampling_design.errors import UndecidedError
 from tests.benchmarks.bench_existence import CLEAR, NOTHING
 from tests.oracles.existence import drawn, least_seen, schedule_drawn

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design import library
-from sampling_design.recovery.interval import interval
-from sampling_design.recovery.readings import Above, Below, Mean
+from sampling_design.accuracy.interval import state_interval
+from sampling_design.accuracy.readings import AboveRange, BelowDetection, CompositeReading
+from sampling_design.plants import library
 from tests.cases import few
 from tests.oracles.estimators import transition
 
@@ -61,7 +61,7 @@ def adversarial_run(name, seed):
             if y.size > 1 and rng.integers(3) == 0:
                 y[rng.integers(y.size)] = np.nan
             record.append((float(t), y, None))
-    found = interval(
+    found = state_interval(
         plant,
         record,
         float(end),
@@ -106,7 +106,11 @@ def told_run(name, seed):
         row = []
         for i in range(p):
             limit = float(y[i] + rng.normal() * v_size[i])
-            told = [float(y[i]), Below(limit) if y[i] < limit else Above(limit), Mean(float(mean[i]), since=began)]
+            told = [
+                float(y[i]),
+                BelowDetection(limit) if y[i] < limit else AboveRange(limit),
+                CompositeReading(float(mean[i]), since=began),
+            ]
             row.append(told[int(rng.integers(3))] if began else told[0])
         estimate, now = kalman.update(float(t), row), float(t)
     reached, ahead = x[:n].copy(), np.linspace(0.0, unit, 9)
@@ -147,7 +151,7 @@ def test_more_samples_never_widen_it():
     given = {"w_bound": 0.05, "v_bound": 0.2, "initial_error": 5.0, "prior_time": 0.0}
     last = None
     for count in range(1, 10):
-        found = interval(plant, record[:count], record[-1][0], **given)
+        found = state_interval(plant, record[:count], record[-1][0], **given)
         if last is not None:
             assert np.all(found.upper <= last.upper + 1e-5)
             assert np.all(found.lower >= last.lower - 1e-5)
@@ -157,13 +161,13 @@ def test_more_samples_never_widen_it():
 def test_it_is_never_wider_than_the_ellipsoid_of_a_filter():
     plant, rng = library.oscillator(), np.random.default_rng(4)
     given = {"w_bound": 0.05, "v_bound": 0.2, "initial_error": 2.0}
-    weights = sd.weights_from_bounds(plant, 0.3, 0.05, 0.2, 2.0)
+    weights = sd.certificates.weights_from_bounds(plant, 0.3, 0.05, 0.2, 2.0)
     mhe = sd.MovingHorizonEstimator(plant, horizon=50.0, cost=sd.CostFunction(eta=0.3, **weights), **given)
     record = []
     for t in np.cumsum(rng.uniform(0.4, 1.5, 9)):
         record.append((float(t), [np.sin(t) + rng.uniform(-0.1, 0.1)], None))
         estimate = mhe.update(*record[-1])
-        found = interval(plant, record, prior_time=0.0, **given)
+        found = state_interval(plant, record, prior_time=0.0, **given)
         assert np.all(found.radii <= estimate.radii)
         assert np.all(found.upper <= estimate.x + estimate.radii + 1e-6)
         assert np.all(found.lower >= estimate.x - estimate.radii - 1e-6)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from sampling_design import PeriodicSchedule, Plant, loss_tolerance
+from sampling_design import PeriodicSchedule, Plant
 from sampling_design.observability.count import loss_tolerance as room
+from sampling_design.observability.count.loss_tolerance import loss_tolerance
 from tests.cases import few
 from tests.rescale import Units
 

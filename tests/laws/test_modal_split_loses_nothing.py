@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from sampling_design import library, split_modes
+from sampling_design.plants import library
+from sampling_design.plants.modes import split_modes
 from tests import strategies
 
 

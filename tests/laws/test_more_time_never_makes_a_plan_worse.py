@@ -6,10 +6,10 @@ import pytest
 import sampling_design as sd
 from sampling_design.errors import UndecidedError
 from sampling_design.planning import plan as room
-from sampling_design.planning.held import HeldChoices
+from sampling_design.planning.feasible_choices import FeasibleChoices
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.search import PlanSearch
-from sampling_design.planning.work import Work
+from sampling_design.planning.work_budget import WorkBudget
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])
 GIVEN = {"period": 6.4, "raster": 0.4, "w_bound": 0.02, "sensors": {"y": {"noise_bound": 0.2}}}
@@ -43,14 +43,14 @@ def test_a_longer_search_is_never_dearer_whatever_the_proofs_say(seed):
     prove = judged_by(weights, weights.sum() * rng.uniform(0.1, 0.9))
     costs = []
     for moment in range(len(held) + 1):
-        best = HeldChoices(problem, Work(), prove).cheapest(held[:moment], everything)
+        best = FeasibleChoices(problem, WorkBudget(), prove).cheapest(held[:moment], everything)
         assert best.worst <= 1
         costs.append(problem.cost(best.chosen))
     assert costs == sorted(costs, reverse=True)
 
 
 def test_without_any_work_left_what_was_proven_is_kept():
-    problem, spent = posed(), Work(0.0)
+    problem, spent = posed(), WorkBudget(0.0)
     spent.add((1.0, 0.0), 0.0)
     held = drawn(np.random.default_rng(3), problem, 5)
     good = held[1].tobytes()
@@ -60,11 +60,11 @@ def test_without_any_work_left_what_was_proven_is_kept():
         asked.append(chosen.tobytes())
         return (None, None), np.array([0.9 if asked[-1] == good else 1.1])
 
-    best = HeldChoices(problem, spent, prove).cheapest(held, np.ones((problem.steps, 1), dtype=bool))
+    best = FeasibleChoices(problem, spent, prove).cheapest(held, np.ones((problem.steps, 1), dtype=bool))
     assert best.chosen.tobytes() == good
     assert len(asked) == len(set(asked)) == 4  # the three cheaper ones first, and nothing is made of them
     with pytest.raises(UndecidedError, match=r"the densest one is proven to keep 1.1 times them"):
-        HeldChoices(problem, spent, prove).cheapest(held[2:], np.ones((problem.steps, 1), dtype=bool))
+        FeasibleChoices(problem, spent, prove).cheapest(held[2:], np.ones((problem.steps, 1), dtype=bool))
 
 
 def test_of_equal_costs_only_what_may_be_better_is_proven():
@@ -76,7 +76,7 @@ def test_of_equal_costs_only_what_may_be_better_is_proven():
         asked.append(chosen.tobytes())
         return (None, None), np.array([proven[asked[-1]]])
 
-    held = HeldChoices(problem, Work(), prove)
+    held = FeasibleChoices(problem, WorkBudget(), prove)
     found = held.sharpest([(same, 0.85), (better, 0.69)], held.proven(first))
     assert found.chosen.tobytes() == better.tobytes()
     assert asked == [first.tobytes(), better.tobytes()]
@@ -98,7 +98,7 @@ def test_a_proof_that_fails_late_gives_back_what_was_held_before(monkeypatch):
     monkeypatch.setattr(room._Planning, "_ratios", late)
     monkeypatch.setattr(room._Planning, "_farther", lambda self, found: False)
     monkeypatch.setattr(room, "MARGINS", (room.MARGIN,))
-    found = sd.plan(OSCILLATOR, WANTED, search_seconds=0.6, **BARE)
+    found = sd.plan_samples(OSCILLATOR, WANTED, search_seconds=0.6, **BARE)
     assert int(held[-1].sum()) == 4  # cheaper, and not proven
     assert found.samples == 5
     assert found.keeps

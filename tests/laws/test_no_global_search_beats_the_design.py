@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.optimize import differential_evolution, shgo
 
-from sampling_design import Requirement, design_schedule, library
+from sampling_design import Requirement, design_schedule
+from sampling_design.plants import library
 from tests.oracles.design import window_sigma_scan
 
 CASES = {

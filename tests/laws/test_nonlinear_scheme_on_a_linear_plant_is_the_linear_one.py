@@ -12,7 +12,7 @@ from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
-PENDULUM = sd.library.cart_pendulum()
+PENDULUM = sd.plants.library.cart_pendulum()
 TIMES = np.array([0.0, 0.8, 1.6, 3.2, 4.0, 5.6, 6.4])
 
 

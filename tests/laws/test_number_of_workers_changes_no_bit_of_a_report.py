@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sampling_design import validate
-from sampling_design._files import to_json
+from sampling_design.records.file_io import to_json
 from tests.validation.plants import PLANTS, SCHEDULES, certificate
 
 

@@ -12,14 +12,13 @@ from sampling_design import (
     PeriodicSchedule,
     Plant,
     certify,
-    certify_detectability,
-    certify_from_proof,
-    constants_from_proof,
-    four_horizons,
-    load_certificate,
+    read_certificate,
     robustness,
     validate,
 )
+from sampling_design.certificates.compare.four_horizons import four_horizons
+from sampling_design.certificates.detectability.best_rate import certify_detectability
+from sampling_design.certificates.paper.proof_constants import certify_from_proof, constants_from_proof
 from sampling_design.errors import SamplingDesignError
 from sampling_design.plants.plant import first_difference
 
@@ -41,7 +40,7 @@ def test_every_door_refuses_a_certificate_of_another_plant_and_names_the_first_d
     proof = constants_from_proof(OSCILLATOR, SCHEDULE)
     detectable = certify_detectability(OSCILLATOR, 0.1)
     doors = [
-        lambda: load_certificate(path, other),
+        lambda: read_certificate(path, other),
         lambda: robustness(other, certificate),
         lambda: four_horizons(other, SCHEDULE, certificate),
         lambda: four_horizons(other, SCHEDULE, proof_constants=proof),

@@ -22,7 +22,7 @@ from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.files import save_plan
 from sampling_design.planning.plan import proven_plan
 from sampling_design.planning.problem import pose_plan
-from sampling_design.planning.sheet import write_form
+from sampling_design.planning.sampling_sheet import write_form
 
 W, V, GAP = 0.01, 0.1, 51.75
 NIGHTS = {"Mon-Thu": [["20:00", "04:00"]], "Sat": [["22:00", "04:00"]]}
@@ -91,7 +91,7 @@ def test_what_is_said_of_the_year_is_true_of_its_real_gaps(year):
 def test_the_calendar_file_names_the_same_moments(year, tmp_path):
     plan, dates = year
     zone, schedule = plan.requirement.calendar.zone, dates.schedule()
-    sd.write_ics(schedule, tmp_path / "plan.ics", span=schedule.times[-1] + 1.0, zone=zone)
+    sd.schedules.write_ics(schedule, tmp_path / "plan.ics", span=schedule.times[-1] + 1.0, zone=zone)
     found = []
     for line in (tmp_path / "plan.ics").read_text().split("BEGIN:VEVENT")[1:]:
         (begin,) = [each for each in line.splitlines() if each.startswith("DTSTART")]
@@ -105,8 +105,8 @@ def test_the_form_that_was_filled_in_is_on_schedule(year, tmp_path):
     plan, dates = year
     head, *lines = write_form(dates, tmp_path / "form.csv").read_text().splitlines()
     (tmp_path / "measured.csv").write_text("\n".join([head, *(line.replace(",", ",1.5") for line in lines)]) + "\n")
-    sd.write_plant(plan.plant, tmp_path / "plant.toml")
-    sd.write_schedule(dates.schedule(), tmp_path / "dates.csv")
+    sd.plants.write_plant(plan.plant, tmp_path / "plant.toml")
+    sd.schedules.write_schedule(dates.schedule(), tmp_path / "dates.csv")
     log(
         Settings("log", output=tmp_path, quiet=True),
         *(tmp_path / f for f in ("plant.toml", "dates.csv", "measured.csv")),

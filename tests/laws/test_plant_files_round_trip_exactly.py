@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sampling_design import read_plant, write_plant
+from sampling_design import read_plant
+from sampling_design.plants.files import write_plant
 from tests import strategies
 
 

@@ -3,14 +3,8 @@
 import numpy as np
 import pytest
 
-from sampling_design import (
-    KalmanFilter,
-    MovingHorizonEstimator,
-    PeriodicSchedule,
-    Plant,
-    certify,
-    detectability_from_proof,
-)
+from sampling_design import KalmanFilter, MovingHorizonEstimator, PeriodicSchedule, Plant, certify
+from sampling_design.certificates.detectability.best_rate import detectability_from_proof
 from sampling_design.errors import ArgumentError, CertificateError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from sampling_design import PeriodicSchedule, Plant, SamplingSet, Schedule, sigma_min
+from sampling_design import PeriodicSchedule, Plant, Schedule
 from sampling_design.errors import ArgumentError
+from sampling_design.observability.windows.sampled import sigma_min
+from sampling_design.schedules.sampling_set import SamplingSet
 
 
 def oscillator(omega):

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from sampling_design import PeriodicSchedule, Plant, certify_detectability, constants_from_proof
+from sampling_design import PeriodicSchedule, Plant
+from sampling_design.certificates.detectability.best_rate import certify_detectability
+from sampling_design.certificates.paper.proof_constants import constants_from_proof
 from tests.cases import few
 from tests.oracles.proof_constants import riccati_margin
 

@@ -36,7 +36,7 @@ def drawn_box(rng):
         return UncertainPlant(plant, [growth]), np.ones(2)
     D = np.array([1e9, 1e-6])
     far = OSCILLATOR.A * D[:, None] / D
-    from sampling_design import Signals
+    from sampling_design.plants.plant import Signals
 
     plant = Plant(far, OSCILLATOR.C / D, B=OSCILLATOR.B * D[:, None], G=OSCILLATOR.G * D[:, None],
                   states=Signals(["x", "v"], (), D))  # fmt: skip

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from sampling_design import Plant, split_modes
+from sampling_design import Plant
+from sampling_design.plants.modes import split_modes
 
 
 def hidden(blocks, seed):

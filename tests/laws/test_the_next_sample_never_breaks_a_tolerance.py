@@ -53,7 +53,7 @@ def asked():
     wanted = sd.PlanRequirement(
         goals, period=6.4, raster=0.4, spacing=0.8, w_bound=[0.02], sensors={"y": {"noise_bound": 0.2}}
     )
-    return sd.plan(BODY, wanted, **BARE)
+    return sd.plan_samples(BODY, wanted, **BARE)
 
 
 def tank():
@@ -69,7 +69,7 @@ def tank():
     wanted = sd.PlanRequirement(
         {"level": 14.0}, raster="2 h", w_bound=[0.02, 0.002], sensors=sensors, visit_price=1.0, calendar=CALENDAR
     )
-    return sd.plan(plant, wanted, **BARE)
+    return sd.plan_samples(plant, wanted, **BARE)
 
 
 PLANS = {"platform": platform, "asked": asked, "tank": tank}

@@ -6,8 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from sampling_design import PeriodicSchedule, Plant, Requirement, certify, design_schedule, load_certificate
-from sampling_design._ball_flow import OutOfTime
+from sampling_design import PeriodicSchedule, Plant, Requirement, certify, design_schedule, read_certificate
 from sampling_design.certificates.exact import efforts, weight_choice
 from sampling_design.certificates.exact.canonical import canonical
 from sampling_design.certificates.exact.given_weights import default_weights
@@ -17,6 +16,7 @@ from sampling_design.checkers.check import check
 from sampling_design.checkers.parts import digest
 from sampling_design.checkers.work import Work
 from sampling_design.errors import UndecidedError
+from sampling_design.numerics.ball_flow import OutOfTime
 
 CLOCKS = ("thread_time", "process_time", "perf_counter", "monotonic")
 RNG = np.random.default_rng(5)
@@ -98,7 +98,7 @@ def test_two_calls_write_one_file_and_a_file_of_before_still_holds(tmp_path):
     before["solver"]["seconds"] = 0.25  # as it was written once
     before["digest"] = digest({key: value for key, value in before.items() if key != "digest"})
     (tmp_path / "before.json").write_text(json.dumps(before))
-    found = load_certificate(tmp_path / "before.json")
+    found = read_certificate(tmp_path / "before.json")
     assert found.to_dict() == before
     assert found.verify().passed
     assert check(before)["verdict"] == "proven"

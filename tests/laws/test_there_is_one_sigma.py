@@ -1,4 +1,5 @@
-"""Law: sigma of a schedule is one number, whoever states it: a design, `window_sigma`, `worst_case_sigma`, `pareto`,
+"""Law: sigma of a schedule is one number, whoever states it: a design, `window_sigma`, `worst_case_sigma`,
+`pareto_front`,
 `sample_losses` and the command line, of plants with scales and without, of whole plants and of retained parts; it is
 told of the state's length in the plant's own scales, so that neither a basis nor a unit chosen inside shows in it."""
 
@@ -13,19 +14,19 @@ from sampling_design import (
     Plant,
     Requirement,
     Schedule,
-    Signals,
     SpacedWindows,
-    certify_from_proof,
     design_schedule,
-    pareto,
+    pareto_front,
     sample_losses,
-    split_modes,
     window_sigma,
     worst_case_sigma,
-    write_plant,
-    write_schedule,
 )
+from sampling_design.certificates.paper.proof_constants import certify_from_proof
 from sampling_design.cli import main
+from sampling_design.plants.files import write_plant
+from sampling_design.plants.modes import split_modes
+from sampling_design.plants.plant import Signals
+from sampling_design.schedules.files import write_schedule
 
 QUICK = {"starts": 1, "branches": 0}
 RNG = np.random.default_rng(35)
@@ -88,7 +89,7 @@ def test_a_design_states_the_sigma_of_its_schedule(designed):
 
 def test_a_front_states_the_sigma_and_the_bound_of_its_designs(designed):
     plant, design = designed
-    (point,) = pareto(plant, Requirement(**ASKED), [3], **QUICK).points
+    (point,) = pareto_front(plant, Requirement(**ASKED), [3], **QUICK).points
     assert (point.sigma, point.upper_bound) == (design.sigma, design.upper_bound)
     assert point.times == tuple(design.schedule.times.tolist())
 
@@ -102,7 +103,7 @@ def test_losses_state_the_sigma_of_the_design_and_the_bound_of_a_front():
     for i in range(3):
         rest = PeriodicSchedule.from_times(np.delete(times, i), period, time_unit="h")
         assert losses.lower[i] == window_sigma(plant, rest, 4.0).lower
-    (fewer,) = pareto(plant, Requirement(**ASKED), [2]).points
+    (fewer,) = pareto_front(plant, Requirement(**ASKED), [2]).points
     assert losses.bound == pytest.approx(np.maximum(min(fewer.upper_bound, design.upper_bound), losses.lower))
 
 

@@ -6,7 +6,8 @@ keeps the same sigma, and yet the information kept between clusters falls withou
 
 import numpy as np
 
-from sampling_design import PeriodicSchedule, Plant, certify, sigma_min
+from sampling_design import PeriodicSchedule, Plant, certify
+from sampling_design.observability.windows.sampled import sigma_min
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from sampling_design import split_modes, unseen_modes, zero_count_bound
+from sampling_design import zero_count_bound
 from sampling_design.errors import NotObservableError
+from sampling_design.observability.count.pbh import unobservable_modes
+from sampling_design.plants.modes import split_modes
 from tests.oracles.existence import drawn, unseen_count
 from tests.rescale import Units
 
@@ -26,7 +28,7 @@ def test_units_change_no_decision_about_modes_and_counts(seed):
     known = drawn(rng)
     plant, units = known.plant, Units.drawn(rng, known.plant)
     other = units.plant(plant)
-    here, there = unseen_modes(plant), unseen_modes(other)
+    here, there = unobservable_modes(plant), unobservable_modes(other)
     assert len(here) == len(there) == unseen_count(known)
     np.testing.assert_allclose(
         np.sort_complex(there.eigenvalues * units.time), np.sort_complex(here.eigenvalues), rtol=1e-6, atol=1e-6
@@ -38,7 +40,7 @@ def test_units_change_no_decision_about_modes_and_counts(seed):
         assert [(c.multiplicity, c.index, c.sure) for c in two.clusters] == [
             (c.multiplicity, c.index, c.sure) for c in one.clusters
         ]
-        assert len(unseen_modes(plant, rate)) == len(unseen_modes(other, rate / units.time))
+        assert len(unobservable_modes(plant, rate)) == len(unobservable_modes(other, rate / units.time))
     if plant.n_states > 5:  # the critical length of a large plant takes seconds
         return
     (decided, one), (again, two) = counted(plant, 2.0), counted(other, 2.0 * units.time)

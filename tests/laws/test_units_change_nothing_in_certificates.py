@@ -8,9 +8,11 @@ import os
 import numpy as np
 import pytest
 
-from sampling_design import PeriodicSchedule, Plant, certify, information_curve, tradeoff_curve
+from sampling_design import PeriodicSchedule, Plant, certify
+from sampling_design.certificates.compare.tradeoff import tradeoff_curve
 from sampling_design.certificates.exact.canonical import canonical
 from sampling_design.certificates.exact.given_weights import weights_of
+from sampling_design.certificates.exact.information import information_curve
 from sampling_design.certificates.exact.riccati import supremum
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.errors import SamplingDesignError

@@ -7,8 +7,9 @@ import os
 import numpy as np
 import pytest
 
-from sampling_design import Plant, Requirement, design_schedule, library, pareto, sample_losses, window_sigma
+from sampling_design import Plant, Requirement, design_schedule, pareto_front, sample_losses, window_sigma
 from sampling_design.errors import InfeasibleRequirementError
+from sampling_design.plants import library
 from tests.rescale import Units
 
 PAIR = Plant(np.kron(np.diag([1.0, 1.7]), [[0.0, 1.0], [-1.0, 0.0]]), [[1.0, 0.0, 0.5, 0.0], [0.0, 0.3, 1.0, 0.2]])
@@ -83,7 +84,7 @@ def test_a_front_and_its_losses_are_the_same_in_all_units():
     plant, asked = CASES["oscillator"]
     units = Units.drawn(np.random.default_rng(3), plant)
     c, moved = units.time, units.plant(plant)
-    fronts = [pareto(p, in_time(asked, t), [1, 2, 3], **QUICK) for p, t in ((plant, 1.0), (moved, c))]
+    fronts = [pareto_front(p, in_time(asked, t), [1, 2, 3], **QUICK) for p, t in ((plant, 1.0), (moved, c))]
     sigmas = [[point.sigma for point in front.points] for front in fronts]
     assert sigmas[1] == pytest.approx(sigmas[0], rel=AGREE)
     assert [bool(p.obstacle) for p in fronts[1].points] == [bool(p.obstacle) for p in fronts[0].points]

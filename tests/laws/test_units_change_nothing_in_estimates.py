@@ -11,7 +11,6 @@ import pytest
 
 from sampling_design import (
     Constraints,
-    GuaranteeWarning,
     KalmanFilter,
     MovingHorizonEstimator,
     PeriodicSchedule,
@@ -24,6 +23,7 @@ from sampling_design import (
 )
 from sampling_design.estimators.constraints.convex_set import ConvexSet, NormBall
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.online.estimator import GuaranteeWarning
 from tests.benchmarks.baselines import standard_mhe
 from tests.cases import few
 from tests.rescale import Units

@@ -7,24 +7,13 @@ import os
 import numpy as np
 import pytest
 
-from sampling_design import (
-    GapRange,
-    Jitter,
-    LostSamples,
-    PeriodicSchedule,
-    Plant,
-    SpacedWindows,
-    certify,
-    certify_detectability,
-    certify_family,
-    certify_from_proof,
-    constants_from_proof,
-    detectability_from_proof,
-    four_horizons,
-    robustness,
-    weights_from_bounds,
-)
+from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, SpacedWindows, certify, robustness
+from sampling_design.certificates.compare.four_horizons import four_horizons
+from sampling_design.certificates.detectability.best_rate import certify_detectability, detectability_from_proof
+from sampling_design.certificates.exact.bound_weights import weights_from_bounds
 from sampling_design.certificates.exact.given_weights import weights_of
+from sampling_design.certificates.families.certify_family import certify_family
+from sampling_design.certificates.paper.proof_constants import certify_from_proof, constants_from_proof
 from sampling_design.errors import SamplingDesignError
 from tests.cases import few
 from tests.rescale import Units

@@ -125,7 +125,7 @@ def test_the_scales_of_the_noise_alone_change_nothing():
     given, record = weights(PLANTS["two outputs"]), list(samples(PLANTS["two outputs"], 1))
     runs = []
     for scale in (1.0, 1e3, [1e-3, 1e2]):
-        signals = {**plant.signals, "noises": sd.Signals(plant.signals["noises"].names, (), np.ones(2) * scale)}
+        signals = {**plant.signals, "noises": sd.plants.Signals(plant.signals["noises"].names, (), np.ones(2) * scale)}
         own = replace(plant, signals=signals)
         runs.append(
             NonlinearMovingHorizonEstimator(

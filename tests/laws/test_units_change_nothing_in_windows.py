@@ -4,19 +4,10 @@ and without them, one unit for all states and one for all outputs scale sigma by
 import numpy as np
 import pytest
 
-from sampling_design import (
-    PeriodicSchedule,
-    Plant,
-    Schedule,
-    SpacedWindows,
-    observability_gramian,
-    observability_matrix,
-    sigma_min,
-    split_modes,
-    window_sigma,
-    worst_case_sigma,
-)
+from sampling_design import PeriodicSchedule, Plant, Schedule, SpacedWindows, window_sigma, worst_case_sigma
 from sampling_design.observability.count.default_window import default_window
+from sampling_design.observability.windows.sampled import observability_gramian, observability_matrix, sigma_min
+from sampling_design.plants.modes import split_modes
 from tests.rescale import Units
 
 EXACT = 1e-6

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design import library
+from sampling_design.plants import library
 from tests.cases import few
 from tests.rescale import Units
 
@@ -17,8 +17,8 @@ def test_units_change_nothing_of_the_accuracy(name, seed):
     schedule = sd.PeriodicSchedule(gaps)
     units = Units.drawn(np.random.default_rng(seed), plant)
     w, v = plant.disturbances.scales / 50, plant.outputs.scales / 10
-    here = sd.accuracy(plant, schedule, w_bound=w, v_bound=v)
-    there = sd.accuracy(
+    here = sd.guaranteed_accuracy(plant, schedule, w_bound=w, v_bound=v)
+    there = sd.guaranteed_accuracy(
         units.plant(plant),
         units.schedule(schedule),
         w_bound=w * units.disturbances,

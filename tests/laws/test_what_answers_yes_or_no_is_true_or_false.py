@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 import sampling_design
-from sampling_design import GapRange, PeriodicSchedule, certificate_exists, library
-from sampling_design.certificates.compare.robustness import FamilyTrial, Losses, TimingTrial
+from sampling_design import GapRange, PeriodicSchedule, certificate_exists
+from sampling_design.certificates.compare.robustness import FamilyTrial, LossTrial, TimingTrial
 from sampling_design.certificates.form.verdict import Verification
 from sampling_design.certificates.rigorous.decide import RigorousVerification
 from sampling_design.checkers.outcome import Undecided, Verdict
 from sampling_design.errors import UndecidedError
 from sampling_design.nonlinear.detectability import DetectabilityEvidence
+from sampling_design.plants import library
 from sampling_design.uncertain.existence.existence_over_box import ExistenceOverBox
 from sampling_design.validation.report import Finding, ValidationReport
 
@@ -81,7 +82,7 @@ DECIDED = {
     "a report of what is broken": (report(HELD, OPEN, BROKEN), False),
     "a delay borne": (TimingTrial(0.1, 2.0, True), True),
     "a delay not borne": (TimingTrial(0.1, 2.0, False), False),
-    "losses not borne": (Losses(1, 2, 2.0, False), False),
+    "losses not borne": (LossTrial(1, 2, 2.0, False), False),
     "a family borne": (FamilyTrial(GapRange(0.9, 1.1), 2.0, SimpleNamespace()), True),
     "a family not borne": (FamilyTrial(GapRange(0.9, 1.1), 2.0, None), False),
 }

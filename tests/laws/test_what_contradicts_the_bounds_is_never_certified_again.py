@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.estimators.online.curve import estimate_curve
 from sampling_design.estimators.online.history import DEEPEST, Branch
-from sampling_design.recovery.record_program import RecordProgram
 
 WALK = sd.Plant([[0.0]], [[1.0]], states=["level"], outputs=["gauge"])
 SPRING = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["level", "rate"], outputs=["gauge"])
@@ -82,7 +82,7 @@ def test_the_sample_that_is_named_would_do_with_so_much_more_noise():
             truth = truth[:count]
             break
     assert (found.t, found.number, found.output, found.alone) == (3.0, 4, "gauge", True)
-    told = sd.interval(SPRING, truth, w_bound=0.02, v_bound=0.1, initial_error=2.0, prior_time=0.0).readings
+    told = sd.state_interval(SPRING, truth, w_bound=0.02, v_bound=0.1, initial_error=2.0, prior_time=0.0).readings
     for factor, agrees in ((found.factor, True), (0.99 * found.factor, False)):
         rows = tuple(
             tuple(row._replace(size=0.1 * (factor if t == 3.0 else 1.0)) for row in rows)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.accuracy.readings import CensoredReading
+from sampling_design.accuracy.record_bounds import bounds_from_record
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.curve import estimate_curve
-from sampling_design.recovery.readings import Told
-from sampling_design.recovery.record_bounds import bounds_from_record
 
 PLANT = sd.Plant(
     [[0.0, 1.0], [-1.0, 0.0]],
@@ -36,11 +36,11 @@ def record(told=()):
 def mean(k, since):
     """What a noise-free mean of the gauge until row k says."""
     value = (np.sin(TIMES[k]) - np.sin(since)) / (TIMES[k] - since)
-    return k, Told(0, value, value, since)
+    return k, CensoredReading(0, value, value, since)
 
 
 def limit(k, upper):
-    return k, Told(1, -np.inf, upper)
+    return k, CensoredReading(1, -np.inf, upper)
 
 
 RECORDS = {
@@ -88,7 +88,7 @@ def told_by_curve(rows, start):
 
 
 def told_by_interval(rows, start):
-    found = sd.interval(PLANT, rows, prior_time=start, **BOUNDS)
+    found = sd.state_interval(PLANT, rows, prior_time=start, **BOUNDS)
     return found.t - start, found.lower, found.upper
 
 

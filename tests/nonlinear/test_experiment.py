@@ -8,7 +8,7 @@ import pytest
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.nonlinear import experiment
 from sampling_design.nonlinear.experiment import CASES, paper_weights, patient_run, thyroid_experiment
-from sampling_design.nonlinear.mhe import Solve
+from sampling_design.nonlinear.mhe import SolverRun
 from sampling_design.nonlinear.patient_run import PatientRun, rmse
 from sampling_design.nonlinear.thyroid import NOISE_BOUND, PRIOR_START, SCALING, TRUE_START, thyroid
 
@@ -142,7 +142,7 @@ def test_bad_arguments_are_refused(arguments, words):
 
 
 def test_failed_problems_are_counted_and_printed():
-    solves = (Solve(0.0, "ok", 3, 0.01, 0, 1), Solve(1 / 12, "solver failed", 9, 0.04, 1, 2))
+    solves = (SolverRun(0.0, "ok", 3, 0.01, 0, 1), SolverRun(1 / 12, "solver failed", 9, 0.04, 1, 2))
     flat = np.ones((2, 6))
     run = PatientRun("per_day", 0, np.array([0.0, 1 / 12]), flat, flat[:, :3], np.array([True, False]),
                      2 * flat, 3 * flat, solves, solves[:1])  # fmt: skip

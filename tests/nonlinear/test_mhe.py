@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from sampling_design import Plant, read_measurements, write_estimates
+from sampling_design import Plant, read_measurements
 from sampling_design.errors import ArgumentError, MissingExtraError
+from sampling_design.estimators.estimate_file import write_estimates
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.online.estimator import EstimateRecord, Estimator
 from sampling_design.nonlinear import thyroid

@@ -67,7 +67,7 @@ def test_a_grid_that_stays_too_coarse_is_named():
 @pytest.mark.parametrize("boxed", [False, True])
 def test_weights_of_outputs_and_noises_meet_in_the_same_coordinates(scale, boxed):
     # x stands still: (300^-1 + 600^-1)^-1 = 200 = 2 P2, so that a measurement of 1 meets the prior 0 half way
-    signals = {"noises": sd.Signals(("v",), (), [scale])}
+    signals = {"noises": sd.plants.Signals(("v",), (), [scale])}
     plant = NonlinearPlant(
         lambda x, u, w: [0.0 * x[0]], lambda x, u, v: [x[0] + v[0]], {"states": 1, "outputs": 1}, signals=signals
     )
@@ -295,7 +295,7 @@ def test_scales_that_were_forgotten_are_named():
     with pytest.warns(ScaleWarning, match="The outputs have no scales though y1 is about 3.0e-08"):
         scheme.update(0.0, [3e-8])
     scheme.update(0.5, [2e-8])  # said once
-    signals = {"states": sd.Signals(("x",), (), [1e-8]), "outputs": sd.Signals(("y",), (), [1e-8])}
+    signals = {"states": sd.plants.Signals(("x",), (), [1e-8]), "outputs": sd.plants.Signals(("y",), (), [1e-8])}
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         scaled = NonlinearPlant(tiny.dynamics, tiny.measurement, {"states": 1, "outputs": 1}, signals=signals)

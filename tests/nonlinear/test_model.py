@@ -4,11 +4,12 @@ import casadi
 import numpy as np
 import pytest
 
-from sampling_design import Plant, Signals
+from sampling_design import Plant
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.nonlinear.conversion import from_expressions, from_linear
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.thyroid import TRUE_START, thyroid
+from sampling_design.plants.plant import Signals
 
 SIZES = {"states": 2, "inputs": 1, "disturbances": 1, "outputs": 1}
 

@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from sampling_design import GapRange, NonlinearPlant, certify, load_certificate
+from sampling_design import GapRange, NonlinearPlant, certify, read_certificate
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.rigorous.decide import judged
 from sampling_design.checkers import programs
@@ -33,7 +33,7 @@ def test_the_pendulum_is_certified_at_all_angles(swinging, tmp_path):
     assert swinging.lam < 60.0  # the prototype of the theory: 60, M > 13.7
     assert swinging.horizon().minimum < 13.7
     assert swinging.horizon("arrival").minimum == pytest.approx(np.log(4) / 0.4)
-    again = load_certificate(swinging.save(tmp_path / "pendulum.json"))
+    again = read_certificate(swinging.save(tmp_path / "pendulum.json"))
     assert again.to_dict() == swinging.to_dict()
     assert again.verify().passed
     assert "stay in the region" in str(swinging.claim)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sampling_design import load_certificate
+from sampling_design import read_certificate
 from sampling_design.certificates.rigorous.decide import judged
 from sampling_design.checkers.parts import digest
 from sampling_design.errors import ArgumentError
@@ -69,7 +69,7 @@ def test_the_region_under_therapy_holds_its_course(start):
 
 @pytest.mark.long
 def test_the_patient_under_therapy_is_certified_with_windows_below_5_days():
-    found = load_certificate(THERAPY)
+    found = read_certificate(THERAPY)
     assert found.verify().verdict == "proven"
     assert (found.family.shortest, found.family.longest) == (0.5, 1.5)
     assert found.horizon("arrival").minimum < found.horizon().minimum < 5.0  # with P(tau), and with P2 alone
@@ -78,7 +78,7 @@ def test_the_patient_under_therapy_is_certified_with_windows_below_5_days():
 
 @pytest.fixture(scope="module")
 def certificate():
-    return load_certificate(FILE)
+    return read_certificate(FILE)
 
 
 def test_the_patient_is_certified_for_gaps_of_12_to_36_hours(certificate):
@@ -109,6 +109,6 @@ def test_no_pair_of_patients_violates_it(file):
     rng = np.random.default_rng(0)
     starts = np.vstack([logarithms([TRUE_START, PRIOR_START]), patients.scattered(plant, 6, rng)])
     gaps = np.array([0.5, 1.5, 1.5, 0.7])
-    worst, pairs = patients.largest_ratio(load_certificate(file), plant, starts, gaps, rng, dose)
+    worst, pairs = patients.largest_ratio(read_certificate(file), plant, starts, gaps, rng, dose)
     assert pairs >= 15
     assert 0.5 < worst <= 1 + 1e-6

@@ -36,7 +36,7 @@ def test_tables_run_straight_and_units_change_no_transition():
     assert table.motion([0.0, 1.0, 2.0]).F[:, 0, 0] == pytest.approx(np.exp([0.5, 1.5]), rel=1e-7)
     assert table.motion([0.0, 1.0]).C[:, 0, 0].tolist() == [1.0, 2.0]
     s = np.array([1e-9, 1e6])
-    signals = {"states": sd.Signals(("a", "b"), (), s), "outputs": sd.Signals(("y",), (), [1e-9])}
+    signals = {"states": sd.plants.Signals(("a", "b"), (), s), "outputs": sd.plants.Signals(("y",), (), [1e-9])}
     scaled = TimeVaryingPlant(lambda t: A * s[:, None] / s, lambda t: C * 1e-9 / s, horizon=3.0, **signals)
     np.testing.assert_allclose(scaled.motion(TIMES).F, FIXED.motion(TIMES).F, rtol=1e-8, atol=1e-10)
     np.testing.assert_allclose(scaled.motion(TIMES).C, FIXED.motion(TIMES).C, rtol=1e-12)
@@ -59,7 +59,7 @@ def test_bad_arguments_are_refused():
     with pytest.raises(ArgumentError, match=r"`times` must lie in \[0, 3\]"):
         FIXED.motion([0.0, 4.0])
     with pytest.raises(ArgumentError, match="`states` must have 2 entries, got 1"):
-        TimeVaryingPlant(lambda t: A, lambda t: C, horizon=1.0, states=sd.Signals(("a",)))
+        TimeVaryingPlant(lambda t: A, lambda t: C, horizon=1.0, states=sd.plants.Signals(("a",)))
     late = TimeVaryingPlant(lambda t: [[np.nan if t > 0.5 else 1.0]], lambda t: [[1.0]], horizon=1.0)
     with pytest.raises(ArgumentError, match="`A` must be finite on the whole horizon"):
         late.motion([0.0, 1.0])

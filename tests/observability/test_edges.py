@@ -13,15 +13,15 @@ from sampling_design import (
     SpacedWindows,
     certificate_exists,
     design_schedule,
-    find_counterexample,
-    observability_gramian,
-    split_modes,
-    unseen_modes,
     window_sigma,
     worst_case_sigma,
     zero_count_bound,
 )
+from sampling_design.certificates.existence.counterexample import find_counterexample
 from sampling_design.observability.count.default_window import default_window
+from sampling_design.observability.count.pbh import unobservable_modes
+from sampling_design.observability.windows.sampled import observability_gramian
+from sampling_design.plants.modes import split_modes
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 SADDLE = Plant([[4.0, 1.0], [0.0, -4.0]], [[1.0, 1.0]])
@@ -62,7 +62,7 @@ def test_entries_whose_products_are_no_numbers(plant):
 def test_outputs_of_any_size_decide_nothing():
     for size in (1e308, 1e-300):
         large = Plant(OSCILLATOR.A, [[size, size]])
-        assert len(unseen_modes(large)) == 0
+        assert len(unobservable_modes(large)) == 0
         assert certificate_exists(large, PeriodicSchedule([1.0]), 0.4).exists
         assert not certificate_exists(large, PeriodicSchedule([np.pi]), 0.4).exists
     with pytest.raises(ArgumentError, match=r"rows whose squares are numbers, got .* Use sigma_min"):

@@ -6,12 +6,12 @@ from scipy.linalg import expm
 
 from sampling_design import Plant
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
-from sampling_design.observability.worst_case.spaced_tables import Tables
+from sampling_design.observability.worst_case.spaced_tables import SphereTables
 
 
 def tables_of(A, C, window, count, spacing):
     rows = SpacedRows(Plant(A, C), window, count, spacing)
-    return rows, Tables(rows, np.linspace(0.0, rows.slack, count), 1e-4)
+    return rows, SphereTables(rows, np.linspace(0.0, rows.slack, count), 1e-4)
 
 
 def eigenpair(A, C, times):

@@ -5,7 +5,7 @@ import pytest
 
 from sampling_design import PeriodicSchedule, Plant, Schedule
 from sampling_design.errors import ArgumentError
-from sampling_design.observability.meeting import meet
+from sampling_design.observability.alignment import meet
 
 PLANT = Plant(np.diag([-1.0, -2.0]), np.eye(2), time_unit="h", outputs=["T3", "T4"])
 

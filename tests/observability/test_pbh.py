@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from sampling_design import ArgumentError, Plant, unseen_modes
+from sampling_design import ArgumentError, Plant
 from sampling_design.errors import NotObservableError
-from sampling_design.observability.count.pbh import observable_rank, require_observable
+from sampling_design.observability.count.pbh import observable_rank, require_observable, unobservable_modes
 
 
 def planted(seed, hidden):
@@ -24,7 +24,7 @@ def planted(seed, hidden):
 )
 def test_planted_modes_are_found_with_their_directions(seed, hidden, expected):
     plant, _ = planted(seed, hidden)
-    unseen = unseen_modes(plant)
+    unseen = unobservable_modes(plant)
     np.testing.assert_allclose(np.sort_complex(unseen.eigenvalues), np.sort_complex(expected), atol=1e-9)
     for value, d in zip(unseen.eigenvalues, unseen.directions.T, strict=True):
         assert np.linalg.norm(d) == pytest.approx(1.0)
@@ -36,24 +36,26 @@ def test_planted_modes_are_found_with_their_directions(seed, hidden, expected):
 
 def test_a_rate_asks_only_for_modes_that_are_too_slow():
     plant, _ = planted(0, [3, 4])
-    assert len(unseen_modes(plant, rate=0.0)) == 0
-    np.testing.assert_allclose(unseen_modes(plant, rate=2.0).eigenvalues, [-1.0], atol=1e-9)  # -1 = -rate/2 counts
-    assert len(unseen_modes(plant, rate=8.5)) == 2
+    assert len(unobservable_modes(plant, rate=0.0)) == 0
+    np.testing.assert_allclose(
+        unobservable_modes(plant, rate=2.0).eigenvalues, [-1.0], atol=1e-9
+    )  # -1 = -rate/2 counts
+    assert len(unobservable_modes(plant, rate=8.5)) == 2
 
 
 def test_defective_eigenvalues():
     integrators = np.diag([1.0, 1.0], 1)
-    assert len(unseen_modes(Plant(integrators, [[1.0, 0.0, 0.0]]))) == 0
-    unseen = unseen_modes(Plant(integrators, [[0.0, 1.0, 0.0]], states=["position", "velocity", "force"]))
+    assert len(unobservable_modes(Plant(integrators, [[1.0, 0.0, 0.0]]))) == 0
+    unseen = unobservable_modes(Plant(integrators, [[0.0, 1.0, 0.0]], states=["position", "velocity", "force"]))
     assert unseen.explain() == "No output sees 0 along position."
     rng = np.random.default_rng(5)
     T, _ = np.linalg.qr(rng.standard_normal((3, 3)))
-    assert len(unseen_modes(Plant(T @ integrators @ T.T, np.array([[1.0, 0.0, 0.0]]) @ T.T))) == 0
-    assert len(unseen_modes(Plant(T @ integrators @ T.T, np.array([[0.0, 1.0, 0.0]]) @ T.T))) == 1
+    assert len(unobservable_modes(Plant(T @ integrators @ T.T, np.array([[1.0, 0.0, 0.0]]) @ T.T))) == 0
+    assert len(unobservable_modes(Plant(T @ integrators @ T.T, np.array([[0.0, 1.0, 0.0]]) @ T.T))) == 1
 
 
 def test_one_output_cannot_see_two_equal_modes():
-    unseen = unseen_modes(Plant(np.eye(3), [[1.0, 1.0, 0.0]]))
+    unseen = unobservable_modes(Plant(np.eye(3), [[1.0, 1.0, 0.0]]))
     assert len(unseen) == 2
     np.testing.assert_allclose(unseen.directions.T @ np.array([1.0, 1.0, 0.0]), 0.0, atol=1e-12)
 
@@ -65,8 +67,8 @@ def test_units_do_not_change_the_verdict():
     A[:3, 3:] = np.eye(3)
     A[3, 0], A[3, 4], A[4, 3], A[5, 2] = 3 * w * w, 2 * w, -2 * w, -w * w
     for unit in (1e-3, 1.0, 1e6):
-        assert len(unseen_modes(Plant(A, unit * np.eye(6)[:3]))) == 0
-        hidden = unseen_modes(Plant(A, unit * np.eye(6)[[0, 2]]))
+        assert len(unobservable_modes(Plant(A, unit * np.eye(6)[:3]))) == 0
+        hidden = unobservable_modes(Plant(A, unit * np.eye(6)[[0, 2]]))
         np.testing.assert_allclose(hidden.eigenvalues, [0.0], atol=1e-12)
         np.testing.assert_allclose(np.abs(hidden.directions[:, 0]), np.eye(6)[1], atol=1e-9)
     assert observable_rank(Plant(A, np.eye(6)), [0]) == 3
@@ -88,17 +90,17 @@ def test_refusal_carries_the_modes_as_data():
 
 
 def test_plants_without_states_or_with_blind_outputs():
-    assert len(unseen_modes(Plant(np.zeros((0, 0)), np.zeros((1, 0))))) == 0
-    blind = unseen_modes(Plant(np.diag([1.0, 2.0]), np.zeros((1, 2))))
+    assert len(unobservable_modes(Plant(np.zeros((0, 0)), np.zeros((1, 0))))) == 0
+    blind = unobservable_modes(Plant(np.diag([1.0, 2.0]), np.zeros((1, 2))))
     assert len(blind) == 2
     assert blind.margin == np.inf
     assert "tolerance" in str(blind)
-    assert unseen_modes(Plant([[1.0]], [[1.0]])).explain().startswith("Every mode is seen by some output")
+    assert unobservable_modes(Plant([[1.0]], [[1.0]])).explain().startswith("Every mode is seen by some output")
 
 
 def test_bad_input():
     plant, _ = planted(0, [])
     with pytest.raises(ArgumentError, match="`rate` must not be negative"):
-        unseen_modes(plant, rate=-1.0)
+        unobservable_modes(plant, rate=-1.0)
     with pytest.raises(ArgumentError, match="`rtol` must be positive"):
-        unseen_modes(plant, rtol=0.0)
+        unobservable_modes(plant, rtol=0.0)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from sampling_design import PeriodicSchedule, Plant, Schedule, observability_gramian, observability_matrix, sigma_min
+from sampling_design import PeriodicSchedule, Plant, Schedule
 from sampling_design.errors import ArgumentError
+from sampling_design.observability.windows.sampled import observability_gramian, observability_matrix, sigma_min
 from tests.oracles.observability import rows_of
 
 RNG = np.random.default_rng(2)

@@ -9,7 +9,7 @@ from sampling_design import Plant
 from sampling_design.observability.worst_case.spaced_paths import least_path, sums_so_far, sums_to_go
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.observability.worst_case.spaced_sphere import around
-from sampling_design.observability.worst_case.spaced_tables import Tables
+from sampling_design.observability.worst_case.spaced_tables import SphereTables
 
 
 def least_through(cost, i, point):
@@ -56,8 +56,8 @@ def test_curves_never_sink_below_their_lowered_chords(cells, seed, monkeypatch):
     rng = np.random.default_rng(seed)
     plant = Plant(rng.normal(size=(3, 3)) * 2, rng.normal(size=(2, 3)))
     rows = SpacedRows(plant, 3.0, 2, 0.4)
-    monkeypatch.setattr(Tables, "first_cells", lambda self: cells)
-    tables = Tables(rows, np.array([0.0, 1.0]), 1e-4)
+    monkeypatch.setattr(SphereTables, "first_cells", lambda self: cells)
+    tables = SphereTables(rows, np.array([0.0, 1.0]), 1e-4)
     cells = tables.least_cells
     point = np.broadcast_to(np.arange(cells + 1), (1, 2, cells + 1))
     table, _, at = tables.at(cells, point)
@@ -79,7 +79,7 @@ def test_states_carried_back_are_no_larger_than_said_for_any_start(seed):
     rng = np.random.default_rng(seed)
     plant = Plant(rng.normal(size=(3, 3)) * 2, rng.normal(size=(2, 3)))
     rows = SpacedRows(plant, 2.0, 2, 0.4)
-    tables = Tables(rows, np.array([0.3, 1.0]), 1e-4)
+    tables = SphereTables(rows, np.array([0.3, 1.0]), 1e-4)
     assert tables.pulled
     starts, y, c = tables.starts(16), rng.normal(size=3), rng.normal(size=3)
     value = starts.norm @ c @ y
@@ -94,7 +94,7 @@ def test_states_carried_back_are_no_larger_than_said_for_any_start(seed):
 def test_finer_grids_hold_the_same_rows_whole_or_in_part(monkeypatch):
     plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
     rows = SpacedRows(plant, 4.0, 3, 1e-3)
-    whole, part = (Tables(rows, np.zeros(3), 1e-4) for _ in range(2))
+    whole, part = (SphereTables(rows, np.zeros(3), 1e-4) for _ in range(2))
     part._whole = 0
     cells = 8 * whole.least_cells
     point = np.array([[[0, 0], [5, 6], [cells - 1, cells]], [[0, 0], [7, 8], [5, 6]]])

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from sampling_design import PeriodicSchedule, Plant, Schedule, Signals, window_sigma
+from sampling_design import PeriodicSchedule, Plant, Schedule, window_sigma
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.windows import bracket
 from sampling_design.plants import library
+from sampling_design.plants.plant import Signals
 from sampling_design.uncertain.plants.uncertain_plant import UncertainParameter, UncertainPlant
 from tests.oracles.observability import scan_windows, sigma_of_window
 

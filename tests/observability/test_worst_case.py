@@ -13,7 +13,7 @@ from sampling_design.observability.worst_case import spaced_sphere
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.observability.worst_case.spaced_search import search_worst, worst_of
 from sampling_design.observability.worst_case.spaced_sphere import prove_worst
-from sampling_design.observability.worst_case.spaced_tables import Tables
+from sampling_design.observability.worst_case.spaced_tables import SphereTables
 from sampling_design.observability.worst_case.worst_case_sigma import worst_case_sigma
 from sampling_design.schedules.spaced_windows import SpacedWindows
 from tests.cases import few
@@ -146,7 +146,7 @@ def test_several_outputs_agree_with_enumeration():
 def test_dip_narrower_than_the_first_grid_is_not_missed(monkeypatch):
     # samples half a turn apart see little but the faint second output: a dip of width 1e-3 in a window of 0.6,
     # met with a first grid of two cells and an attained bound that knows nothing of it
-    monkeypatch.setattr(Tables, "first_cells", lambda self: 2)
+    monkeypatch.setattr(SphereTables, "first_cells", lambda self: 2)
     plant = Plant([[0.0, 25.0], [-25.0, 0.0]], [[1.0, 0.0], [0.0, 0.02]])
     rows = SpacedRows(plant, 0.6, 3, 0.15)
     naive = worst_of(rows, np.array([[0.0, 0.02, 0.03]]))
@@ -159,7 +159,7 @@ def test_dip_narrower_than_the_first_grid_is_not_missed(monkeypatch):
 
 
 def test_bound_stays_below_the_dip_even_if_no_search_ever_finds_it(monkeypatch):
-    monkeypatch.setattr(Tables, "first_cells", lambda self: 2)
+    monkeypatch.setattr(SphereTables, "first_cells", lambda self: 2)
     plant = Plant([[0.0, 25.0], [-25.0, 0.0]], [[1.0, 0.0], [0.0, 0.02]])
     rows = SpacedRows(plant, 0.6, 3, 0.15)
     naive = worst_of(rows, np.array([[0.0, 0.02, 0.03]]))
@@ -331,7 +331,7 @@ def test_what_rounding_may_take_from_the_sums_is_less_than_is_allowed():
     """Against 80 digits: the rows and the state as the tables hold them, the form at a corner of a small cell."""
     rng = np.random.default_rng(5)
     rows = SpacedRows(oscillators(1.0), 4.0, 3, 1e-6)
-    tables = Tables(rows, np.array([0.0, 1e-3, 2.0]), 1e-4)
+    tables = SphereTables(rows, np.array([0.0, 1e-3, 2.0]), 1e-4)
     cells = tables.least_cells
     point = np.tile(np.arange(cells + 1), (1, 3, 1))
     table, _, at = tables.at(cells, point)

@@ -15,7 +15,7 @@ def tank():
         [[1.0, 0.0], [0.0, 1.0]],
         time_unit="h",
         name="tank",
-        states=sd.Signals(("level", "flow"), ("cm", "cm/h")),
+        states=sd.plants.Signals(("level", "flow"), ("cm", "cm/h")),
         outputs=("gauge", "meter"),
     )
 
@@ -31,4 +31,4 @@ def week(tank):
         sensors={"gauge": {"noise_bound": 0.5, "price": 1.0}, "meter": {"noise_bound": 0.1, "price": 1.0}},
         calendar={"start": "2026-03-23", "zone": "Europe/Berlin", "hours": HOURS, "holidays": ["2026-04-01"]},
     )
-    return sd.plan(tank, wanted, certificate=False, robustness=False)
+    return sd.plan_samples(tank, wanted, certificate=False, robustness=False)

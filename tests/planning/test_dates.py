@@ -16,7 +16,7 @@ from sampling_design.planning.files import save_plan
 from sampling_design.planning.plan import proven_plan
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.robustness import PlanRobustness
-from sampling_design.planning.sheet import write_form, write_sheet
+from sampling_design.planning.sampling_sheet import write_form, write_sheet
 from tests.cases import few
 
 
@@ -119,7 +119,7 @@ def test_two_closed_days_with_a_sample_between_them_are_judged_together():
 
 def test_a_plan_file_comes_back_proven_and_is_not_believed(week, tmp_path):
     path = save_plan(week, tmp_path / "plan.json")
-    back = sd.load_plan(path)
+    back = sd.read_plan(path)
     assert back.verify()
     assert back.to_dict()["schedule"] == week.to_dict()["schedule"]
     data = json.loads(path.read_text())
@@ -137,15 +137,15 @@ def test_a_plan_file_comes_back_proven_and_is_not_believed(week, tmp_path):
     for changed, words in cases:
         path.write_text(json.dumps(changed))
         with pytest.raises(FileFormatError, match=words):
-            sd.load_plan(path)
+            sd.read_plan(path)
     path.write_text(
         json.dumps({**data, "reached": [data["reached"][0] * 1.1, *data["reached"][1:]], "ratio": data["ratio"] * 1.1})
     )
-    np.testing.assert_array_equal(sd.load_plan(path).reached, back.reached)  # what is proven by now, and it is less
+    np.testing.assert_array_equal(sd.read_plan(path).reached, back.reached)  # what is proven by now, and it is less
     finite = {key: value for key, value in data["schedule"].items() if key not in ("period", "kind")}
     path.write_text(json.dumps({**data, "schedule": finite}))
     with pytest.raises(FileFormatError, match=r"must be periodic|cannot be used"):
-        sd.load_plan(path)
+        sd.read_plan(path)
 
 
 def test_a_schedule_outside_its_hours_is_refused(week, tmp_path):
@@ -154,7 +154,7 @@ def test_a_schedule_outside_its_hours_is_refused(week, tmp_path):
     data["requirement"]["calendar"]["hours"] = {"Sun": [["09:00", "10:00"]]}
     path.write_text(json.dumps(data))
     with pytest.raises(FileFormatError, match="does not keep the hours, spacings or limits"):
-        sd.load_plan(path)
+        sd.read_plan(path)
 
 
 def test_a_forged_bound_does_not_verify(week, tmp_path):
@@ -162,7 +162,7 @@ def test_a_forged_bound_does_not_verify(week, tmp_path):
     data = json.loads(path.read_text())
     data["no_cheaper_than"]["value"] += 1.0
     path.write_text(json.dumps(data))
-    assert not sd.load_plan(path).verify()
+    assert not sd.read_plan(path).verify()
 
 
 def test_what_is_written_is_taken_by_log_as_it_is(week, dates, tmp_path):
@@ -172,8 +172,8 @@ def test_what_is_written_is_taken_by_log_as_it_is(week, dates, tmp_path):
     assert len(lines) == len(dates.entries)
     filled = [line.replace(",,", ",1.5,0.2") for line in lines]
     (tmp_path / "measured.csv").write_text("\n".join([head, *filled]) + "\n")
-    sd.write_plant(week.plant, tmp_path / "plant.toml")
-    sd.write_schedule(dates.schedule(), tmp_path / "dates.csv")
+    sd.plants.write_plant(week.plant, tmp_path / "plant.toml")
+    sd.schedules.write_schedule(dates.schedule(), tmp_path / "dates.csv")
     files = [tmp_path / name for name in ("plant.toml", "dates.csv", "measured.csv")]
     log(Settings("log", output=tmp_path, quiet=True), *files)
     told = json.loads((tmp_path / "log.json").read_text())
@@ -201,7 +201,7 @@ def test_less_time_passes_between_no_two_samples_than_the_spacing(spacing, own, 
         sensors={"gauge": {"noise_bound": 0.1, "spacing": own}},
         calendar={"start": start, "zone": zone, "hours": {"Mon-Sun": [["07:00", "22:00"]]}},
     )
-    found = sd.plan(level, wanted, certificate=False, robustness=False)
+    found = sd.plan_samples(level, wanted, certificate=False, robustness=False)
     dates = plan_dates(found, 8)  # the clocks are put forward on the sixth night, or the third
     least = float((spacing or own).split()[0])
     gaps = np.diff([entry.time for entry in dates.entries])

@@ -25,7 +25,7 @@ def wanted(**more):
 
 @pytest.fixture(scope="module")
 def plan():
-    return sd.plan(LEVELS, wanted(), search_seconds=2, **BARE)
+    return sd.plan_samples(LEVELS, wanted(), search_seconds=2, **BARE)
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_a_sample_that_may_come_at_any_time_has_nothing_due():
     still = sd.Plant([[-1.0]], [[1.0]], states=["x"], outputs=["y"])
     sensors = {"y": {"noise_bound": 0.1}}
     asked = sd.PlanRequirement({"x": 1.0}, period=4.0, raster=1.0, w_bound=0.1, sensors=sensors)
-    found = sd.next_sample(sd.plan(still, asked, search_seconds=1, **BARE))
+    found = sd.next_sample(sd.plan_samples(still, asked, search_seconds=1, **BARE))
     assert found.due is None
     assert found.alone_due == {}
     assert found.to_dict()["due"] is None

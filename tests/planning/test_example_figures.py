@@ -22,7 +22,7 @@ ROUNDED = 0.002
 )
 def test_a_plan_of_the_pages_is_as_good_as_they_say(name, cost, cheapest, reached, out_of_reach):
     requirement, plant = requirement_and_plant(PLANS / f"{name}.toml")
-    found = sd.plan(plant, requirement, certificate=False, robustness=False)
+    found = sd.plan_samples(plant, requirement, certificate=False, robustness=False)
     assert found.cost <= cost
     assert found.bound.cost.value >= cheapest
     if found.cost == cost:
@@ -33,7 +33,7 @@ def test_a_plan_of_the_pages_is_as_good_as_they_say(name, cost, cheapest, reache
 @pytest.mark.long
 def test_the_passes_of_a_satellite_cost_as_little_as_can_be_and_say_what_they_bear():
     requirement, plant = requirement_and_plant(PLANS / "satellite_passes.toml")
-    found = sd.plan(plant, requirement)
+    found = sd.plan_samples(plant, requirement)
     assert found.cost == found.bound.cost.value == 19.0
     assert found.ratio <= 0.93
     assert found.gap <= 0.05
@@ -44,7 +44,7 @@ def test_the_passes_of_a_satellite_cost_as_little_as_can_be_and_say_what_they_be
 
 @pytest.mark.parametrize("name", few(["cart_pendulum", "satellite"], 0))
 def test_four_samples_with_every_sensor_are_as_good_as_the_best_within_a_hundredth(name):
-    found = sd.plan(*plan_gaps.posed(name, 4), search_seconds=6.0, certificate=False, robustness=False)
+    found = sd.plan_samples(*plan_gaps.posed(name, 4), search_seconds=6.0, certificate=False, robustness=False)
     assert found.gap <= 0.01
     assert found.verify()
 
@@ -52,6 +52,6 @@ def test_four_samples_with_every_sensor_are_as_good_as_the_best_within_a_hundred
 @pytest.mark.long
 @pytest.mark.parametrize("samples", [2, 3, 4])
 def test_few_samples_of_three_compartments_are_as_good_as_the_best_within_a_hundredth(samples):
-    found = sd.plan(*plan_gaps.posed("three_compartment", samples), certificate=False, robustness=False)
+    found = sd.plan_samples(*plan_gaps.posed("three_compartment", samples), certificate=False, robustness=False)
     assert found.gap <= 0.01
     assert found.verify()

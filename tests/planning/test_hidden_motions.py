@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from sampling_design import PlanRequirement, Plant, accuracy, plan
+from sampling_design import PlanRequirement, Plant, guaranteed_accuracy, plan_samples
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError, UndecidedError
-from sampling_design.planning import plan as room
-from sampling_design.planning.motion import hidden_at, motion_of
+from sampling_design.planning import plan_samples as room
+from sampling_design.planning.discrete_plant import hidden_at, motion_of
 from sampling_design.planning.problem import pose_plan
 
 RATE = 2 * np.pi / 24
@@ -25,7 +25,7 @@ def wanted(tolerance=2.5, w_bound=(0.01, 0.0, 0.0), **more):
 
 
 def bare(requirement, **more):
-    return plan(LEVEL_AND_RHYTHM, requirement, search_seconds=0.1, certificate=False, robustness=False, **more)
+    return plan_samples(LEVEL_AND_RHYTHM, requirement, search_seconds=0.1, certificate=False, robustness=False, **more)
 
 
 @pytest.mark.long
@@ -33,7 +33,7 @@ def test_a_plan_sees_a_rhythm_that_nothing_drives():
     found = bare(wanted())
     assert found.ratio <= 1.0
     assert found.samples >= 3  # one or two clock hours a day hide the rhythm from the level
-    again = accuracy(
+    again = guaranteed_accuracy(
         LEVEL_AND_RHYTHM, found.schedule, w_bound=[0.01, 0.0, 0.0], v_bound=[0.5], of=["level"], rtol=0.005
     )
     assert again.upper[0] <= 2.5
@@ -60,16 +60,18 @@ def test_a_raster_at_half_the_period_of_a_swing_is_refused_with_one_that_shows_i
     with pytest.raises(
         InfeasibleRequirementError, match=r"the mode 0\+1i never fades.*raster hides it: one of 1.57\d* s"
     ):
-        plan(swing, asked, certificate=False, robustness=False)
-    assert plan(swing, asked.replace(raster=np.pi / 2), certificate=False, robustness=False).keeps
+        plan_samples(swing, asked, certificate=False, robustness=False)
+    assert plan_samples(swing, asked.replace(raster=np.pi / 2), certificate=False, robustness=False).keeps
 
 
 def test_an_output_that_no_mode_reaches_is_not_the_rasters_fault():
     blind = Plant([[0.0, 0.0], [0.0, 0.0]], [[1.0, 0.0]], states=["seen", "unseen"], outputs=["y"])
     asked = PlanRequirement({"unseen": 1.0}, period=4.0, raster=1.0, w_bound=0.01, sensors={"y": {"noise_bound": 0.1}})
     with pytest.raises(InfeasibleRequirementError, match="No sensor ever shows 0, on which unseen depends"):
-        plan(blind, asked, certificate=False, robustness=False)
-    found = plan(blind, asked.replace(accuracy={"seen": 0.14}), certificate=False, robustness=False)  # of no account
+        plan_samples(blind, asked, certificate=False, robustness=False)
+    found = plan_samples(
+        blind, asked.replace(accuracy={"seen": 0.14}), certificate=False, robustness=False
+    )  # of no account
     assert found.keeps
     assert found.verify()
 
@@ -80,29 +82,33 @@ def test_hours_that_miss_a_motion_at_every_raster_are_said():
         calendar={"start": "2026-03-02", "zone": "UTC", "hours": {"Mon-Sun": [["08:00", "09:00"]]}},
     )  # fmt: skip
     with pytest.raises(InfeasibleRequirementError, match=r"never fades and stays hidden. The raster hides it"):
-        plan(LEVEL_AND_RHYTHM, daily)  # one look a day at most, always at the same hour: two in it would do
+        plan_samples(LEVEL_AND_RHYTHM, daily)  # one look a day at most, always at the same hour: two in it would do
 
 
 @pytest.mark.long
 def test_a_mode_that_grows_beyond_all_numbers_in_a_period_is_planned_for():
     asked = PlanRequirement({"x1": 500.0}, period=84.0, raster=4.0, w_bound=0.01, sensors={"y1": {"noise_bound": 1e-6}})
-    found = plan(Plant([[5.0]], [[1.0]]), asked.replace(accuracy={"x1": 1e7}), certificate=False, robustness=False)
+    found = plan_samples(
+        Plant([[5.0]], [[1.0]]), asked.replace(accuracy={"x1": 1e7}), certificate=False, robustness=False
+    )
     assert found.samples == 21  # e^20 from one look to the next, e^420 in the period
     assert found.keeps
     with pytest.raises(
         InfeasibleRequirementError, match="Not even measuring at every allowed time keeps the tolerances"
     ):
-        plan(Plant([[5.0]], [[1.0]]), asked, certificate=False, robustness=False)
+        plan_samples(Plant([[5.0]], [[1.0]]), asked, certificate=False, robustness=False)
 
 
 def test_a_mode_that_outgrows_a_step_of_the_raster_is_said_at_once():
     asked = PlanRequirement({"x1": 1.0}, period=168.0, raster=1.0, w_bound=0.01, sensors={"y1": {"noise_bound": 0.1}})
     with pytest.raises(ArgumentError, match=r"`raster` is too coarse: from one of its steps.*grows by e\^400"):
-        plan(Plant([[400.0]], [[1.0]]), asked)
+        plan_samples(Plant([[400.0]], [[1.0]]), asked)
 
 
 def test_limits_that_leave_only_blind_choices_are_refused():
-    with pytest.raises(InfeasibleRequirementError, match="No choice within the limits shows all that `accuracy` asks"):
+    with pytest.raises(
+        InfeasibleRequirementError, match="No choice within the limits shows all that `guaranteed_accuracy` asks"
+    ):
         bare(wanted(aim="most accurate", samples=2))
 
 

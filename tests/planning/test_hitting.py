@@ -6,25 +6,25 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from sampling_design import PlanRequirement, Plant, plan
-from sampling_design.planning import hitting
-from sampling_design.planning.adversary import Flight
-from sampling_design.planning.attacks import AttackPool, HiddenMotion
+from sampling_design import PlanRequirement, Plant, plan_samples
+from sampling_design.planning import hitting_set
+from sampling_design.planning.adversary_program import DisturbedTrajectory
 from sampling_design.planning.bounds import prove_cost
 from sampling_design.planning.cost_proof import CostBranch, CostLeaf, proven_cost
-from sampling_design.planning.cover import Cover
+from sampling_design.planning.covering import CoveringRows
+from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.evidence import PlanBound, holds
-from sampling_design.planning.hitting import hit
-from sampling_design.planning.motion import motion_of
+from sampling_design.planning.hidden_trajectories import HiddenTrajectories, HiddenTrajectory
+from sampling_design.planning.hitting_set import hit
 from sampling_design.planning.plan_record import ends_of, is_free
 from sampling_design.planning.problem import pose_plan
-from sampling_design.planning.work import Work
+from sampling_design.planning.work_budget import WorkBudget
 
 STEPS = 12
 TWO = Plant(
     [[0.0, 1.0], [-1.0, -0.1]], np.eye(2), B=[[1.0, 0.0], [0.0, 1.0]], states=["place", "speed"], outputs=["y", "z"]
 )
-NO_FLIGHT = Flight(np.zeros((1, 1)), np.zeros(1, dtype=np.intp), np.zeros((1, 2)), np.zeros((2, 2)))
+NO_FLIGHT = DisturbedTrajectory(np.zeros((1, 1)), np.zeros(1, dtype=np.intp), np.zeros((1, 2)), np.zeros((2, 2)))
 
 
 def posed(samples=3, *, closed=(), **more):
@@ -40,11 +40,11 @@ def posed(samples=3, *, closed=(), **more):
 
 def pooled(rng, problem, count, at_sample=False):
     """Motions of level one, each shown by some steps and sensors."""
-    pool = AttackPool(problem.steps, [ends_of(problem, g) for g in range(len(problem.goals))])
+    pool = HiddenTrajectories(problem.steps, [ends_of(problem, g) for g in range(len(problem.goals))])
     for _ in range(count):
         peaks = np.where(rng.random((problem.steps, 2)) < rng.uniform(0.1, 0.4), 2.0, 0.5)
         own = at_sample and bool(rng.random() < 0.5)
-        pool.add(HiddenMotion(0, 1.0, 0, own, peaks, NO_FLIGHT))
+        pool.add(HiddenTrajectory(0, 1.0, 0, own, peaks, NO_FLIGHT))
     return pool
 
 
@@ -72,9 +72,9 @@ def test_it_says_what_trying_all_choices_says(seed):
     closed = rng.choice(STEPS, 3, replace=False).tolist() if seed % 2 else ()
     problem = posed(int(rng.integers(2, 5)), closed=closed)
     pool = pooled(rng, problem, int(rng.integers(1, 5)), at_sample=seed % 4 > 1)
-    cover = Cover(problem, fixed=is_free(problem))
+    cover = CoveringRows(problem, fixed=is_free(problem))
     most = int(problem.most_samples)
-    found = hit(cover, pool, 1.0, cover.dearest, Work())
+    found = hit(cover, pool, 1.0, cover.dearest, WorkBudget())
     wanted = tried(problem, pool, most)
     assert found is not None
     assert found.none == (not wanted)
@@ -83,8 +83,10 @@ def test_it_says_what_trying_all_choices_says(seed):
         assert tuple(np.flatnonzero(found.chosen.any(axis=1)).tolist()) in wanted
         return
     assert proven_cost(cover, pool, found.proof) >= cover.dearest * (1 - 1e-9)
-    loose = Cover(replace(problem, most_samples=np.inf), fixed=cover.fixed)  # one more than these is all that is proven
-    again = hit(loose, pool, 1.0, most + 1.0, Work())
+    loose = CoveringRows(
+        replace(problem, most_samples=np.inf), fixed=cover.fixed
+    )  # one more than these is all that is proven
+    again = hit(loose, pool, 1.0, most + 1.0, WorkBudget())
     assert proven_cost(loose, pool, again.proof) == most + 1.0
 
 
@@ -93,8 +95,8 @@ def test_both_answers_are_met():
     for seed in range(40):
         rng = np.random.default_rng(seed)
         problem = posed(3)
-        cover = Cover(problem, fixed=True)
-        answers.append(hit(cover, pooled(rng, problem, 3), 1.0, cover.dearest, Work()).none)
+        cover = CoveringRows(problem, fixed=True)
+        answers.append(hit(cover, pooled(rng, problem, 3), 1.0, cover.dearest, WorkBudget()).none)
     assert 5 < sum(answers) < 35
 
 
@@ -102,9 +104,9 @@ def test_both_answers_are_met():
 def test_a_limit_of_money_is_one_of_samples(limit):
     rng = np.random.default_rng(8)
     problem = posed(None, visit_price=5.0, cost_limit=limit)
-    cover, pool = Cover(problem, fixed=True), pooled(rng, problem, 6)
+    cover, pool = CoveringRows(problem, fixed=True), pooled(rng, problem, 6)
     assert not tried(problem, pool, 2)
-    found = hit(cover, pool, 1.0, cover.dearest, Work())
+    found = hit(cover, pool, 1.0, cover.dearest, WorkBudget())
     assert found.none
     assert proven_cost(cover, pool, found.proof) > limit  # two samples are all that it buys
 
@@ -120,10 +122,10 @@ def leaves(tree):
 def unseen():
     """A pool that three samples do not see, and a proof with several leaves."""
     problem = posed(3)
-    cover = Cover(problem, fixed=True)
+    cover = CoveringRows(problem, fixed=True)
     for seed in range(1000):
         pool = pooled(np.random.default_rng(seed), problem, 3)
-        found = hit(cover, pool, 1.0, cover.dearest, Work())
+        found = hit(cover, pool, 1.0, cover.dearest, WorkBudget())
         if found.none and leaves(found.proof.tree)[0] > 8:
             return cover, pool, found.proof
     raise AssertionError
@@ -135,7 +137,7 @@ def test_every_leaf_and_every_row_is_needed():
     for k in range(count):
         assert proven_cost(cover, pool, replace(proof, tree=without(k))) < cover.dearest - 1
     for k in range(len(proof.keys)):  # a motion that all steps show asks for nothing
-        (a, end), faint = proof.keys[k], AttackPool(pool.steps, pool.ends)
+        (a, end), faint = proof.keys[k], HiddenTrajectories(pool.steps, pool.ends)
         faint.attacks = [*pool.attacks, replace(pool.attacks[a], peaks=np.full_like(pool.attacks[a].peaks, 2.0))]
         keys = (*proof.keys[:k], (len(pool.attacks), end), *proof.keys[k + 1 :])
         assert proven_cost(cover, faint, replace(proof, keys=keys)) < cover.dearest - 1
@@ -145,9 +147,9 @@ def test_motions_that_end_where_nothing_is_asked_prove_nothing():
     problem = posed(3)
     ends = np.zeros(problem.steps, dtype=bool)
     ends[3] = True
-    cover, pool = Cover(problem, fixed=False), AttackPool(problem.steps, [ends])
-    pool.add(HiddenMotion(0, 1.0, 3, False, np.full((problem.steps, 2), 0.5), NO_FLIGHT))
-    found = hit(cover, pool, 1.0, cover.dearest, Work())
+    cover, pool = CoveringRows(problem, fixed=False), HiddenTrajectories(problem.steps, [ends])
+    pool.add(HiddenTrajectory(0, 1.0, 3, False, np.full((problem.steps, 2), 0.5), NO_FLIGHT))
+    found = hit(cover, pool, 1.0, cover.dearest, WorkBudget())
     assert found.none
     assert proven_cost(cover, pool, found.proof) >= cover.dearest * (1 - 1e-9)
     turned = replace(found.proof, keys=tuple((a, end + 1) for a, end in found.proof.keys))
@@ -156,8 +158,8 @@ def test_motions_that_end_where_nothing_is_asked_prove_nothing():
 
 def test_a_motion_at_a_sample_asks_nothing_where_none_may_be_taken():
     problem = posed(3, closed=[4])
-    cover = Cover(problem)
-    attack = HiddenMotion(0, 1.0, 4, True, np.full((problem.steps, 2), 0.5), NO_FLIGHT)
+    cover = CoveringRows(problem)
+    attack = HiddenTrajectory(0, 1.0, 4, True, np.full((problem.steps, 2), 0.5), NO_FLIGHT)
     assert cover.row(attack, 4, 1.0)[0].size == 0
     assert cover.row(attack, 4, 1.0)[2] == 0.0
     assert cover.row(attack, 5, 1.0)[2] == 0.0  # where one is taken, it must be seen: it is not
@@ -169,51 +171,57 @@ def test_a_motion_at_a_sample_asks_nothing_where_none_may_be_taken():
 )
 def test_where_more_than_the_number_counts_a_solver_is_asked(more):
     problem = posed(3, **more)
-    assert hit(Cover(problem, fixed=True), pooled(np.random.default_rng(0), problem, 2), 1.0, 4.0, Work()) is None
+    assert (
+        hit(CoveringRows(problem, fixed=True), pooled(np.random.default_rng(0), problem, 2), 1.0, 4.0, WorkBudget())
+        is None
+    )
 
 
 def test_nodes_that_run_out_leave_the_question_to_the_solver(monkeypatch):
     cover, pool, _ = unseen()
-    monkeypatch.setattr(hitting, "MOST_NODES", 3)
-    found = hit(cover, pool, 1.0, cover.dearest, Work())
+    monkeypatch.setattr(hitting_set, "MOST_NODES", 3)
+    found = hit(cover, pool, 1.0, cover.dearest, WorkBudget())
     assert (found.chosen, found.none, found.proof) == (None, False, None)
-    proof = prove_cost(cover, pool, 1.0, cover.dearest, Work(), find=lambda x, level: None, decide=True)
+    proof = prove_cost(cover, pool, 1.0, cover.dearest, WorkBudget(), find=lambda x, level: None, decide=True)
     assert proof.value >= cover.dearest * (1 - 1e-9)
 
 
 def test_what_must_be_measured_once_is_met_and_has_no_proof():
     problem = posed(3)
-    cover, pool = Cover(problem, fixed=False), AttackPool(problem.steps, [np.ones(problem.steps, dtype=bool)])
+    cover, pool = (
+        CoveringRows(problem, fixed=False),
+        HiddenTrajectories(problem.steps, [np.ones(problem.steps, dtype=bool)]),
+    )
     masks = np.zeros((4, problem.steps, 2), dtype=bool)
     for k, mask in enumerate(masks):
         mask[3 * k : 3 * k + 3] = True
-    assert hit(cover, pool, 1.0, cover.dearest, Work(), masks[:3]).chosen[3:6].any()
-    found = hit(cover, pool, 1.0, cover.dearest, Work(), masks)
+    assert hit(cover, pool, 1.0, cover.dearest, WorkBudget(), masks[:3]).chosen[3:6].any()
+    found = hit(cover, pool, 1.0, cover.dearest, WorkBudget(), masks)
     assert found.none
     assert found.proof is None
 
 
 def test_samples_are_whole_only_where_more_sensors_cost_nothing_and_break_nothing():
-    assert Cover(posed(3)).columns == STEPS
+    assert CoveringRows(posed(3)).columns == STEPS
     both = {"y": {"noise_bound": 0.2, "price": 1.0}, "z": {"noise_bound": 0.3}}
-    assert Cover(posed(3, sensors=both)).columns == 3 * STEPS
+    assert CoveringRows(posed(3, sensors=both)).columns == 3 * STEPS
     seldom = {"y": {"noise_bound": 0.2, "longest_use": 2}, "z": {"noise_bound": 0.3}}
-    assert Cover(posed(3, sensors=seldom)).columns == 3 * STEPS
+    assert CoveringRows(posed(3, sensors=seldom)).columns == 3 * STEPS
     apart = {"y": {"noise_bound": 0.2, "spacing": 2.0}, "z": {"noise_bound": 0.3}}
-    assert Cover(posed(3, sensors=apart)).columns == 3 * STEPS
+    assert CoveringRows(posed(3, sensors=apart)).columns == 3 * STEPS
     problem = posed(3)
     allowed = problem.allowed.copy()
     allowed[5, 0] = False
-    assert Cover(replace(problem, allowed=allowed)).columns == 3 * STEPS - 1
+    assert CoveringRows(replace(problem, allowed=allowed)).columns == 3 * STEPS - 1
 
 
 def test_the_most_accurate_plan_reads_every_sensor_that_costs_nothing():
-    found = plan(TWO, posed(3).requirement, search_seconds=2.0, certificate=False, robustness=False)
+    found = plan_samples(TWO, posed(3).requirement, search_seconds=2.0, certificate=False, robustness=False)
     assert found.schedule.outputs is None or np.all(found.schedule.outputs)
     assert found.gap <= 0.02
     assert found.verify()
     problem = pose_plan(TWO, found.requirement)
-    cover, ends = Cover(problem, fixed=True), [ends_of(problem, 0)]
+    cover, ends = CoveringRows(problem, fixed=True), [ends_of(problem, 0)]
     motion, ratio = motion_of(problem), found.bound.ratio
     assert holds(found.bound, cover, cover, motion, ends, 3.0)
     higher = PlanBound(found.bound.attacks, replace(ratio, level=ratio.level * 1.05), None)

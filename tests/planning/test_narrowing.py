@@ -5,13 +5,13 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.planning import sequence as sequences
+from sampling_design.planning.accuracy_oracle import AccuracyOracle
+from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.disturbed import delayed
-from sampling_design.planning.motion import motion_of
 from sampling_design.planning.narrowing import narrowed, shown
-from sampling_design.planning.oracle import Oracle
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.sequence_chain import plan_chain
-from sampling_design.planning.settling import cut_gains, settled_factors
+from sampling_design.planning.transient_bound import cut_gains, settled_factors
 
 LEVEL = 1.0
 
@@ -30,7 +30,7 @@ def oracle():
         sensors={"y1": {"noise_bound": 0.1, "price": 1.0}, "y2": {"noise_bound": 0.2, "price": 1.0}},
     )
     problem = pose_plan(plant, wanted)
-    return Oracle(problem, motion_of(problem))
+    return AccuracyOracle(problem, motion_of(problem))
 
 
 def test_an_attack_is_narrowed_to_fewer_measurements_and_reaches_the_level_still(oracle):
@@ -69,7 +69,7 @@ def test_gains_cut_off_nowhere_prove_what_the_plan_proves(week):
 
 
 def evaluated_at(chain, part, k):
-    from sampling_design.recovery.gains import evaluated
+    from sampling_design.accuracy.gains import evaluated
 
     nodes = chain.nodes(part.sample, len(part.gains[k]))
     return evaluated(chain, nodes, chain.reach[nodes[0]], part.directions[k], list(part.gains[k])).value

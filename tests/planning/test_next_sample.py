@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.accuracy.readings import BelowDetection
 from sampling_design.errors import ArgumentError, NotDetectableError
-from sampling_design.planning.due import GoalDue
+from sampling_design.planning.deadline import GoalDue
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.plan import proven_plan
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.sequence import looks_back, proven_ratio
 from sampling_design.planning.sequence_chain import plan_chain
-from sampling_design.planning.spread_sequence import SampleSequence, planned
-from sampling_design.recovery.readings import Below
+from sampling_design.planning.sequence_deviation import SampleSequence, planned
 
 BARE = {"certificate": False, "robustness": False}
 
@@ -154,7 +154,7 @@ def test_a_week_without_samples_breaks_the_tolerance(week):
 
 def test_a_limit_is_a_sample_that_was_taken(week):
     due = float(planned(week, 0.5, week.schedule.period)[0][0])
-    one, other = (sd.next_sample(week, [(due, [y, 2.0], None)], prove=False) for y in (1.0, Below(1.0)))
+    one, other = (sd.next_sample(week, [(due, [y, 2.0], None)], prove=False) for y in (1.0, BelowDetection(1.0)))
     assert one.to_dict() == other.to_dict()
 
 
@@ -203,7 +203,7 @@ def test_what_passes_between_samples_is_counted_and_not_what_clocks_show(toleran
 def test_a_plan_that_hides_a_mode_for_ever_bounds_no_change():
     plant = sd.Plant([[0.0, 0.0], [0.0, 0.0]], [[1.0, 0.0]], outputs=["y"])
     terms = {"y": {"noise_bound": 0.1}}
-    found = sd.plan(
+    found = sd.plan_samples(
         plant, sd.PlanRequirement({"x1": 1.0}, period=8.0, raster=2.0, w_bound=[0.1, 0.0], sensors=terms), **BARE
     )
     with pytest.raises(NotDetectableError, match="what a change of its samples does is not bounded"):

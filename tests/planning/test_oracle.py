@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.planning import motion as room
-from sampling_design.planning.adversary import RasterWindow
-from sampling_design.planning.motion import motion_of
-from sampling_design.planning.oracle import QUARTERS, SETTLED, Oracle
+from sampling_design.planning import discrete_plant as room
+from sampling_design.planning.accuracy_oracle import QUARTERS, SETTLED, AccuracyOracle
+from sampling_design.planning.adversary_program import RasterWindow
+from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.plan import accuracy_of
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.search import PlanSearch
@@ -27,7 +27,7 @@ def posed(plant, period, raster, at, w_bound=0.02):
 
 def test_the_worst_time_of_a_gap_is_found_between_its_quarters():
     problem, chosen = posed(BODY, 6.4, 0.2, [0, 26])
-    oracle = Oracle(problem, motion_of(problem))
+    oracle = AccuracyOracle(problem, motion_of(problem))
     oracle.back = 128
     window = oracle._window(chosen, 0, 128)
     found = max(oracle.looked(window, 0, 0, 26).values())
@@ -42,10 +42,10 @@ def test_a_disturbance_turns_with_the_plant_in_long_gaps(monkeypatch):
     problem, chosen = posed(BODY, 40.0, 0.5, [0, 34])
     proof = accuracy_of(problem, chosen)
     proven = float(proof.upper[0]) / 0.5
-    judged = Oracle(problem, motion_of(problem)).judge(chosen)[0]
+    judged = AccuracyOracle(problem, motion_of(problem)).judge(chosen)[0]
     assert 0.97 * proven <= judged <= proven
     monkeypatch.setattr(room, "TURN", np.inf)
-    assert Oracle(problem, motion_of(problem)).judge(chosen)[0] < 0.9 * proven
+    assert AccuracyOracle(problem, motion_of(problem)).judge(chosen)[0] < 0.9 * proven
 
 
 def test_a_window_of_many_cells_is_put_together_without_writing_out_what_is_empty():
@@ -57,7 +57,7 @@ def test_a_window_of_many_cells_is_put_together_without_writing_out_what_is_empt
 
 def test_the_past_is_followed_until_it_adds_nothing_and_no_farther():
     problem, chosen = posed(DRIFT, 8.0, 0.5, [0, 3], 0.002)
-    oracle = Oracle(problem, motion_of(problem))
+    oracle = AccuracyOracle(problem, motion_of(problem))
     oracle.back = begun = 4  # enough for samples at every step, of which most are left out
     worst = oracle.judge(chosen)[0]
     search = PlanSearch(problem, oracle)
@@ -75,9 +75,9 @@ def test_the_past_is_followed_until_it_adds_nothing_and_no_farther():
 
 
 def test_a_short_past_refutes_and_what_held_is_not_judged_twice(monkeypatch):
-    monkeypatch.setattr("sampling_design.planning.adversary.MANY", 100)
+    monkeypatch.setattr("sampling_design.planning.adversary_program.MANY", 100)
     problem, chosen = posed(BODY, 6.4, 0.2, [0, 26], w_bound=[0.02, 0.02])
-    oracle = Oracle(problem, motion_of(problem))
+    oracle = AccuracyOracle(problem, motion_of(problem))
     oracle.back = 32 * 16
     worst, attacks = oracle.judge(chosen)
     assert len(attacks) == 2

@@ -7,9 +7,9 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
+from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.files import save_plan
-from sampling_design.planning.oracle import Oracle
 from tests.oracles import planning as oracle
 
 BARE = {"certificate": False, "robustness": False}
@@ -19,7 +19,7 @@ GIVEN = {"period": 6.4, "raster": 0.2, "w_bound": 0.02, "sensors": {"y": {"noise
 
 @pytest.fixture(scope="module")
 def cheapest():
-    return sd.plan(OSCILLATOR, sd.PlanRequirement({"position": 0.35}, **GIVEN), **BARE)
+    return sd.plan_samples(OSCILLATOR, sd.PlanRequirement({"position": 0.35}, **GIVEN), **BARE)
 
 
 def test_the_cheapest_plan_keeps_its_tolerance_and_none_is_cheaper(cheapest):
@@ -32,7 +32,7 @@ def test_the_cheapest_plan_keeps_its_tolerance_and_none_is_cheaper(cheapest):
 
 @pytest.mark.long
 def test_four_looks_at_an_oscillator_reach_what_no_plan_beats():
-    found = sd.plan(OSCILLATOR, sd.PlanRequirement({"position": 1.0}, samples=4, **GIVEN), **BARE)
+    found = sd.plan_samples(OSCILLATOR, sd.PlanRequirement({"position": 1.0}, samples=4, **GIVEN), **BARE)
     assert found.gap <= 0.03
     assert found.bound.ratio.level <= 0.3175 <= found.reached[0] * 1.01  # even spacing, as the oracle has it
     assert found.verify()
@@ -54,22 +54,22 @@ def test_a_plan_that_says_more_than_its_proof_is_refused(cheapest):
 
 def test_what_nobody_can_keep_is_refused_with_what_can_be_kept():
     with pytest.raises(InfeasibleRequirementError, match="Not even measuring at every allowed time") as refused:
-        sd.plan(OSCILLATOR, sd.PlanRequirement({"position": 0.1}, **GIVEN), **BARE)
+        sd.plan_samples(OSCILLATOR, sd.PlanRequirement({"position": 0.1}, **GIVEN), **BARE)
     nearest = refused.value.nearest["position"]
     assert 0.2 < nearest < 0.25  # a look at every step: noise 0.2 and what w does in between
     both = sd.PlanRequirement({"position": 0.1, "velocity": 0.9}, **GIVEN)
     with pytest.raises(InfeasibleRequirementError, match=r"at best position 0.2\d+ instead of 0.1 could be") as refused:
-        sd.plan(OSCILLATOR, both, **BARE)
+        sd.plan_samples(OSCILLATOR, both, **BARE)
     assert refused.value.nearest == {"position": nearest, "velocity": 0.9}  # what holds already is left as it is
 
 
 def test_spacings_that_leave_no_plan_are_refused_with_what_they_allow():
     spaced = sd.PlanRequirement({"position": 0.5}, spacing=2.4, **{**GIVEN, "raster": 0.8})
     with pytest.raises(InfeasibleRequirementError, match="No plan with these spacings and uses was found") as refused:
-        sd.plan(OSCILLATOR, spaced, search_seconds=0.4, **BARE)
+        sd.plan_samples(OSCILLATOR, spaced, search_seconds=0.4, **BARE)
     near = refused.value.nearest["position"]
     # what it names can be kept; one look, almost once in a swing, only seems to keep it to who looks back a little
-    found = sd.plan(OSCILLATOR, spaced.replace(accuracy={"position": near}), **BARE)
+    found = sd.plan_samples(OSCILLATOR, spaced.replace(accuracy={"position": near}), **BARE)
     assert found.keeps
     assert found.samples == 2
 
@@ -81,7 +81,7 @@ def test_tolerances_that_only_rounding_separates_from_the_least_are_refused_as_s
         InfeasibleRequirementError,
         match=r"close to the least .* for a proof: 1\.0000.* times as large ones can be kept",
     ) as refused:
-        sd.plan(level, sd.PlanRequirement({"level": 0.1 + 0.01}, **given), search_seconds=1, **BARE)
+        sd.plan_samples(level, sd.PlanRequirement({"level": 0.1 + 0.01}, **given), search_seconds=1, **BARE)
     assert 0.11 < refused.value.nearest["level"] < 0.112
 
 
@@ -96,9 +96,9 @@ def test_a_spacing_beyond_the_period_is_refused(sensor):
 
     match = r"spacing` must be at most the period, 10 s, since the plan repeats after it: got 20 s"
     with pytest.raises(ArgumentError, match=match):
-        sd.plan(level, wanted(20.0), **BARE)
+        sd.plan_samples(level, wanted(20.0), **BARE)
     for spacing in (5.0, 7.5, 10.0):
-        found = sd.plan(level, wanted(spacing), search_seconds=1, **BARE)
+        found = sd.plan_samples(level, wanted(spacing), search_seconds=1, **BARE)
         assert np.min(found.schedule.gaps) >= spacing - 1e-9
 
 
@@ -107,10 +107,10 @@ def test_a_spacing_beyond_the_period_is_refused(sensor):
 def test_a_motion_that_nothing_drives_is_planned_and_proven(A):
     plant = sd.Plant(A, [[1.0, 0.0]], states=["first", "second"], outputs=["y"])
     given = {**GIVEN, "raster": 0.8, "w_bound": 0.0, "sensors": {"y": {"noise_bound": 0.1}}}
-    found = sd.plan(plant, sd.PlanRequirement({"first": 0.5}, **given), search_seconds=1, **BARE)
+    found = sd.plan_samples(plant, sd.PlanRequirement({"first": 0.5}, **given), search_seconds=1, **BARE)
     assert found.keeps
     assert found.samples == found.bound.cost.value == 1
-    best = sd.plan(plant, sd.PlanRequirement({"first": 0.5}, samples=2, **given), search_seconds=1, **BARE)
+    best = sd.plan_samples(plant, sd.PlanRequirement({"first": 0.5}, samples=2, **given), search_seconds=1, **BARE)
     assert best.samples == 2
     assert best.status == "budget"  # motions that w drives are what the search goes by, and here there are none
     assert best.bound.ratio is None or best.bound.ratio.level <= best.ratio
@@ -124,12 +124,12 @@ def test_an_interrupt_leaves_what_the_search_holds(words, limit, tmp_path):
             raise KeyboardInterrupt
 
     wanted = sd.PlanRequirement({"position": 0.5}, **{**GIVEN, "raster": 0.4}, **limit)
-    found = sd.plan(OSCILLATOR, wanted, search_seconds=2, progress=interrupt)
+    found = sd.plan_samples(OSCILLATOR, wanted, search_seconds=2, progress=interrupt)
     assert found.status == "interrupted"
     assert found.keeps
     assert found.left_out == (("bound",) if words == "samples" else ()) + ("certificate", "robustness")
     assert found.explain().endswith("may be lost: interrupted.")
-    back = sd.load_plan(save_plan(found, tmp_path / "plan.json"))
+    back = sd.read_plan(save_plan(found, tmp_path / "plan.json"))
     assert back.verify()
     assert back.status == "interrupted"
 
@@ -138,20 +138,20 @@ def test_an_interrupt_before_anything_is_held_is_one(monkeypatch):
     def rung(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Oracle, "judge", rung)
+    monkeypatch.setattr(AccuracyOracle, "judge", rung)
     with pytest.raises(KeyboardInterrupt):
-        sd.plan(OSCILLATOR, sd.PlanRequirement({"position": 0.5}, **GIVEN), **BARE)
+        sd.plan_samples(OSCILLATOR, sd.PlanRequirement({"position": 0.5}, **GIVEN), **BARE)
 
 
 def test_what_nobody_can_afford_is_refused():
     dear = {**GIVEN, "sensors": {"y": {"noise_bound": 0.2, "price": 5.0}}}
     with pytest.raises(InfeasibleRequirementError, match="No measurement is admissible within"):
-        sd.plan(OSCILLATOR, sd.PlanRequirement({"position": 1.0}, cost_limit=3.0, **dear), **BARE)
+        sd.plan_samples(OSCILLATOR, sd.PlanRequirement({"position": 1.0}, cost_limit=3.0, **dear), **BARE)
 
 
 def test_spacing_and_limits_are_kept():
     wanted = sd.PlanRequirement({"velocity": 1.0}, samples=3, spacing=1.5, **GIVEN)
-    found = sd.plan(OSCILLATOR, wanted, **BARE)
+    found = sd.plan_samples(OSCILLATOR, wanted, **BARE)
     assert len(found.schedule) <= 3
     assert np.min(found.schedule.gaps) >= 1.5 - 1e-9
 
@@ -162,7 +162,7 @@ def test_a_plant_that_comes_to_rest_by_itself_has_one_sample_at_least():
     wanted = sd.PlanRequirement(
         {"level": 0.2}, period="1 d", raster="1 h", w_bound=0.1, sensors={"y": {"noise_bound": 0.5}}, calendar=hours
     )
-    found = sd.plan(plant, wanted, **BARE)  # 0.1 is kept whatever is measured
+    found = sd.plan_samples(plant, wanted, **BARE)  # 0.1 is kept whatever is measured
     assert found.keeps
     assert found.samples == found.bound.cost.value == 1
     assert found.verify()

@@ -8,8 +8,8 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import FileFormatError
+from sampling_design.planning import accuracy_oracle as judges
 from sampling_design.planning import disturbed
-from sampling_design.planning import oracle as judges
 from sampling_design.planning.disturbed import plan_robustness, without
 from sampling_design.planning.files import save_plan
 from sampling_design.planning.plan import plan_certificate
@@ -53,7 +53,7 @@ def test_so_late_is_kept_and_a_lost_sample_is_told(whole):
 @pytest.mark.long
 def test_it_is_in_the_file_and_proven_again(whole, tmp_path):
     path = save_plan(whole, tmp_path / "plan.json")
-    back = sd.load_plan(path)
+    back = sd.read_plan(path)
     assert back.robustness.to_dict() == whole.robustness.to_dict()
     assert back.certificate.to_dict() == whole.certificate.to_dict()
     assert back.verify()
@@ -67,12 +67,12 @@ def test_it_is_in_the_file_and_proven_again(whole, tmp_path):
     for changed, words in cases:
         path.write_text(json.dumps({**data, **changed}))
         with pytest.raises(FileFormatError, match=words):
-            sd.load_plan(path)
+            sd.read_plan(path)
     schedule = sd.PeriodicSchedule.from_times([100.0, 132.0], 168.0, [[True, True]] * 2, time_unit="h")
     forged = sd.certify(whole.plant, schedule)
     path.write_text(json.dumps({**data, "certificate": forged.to_dict()}))
     with pytest.raises(FileFormatError, match="is of another schedule"):
-        sd.load_plan(path)
+        sd.read_plan(path)
 
 
 def test_more_than_it_bears_does_not_verify(whole):

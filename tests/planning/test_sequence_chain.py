@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.accuracy.search import ChainSearch
 from sampling_design.planning.disturbed import delayed, without
 from sampling_design.planning.sequence import forgets, looks_back, proven_ratio, settles
 from sampling_design.planning.sequence_chain import phase_of, plan_chain, sequence_chain
-from sampling_design.planning.spread_sequence import SampleSequence, planned
-from sampling_design.recovery.search import ChainSearch
+from sampling_design.planning.sequence_deviation import SampleSequence, planned
 from tests.oracles import planning as oracle
 
 
@@ -82,7 +82,7 @@ def slow():
         w_bound=[0.002, 0.001],
         sensors={"y1": {"noise_bound": 1.0, "price": 1.0}},
     )
-    return sd.plan(plant, wanted, certificate=False, robustness=False)
+    return sd.plan_samples(plant, wanted, certificate=False, robustness=False)
 
 
 def test_a_filter_that_forgets_slowly_is_followed_until_it_has(slow):

@@ -9,15 +9,15 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError, NotDetectableError
-from sampling_design.planning import spread_sequence
+from sampling_design.planning import sequence_deviation
+from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.disturbed import plan_robustness
 from sampling_design.planning.evidence import PlanBound
-from sampling_design.planning.files import load_plan, save_plan
-from sampling_design.planning.motion import motion_of
+from sampling_design.planning.files import read_plan, save_plan
+from sampling_design.planning.filter_deviation import RasterFilter
 from sampling_design.planning.plan import accuracy_of, proven_plan
 from sampling_design.planning.plan_record import deviation_of
 from sampling_design.planning.problem import pose_plan
-from sampling_design.planning.spread import RasterFilter
 from tests.oracles import planning as oracle
 
 OSCILLATOR = sd.Plant(
@@ -42,7 +42,7 @@ def truth(times, seen, row, period=6.4, just_before=2e-3):
 @pytest.fixture(scope="module")
 def found():
     wanted = sd.PlanRequirement({"position": goal(0.29)}, **ONE)
-    return sd.plan(OSCILLATOR, wanted, certificate=False)
+    return sd.plan_samples(OSCILLATOR, wanted, certificate=False)
 
 
 def every(count, steps=8):
@@ -73,22 +73,22 @@ def test_the_filter_of_uneven_samples_is_that_of_the_plan():
     chosen = np.zeros_like(problem.allowed)
     chosen[[0, 1, 5], 0] = True
     plan = proven_plan(problem, chosen, PlanBound((), None, None), "budget")
-    limits = spread_sequence.SpreadSequence(plan).limits
+    limits = sequence_deviation.SpreadSequence(plan).limits
     row = plan.oracle.rows[0]
     times = plan.schedule.times
     anew = oracle.deviation(
         OSCILLATOR.A, OSCILLATOR.C[:1], np.eye(2), times, [[True]] * 3, 6.4, [1.0, 0.0], times, [0.01, 0.02], [0.2]
     )
     np.testing.assert_allclose([np.sqrt(row @ P @ row) for P in limits], anew, rtol=1e-6)
-    own, seen = spread_sequence.planned(plan, -6.4, 10 * 6.4)
-    _, wider = spread_sequence.SpreadSequence(plan).worst(spread_sequence.SampleSequence(own, seen, 3))
+    own, seen = sequence_deviation.planned(plan, -6.4, 10 * 6.4)
+    _, wider = sequence_deviation.SpreadSequence(plan).worst(sequence_deviation.SampleSequence(own, seen, 3))
     assert wider == pytest.approx(1.0, abs=1e-6)
 
 
 def test_a_plan_has_one_filter_that_works_out_each_flow_once(found, monkeypatch):
-    asked, flow = [], spread_sequence.discounted_flow
+    asked, flow = [], sequence_deviation.discounted_flow
     monkeypatch.setattr(
-        spread_sequence, "discounted_flow", lambda A, W, lengths: asked.append(tuple(lengths)) or flow(A, W, lengths)
+        sequence_deviation, "discounted_flow", lambda A, W, lengths: asked.append(tuple(lengths)) or flow(A, W, lengths)
     )
     plan = replace(found)  # a plan that has no filter yet
     bears = plan_robustness(plan)
@@ -99,7 +99,7 @@ def test_a_plan_has_one_filter_that_works_out_each_flow_once(found, monkeypatch)
 
 @pytest.mark.long
 def test_the_best_of_so_many_is_within_its_gap_of_all_choices():
-    most = sd.plan(OSCILLATOR, sd.PlanRequirement({"position": goal(1.0)}, samples=3, **ONE), certificate=False)
+    most = sd.plan_samples(OSCILLATOR, sd.PlanRequirement({"position": goal(1.0)}, samples=3, **ONE), certificate=False)
     best = best_of_all(3)
     assert most.bound.ratio.level <= best * (1 + 1e-9)
     assert most.reached[0] <= best * 1.02
@@ -158,7 +158,7 @@ def test_both_kinds_are_planned_together():
         w_bound=0.02,
         **{**ONE, "sensors": {"y": {"noise_bound": 0.4, "noise_deviation": 0.2}}},
     )
-    both = sd.plan(OSCILLATOR, wanted, certificate=False, robustness=False, search_seconds=0.3)
+    both = sd.plan_samples(OSCILLATOR, wanted, certificate=False, robustness=False, search_seconds=0.3)
     assert both.keeps
     assert both.verify()
     assert both.accuracy is not None
@@ -167,7 +167,7 @@ def test_both_kinds_are_planned_together():
 
 def test_files_hold_tangents_and_are_not_believed(found, tmp_path):
     path = save_plan(found, tmp_path / "plan.json")
-    again = load_plan(path)
+    again = read_plan(path)
     assert again.verify()
     assert again.bound.cost.value == found.bound.cost.value
     tree = json.loads(path.read_text())
@@ -178,7 +178,7 @@ def test_files_hold_tangents_and_are_not_believed(found, tmp_path):
     ):
         path.write_text(json.dumps({**tree, "attacks": [{**tree["attacks"][0], **change}, *tree["attacks"][1:]]}))
         with pytest.raises(FileFormatError, match=words):
-            load_plan(path)
+            read_plan(path)
     raised = tuple(replace(a, reach=a.reach * 1.01) for a in found.bound.attacks)
     assert not replace(found, bound=PlanBound(raised, found.bound.ratio, found.bound.cost)).verify()
     assert not replace(found, reached=found.reached * 0.99).verify()
@@ -186,17 +186,17 @@ def test_files_hold_tangents_and_are_not_believed(found, tmp_path):
 
 def test_what_is_missing_or_out_of_reach_is_said():
     with pytest.raises(ArgumentError, match="`w_intensity` is missing: accuracy of position needs it"):
-        sd.plan(OSCILLATOR, sd.PlanRequirement({"position": goal(0.3)}, period=6.4, sensors=TERMS))
+        sd.plan_samples(OSCILLATOR, sd.PlanRequirement({"position": goal(0.3)}, period=6.4, sensors=TERMS))
     with pytest.raises(ArgumentError, match="have no `noise_deviation`"):
-        sd.plan(
+        sd.plan_samples(
             OSCILLATOR, sd.PlanRequirement({"position": goal(0.3)}, **{**ONE, "sensors": {"y": {"noise_bound": 1.0}}})
         )
     with pytest.raises(ArgumentError, match="`w_intensity` must not be negative"):
-        sd.plan(OSCILLATOR, sd.PlanRequirement({"position": goal(0.3)}, **{**ONE, "w_intensity": [0.1, -1.0]}))
+        sd.plan_samples(OSCILLATOR, sd.PlanRequirement({"position": goal(0.3)}, **{**ONE, "w_intensity": [0.1, -1.0]}))
     with pytest.raises(ArgumentError, match="`kind` must be one of 'guaranteed', 'standard deviation'"):
         sd.PlanRequirement({"position": {"tolerance": 1.0, "kind": "likely"}})
     with pytest.raises(InfeasibleRequirementError, match="Not even measuring at every allowed time keeps"):
-        sd.plan(OSCILLATOR, sd.PlanRequirement({"position": goal(0.05)}, **ONE))
+        sd.plan_samples(OSCILLATOR, sd.PlanRequirement({"position": goal(0.05)}, **ONE))
 
 
 def test_choices_that_say_nothing_of_a_goal_are_refused():

@@ -7,8 +7,9 @@ import mpmath
 import numpy as np
 import pytest
 
-from sampling_design import Plant, split_modes
+from sampling_design import Plant
 from sampling_design.plants.clusters import eigenvalue_clusters
+from sampling_design.plants.modes import split_modes
 
 a, b, c, d, e = 6.537773175952662, 9.892378564622923e-9, 2.0163803998106024e8, 1.551620418759878e8, 0.002358202548321148
 f, g, h, i = 2.824060629317756e8, 2.0198389074625736e8, 1.5542817673286995e8, 0.7305736722226711

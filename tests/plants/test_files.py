@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from sampling_design import ArgumentError, Plant, Signals, library, read_plant, write_plant
+from sampling_design import ArgumentError, Plant, read_plant
 from sampling_design.errors import FileFormatError
-from sampling_design.plants import files
-from sampling_design.plants.files import plant_from_dict
+from sampling_design.plants import files, library
+from sampling_design.plants.files import plant_from_dict, write_plant
+from sampling_design.plants.plant import Signals
 
 SUFFIXES = ["toml", "json", "mat", "npz"]
 

@@ -6,8 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sampling_design import ArgumentError, library, named_plant, read_plant, split_modes, write_plant
+from sampling_design import ArgumentError, named_plant, read_plant
+from sampling_design.plants import library
 from sampling_design.plants.clusters import eigenvalue_clusters
+from sampling_design.plants.files import write_plant
+from sampling_design.plants.modes import split_modes
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 NAMES = list(library.PLANTS)

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from sampling_design import ArgumentError, Plant, Signals, library, split_modes, unseen_modes
+from sampling_design import ArgumentError, Plant
 from sampling_design.errors import MathematicsError
-from sampling_design.plants import modes
+from sampling_design.observability.count.pbh import unobservable_modes
+from sampling_design.plants import library, modes
+from sampling_design.plants.modes import split_modes
+from sampling_design.plants.plant import Signals
 
 
 def hidden(A, seed=0, outputs=2):
@@ -181,10 +184,10 @@ def test_rates_beyond_all_measure_are_refused_in_one_sentence(size):
 def test_a_coupling_of_any_size_between_moderate_rates_is_no_obstacle():
     plant = Plant([[-1.0, 1e200, 0.0], [0.0, 0.5, 1e-200], [0.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]])
     assert split_modes(plant).retained.n_states == 2
-    assert len(unseen_modes(plant)) == 0
+    assert len(unobservable_modes(plant)) == 0
 
 
 def test_a_stiff_mode_hides_no_slow_one():
-    assert len(unseen_modes(Plant(np.diag([0.1, 0.2, -1e9]), np.ones((1, 3))))) == 0
+    assert len(unobservable_modes(Plant(np.diag([0.1, 0.2, -1e9]), np.ones((1, 3))))) == 0
     for coupling in (0.0, 1e-16, 1e-9):
-        assert len(unseen_modes(Plant([[0.1, 1.0], [0.0, coupling]], [[1.0, 1.0]]))) == 0
+        assert len(unobservable_modes(Plant([[0.1, 1.0], [0.0, coupling]], [[1.0, 1.0]]))) == 0

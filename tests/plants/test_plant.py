@@ -7,15 +7,10 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from sampling_design import (
-    ArgumentError,
-    PeriodicSchedule,
-    Plant,
-    Signals,
-    library,
-    unseen_modes,
-    window_sigma,
-)
+from sampling_design import ArgumentError, PeriodicSchedule, Plant, window_sigma
+from sampling_design.observability.count.pbh import unobservable_modes
+from sampling_design.plants import library
+from sampling_design.plants.plant import Signals
 
 A = [[0.0, 1.0], [-1.0, 0.0]]
 C = [[1.0, 0.0]]
@@ -144,7 +139,7 @@ def test_a_system_that_is_no_longer_the_plant_brings_nothing_of_it():
 
 def test_the_unit_of_time_comes_back_through_a_verb():
     plant = library.tidal_gauge()  # in hours
-    found = unseen_modes(plant.to_control())
+    found = unobservable_modes(plant.to_control())
     assert found.names == plant.states.names
     assert window_sigma(plant.to_control(), PeriodicSchedule([2.0], time_unit="h"), 40.0, rtol=0.5).lower > 0
 
@@ -188,7 +183,7 @@ def test_a_transfer_function_is_taken_in_observer_form(system, states):
     made = Plant(system)
     assert made.n_states == states
     np.testing.assert_allclose(transfer(system), np.reshape(system(POINT), made.D.shape), rtol=1e-9)
-    assert len(unseen_modes(made)) == 0
+    assert len(unobservable_modes(made)) == 0
     if states:
         assert made.source == "transfer function, in observer form"
         assert made.states.names[0] == f"{made.outputs.names[0]}_1"

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from sampling_design import PeriodicSchedule, certify, library, split_modes, window_sigma
+from sampling_design import PeriodicSchedule, certify, window_sigma
 from sampling_design.errors import ArgumentError, SolverError
+from sampling_design.plants import library
 from sampling_design.plants import sparse as room
+from sampling_design.plants.modes import split_modes
 from sampling_design.plants.sparse import SparsePlant, split_sparse
 
 

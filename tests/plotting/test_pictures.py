@@ -11,14 +11,14 @@ from matplotlib.figure import Figure
 
 import sampling_design as sd
 from sampling_design import plotting
-from sampling_design.certificates.compare.robustness import Losses, TimingTrial
+from sampling_design.accuracy.readings import CensoredReading
+from sampling_design.certificates.compare.robustness import LossTrial, TimingTrial
 from sampling_design.errors import ArgumentError, CertificateError
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.problem import pose_plan
 from sampling_design.plotting import style
 from sampling_design.plotting.plans import draw_sensors, mark_days, whole
-from sampling_design.recovery.readings import Told
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 SCHEDULE = sd.PeriodicSchedule([0.7, 1.6, 0.9], time_unit="s")
@@ -67,7 +67,7 @@ def test_a_certificate_is_drawn_above_its_promise():
 
 
 def test_four_horizons_are_dots_at_their_lengths_and_say_why_one_is_missing():
-    horizons = sd.four_horizons(OSCILLATOR, SCHEDULE)
+    horizons = sd.certificates.four_horizons(OSCILLATOR, SCHEDULE)
     top, bottom = plotting.draw(horizons)
     drawn = [line.get_xdata()[0] for line in top.lines]
     assert drawn == pytest.approx([row.minimum for row in horizons.rows])
@@ -91,7 +91,7 @@ def test_a_worst_case_shows_the_worst_times():
 @pytest.mark.long
 def test_fronts_and_losses_are_drawn_and_an_empty_front_refused():
     requirement = sd.Requirement(window=4.0)
-    front = sd.pareto(OSCILLATOR, requirement, [2, 3])
+    front = sd.pareto_front(OSCILLATOR, requirement, [2, 3])
     top, room = front.plot()
     assert list(top.lines[1].get_ydata()) == [p.sigma for p in front.points]
     between = [100 * (p.upper_bound / p.sigma - 1) for p in front.points]
@@ -103,7 +103,7 @@ def test_fronts_and_losses_are_drawn_and_an_empty_front_refused():
     lost = [f"{100 * (low / losses.sigma - 1):+.0f} %" for low in losses.lower]
     assert [text.get_text() for text in drawn.texts] == lost
     with pytest.raises(ArgumentError, match="`record` has no point to draw"):
-        sd.pareto(OSCILLATOR, sd.Requirement(window=4.0, spacing=3.0), [5]).plot()
+        sd.pareto_front(OSCILLATOR, sd.Requirement(window=4.0, spacing=3.0), [5]).plot()
 
 
 def test_pictures_are_drawn_on_given_axes():
@@ -116,7 +116,7 @@ def test_pictures_are_drawn_on_given_axes():
 
 def test_a_notebook_shows_the_axes_that_plot_returns():
     one = SCHEDULE.plot()
-    several = sd.four_horizons(OSCILLATOR, SCHEDULE).plot()
+    several = sd.certificates.four_horizons(OSCILLATOR, SCHEDULE).plot()
     assert isinstance(several, list)
     for shown in (one, several):
         width, height = struct.unpack(">II", shown._repr_png_()[16:24])
@@ -178,15 +178,15 @@ def test_no_legend_lies_on_a_curve():
     design = sd.design_schedule(OSCILLATOR, sd.Requirement(window=4.0, samples=3))
     certificate = sd.certify(OSCILLATOR, SCHEDULE, eta=0.4, P2=np.eye(2))
     worst = sd.worst_case_sigma(OSCILLATOR, sd.SpacedWindows(4.0, 3, 0.5))
-    known = sd.accuracy(OSCILLATOR, SCHEDULE, w_bound=0.1, v_bound=0.1, rtol=0.1)
+    known = sd.guaranteed_accuracy(OSCILLATOR, SCHEDULE, w_bound=0.1, v_bound=0.1, rtol=0.1)
     shadow = known.shadow("x1", "x2", directions=4)
     seen = 0
-    front = sd.pareto(OSCILLATOR, sd.Requirement(window=4.0), [2, 3])
+    front = sd.pareto_front(OSCILLATOR, sd.Requirement(window=4.0), [2, 3])
     times = SCHEDULE.between(0.0, 12.0).times
     log = sd.compare_schedule(OSCILLATOR, SCHEDULE, times[times != times[4]], 4.0)
     family = sd.certify(OSCILLATOR, sd.GapRange(0.5, 1.5), eta=0.2)
     terms = {"sensors": {"y1": {"noise_bound": 0.1}}, "w_bound": 0.02, "period": 6.4, "raster": 0.8}
-    plan = sd.plan(sd.Plant([[-0.02]], [[1.0]]), sd.PlanRequirement({"x1": 0.3}, **terms), search_seconds=1.0)
+    plan = sd.plan_samples(sd.Plant([[-0.02]], [[1.0]]), sd.PlanRequirement({"x1": 0.3}, **terms), search_seconds=1.0)
     others = (sd.robustness(OSCILLATOR, certificate, budget=0.3), front, log, family, plan)
     for record in (design, design.window, certificate, worst, sd.sample_losses(design), known, shadow, *others):
         for ax, legend, inside in shown_legends(record.plot()):
@@ -259,7 +259,7 @@ def test_what_is_closed_is_grey_in_designs_and_in_plans_and_once():
     terms = {"sensors": {"y1": {"noise_bound": 0.1}}, "w_bound": 0.02, "period": 24.0, "raster": 3.0}
     calendar = {"start": "2026-03-02", "hours": hours}
     wish = sd.PlanRequirement({"x1": 2.0}, **terms, calendar=calendar)
-    found = sd.plan(slow, wish, search_seconds=2.0)
+    found = sd.plan_samples(slow, wish, search_seconds=2.0)
     assert grey(found.plot(Figure().subplots())) == [(0, 0.0, 6.0), (0, 12.0, 24.0)]
     odd = sd.PlanRequirement({"x1": 2.0}, **terms, calendar={**calendar, "hours": {"Mon-Sun": [("07:00", "13:30")]}})
     shown = draw_sensors(replace(found, requirement=odd), Figure().subplots())  # a raster of 3 h: open at 9 and at 12
@@ -298,8 +298,8 @@ def test_robustness_shows_no_empty_panel():
     trial = TimingTrial(0.1, 2.0, True)
     certificate = sd.certify(OSCILLATOR, SCHEDULE, eta=0.4, P2=np.eye(2))
     known = sd.robustness(OSCILLATOR, certificate, budget=1.0)
-    none = replace(known, trials=(trial,), losses=(Losses(1, 3, np.inf, False),))
-    some = replace(known, trials=(trial,), losses=(Losses(1, 3, np.inf, False), Losses(1, 8, 3.0, True)))
+    none = replace(known, trials=(trial,), losses=(LossTrial(1, 3, np.inf, False),))
+    some = replace(known, trials=(trial,), losses=(LossTrial(1, 3, np.inf, False), LossTrial(1, 8, 3.0, True)))
     assert len(none.plot()) == 1
     assert len(some.plot()) == 2
 
@@ -316,7 +316,12 @@ def test_a_wide_start_does_not_rule_the_axis_of_estimates():
 
 
 def test_measurements_show_numbers_limits_and_means():
-    said = [(), (Told(0, -np.inf, 0.1),), (Told(0, 0.6, np.inf),), (Told(0, -0.5, -0.5, since=1.0),)]
+    said = [
+        (),
+        (CensoredReading(0, -np.inf, 0.1),),
+        (CensoredReading(0, 0.6, np.inf),),
+        (CensoredReading(0, -0.5, -0.5, since=1.0),),
+    ]
     y = [[0.9], [np.nan], [np.nan], [np.nan]]
     (ax,) = sd.Measurements(OSCILLATOR, [0.0, 1.0, 2.0, 3.0], y, origin="2026-03-02T00:00:00+00:00", told=said).plot()
     marks = [(line.get_marker(), line.get_xdata()[0], line.get_ydata()[0]) for line in ax.lines[1:]]
@@ -353,7 +358,7 @@ def test_a_counterexample_is_zero_wherever_a_sample_is_taken():
 
 def test_a_split_has_its_line_between_what_is_kept_and_what_fades():
     plant = sd.Plant(np.diag([-2.0, -0.1, -0.1]), np.eye(3))
-    kept, rest, line, _ = sd.split_modes(plant, 1.0).plot().lines
+    kept, rest, line, _ = sd.plants.split_modes(plant, 1.0).plot().lines
     assert line.get_xdata()[0] == -0.5
     assert (kept.get_xdata() > -0.5).all()
     assert (rest.get_xdata() < -0.5).all()
@@ -362,7 +367,7 @@ def test_a_split_has_its_line_between_what_is_kept_and_what_fades():
 
 def test_a_smoothed_window_shows_its_deviations():
     cost = sd.CostFunction(P2=np.eye(2), Qw=np.eye(2), R=np.eye(1))
-    scheme = sd.NonlinearMovingHorizonEstimator(sd.from_linear(OSCILLATOR), horizon=5.0, cost=cost)
+    scheme = sd.NonlinearMovingHorizonEstimator(sd.nonlinear.from_linear(OSCILLATOR), horizon=5.0, cost=cost)
     scheme.run([(0.7, [0.3], None), (2.3, [-0.5], None)])
     window = scheme.smoothed()
     first, second = window.plot()

@@ -11,14 +11,14 @@ from typer.testing import CliRunner
 
 import sampling_design as sd
 from sampling_design import PeriodicSchedule, Plant, Schedule
-from sampling_design._checks import generator
 from sampling_design.certificates.compare.robustness import _Breaker, _tried
 from sampling_design.certificates.families.graphs import graph_of
 from sampling_design.checkers import check, cover, family_file, parts, strict
 from sampling_design.cli.app import app
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.schedule_watch import ScheduleWatch
-from sampling_design.schedules.family import OUTWARD, START, Leeway, SamplingFamily, Step
+from sampling_design.records.checks import generator
+from sampling_design.schedules.family import OUTWARD, START, FamilyStep, SamplingFamily, TimingTolerance
 from sampling_design.schedules.family_files import family_from_dict
 
 
@@ -58,10 +58,10 @@ class DayAndNight(SamplingFamily, kind="day-and-night"):
     def steps(self, memory: int, outputs: int) -> Any:
         planned = (self.day, self.night)
 
-        def steps(word: Any) -> list[Step]:
+        def steps(word: Any) -> list[FamilyStep]:
             nexts = (0, 1) if word == START else (1 - word[0],)
             return [
-                Step(
+                FamilyStep(
                     (j,),
                     0.0 if word == START else planned[j],
                     (planned[j] + self.slack) * (1 + OUTWARD),
@@ -103,8 +103,8 @@ class Shifted(SamplingFamily, kind="shifted"):
         return self.schedule
 
     @property
-    def leeway(self) -> Leeway:
-        return Leeway(self.schedule, self.late, most=1, of=3)
+    def leeway(self) -> TimingTolerance:
+        return TimingTolerance(self.schedule, self.late, most=1, of=3)
 
     def contains(self, schedule: Any) -> bool:
         raise AssertionError("a leeway says all")
@@ -170,9 +170,9 @@ def test_its_graph_is_walked():
 
 def test_a_member_without_a_certificate_is_found():
     # a day and a night of half a turn each: the oscillator shows one combination of its states for ever
-    found, _ = sd.find_counterexample(OSCILLATOR, DayAndNight(np.pi, np.pi, 0.2), 0.1)
+    found, _ = sd.certificates.find_counterexample(OSCILLATOR, DayAndNight(np.pi, np.pi, 0.2), 0.1)
     assert found is not None
-    found, (margin, *_) = sd.find_counterexample(OSCILLATOR, DayAndNight(0.7, 1.6, 0.1), 0.1)
+    found, (margin, *_) = sd.certificates.find_counterexample(OSCILLATOR, DayAndNight(0.7, 1.6, 0.1), 0.1)
     assert found is None
     assert margin > 0
 
@@ -195,7 +195,7 @@ def test_it_is_certified_and_its_graph_is_not_trusted(certificate):
 
 def test_its_certificate_is_a_file_that_the_command_checks(certificate, tmp_path):
     path = certificate.save(tmp_path / "day_and_night.json")
-    again = sd.load_certificate(path)
+    again = sd.read_certificate(path)
     assert again.family.to_dict() == certificate.family.to_dict()
     assert again.to_dict() == certificate.to_dict()
     told = CliRunner().invoke(app, ["verify", str(path)])

@@ -3,8 +3,8 @@ from zoneinfo import ZoneInfo
 
 import pytest
 
-from sampling_design import ArgumentError, PeriodicSchedule, Schedule, write_ics
-from sampling_design.schedules.calendar import calendar, write_calendar_csv
+from sampling_design import ArgumentError, PeriodicSchedule, Schedule
+from sampling_design.schedules.calendar import calendar, write_calendar_csv, write_ics
 
 DAY = PeriodicSchedule([8.0, 16.0], 0.0, time_unit="h", origin="2026-01-05")
 

@@ -3,19 +3,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sampling_design import (
-    ArgumentError,
-    GapRange,
-    Jitter,
-    LostSamples,
-    PeriodicSchedule,
-    SamplingSet,
-    Schedule,
-    SpacedWindows,
-)
+from sampling_design import ArgumentError, GapRange, Jitter, LostSamples, PeriodicSchedule, Schedule, SpacedWindows
 from sampling_design.errors import InfeasibleRequirementError
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.family_files import family_from_dict, family_to_dict
+from sampling_design.schedules.sampling_set import SamplingSet
 from tests.oracles import schedules as oracle
 
 eighths = st.integers(1, 24).map(lambda k: k / 8)

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sampling_design import ArgumentError, PeriodicSchedule, Schedule, read_schedule, write_schedule
+from sampling_design import ArgumentError, PeriodicSchedule, Schedule, read_schedule
 from sampling_design.errors import FileFormatError
-from sampling_design.schedules.files import schedule_from_dict
+from sampling_design.schedules.files import schedule_from_dict, write_schedule
 
 floats = st.floats(1e-3, 1e9)
 details = {"time_unit": "h", "origin": "2026-01-05T00:00", "output_names": ("TSH", "T3")}

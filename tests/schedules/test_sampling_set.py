@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sampling_design import ArgumentError, PeriodicSchedule, SamplingSet, Schedule
+from sampling_design import ArgumentError, PeriodicSchedule, Schedule
+from sampling_design.schedules.sampling_set import SamplingSet
 from tests.oracles import schedules as oracle
 
 eighths = st.integers(1, 40).map(lambda k: k / 8)  # exact in binary, so that sets can be compared exactly

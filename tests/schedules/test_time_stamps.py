@@ -3,8 +3,9 @@ from datetime import datetime
 import numpy as np
 import pytest
 
-from sampling_design import ArgumentError, import_time_stamps
+from sampling_design import ArgumentError
 from sampling_design.errors import FileFormatError
+from sampling_design.schedules.time_stamps import import_time_stamps
 
 
 @pytest.fixture

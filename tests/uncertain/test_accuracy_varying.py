@@ -16,7 +16,7 @@ STILL = TimeVaryingPlant.from_table([0.0, 5.0], [A] * 2, [C] * 2, [G] * 2)
 @pytest.mark.parametrize("start", few([None, [1.0, 0.4], {"x1": 0.5}], 0))
 def test_a_plant_that_stands_still_has_the_accuracy_of_the_plant(start):
     given = {"w_bound": 0.02, "v_bound": 0.1, "initial_error": start}
-    plain, found = (sd.accuracy(p, SAMPLES, **given) for p in (sd.Plant(A, C, G=G), STILL))
+    plain, found = (sd.guaranteed_accuracy(p, SAMPLES, **given) for p in (sd.Plant(A, C, G=G), STILL))
     low, up = found.largest
     assert np.all(found.closed)
     assert np.all(low <= up * (1 + 1e-9))
@@ -27,7 +27,7 @@ def test_a_plant_that_stands_still_has_the_accuracy_of_the_plant(start):
 def test_a_scalar_that_grows_and_shrinks_has_a_closed_form():
     # x' = a(t) x + w, one exact slope: error v e^{a(t)} + w int e^{a(t) - a(s)}, with a(t) = t - t^2/4 from a table
     plant = TimeVaryingPlant.from_table([0.0, 4.0], [[[1.0]], [[-1.0]]], [[[1.0]]] * 2, [[[1.0]]] * 2)
-    found = sd.accuracy(plant, sd.Schedule([0.0]), w_bound=0.3, v_bound=0.1, end=4.0)
+    found = sd.guaranteed_accuracy(plant, sd.Schedule([0.0]), w_bound=0.3, v_bound=0.1, end=4.0)
     grown = lambda t: t - t**2 / 4  # noqa: E731
     for t, up in zip(found.times.tolist(), found.upper[0].tolist(), strict=True):
         s = np.linspace(0.0, t, 20001)
@@ -41,7 +41,9 @@ def test_no_adversary_beats_what_gains_guarantee():
     rng = np.random.default_rng(0)
     table = [[[0.0, 1.0], [-1.0 - k, -0.2]] for k in (0.0, 1.0, 0.0)]
     plant = TimeVaryingPlant.from_table([0.0, 2.0, 4.0], table, [C, [[0.5, 0.5]], C], [G] * 3)
-    found = sd.accuracy(plant, SAMPLES, w_bound=[0.2], v_bound=[0.05], initial_error=[1.0, np.inf], of=[[1.0, -1.0]])
+    found = sd.guaranteed_accuracy(
+        plant, SAMPLES, w_bound=[0.2], v_bound=[0.05], initial_error=[1.0, np.inf], of=[[1.0, -1.0]]
+    )
     grid = np.linspace(0.0, 4.0, 161)
     motion = plant.motion(grid)
     at = np.searchsorted(grid, SAMPLES.times - 1e-9)
@@ -59,28 +61,32 @@ def test_no_adversary_beats_what_gains_guarantee():
 
 @pytest.mark.long
 def test_rows_that_samples_do_not_determine_are_without_bound():
-    first = sd.accuracy(STILL, sd.Schedule([1.0]), w_bound=0.1, v_bound=0.1)
+    first = sd.guaranteed_accuracy(STILL, sd.Schedule([1.0]), w_bound=0.1, v_bound=0.1)
     assert first.upper.tolist() == [[0.1], [np.inf]]
     assert "without bound" in str(first)
     assert "nothing of x2" in first.explain()
     assert first.to_dict()["upper"] == [[0.1], [None]]
-    exact = sd.accuracy(STILL, SAMPLES, w_bound=0.0, v_bound=0.0)
+    exact = sd.guaranteed_accuracy(STILL, SAMPLES, w_bound=0.0, v_bound=0.0)
     assert exact.known_from.tolist() == [1.0, 1.0]
     assert np.all(exact.largest[1] < 1e-9)
     mask = sd.Schedule(SAMPLES.times, [[True, False]] * 5)
     two = TimeVaryingPlant.from_table([0.0, 5.0], [A] * 2, [np.eye(2)] * 2, [G] * 2)
-    one, both = (sd.accuracy(two, s, w_bound=[0.02], v_bound=[0.1, 0.1]) for s in (mask, SAMPLES))
-    np.testing.assert_allclose(one.largest[1], sd.accuracy(STILL, SAMPLES, w_bound=0.02, v_bound=0.1).largest[1])
+    one, both = (sd.guaranteed_accuracy(two, s, w_bound=[0.02], v_bound=[0.1, 0.1]) for s in (mask, SAMPLES))
+    np.testing.assert_allclose(
+        one.largest[1], sd.guaranteed_accuracy(STILL, SAMPLES, w_bound=0.02, v_bound=0.1).largest[1]
+    )
     assert np.all(both.largest[1] < one.largest[1])
 
 
 def test_units_change_nothing_but_the_unit():
     unit = np.array([1e-9, 1e6])
-    signals = {"states": sd.Signals(("a", "b"), (), unit), "outputs": sd.Signals(("y",), (), [1e-9])}
+    signals = {"states": sd.plants.Signals(("a", "b"), (), unit), "outputs": sd.plants.Signals(("y",), (), [1e-9])}
     parts = A * unit[:, None] / unit, C * 1e-9 / unit, G * unit[:, None]
     scaled = TimeVaryingPlant.from_table([0.0, 5.0], *([part] * 2 for part in parts), **signals)
-    own = sd.accuracy(scaled, SAMPLES, w_bound=0.02, v_bound=1e-10)
-    np.testing.assert_allclose(own.largest[1], sd.accuracy(STILL, SAMPLES, w_bound=0.02, v_bound=0.1).largest[1] * unit)
+    own = sd.guaranteed_accuracy(scaled, SAMPLES, w_bound=0.02, v_bound=1e-10)
+    np.testing.assert_allclose(
+        own.largest[1], sd.guaranteed_accuracy(STILL, SAMPLES, w_bound=0.02, v_bound=0.1).largest[1] * unit
+    )
     assert own.proven
     assert "Between them" in own.explain()
 
@@ -88,15 +94,15 @@ def test_units_change_nothing_but_the_unit():
 def test_bad_arguments_are_refused(monkeypatch):
     given = {"w_bound": 0.1, "v_bound": 0.1}
     with pytest.raises(ArgumentError, match="`schedule` must be a Schedule with samples within the plant's horizon"):
-        sd.accuracy(STILL, sd.PeriodicSchedule([1.0]), **given)
+        sd.guaranteed_accuracy(STILL, sd.PeriodicSchedule([1.0]), **given)
     with pytest.raises(ArgumentError, match=r"must follow each other within \[0, 5\], the plant's horizon"):
-        sd.accuracy(STILL, sd.Schedule([0.0, 6.0]), **given)
+        sd.guaranteed_accuracy(STILL, sd.Schedule([0.0, 6.0]), **given)
     with pytest.raises(ArgumentError, match="`of` must name states, or be rows of a matrix"):
-        sd.accuracy(STILL, SAMPLES, of="y1", **given)
+        sd.guaranteed_accuracy(STILL, SAMPLES, of="y1", **given)
     with pytest.raises(ArgumentError, match="must hold one number for each entry here, not one bound on the norm"):
-        sd.accuracy(STILL, SAMPLES, initial_error=1.0, **given)
+        sd.guaranteed_accuracy(STILL, SAMPLES, initial_error=1.0, **given)
     with pytest.raises(ArgumentError, match="`w_intensity` must be left out for accuracy of a plant that varies"):
-        sd.accuracy(STILL, SAMPLES, w_intensity=1.0, **given)
+        sd.guaranteed_accuracy(STILL, SAMPLES, w_intensity=1.0, **given)
     monkeypatch.setattr("scipy.optimize.linprog", lambda *a, **k: type("Lost", (), {"status": 4, "message": "lost"}))
     with pytest.raises(SolverError, match="the program of a row was not solved: lost"):
-        sd.accuracy(STILL, SAMPLES, **given)
+        sd.guaranteed_accuracy(STILL, SAMPLES, **given)

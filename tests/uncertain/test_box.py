@@ -9,15 +9,15 @@ from scipy.linalg import expm
 from sampling_design import (
     PeriodicSchedule,
     Plant,
-    Signals,
     SpacedWindows,
-    accuracy,
     certificate_exists,
+    guaranteed_accuracy,
     window_sigma,
     worst_case_sigma,
     zero_count_bound,
 )
 from sampling_design.errors import ArgumentError, NotObservableError, UndecidedError
+from sampling_design.plants.plant import Signals
 from sampling_design.uncertain.accuracy import accuracy_over_box
 from sampling_design.uncertain.box.branching import halved
 from sampling_design.uncertain.box.expansion import BoxCells, exponentials
@@ -254,8 +254,8 @@ def test_accuracy_over_a_box_holds_between_its_worst_plant_and_all_of_them():
     leak = UncertainParameter("leak", 0.8, 1.2, A=[[-1.0]], C=[[0.1]], nominal=1.0)
     plant, schedule = UncertainPlant(Plant([[-1.0]], [[1.0]], G=[[1.0]]), [leak]), PeriodicSchedule([1.2])
     bounds = {"w_bound": 0.5, "v_bound": 0.4}
-    found = accuracy(plant, schedule, rtol=0.2, **bounds)
-    each = [accuracy(plant.at([x]), schedule, **bounds) for x in (0.8, 1.0, 1.2)]
+    found = guaranteed_accuracy(plant, schedule, rtol=0.2, **bounds)
+    each = [guaranteed_accuracy(plant.at([x]), schedule, **bounds) for x in (0.8, 1.0, 1.2)]
     assert found.closed.all()
     assert found.upper[0] >= max(a.lower[0] for a in each)
     assert found.lower[0] <= max(a.upper[0] for a in each)
@@ -267,7 +267,7 @@ def test_a_parameter_that_is_known_changes_no_accuracy_in_whatever_unit():
     known = UncertainParameter("known", 1e9, 1e9, A=[[1e-3]], nominal=1e9)
     plain, schedule = Plant([[-1.0]], [[1.0]], G=[[1.0]]), PeriodicSchedule([1.2])
     found = [
-        accuracy(UncertainPlant(plain, each), schedule, rtol=0.2, w_bound=0.5, v_bound=0.4)
+        guaranteed_accuracy(UncertainPlant(plain, each), schedule, rtol=0.2, w_bound=0.5, v_bound=0.4)
         for each in ([leak], [leak, known])
     ]
     assert found[1].upper == pytest.approx(found[0].upper, rel=1e-9)
@@ -281,7 +281,7 @@ def test_accuracy_that_cannot_be_bounded_says_so(monkeypatch):
     monkeypatch.setattr(accuracy_over_box, "one_plant", lambda schedule: one)
     monkeypatch.setattr(accuracy_over_box, "SECONDS", 0.0)
     with pytest.raises(UndecidedError, match="could not be bounded in"):
-        accuracy(oscillator(), PeriodicSchedule([1.0]), w_bound=[1.0, 1.0], v_bound=1.0)
+        guaranteed_accuracy(oscillator(), PeriodicSchedule([1.0]), w_bound=[1.0, 1.0], v_bound=1.0)
 
 
 # --- what is refused --------------------------------------------------------------------------------------------------
@@ -299,8 +299,8 @@ def test_what_has_no_meaning_over_a_box_is_refused():
     with pytest.raises(ArgumentError, match="on a finite one every plant has a certificate"):
         largest_box(oscillator(), schedule.between(0, 5), eta=0.1)
     with pytest.raises(ArgumentError, match="must be periodic for accuracy over a box"):
-        accuracy(oscillator(), schedule.between(0, 5), w_bound=[1.0, 1.0], v_bound=1.0)
+        guaranteed_accuracy(oscillator(), schedule.between(0, 5), w_bound=[1.0, 1.0], v_bound=1.0)
     with pytest.raises(ArgumentError, match="one bound for each entry, for accuracy over a box"):
-        accuracy(oscillator(), schedule, w_bound=1.0, v_bound=1.0)
+        guaranteed_accuracy(oscillator(), schedule, w_bound=1.0, v_bound=1.0)
     with pytest.raises(ArgumentError, match="must be left out for accuracy over a box"):
-        accuracy(oscillator(), schedule, w_bound=[1.0, 1.0], v_bound=1.0, start=0.0)
+        guaranteed_accuracy(oscillator(), schedule, w_bound=[1.0, 1.0], v_bound=1.0, start=0.0)

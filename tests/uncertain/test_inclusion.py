@@ -7,18 +7,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from sampling_design import (
-    GapRange,
-    PeriodicSchedule,
-    Plant,
-    Schedule,
-    Signals,
-    certify,
-    load_certificate,
-)
+from sampling_design import GapRange, PeriodicSchedule, Plant, Schedule, certify, read_certificate
 from sampling_design.checkers import check
 from sampling_design.checkers.parts import digest
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, UndecidedError
+from sampling_design.plants.plant import Signals
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion, longest_gap
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.uncertain.inclusion.program import InclusionProgram
@@ -65,13 +58,13 @@ def test_no_switching_plant_violates_it(certificate):
 
 def test_it_comes_back_from_its_file(certificate, tmp_path):
     path = certificate.save(tmp_path / "certificate.json")
-    again = load_certificate(path)
+    again = read_certificate(path)
     assert isinstance(again, InclusionCertificate)
     assert again.to_dict() == certificate.to_dict()
     assert isinstance(again.model, UncertainPlant)
     assert again.verify().passed
     with pytest.raises(CertificateError, match="certifies another plant"):
-        load_certificate(path, Plant([[0.0]], [[1.0]]))
+        read_certificate(path, Plant([[0.0]], [[1.0]]))
 
 
 @pytest.mark.parametrize("longest", [3.0, 2.86])
@@ -171,7 +164,7 @@ def test_a_file_is_a_grammar(change, match, certificate, tmp_path):
     path = tmp_path / "c.json"
     path.write_text(json.dumps(data))
     with pytest.raises(FileFormatError, match=match):
-        load_certificate(path)
+        read_certificate(path)
 
 
 def test_multipliers_prove_a_box_and_are_needed():
@@ -576,4 +569,4 @@ def test_a_checker_reads_no_box_that_a_record_would_not_hold(change, match, cert
     path = tmp_path / "changed.json"
     path.write_text(json.dumps(data))
     with pytest.raises(FileFormatError, match=match):
-        load_certificate(path)
+        read_certificate(path)

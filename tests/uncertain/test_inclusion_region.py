@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from sampling_design import GapRange, Plant, load_certificate
+from sampling_design import GapRange, Plant, read_certificate
 from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.checkers import check, half_spaces
 from sampling_design.checkers.claims import certificate
@@ -125,13 +125,13 @@ def test_the_model_is_a_grammar(change, match, slopes, tmp_path):
     path = tmp_path / "c.json"
     path.write_text(json.dumps(data))
     with pytest.raises(FileFormatError, match=match):
-        load_certificate(path)
+        read_certificate(path)
 
 
 def test_the_file_is_read_as_it_stands(slopes, tmp_path):
     path = tmp_path / "c.json"
     path.write_text(json.dumps(nonlinear(slopes)))
-    found = load_certificate(path)
+    found = read_certificate(path)
     assert found.kind == "nonlinear"
     assert found.verify().passed
     assert "stay in the plant's region" in str(found.claim)

@@ -89,7 +89,10 @@ def test_what_no_window_shows_counts_as_zero():
 
 def test_sigma_is_counted_in_scales_and_outputs_may_be_left_out():
     unit = np.array([1e-9, 1e6])
-    signals = {"states": sd.Signals(("a", "b"), (), unit), "outputs": sd.Signals(("y", "z"), (), [1e-9, 1e6])}
+    signals = {
+        "states": sd.plants.Signals(("a", "b"), (), unit),
+        "outputs": sd.plants.Signals(("y", "z"), (), [1e-9, 1e6]),
+    }
     both = [np.eye(2) * unit[:, None] / unit] * 5
     table = [(r * np.eye(2) + (1 + r) * J) * unit[:, None] / unit for r in RATES]
     plant = TimeVaryingPlant.from_table(KNOTS, table, both, **signals)

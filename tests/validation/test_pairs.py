@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design.certificates.exact.certificate import Certificate
-from sampling_design.validation.pairs import Pairs, random_pairs, sides, worst_pair
+from sampling_design.validation.pairs import TrajectoryPairs, random_pairs, sides, worst_pair
 from sampling_design.validation.timeline import build_timeline
 from tests.oracles.validation import step
 from tests.validation.plants import FINITE, PLANTS, SCHEDULES, certificate
@@ -42,7 +42,7 @@ def test_both_sides_agree_with_plain_sums():
     rng = np.random.default_rng(5)
     chi, w = rng.normal(size=3), rng.normal(size=(line.cells, 3))
     v = rng.normal(size=(line.samples.size, 2))
-    found = sides(line, made, start, stop, Pairs(chi[None], w[None], v[None]))
+    found = sides(line, made, start, stop, TrajectoryPairs(chi[None], w[None], v[None]))
     x, best = chi, 0.0
     terms = [(line.times[start], chi @ made.P2 @ chi)]
     for c in range(start, stop):

@@ -5,16 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from sampling_design import (
-    ArgumentError,
-    PeriodicSchedule,
-    Plant,
-    Schedule,
-    compare_schedule,
-    split_modes,
-    window_sigma,
-)
-from sampling_design._files import to_json
+from sampling_design import ArgumentError, PeriodicSchedule, Plant, Schedule, compare_schedule, window_sigma
+from sampling_design.plants.modes import split_modes
+from sampling_design.records.file_io import to_json
 from tests.validation.plants import PLANTS
 
 PLANT, PLAN = PLANTS["oscillator"], PeriodicSchedule([1.0])

@@ -7,13 +7,13 @@ import time
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._door import door
-from sampling_design._linalg import expm_batch
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.exact.riccati import push, updated
 from sampling_design.certificates.exact.window_problem import WindowProblem, window_problem
 from sampling_design.errors import ArgumentError, UndecidedError
+from sampling_design.numerics.linalg import expm_batch
+from sampling_design.records import checks
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 Array = npt.NDArray[np.float64]
@@ -55,7 +55,7 @@ def error_map(certificate: Certificate, start: float, length: float, cost: str =
     return _along(problem, np.array([start]), length, [seen])[0]
 
 
-@door
+@checked
 def spectral_radius(certificate: Certificate, length: float, cost: str = "certificate") -> float:
     """Return the spectral radius of the error over one window of `length`, the worst start in a period.
 
@@ -102,7 +102,7 @@ def spectral_radius(certificate: Certificate, length: float, cost: str = "certif
     return worst
 
 
-@door
+@checked
 def least_contracting(certificate: Certificate, cost: str = "certificate", budget: float | None = None) -> float:
     """Return the least window, in steps from sample to sample of a period, from which on the true error map contracts.
 
@@ -126,7 +126,7 @@ def least_contracting(certificate: Certificate, cost: str = "certificate", budge
     UndecidedError
         If the budget ends before.
     """
-    ends = np.inf if budget is None else time.perf_counter() + _checks.positive("budget", budget)
+    ends = np.inf if budget is None else time.perf_counter() + checks.positive("budget", budget)
     schedule = certificate.schedule
     if not isinstance(schedule, PeriodicSchedule):
         raise ArgumentError("`certificate` must be on a periodic schedule: a finite one has no long run.")
@@ -143,7 +143,7 @@ def least_contracting(certificate: Certificate, cost: str = "certificate", budge
 
 def _stated(certificate: Certificate, cost: str) -> tuple[WindowProblem, str]:
     """The recursion of this cost, and which ends its windows have."""
-    _checks.word("cost", cost, ("certificate", "paper"))
+    checks.word("cost", cost, ("certificate", "paper"))
     c, factor = certificate, 2.0 if cost == "paper" else 1.0
     problem = window_problem(c.plant, c.schedule, factor * c.P2, factor * c.Qw, c.R, factor * c.Qv, c.eta)
     return problem, "both" if cost == "paper" else "right"

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._door import door
-from sampling_design._record import Table, short
-from sampling_design.certificates.certify import certify
+from sampling_design.certificates.certification import certify
 from sampling_design.certificates.compare.contraction import least_contracting, spectral_radius
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.form.horizon import Horizon
 from sampling_design.certificates.paper.proof_constants import ProofConstants, constants_from_proof
 from sampling_design.errors import ArgumentError, SamplingDesignError, UndecidedError
 from sampling_design.plants.plant import Plant, first_difference
+from sampling_design.records.record import TableRecord, short
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import PeriodicSchedule
 
@@ -42,7 +42,7 @@ class HorizonRow:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FourHorizons(Table):
+class FourHorizons(TableRecord):
     """Four horizons of one plant on one schedule.
 
     Attributes
@@ -106,7 +106,7 @@ def _cells(row: HorizonRow) -> list[str]:
     return [least, *(["-"] * 3 if gains is None else [short(v, 3) for v in (gains.C_x, gains.C_w, gains.C_v)])]
 
 
-@door
+@checked
 def four_horizons(
     plant: Plant,
     schedule: AnySchedule,

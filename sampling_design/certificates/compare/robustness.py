@@ -9,18 +9,18 @@ from typing import Protocol
 
 import numpy as np
 
-from sampling_design import _checks
-from sampling_design._door import door
-from sampling_design._record import Plain, Record, short
-from sampling_design.certificates.certify import certify
+from sampling_design.certificates.certification import certify
 from sampling_design.certificates.exact.certificate import Certificate, SampledCertificate
 from sampling_design.certificates.existence.periodic import certificate_exists
-from sampling_design.certificates.families.certify_family import FamilySearch, Proposal, certified
+from sampling_design.certificates.families.certify_family import CandidateWeights, FamilySearch, certified
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
 from sampling_design.certificates.families.graphs import MOST_NODES, in_plant_terms
-from sampling_design.certificates.form.seal import RESOLUTION
+from sampling_design.certificates.form.digest import RESOLUTION
 from sampling_design.errors import ArgumentError, SamplingDesignError
 from sampling_design.plants.plant import Plant, first_difference
+from sampling_design.records import checks
+from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.jitter import Jitter
 from sampling_design.schedules.lost_samples import LostSamples
@@ -55,7 +55,7 @@ class TimingTrial:
 
 
 @dataclass(frozen=True)
-class Losses:
+class LossTrial:
     """At most `most` of any `of` consecutive samples lost: lambda and verdict as for `TimingTrial`."""
 
     most: int
@@ -123,7 +123,7 @@ class Robustness(Record):
     radius: float
     broken: float
     trials: tuple[TimingTrial, ...]
-    losses: tuple[Losses, ...]
+    losses: tuple[LossTrial, ...]
     jittered: FamilyCertificate | None
     thinned: tuple[FamilyCertificate, ...]
     others: tuple[FamilyTrial, ...]
@@ -141,7 +141,7 @@ class Robustness(Record):
         def known(lam: float) -> float | None:
             return lam if np.isfinite(lam) else None
 
-        def plain(entry: TimingTrial | Losses) -> dict[str, Plain]:
+        def plain(entry: TimingTrial | LossTrial) -> dict[str, Plain]:
             return {**asdict(entry), "lam": known(entry.lam)}
 
         return {
@@ -190,7 +190,7 @@ class Robustness(Record):
         )
 
 
-class Planned(Protocol):
+class HasSchedule(Protocol):
     """What holds a schedule: a certificate about samples, or a design."""
 
     @property
@@ -207,7 +207,7 @@ class _Breaker:
         self.plant, self.weights = c.plant, (c.Qw, c.R, c.Qv)
         self.late = False
 
-    def judge(self, family: SamplingFamily, levels: list[int]) -> tuple[float, Proposal | None]:
+    def judge(self, family: SamplingFamily, levels: list[int]) -> tuple[float, CandidateWeights | None]:
         """The lambda of a family, and its proposal if it survives; infinite where there is none."""
         best = np.inf
         for level in levels:
@@ -221,7 +221,7 @@ class _Breaker:
             except SamplingDesignError:
                 break  # the graph of this level is too large, or the nominal schedule on the edge
             best = min(best, found.lam)
-            if isinstance(found, Proposal) and found.lam / (1 - RESOLUTION) < self.limit:
+            if isinstance(found, CandidateWeights) and found.lam / (1 - RESOLUTION) < self.limit:
                 return found.lam, found
         self.late = self.late or time.perf_counter() > self.deadline
         return best, None
@@ -242,10 +242,10 @@ def _choose(n: int, k: int) -> int:
     return comb(n, k)
 
 
-@door
+@checked
 def robustness(
     plant: Plant,
-    certificate: SampledCertificate | Planned,
+    certificate: SampledCertificate | HasSchedule,
     *,
     length: float | None = None,
     longest: int = 8,
@@ -306,22 +306,22 @@ def robustness(
         )
     held = getattr(certificate, "schedule", None)
     if not isinstance(held, (Schedule, PeriodicSchedule)):
-        raise ArgumentError(f"`certificate` must be one about samples, got {_checks.described(certificate)}.")
+        raise ArgumentError(f"`certificate` must be one about samples, got {checks.described(certificate)}.")
     planned = certificate if isinstance(certificate, Certificate) else certify(plant, held)
     schedule = planned.schedule
     if not isinstance(schedule, PeriodicSchedule):
         raise ArgumentError("`certificate` must be on a PeriodicSchedule: losses and delays are counted without end.")
     if other := first_difference(plant, planned.plant):
         raise ArgumentError(f"`certificate` certifies another plant: {other}.")
-    M = planned.horizon().length if length is None else _checks.positive("length", length)
+    M = planned.horizon().length if length is None else checks.positive("length", length)
     limit = float(np.exp(planned.eta * M))
     if planned.lam_proven >= limit:
         least = planned.horizon().minimum
         raise ArgumentError(
             f"`length` = {short(M)} is too short for the planned schedule: it needs M > {short(least)}."
         )
-    most = _checks.whole("longest", longest, 2)
-    breaker = _Breaker(planned, limit, time.perf_counter() + _checks.positive("budget", budget))
+    most = checks.whole("longest", longest, 2)
+    breaker = _Breaker(planned, limit, time.perf_counter() + checks.positive("budget", budget))
     others = tuple(_tried(breaker, family) for family in families)
     radius, broken, trials, best = _largest_radius(breaker, schedule, report)
     losses, thinned = _most_losses(breaker, schedule, most, report)
@@ -341,7 +341,7 @@ def robustness(
     )
 
 
-def _proven(breaker: _Breaker, family: SamplingFamily, found: Proposal) -> FamilyCertificate:
+def _proven(breaker: _Breaker, family: SamplingFamily, found: CandidateWeights) -> FamilyCertificate:
     family = in_plant_terms(breaker.plant, family)
     return certified(breaker.plant, family, breaker.weights, breaker.certificate.P2, found)
 
@@ -349,7 +349,7 @@ def _proven(breaker: _Breaker, family: SamplingFamily, found: Proposal) -> Famil
 def _tried(breaker: _Breaker, family: SamplingFamily) -> FamilyTrial:
     """One family, with as much memory as is tried for timing errors."""
     if not isinstance(family, SamplingFamily):
-        raise ArgumentError(f"`families` must hold families of schedules, got {_checks.described(family)}.")
+        raise ArgumentError(f"`families` must hold families of schedules, got {checks.described(family)}.")
     member = in_plant_terms(breaker.plant, family).nominal
     if not certificate_exists(breaker.plant, member, breaker.certificate.eta).exists:
         return FamilyTrial(family, np.inf, None)
@@ -359,7 +359,7 @@ def _tried(breaker: _Breaker, family: SamplingFamily) -> FamilyTrial:
 
 def _largest_radius(
     breaker: _Breaker, schedule: PeriodicSchedule, report: Progress
-) -> tuple[float, float, list[TimingTrial], Proposal | None]:
+) -> tuple[float, float, list[TimingTrial], CandidateWeights | None]:
     top = LARGEST_PART * SamplingSet(schedule).min_gap / 2
     low, high, best = 0.0, top, None
     trials = [TimingTrial(0.0, breaker.certificate.lam, True)]
@@ -379,9 +379,9 @@ def _largest_radius(
 
 def _most_losses(
     breaker: _Breaker, schedule: PeriodicSchedule, longest: int, report: Progress
-) -> tuple[list[Losses], list[FamilyCertificate]]:
+) -> tuple[list[LossTrial], list[FamilyCertificate]]:
     """For d = 1, 2, ... the least w for which d of any w may be lost, until there is none."""
-    tried: list[Losses] = []
+    tried: list[LossTrial] = []
     kept: list[FamilyCertificate] = []
     for d in range(1, longest):
         report(0.5 + 0.5 * d / longest, f"{d} lost")
@@ -393,7 +393,7 @@ def _most_losses(
             lam, found = breaker.judge(family, [breaker.loss_level(family)])
             if breaker.late:
                 break
-            tried.append(Losses(d, w, lam, found is not None))
+            tried.append(LossTrial(d, w, lam, found is not None))
             low, high, best = (low, w, (family, found)) if found is not None else (w, high, best)
             w = (low + high) // 2
         if best is None or best[1] is None:

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._door import door
-from sampling_design._record import Table, short
-from sampling_design.certificates.certify import chosen
+from sampling_design.certificates.certification import chosen
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.exact.given_weights import met, weights_of
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.record import TableRecord, short
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule
 
 Array = npt.NDArray[np.float64]
@@ -24,7 +24,7 @@ NOISE_GAINS = (1.5, 2.0, 3.0, 5.0, 10.0, 30.0, 100.0, 1000.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TradeoffCurve(Table):
+class TradeoffCurve(TableRecord):
     """One certificate per noise gain.
 
     Attributes
@@ -64,7 +64,7 @@ class TradeoffCurve(Table):
         )
 
 
-@door
+@checked
 def tradeoff_curve(
     plant: Plant,
     schedule: AnySchedule,
@@ -111,7 +111,7 @@ def tradeoff_curve(
     >>> bool(curve.horizons[1] < curve.horizons[0])
     True
     """
-    steps = _checks.vector("noise_gains", noise_gains)
+    steps = checks.vector("noise_gains", noise_gains)
     if not steps.size or np.any(np.diff(steps) <= 0):
         raise ArgumentError("`noise_gains` must increase strictly and hold at least one value.")
     if np.any(steps <= 1):
@@ -119,14 +119,14 @@ def tradeoff_curve(
             f"`noise_gains` must be above 1, got {float(steps[0])!r}: no P2 attains the least noise gain."
         )
     schedule = met(plant, schedule)
-    weights, rate = weights_of(plant, Qw, R, Qv), _checks.positive("eta", eta)
+    weights, rate = weights_of(plant, Qw, R, Qv), checks.positive("eta", eta)
     found = chosen(plant, schedule, weights, rate, steps.tolist(), progress)
     horizons = [made.horizon() for made in found]
     return TradeoffCurve(
         steps,
-        _checks.freeze([h.minimum for h in horizons]),
-        _checks.freeze([h.C_w for h in horizons]),
-        _checks.freeze([h.C_v for h in horizons]),
-        _checks.freeze([made.lam for made in found]),
+        checks.freeze([h.minimum for h in horizons]),
+        checks.freeze([h.C_w for h in horizons]),
+        checks.freeze([h.C_v for h in horizons]),
+        checks.freeze([made.lam for made in found]),
         tuple(found),
     )

@@ -9,15 +9,16 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_continuous_are, solve_continuous_lyapunov
 
-from sampling_design import _checks, _conic
-from sampling_design._door import door
-from sampling_design._linalg import symmetrise
-from sampling_design._record import short
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate, proven
 from sampling_design.certificates.form.constants import Constant, ConstantList
 from sampling_design.errors import ArgumentError, CertificateError, NotDetectableError, SolverError
-from sampling_design.observability.count.pbh import unseen_modes
+from sampling_design.numerics import conic_programs
+from sampling_design.numerics.linalg import symmetrise
+from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.record import short
+from sampling_design.records.signatures import checked
 
 Array = npt.NDArray[np.float64]
 
@@ -44,7 +45,7 @@ _TOO_LARGE = (
 )
 
 
-@door
+@checked
 def certify_detectability(
     plant: Plant,
     rate: float | None = None,
@@ -119,13 +120,13 @@ def certify_detectability(
     sampling_design.errors.NotDetectableError: ... -0.3 ...
     """
     _arguments(plant, method, c_w, c_y)
-    noise_gain, margin = _checks.positive("noise_gain", noise_gain), _checks.positive("margin", margin)
-    floor = _checks.nonnegative("floor", floor)
-    eta = None if rate is None else _checks.positive("rate", rate)
+    noise_gain, margin = checks.positive("noise_gain", noise_gain), checks.positive("margin", margin)
+    floor = checks.nonnegative("floor", floor)
+    eta = None if rate is None else checks.positive("rate", rate)
     _refuse_unseen(plant, 0.0 if eta is None else eta)
     unit_w, unit_y = _units(plant)
-    bounds = None if c_w is None or c_y is None else (_checks.positive("c_w", c_w), _checks.positive("c_y", c_y))
-    ratio = unit_y / unit_w if bounds is None else _checks.positive("c_y / c_w", bounds[1] / bounds[0])
+    bounds = None if c_w is None or c_y is None else (checks.positive("c_w", c_w), checks.positive("c_y", c_y))
+    ratio = unit_y / unit_w if bounds is None else checks.positive("c_y / c_w", bounds[1] / bounds[0])
 
     def least(at: float) -> float:
         return _least_c_y(plant, at * (1 + margin), ratio, floor)
@@ -151,14 +152,14 @@ def certify_detectability(
 def _arguments(plant: Plant, method: str, c_w: float | None, c_y: float | None) -> None:
     if plant.n_states == 0:
         raise ArgumentError("`plant` must have at least one state: without states there is nothing to detect.")
-    _checks.word("method", method, ("riccati", "lmi"))
+    checks.word("method", method, ("riccati", "lmi"))
     if (c_w is None) != (c_y is None):
         raise ArgumentError("`c_w` and `c_y` must be bounded together or not at all: one can be traded for the other.")
 
 
 def _refuse_unseen(plant: Plant, rate: float) -> None:
     """Refuse modes that no output sees and that do not decay at `rate` (of the squared error)."""
-    unseen = unseen_modes(plant, rate)
+    unseen = unobservable_modes(plant, rate)
     if len(unseen):
         asked = f"at the rate {short(rate)} of the squared error (Re < {short(-rate / 2)})" if rate else "(Re < 0)"
         raise NotDetectableError(
@@ -250,7 +251,7 @@ def _least_overshoot(found: DetectabilityCertificate, margin: float) -> Detectab
     Posed in coordinates where the Riccati P is the identity and time is 1/eta, each direction of the inequality scaled
     by the size of its terms, so that all data are of order one.
     """
-    cp, plant, n = _conic.cvxpy(), found.plant, found.plant.n_states
+    cp, plant, n = conic_programs.cvxpy(), found.plant, found.plant.n_states
     L = np.linalg.cholesky(found.P)
     eta = found.eta * (1 + margin / 2)
     A = np.linalg.solve(L, (plant.A / eta).T @ L).T
@@ -264,7 +265,7 @@ def _least_overshoot(found: DetectabilityCertificate, margin: float) -> Detectab
     corner, off = scale.T @ (A.T @ Z + Z @ A + Z - K @ K.T) @ scale, scale.T @ Z @ G
     matrix = cp.bmat([[corner, off], [off.T, -np.eye(plant.n_disturbances)]]) if plant.n_disturbances else corner
     problem = cp.Problem(cp.Minimize(top), [Z >> floor, Z << top * floor, (matrix + matrix.T) / 2 << 0])
-    record = _conic.require(_conic.solve(problem), "the least overshoot")
+    record = conic_programs.require(conic_programs.solve(problem), "the least overshoot")
     P_lmi = L @ Z.value @ L.T
     for shift in _SHIFTS:
         shifted = symmetrise((1 - shift) * P_lmi + shift * found.P)
@@ -275,7 +276,7 @@ def _least_overshoot(found: DetectabilityCertificate, margin: float) -> Detectab
     raise SolverError("The solver's P fails the dissipation inequality and no small shift repairs it.", record.status)
 
 
-@door
+@checked
 def detectability_from_proof(
     plant: Plant, gain: npt.ArrayLike | None = None, Q: npt.ArrayLike | None = None
 ) -> DetectabilityCertificate:
@@ -324,14 +325,14 @@ def detectability_from_proof(
     """
     n = plant.n_states
     _arguments(plant, "riccati", None, None)
-    Q = np.eye(n) if Q is None else _checks.definite("Q", Q, n)
+    Q = np.eye(n) if Q is None else checks.definite("Q", Q, n)
     if gain is None:
         _refuse_unseen(plant, 0.0)
         Y = _filter(plant, 0.0, 1.0, FLOOR)
         if Y is None:
             raise SolverError(_NO_SOLUTION.format(rate=0))
         gain = Y @ plant.C.T
-    L = _checks.matrix("gain", gain, n, plant.n_outputs)
+    L = checks.matrix("gain", gain, n, plant.n_outputs)
     A_L = plant.A - L @ plant.C
     slowest = float(np.max(np.linalg.eigvals(A_L).real))
     if slowest >= 0:

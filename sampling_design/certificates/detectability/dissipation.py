@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._record import Plain, Record, short
 from sampling_design.certificates.form.constants import ConstantList
-from sampling_design.certificates.form.seal import DETECTABILITY_CLAIM, sealed, write_certificate
+from sampling_design.certificates.form.digest import DETECTABILITY_CLAIM, sealed, write_certificate
 from sampling_design.certificates.form.verdict import Verification
 from sampling_design.errors import ArgumentError, CertificateError
-from sampling_design.evidence import Claim, SolverRecord
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.evidence import Claim, SolverRecord
+from sampling_design.records.record import Plain, Record, short
 
 Array = npt.NDArray[np.float64]
 METHODS = ("riccati", "lmi", "proof", "given")
@@ -104,14 +104,14 @@ class DetectabilityCertificate(Record):
     def __post_init__(self) -> None:
         if not isinstance(self.plant, Plant):
             raise ArgumentError(f"`plant` must be a Plant, got {type(self.plant).__name__}.")
-        _checks.word("method", self.method, METHODS)
+        checks.word("method", self.method, METHODS)
         n, p = self.plant.n_states, self.plant.n_outputs
-        object.__setattr__(self, "P", _checks.definite("P", self.P, n))
+        object.__setattr__(self, "P", checks.definite("P", self.P, n))
         for key in ("eta", "c_w", "c_y"):
-            object.__setattr__(self, key, _checks.positive(key, getattr(self, key)))
-        object.__setattr__(self, "margin", _checks.nonnegative("margin", self.margin))
+            object.__setattr__(self, key, checks.positive(key, getattr(self, key)))
+        object.__setattr__(self, "margin", checks.nonnegative("margin", self.margin))
         if self.gain is not None:
-            object.__setattr__(self, "gain", _checks.matrix("gain", self.gain, n, p))
+            object.__setattr__(self, "gain", checks.matrix("gain", self.gain, n, p))
 
     def __getattr__(self, name: str) -> NoReturn:
         # what only a certificate about samples has: asked for by an estimator or a validation that was given this one

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._door import door
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.signatures import checked
 
 Array = npt.NDArray[np.float64]
 
@@ -16,7 +16,7 @@ LARGEST = 1e140
 """Bounds beyond it, or below its inverse, have squares that leave no room in a double for a rate beside them."""
 
 
-@door
+@checked
 def weights_from_bounds(
     plant: Plant, eta: float, w_bound: npt.ArrayLike, v_bound: npt.ArrayLike, initial_error: npt.ArrayLike
 ) -> dict[str, Array]:
@@ -59,7 +59,7 @@ def weights_from_bounds(
     >>> weights["P2"].tolist(), round(float(weights["Qw"][0, 0]), 9)
     ([[0.5, 0.0], [0.0, 0.125]], 50.0)
     """
-    rate = _checks.positive("eta", eta)
+    rate = checks.positive("eta", eta)
     if rate > LARGEST:
         raise ArgumentError(f"`eta` must be at most {LARGEST:g}, got {eta!r}.")
     noise = 2.0 * _unit_ball("v_bound", v_bound, plant.n_outputs)
@@ -73,9 +73,9 @@ def weights_from_bounds(
 
 def _unit_ball(name: str, bound: npt.ArrayLike, size: int) -> Array:
     """Q with |z|^2_Q <= 1 wherever the bound holds."""
-    if _checks.dimensions(bound) == 0:
-        return np.eye(size) / _weighable(name, np.array([_checks.positive(name, bound)])) ** 2
-    entries = _checks.vector(name, bound, size)
+    if checks.dimensions(bound) == 0:
+        return np.eye(size) / _weighable(name, np.array([checks.positive(name, bound)])) ** 2
+    entries = checks.vector(name, bound, size)
     if np.any(entries <= 0):
         raise ArgumentError(f"`{name}` must be positive in every entry, got {entries.tolist()}.")
     return np.diag(1.0 / (size * _weighable(name, entries) ** 2))

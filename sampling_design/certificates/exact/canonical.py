@@ -31,7 +31,7 @@ BITS = 40
 
 
 @dataclass(frozen=True, eq=False)
-class Canonical:
+class ScaledProblem:
     """The internal problem, and the units x, w, y and time of it in those of the caller, all powers of two.
 
     `sizes` are the balancing sizes of the states in the internal units, between 1/sqrt(2) and sqrt(2) where the states
@@ -63,7 +63,7 @@ def canonical(
     P2: Array | None = None,
     log_sizes: Array | None = None,
     driven: bool = True,
-) -> Canonical:
+) -> ScaledProblem:
     """Return the problem in internal units: states in those of P2, else of the base-two `log_sizes`, else balanced.
 
     Unless `driven`, G does not enter the balance.
@@ -99,10 +99,10 @@ def canonical(
     states, outputs, disturbances = (Signals(s.names, (), np.clip(v, 1 / RANGE, RANGE)) for s, v in details)
     found = Plant(A, C, G=G, states=states, outputs=outputs, disturbances=disturbances)
     sizes = np.exp2(logs) / x
-    return Canonical(found, _timed(schedule, time), inner, x, w, y, time, sizes)
+    return ScaledProblem(found, _timed(schedule, time), inner, x, w, y, time, sizes)
 
 
-def evened(canon: Canonical) -> Canonical:
+def evened(canon: ScaledProblem) -> ScaledProblem:
     """The same problem in units that are no powers of two, with `BITS` digits: a search there is the same in all units.
 
     What is found there is proven on the problem itself.
@@ -123,7 +123,7 @@ def evened(canon: Canonical) -> Canonical:
         schedule = Schedule(old.times / time, old.outputs)  # cut, far times would lose their gaps
     weights = tuple(W * u * u[:, None] for W, u in ((Qw * time, w), (R, y), (Qv, y)))
     kept = [W if np.count_nonzero(W - np.diag(np.diagonal(W))) else cut(W) for W in weights]
-    return Canonical(
+    return ScaledProblem(
         found,
         schedule,
         (kept[0], kept[1], kept[2]),
@@ -145,7 +145,7 @@ def _root_of_inverse(sizes: Array) -> Array:
     return np.asarray(1 / np.sqrt(np.where(sizes > 0, sizes, 1.0)))
 
 
-def followed(canon: Canonical, eta: float) -> None:
+def followed(canon: ScaledProblem, eta: float) -> None:
     """Say that it is undecided where the squared error grows beyond doubles before the next sample.
 
     Raises
@@ -163,7 +163,7 @@ def followed(canon: Canonical, eta: float) -> None:
         )
 
 
-def slip(canon: Canonical) -> str:
+def slip(canon: ScaledProblem) -> str:
     """A question about the origin of the times, where the first sample comes long after time 0; else nothing."""
     times = canon.schedule.times
     late = times.size > 1 and float(times[0]) > LATE * float(np.median(np.diff(times)))

@@ -12,19 +12,19 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._linalg import generalised_max
-from sampling_design._record import Plain, Record, short
 from sampling_design.certificates.exact.given_weights import FREE_DISTURBANCE
 from sampling_design.certificates.form.constants import ConstantList
+from sampling_design.certificates.form.digest import CLAIM, RESOLUTION, sealed, write_certificate
 from sampling_design.certificates.form.export import constants_of
 from sampling_design.certificates.form.horizon import Horizon, horizon_of, output_information
-from sampling_design.certificates.form.seal import CLAIM, RESOLUTION, sealed, write_certificate
 from sampling_design.certificates.form.verdict import Verification
 from sampling_design.errors import ArgumentError
-from sampling_design.evidence import Claim, SolverRecord
-from sampling_design.observability.meeting import meet
+from sampling_design.numerics.linalg import generalised_max
+from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.evidence import Claim, SolverRecord
+from sampling_design.records.record import Plain, Record, short
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -100,12 +100,12 @@ class SampledCertificate(Record, ABC):
         if not isinstance(self.plant, Plant):
             raise ArgumentError(f"`plant` must be a Plant, got {type(self.plant).__name__}.")
         n, p, q = self.plant.n_states, self.plant.n_outputs, self.plant.n_disturbances
-        owned: dict[str, Array | float] = {"Qw": _checks.definite("Qw", self.Qw, q, FREE_DISTURBANCE)}
+        owned: dict[str, Array | float] = {"Qw": checks.definite("Qw", self.Qw, q, FREE_DISTURBANCE)}
         for key, size in (("P1", n), ("P2", n), ("R", p), ("Qv", p)):
-            owned[key] = _checks.definite(key, getattr(self, key), size)
+            owned[key] = checks.definite(key, getattr(self, key), size)
         for key in ("eta", "lam", "lam_samples"):
-            owned[key] = _checks.positive(key, getattr(self, key))
-        owned["margin"] = _checks.nonnegative("margin", self.margin)
+            owned[key] = checks.positive(key, getattr(self, key))
+        owned["margin"] = checks.nonnegative("margin", self.margin)
         for key, value in owned.items():
             object.__setattr__(self, key, value)
 
@@ -145,7 +145,7 @@ class SampledCertificate(Record, ABC):
     @cached_property
     def Rtilde(self) -> Array:
         """R~ = (R^-1 + Qv^-1)^-1, the information of one sample."""
-        return _checks.freeze(output_information(self.R, self.Qv))
+        return checks.freeze(output_information(self.R, self.Qv))
 
     def horizon(self, theorem: str = "sharp", length: float | None = None) -> Horizon:
         """Return the estimation horizon and its error bound; see `horizon_of`."""
@@ -236,11 +236,11 @@ class SampledCertificate(Record, ABC):
             In the Euclidean norm of the state.
         """
         found = self.horizon(theorem, length)
-        times = _checks.real_array("t", t, _checks.dimensions(t))
+        times = checks.real_array("t", t, checks.dimensions(t))
         if np.any(times < 0):
             raise ArgumentError(f"`t` must not be negative, got {float(times.min())!r}: the bound begins at 0.")
-        initial = _checks.real_array("e0", e0, _checks.dimensions(e0))
-        w, v = _checks.nonnegative("w_bound", w_bound), _checks.nonnegative("v_bound", v_bound)
+        initial = checks.real_array("e0", e0, checks.dimensions(e0))
+        w, v = checks.nonnegative("w_bound", w_bound), checks.nonnegative("v_bound", v_bound)
         unit = max(float(np.max(np.abs(initial), initial=0.0)), w, v) or 1.0  # squares of ratios stay numbers
         start, w2, v2 = float(np.sum(np.square(initial / unit))), (w / unit) ** 2, (v / unit) ** 2
         rate = found.eta_tilde
@@ -336,7 +336,7 @@ class Certificate(SampledCertificate):
         True
         """
         n = plant.n_states
-        claimed = generalised_max(_checks.definite("P2", P2, n), _checks.definite("P1", P1, n))
+        claimed = generalised_max(checks.definite("P2", P2, n), checks.definite("P1", P1, n))
         top = max(claimed, 1.0) if lam is None else lam
         return cls(
             plant,

@@ -68,7 +68,7 @@ class TimeLimit:
         return None if self.budget is None else max(self.budget - time.perf_counter() + self.began, 0.0)
 
 
-class Efforts:
+class SearchEffort:
     """What the looks and proofs for a group of choices may do; one choice `alone` may do all of it."""
 
     def __init__(
@@ -80,9 +80,9 @@ class Efforts:
         self.looks, self.floats = Work(2 * share * LOOK_WORK), Work(share * CHECK_WORK, self.whole)
         self.balls = Work(BALL_WORK if balls is None else balls, self.whole, BALL_PRICE)
 
-    def later(self) -> Efforts:
+    def later(self) -> SearchEffort:
         """Those of the next group: of what is left."""
-        return Efforts(self.total, LATER, ONE_IN_BALLS)
+        return SearchEffort(self.total, LATER, ONE_IN_BALLS)
 
     @property
     def over(self) -> bool:

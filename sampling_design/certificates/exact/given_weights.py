@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
 from sampling_design.errors import ArgumentError
-from sampling_design.observability.meeting import meet
+from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import PeriodicSchedule
 
@@ -33,9 +33,9 @@ def weights_of(plant: Plant, Qw: object, R: object, Qv: object) -> tuple[Array, 
     one = r if R is None and Qv is None else (Qv if R is None else R)
     p = plant.n_outputs
     return (
-        _checks.definite("Qw", w if Qw is None else Qw, plant.n_disturbances, FREE_DISTURBANCE),
-        _checks.definite("R" if R is not None else "Qv", one if R is None else R, p),
-        _checks.definite("Qv" if Qv is not None else "R", one if Qv is None else Qv, p),
+        checks.definite("Qw", w if Qw is None else Qw, plant.n_disturbances, FREE_DISTURBANCE),
+        checks.definite("R" if R is not None else "Qv", one if R is None else R, p),
+        checks.definite("Qv" if Qv is not None else "R", one if Qv is None else Qv, p),
     )
 
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._door import door
-from sampling_design._linalg import symmetrise
-from sampling_design._record import Record, short
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.exact.riccati import located, push, update
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.errors import ArgumentError
+from sampling_design.numerics.linalg import symmetrise
+from sampling_design.records import checks
+from sampling_design.records.record import Record, short
+from sampling_design.records.signatures import checked
 
 Array = npt.NDArray[np.float64]
 
@@ -58,7 +58,7 @@ class InformationCurve(Record):
         )
 
 
-@door
+@checked
 def information_curve(
     certificate: Certificate, start: float | None = None, samples: int | None = None, points: int = 24
 ) -> InformationCurve:
@@ -103,15 +103,15 @@ def information_curve(
     True
     """
     worst = 0.0 if certificate.witness is None else certificate.witness.start
-    begin = worst if start is None else _checks.nonnegative("start", start)
-    fractions = np.linspace(0.0, 1.0, _checks.whole("points", points, 2))
+    begin = worst if start is None else checks.nonnegative("start", start)
+    fractions = np.linspace(0.0, 1.0, checks.whole("points", points, 2))
     made = certificate
     problem = window_problem(made.plant, made.schedule, made.P2, made.Qw, made.R, made.Qv, made.eta)
     if problem.period is None and begin >= problem.times[-1]:
         raise ArgumentError(f"`start` must lie before the last sample at {float(problem.times[-1])!r}, got {begin!r}.")
     peak = located(problem, begin, begin)
     left = 2 * problem.count if problem.period is not None else problem.count - peak.index
-    count = left if samples is None else _checks.whole("samples", samples, 1)
+    count = left if samples is None else checks.whole("samples", samples, 1)
     if problem.period is None:
         count = min(count, left)
     half = np.linalg.solve(problem.root, made.P1)

@@ -14,12 +14,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_continuous_lyapunov
 
-from sampling_design._linalg import symmetrise
-from sampling_design.certificates.exact.canonical import Canonical
-from sampling_design.certificates.exact.weight_choice import Choice, WeightSearch
+from sampling_design.certificates.exact.canonical import ScaledProblem
+from sampling_design.certificates.exact.weight_choice import ChosenWeights, WeightSearch
 from sampling_design.certificates.exact.window_problem import noise_input
 from sampling_design.checkers.work import Work
 from sampling_design.errors import SolverError
+from sampling_design.numerics.linalg import symmetrise
 
 Array = npt.NDArray[np.float64]
 
@@ -33,9 +33,11 @@ ROUNDNESS = 1e-2, 1e-6
 """Shares of every state's variance that are driven beside the disturbances, which may not reach all states."""
 
 
-def own_decay(canon: Canonical, bounds: tuple[float, float], budgets: list[float], work: Work) -> list[Choice | None]:
+def own_decay(
+    canon: ScaledProblem, bounds: tuple[float, float], budgets: list[float], work: Work
+) -> list[ChosenWeights | None]:
     """The weights at the fastest rate within `bounds` that keep each budget; None where the decay alone does not."""
-    found: list[Choice | None] = [None] * len(budgets)
+    found: list[ChosenWeights | None] = [None] * len(budgets)
     own = -2 * float(np.max(np.linalg.eigvals(canon.plant.A).real))
     fastest = min(bounds[1], NEAREST * own)
     if fastest < bounds[0]:
@@ -52,11 +54,11 @@ def own_decay(canon: Canonical, bounds: tuple[float, float], budgets: list[float
         for k, budget in enumerate(budgets):
             kept = (shape for shape, room in rooms if room >= -np.log(budget))
             if found[k] is None and (shape := next(kept, None)) is not None:
-                found[k] = Choice(shape, rate, 0.0, status="the plant decays on its own")
+                found[k] = ChosenWeights(shape, rate, 0.0, status="the plant decays on its own")
     return found
 
 
-def _shapes(canon: Canonical, rate: float, own: float) -> Iterator[Array]:
+def _shapes(canon: ScaledProblem, rate: float, own: float) -> Iterator[Array]:
     """X^-1 for this rate, the roundest and the surest first."""
     n, H = canon.plant.n_states, noise_input(canon.plant.G, canon.weights[0])
     for faster in FASTER:

@@ -15,13 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import __version__
-from sampling_design._balls import Ball, Matrix, ball, cholesky, definite, floats, identity, matrix, precision
-from sampling_design._linalg import symmetrise
-from sampling_design.certificates.exact.canonical import Canonical, NoiseWeights
+from sampling_design.certificates.exact.canonical import NoiseWeights, ScaledProblem
 from sampling_design.certificates.exact.certificate import Certificate, times_to_dict
 from sampling_design.certificates.exact.efforts import BALL_PRICE, PRECISE_PROOF, PRECISE_WORK, ROOM
-from sampling_design.certificates.exact.weight_choice import Choice, WeightSearch
-from sampling_design.certificates.form.seal import RESOLUTION, STATED_MARGIN
+from sampling_design.certificates.exact.weight_choice import ChosenWeights, WeightSearch
+from sampling_design.certificates.form.digest import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.rigorous.ball_problem import BallTimes, BallWeights, ScheduleFrame
 from sampling_design.certificates.rigorous.ball_proof import JUMP, one_period, rest
 from sampling_design.certificates.rigorous.decide import verify_rigorously
@@ -30,8 +28,10 @@ from sampling_design.checkers.parts import Weights
 from sampling_design.checkers.schedule_file import times_of
 from sampling_design.checkers.work import Work
 from sampling_design.errors import SolverError, UndecidedError
-from sampling_design.evidence import SolverRecord
+from sampling_design.numerics.balls import Ball, Matrix, ball, cholesky, definite, floats, identity, matrix, precision
+from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
+from sampling_design.records.evidence import SolverRecord
 from sampling_design.schedules.family import AnySchedule
 
 Array = npt.NDArray[np.float64]
@@ -57,7 +57,7 @@ STEP_WORK = 100, 1.0
 class PreciseWindows:
     """The windows of a plant in internal units at one rate, P2 left open: what a search asks of `WindowSet`."""
 
-    def __init__(self, canon: Canonical, eta: float, work: Work) -> None:
+    def __init__(self, canon: ScaledProblem, eta: float, work: Work) -> None:
         plant, (Qw, R, Qv) = canon.plant, canon.weights
         self.n, self.work = plant.n_states, work
         stated = FilePlant(plant.A, plant.C, plant.G, plant.time_unit)
@@ -170,7 +170,7 @@ class PreciseSearch(WeightSearch):
 
 def precisely_chosen(
     problem: tuple[Plant, AnySchedule, NoiseWeights],
-    canon: Canonical,
+    canon: ScaledProblem,
     bounds: tuple[float, float],
     eta: float | None,
     budget: float,
@@ -207,7 +207,7 @@ def precisely_chosen(
 
 def _proven(
     problem: tuple[Plant, AnySchedule, NoiseWeights],
-    choice: Choice,
+    choice: ChosenWeights,
     met: tuple[float, float],
     solver: SolverRecord,
     proofs: Work,

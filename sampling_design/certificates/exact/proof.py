@@ -9,19 +9,19 @@ from importlib.util import find_spec
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
 from sampling_design.certificates.exact.canonical import canonical, slip
 from sampling_design.certificates.exact.certificate import Certificate, Witness
-from sampling_design.certificates.exact.efforts import ATTEMPTS, FINER, HIGHER, LOOK_WORK, ROOM, Efforts, wider
-from sampling_design.certificates.exact.riccati import Peak, at_peak, located, refine, starts_at_sample, supremum
+from sampling_design.certificates.exact.efforts import ATTEMPTS, FINER, HIGHER, LOOK_WORK, ROOM, SearchEffort, wider
+from sampling_design.certificates.exact.riccati import RiccatiPeak, at_peak, located, refine, starts_at_sample, supremum
 from sampling_design.certificates.exact.window_problem import window_problem
-from sampling_design.certificates.form.seal import RESOLUTION, STATED_MARGIN
+from sampling_design.certificates.form.digest import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.form.verdict import replays, verdict_of
 from sampling_design.certificates.rigorous.decide import replays_in_balls, verify_rigorously
 from sampling_design.checkers.work import Work
 from sampling_design.errors import ArgumentError, SolverError, UndecidedError
-from sampling_design.evidence import SolverRecord
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.evidence import SolverRecord
 from sampling_design.schedules.family import AnySchedule
 
 Array = npt.NDArray[np.float64]
@@ -36,7 +36,7 @@ class ScheduleProof:
         schedule: AnySchedule,
         weights: tuple[Array, Array, Array, Array],
         eta: float,
-        efforts: Efforts,
+        efforts: SearchEffort,
         long_run: float = 0.0,
     ) -> None:
         self.long_run = long_run  # lambda that the search expects there, where it has looked
@@ -47,7 +47,7 @@ class ScheduleProof:
         self.problem = window_problem(canon.plant, canon.schedule, *inner, eta * canon.time)
 
     @cached_property
-    def peaks(self) -> tuple[Peak, Peak]:
+    def peaks(self) -> tuple[RiccatiPeak, RiccatiPeak]:
         """Where lambda is attained: over all real starts, and over those at samples.
 
         Raises
@@ -57,7 +57,7 @@ class ScheduleProof:
         """
         return self.found(1)
 
-    def found(self, finer: int) -> tuple[Peak, Peak]:
+    def found(self, finer: int) -> tuple[RiccatiPeak, RiccatiPeak]:
         """The peaks of grids that are so much finer; raises as `peaks`."""
         with np.errstate(all="ignore"):
             try:
@@ -129,7 +129,7 @@ class ScheduleProof:
         self.left_open = work, room, error
         raise error
 
-    def witness_of(self, peak: Peak) -> Witness:
+    def witness_of(self, peak: RiccatiPeak) -> Witness:
         """Return where a peak is attained, in the plant's coordinates."""
         Y, t, start = at_peak(self.problem, peak)
         values, vectors = np.linalg.eigh(Y)
@@ -139,7 +139,9 @@ class ScheduleProof:
         return Witness(t * time, start * time, tuple(float(v) for v in direction), float(values[-1]))
 
 
-def _made(proof: ScheduleProof, peaks: tuple[Peak, Peak], solver: SolverRecord, room: float) -> Certificate:
+def _made(
+    proof: ScheduleProof, peaks: tuple[RiccatiPeak, RiccatiPeak], solver: SolverRecord, room: float
+) -> Certificate:
     """The certificate that claims these peaks, times `room`."""
     lam, lam_samples = (room * max(peak.value, 1.0) for peak in peaks)
     if room > 1:
@@ -148,7 +150,7 @@ def _made(proof: ScheduleProof, peaks: tuple[Peak, Peak], solver: SolverRecord, 
     P2, Qw, R, Qv = proof.weights
     P1, seen = (1 - RESOLUTION) * P2 / lam, proof.witness_of(peaks[0])
     try:
-        _checks.definite("P1", P1, proof.plant.n_states)
+        checks.definite("P1", P1, proof.plant.n_states)
     except ArgumentError as error:
         raise UndecidedError(f"undecided: P1 = P2/lambda cannot be held in doubles ({error})") from None
     return Certificate(
@@ -157,5 +159,5 @@ def _made(proof: ScheduleProof, peaks: tuple[Peak, Peak], solver: SolverRecord, 
     )  # fmt: skip
 
 
-def _value(peak: Peak) -> float:
+def _value(peak: RiccatiPeak) -> float:
     return peak.value

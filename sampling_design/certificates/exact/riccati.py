@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.window_problem import Index, WindowProblem
 from sampling_design.checkers.work import Work
 from sampling_design.errors import SolverError
+from sampling_design.numerics.linalg import symmetrise
 
 Array = npt.NDArray[np.float64]
 
@@ -52,7 +52,7 @@ REFINEMENTS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Peak:
+class RiccatiPeak:
     """The largest lambda_max(P2 Y) met, and where: window (index, remaining), gap number `step`, `fraction` of it.
 
     `step` counts gaps after the window's first sample; -1 is the stretch before it.
@@ -271,7 +271,7 @@ def sweep(
     steady: Array | None = None,
     last_step: int = MAX_STEPS,
     work: Work | None = None,
-) -> list[Peak]:
+) -> list[RiccatiPeak]:
     """Return the peak of each window, looked for at `fractions` of every gap (0 is just before its first sample).
 
     A window ends with a finite schedule, after `last_step` gaps, or where its Y lies below the periodic solution.
@@ -304,7 +304,7 @@ def sweep(
         _note(best, alive, inside, part, step)
         Y = inside[:, -1]
     return [
-        Peak(float(value), int(i), float(r), int(step), float(fraction))
+        RiccatiPeak(float(value), int(i), float(r), int(step), float(fraction))
         for i, r, (value, step, fraction) in zip(index, remaining, best.T, strict=True)
     ]
 
@@ -336,7 +336,7 @@ def _note(best: Array, alive: Index, Y: Array, part: Array, step: int) -> None:
     best[:, alive[higher]] = value[higher], np.full(higher.sum(), step), part[column[higher]]
 
 
-def supremum(problem: WindowProblem, finer: int = 1, work: Work | None = None) -> tuple[Peak, Peak]:
+def supremum(problem: WindowProblem, finer: int = 1, work: Work | None = None) -> tuple[RiccatiPeak, RiccatiPeak]:
     """Return the largest attained lambda over all real starts, and over sample starts.
 
     A coarse look at starts and times, then a finer and finer one around the best; what lies between is
@@ -345,7 +345,9 @@ def supremum(problem: WindowProblem, finer: int = 1, work: Work | None = None) -
     """
     index, remaining = problem.sample_starts()
     if np.linalg.eigvalsh(problem.A + problem.A.T + problem.eta * np.eye(problem.size) + problem.noise)[-1] <= 0:
-        still = Peak(1.0, int(index[0]), float(remaining[0]), -1, 0.0)  # from I on Y falls, whatever the samples do
+        still = RiccatiPeak(
+            1.0, int(index[0]), float(remaining[0]), -1, 0.0
+        )  # from I on Y falls, whatever the samples do
         return still, still
     steady = None if problem.period is None else periodic_riccati_solution(problem)
     inner = np.arange(1, finer * max(START_CELLS, -(-MIN_STARTS // problem.count)))
@@ -362,11 +364,11 @@ def supremum(problem: WindowProblem, finer: int = 1, work: Work | None = None) -
     return max(anywhere, at_sample, key=_value), at_sample
 
 
-def _value(peak: Peak) -> float:
+def _value(peak: RiccatiPeak) -> float:
     return peak.value
 
 
-def long_run(problem: WindowProblem, steady: Array, best: Peak, work: Work | None = None) -> Peak:
+def long_run(problem: WindowProblem, steady: Array, best: RiccatiPeak, work: Work | None = None) -> RiccatiPeak:
     """Return `best`, or where the periodic solution exceeds it: a window followed until it reaches that."""
     follower = (np.arange(problem.count) + 1) % problem.count
     part = np.asarray(TIME_FRACTIONS)
@@ -386,8 +388,8 @@ def long_run(problem: WindowProblem, steady: Array, best: Peak, work: Work | Non
 
 
 def refine(
-    problem: WindowProblem, peak: Peak, width: float, time_width: float = 0.25, work: Work | None = None
-) -> Peak:
+    problem: WindowProblem, peak: RiccatiPeak, width: float, time_width: float = 0.25, work: Work | None = None
+) -> RiccatiPeak:
     """Return a better peak near `peak`: its start may move by `width`, its time by `time_width` of the gap."""
     for _ in range(REFINEMENTS if peak.step <= LONGEST_REFINED else 0):
         if work is not None and work.over:
@@ -402,7 +404,7 @@ def refine(
     return peak
 
 
-def located(problem: WindowProblem, start: float, t: float) -> Peak:
+def located(problem: WindowProblem, start: float, t: float) -> RiccatiPeak:
     """Return the window that starts at `start`, at time `t`, as a peak without value."""
     periods = 1 if problem.period is None else int(t / problem.period) + 2
     times = (problem.times + (problem.period or 0.0) * np.arange(periods)[:, None]).ravel()
@@ -410,19 +412,19 @@ def located(problem: WindowProblem, start: float, t: float) -> Peak:
     index = first % problem.count
     remaining = float(min(times[first] - start, problem.reach[index]))
     if t <= times[first]:
-        return Peak(0.0, index, remaining, -1, (t - start) / max(remaining, 1e-300))
+        return RiccatiPeak(0.0, index, remaining, -1, (t - start) / max(remaining, 1e-300))
     last = int(np.searchsorted(times, t * (1 - 1e-12), side="left"))
     gap = problem.gaps[last % problem.count]
-    return Peak(0.0, index, remaining, last - first - 1, 1.0 - min(max((times[last] - t) / gap, 0.0), 1.0))
+    return RiccatiPeak(0.0, index, remaining, last - first - 1, 1.0 - min(max((times[last] - t) / gap, 0.0), 1.0))
 
 
-def starts_at_sample(problem: WindowProblem, peak: Peak) -> bool:
+def starts_at_sample(problem: WindowProblem, peak: RiccatiPeak) -> bool:
     """Whether a window is one of those that start at a sample, or at time 0."""
     index, remaining = problem.sample_starts()
     return bool(np.isclose(remaining[index == peak.index], peak.remaining, rtol=SAME_START, atol=0.0).any())
 
 
-def at_peak(problem: WindowProblem, peak: Peak) -> tuple[Array, float, float]:
+def at_peak(problem: WindowProblem, peak: RiccatiPeak) -> tuple[Array, float, float]:
     """Return Y at a peak, the time of the peak and the start of its window."""
     start = problem.start_time(peak.index, peak.remaining)
     before = peak.remaining * (peak.fraction if peak.step < 0 else 1.0)

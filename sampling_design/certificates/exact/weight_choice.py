@@ -11,14 +11,14 @@ import numpy.typing as npt
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize, minimize_scalar
 
-from sampling_design._linalg import symmetrise
-from sampling_design.certificates.exact.budget_scale import COARSE, EXACT, Setting
-from sampling_design.certificates.exact.canonical import Canonical, slip
-from sampling_design.certificates.exact.window_gains import Windows, WindowSet
+from sampling_design.certificates.exact.canonical import ScaledProblem, slip
+from sampling_design.certificates.exact.noise_gain_scale import COARSE, EXACT, RateWindows
+from sampling_design.certificates.exact.window_gains import WindowConditions, WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
 from sampling_design.checkers.work import Work
 from sampling_design.errors import SolverError, UndecidedError
+from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.family import AnySchedule
 
@@ -77,7 +77,7 @@ COMPARED = 1.15
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class ChosenWeights:
     """Weights found: P2 in the coordinates of the search, eta, ln(lam)/eta by its windows, and how the search ended.
 
     A `spare` one is a first guess at another rate, for where nothing at the best rate can be proven.
@@ -94,9 +94,9 @@ class Choice:
 class WeightSearch:
     """Minimise ln(lam)/eta over the shape of P2 and eta, in internal units."""
 
-    def __init__(self, canon: Canonical, roundness: float = LEAST_ROUND, work: Work | None = None) -> None:
+    def __init__(self, canon: ScaledProblem, roundness: float = LEAST_ROUND, work: Work | None = None) -> None:
         self.canon, self.roundness = canon, roundness
-        self.known: dict[float, Setting] = {}
+        self.known: dict[float, RateWindows] = {}
         large = canon.plant.n_states > SMALL
         self.starts, self.iterations, self.restarts = STARTS[large], MAX_ITERATIONS[large], RESTARTS[large]
         self.joint, self.below = JOINT[large], BELOW[large]
@@ -107,7 +107,7 @@ class WeightSearch:
         """Whether the search should end with what it has."""
         return self.work.over
 
-    def setting(self, eta: float) -> Setting:
+    def setting(self, eta: float) -> RateWindows:
         """The windows of one rate and the demand on P1."""
         if eta not in self.known:
             if len(self.known) > SCAN + 1:
@@ -115,12 +115,12 @@ class WeightSearch:
             self.known[eta] = self._setting(eta)
         return self.known[eta]
 
-    def windows(self, eta: float) -> Windows:
+    def windows(self, eta: float) -> WindowConditions:
         """The windows of one rate."""
         canon, one = self.canon, np.eye(self.canon.plant.n_states)
         return WindowSet.of(window_problem(canon.plant, canon.schedule, one, *canon.weights, eta), self.work)
 
-    def _setting(self, eta: float) -> Setting:
+    def _setting(self, eta: float) -> RateWindows:
         canon, n = self.canon, self.canon.plant.n_states
         windows = self.windows(eta)
         prior = np.diag(canon.sizes**2)
@@ -129,7 +129,7 @@ class WeightSearch:
         held = np.linalg.inv(along)
         B = np.diag(size**2) / windows.least_floor(size) + LEAST_SHARE * held
         mean = along if windows.steady is None else rounded(np.mean(windows.steady, axis=0), self.roundness)
-        return Setting(windows, np.asarray(np.linalg.cholesky(symmetrise(B))), mean)
+        return RateWindows(windows, np.asarray(np.linalg.cholesky(symmetrise(B))), mean)
 
     def guesses(self, eta: float) -> list[Array]:
         """Shapes between the inverse of the long-run covariance and the least P1, which any budget allows."""
@@ -139,7 +139,7 @@ class WeightSearch:
         free = np.linalg.inv(B)
         return [*(symmetrise(np.linalg.inv(mean + r * size * free)) for r in ROUNDNESS), B]
 
-    def best_guess(self, eta: float, budget: float) -> Choice | None:
+    def best_guess(self, eta: float, budget: float) -> ChosenWeights | None:
         """The best of the guesses at a rate, None where the windows of that rate cannot be followed."""
         try:
             found = [self.judged(shape, eta, budget, width=COARSE) for shape in self.guesses(eta)]
@@ -148,8 +148,8 @@ class WeightSearch:
         return min((choice for choice in found if choice is not None), key=_value, default=None)
 
     def judged(
-        self, shape: Array, eta: float, budget: float, like: Choice | None = None, width: float = EXACT
-    ) -> Choice | None:
+        self, shape: Array, eta: float, budget: float, like: ChosenWeights | None = None, width: float = EXACT
+    ) -> ChosenWeights | None:
         """A shape at the budget, or None where the budget does not allow it at any scale or it is lost in rounding."""
         try:
             found = self.setting(eta).scaled(shape, budget, width)
@@ -158,9 +158,9 @@ class WeightSearch:
         if found is None or not np.isfinite(found[1]):
             return None
         steps, status = (0, "first guess") if like is None else (like.iterations, like.status)
-        return Choice(found[0], eta, found[1] / eta, steps, status)
+        return ChosenWeights(found[0], eta, found[1] / eta, steps, status)
 
-    def descend(self, start: Choice, budget: float, bounds: tuple[float, float]) -> Choice:
+    def descend(self, start: ChosenWeights, budget: float, bounds: tuple[float, float]) -> ChosenWeights:
         """Descend anew from where a descent ended until that brings nothing: at a kink of lambda one may stop early."""
         best = self._descent(start, budget, bounds)
         for _ in range(self.restarts if bounds[0] == bounds[1] else 1):
@@ -174,10 +174,10 @@ class WeightSearch:
                 break
         return best
 
-    def _descent(self, start: Choice, budget: float, bounds: tuple[float, float]) -> Choice:
+    def _descent(self, start: ChosenWeights, budget: float, bounds: tuple[float, float]) -> ChosenWeights:
         """Sequential quadratic programming on ln lam, T (L = L0 T, P2 = L L') and ln eta."""
         L = np.asarray(np.linalg.cholesky(start.P2), dtype=np.float64)
-        state = _State(self, L, start.eta, bounds, budget)
+        state = _WeightVariables(self, L, start.eta, bounds, budget)
         solve: Any = minimize
         try:
             z = state.start()
@@ -192,14 +192,14 @@ class WeightSearch:
                 options={"maxiter": self.iterations if bounds[0] == bounds[1] else self.joint, "ftol": PRECISION},
             )
             steps, status = int(found.nit), str(found.message)
-        except _Late:
+        except _WorkExhausted:
             steps, status = 0, "the search has used its work, and ended with the best that it had"
         except (np.linalg.LinAlgError, SolverError, ValueError) as error:
             steps, status = 0, f"the descent ended where windows are lost in rounding ({error})"
         if not state.best.size or not np.isfinite(state.value):
             return start
         T, rate = state.unpack(state.best)
-        return Choice(L @ T @ T.T @ L.T, rate, state.value, steps, status)
+        return ChosenWeights(L @ T @ T.T @ L.T, rate, state.value, steps, status)
 
 
 def rounded(Y: Array, share: float) -> Array:
@@ -207,15 +207,15 @@ def rounded(Y: Array, share: float) -> Array:
     return symmetrise(Y + share * np.diag(np.diagonal(Y)))
 
 
-def _value(choice: Choice) -> float:
+def _value(choice: ChosenWeights) -> float:
     return choice.value
 
 
-class _Late(Exception):
+class _WorkExhausted(Exception):
     """The search has used its work."""
 
 
-class _State:
+class _WeightVariables:
     """Variables z = (ln lam, entries of T, ln eta); constraints: every window, and every eigenvalue of (P2, B)."""
 
     def __init__(self, search: WeightSearch, L: Array, eta: float, bounds: tuple[float, float], budget: float) -> None:
@@ -249,7 +249,7 @@ class _State:
         if self.known[0] == z.tobytes():
             return self.known[1:]
         if self.search.late:
-            raise _Late
+            raise _WorkExhausted
         self.search.work.spend(STEP_WORK * z.size)
         T, rate = self.unpack(z)
         value, slope = self._constraints(T, rate, z[0])
@@ -309,7 +309,7 @@ def rate_range(plant: Plant, schedule: AnySchedule) -> tuple[float, float]:
     return min(low, high / 8), high
 
 
-def settled_sizes(canon: Canonical, eta: float) -> Array | None:
+def settled_sizes(canon: ScaledProblem, eta: float) -> Array | None:
     """Base-two sizes of the states, in the caller's units, at which the long-run covariance has a unit diagonal.
 
     The balanced ones of states that it does not reach; None where it cannot be followed.
@@ -327,12 +327,12 @@ def settled_sizes(canon: Canonical, eta: float) -> Array | None:
 
 
 def choose_weights(
-    canon: Canonical,
+    canon: ScaledProblem,
     bounds: tuple[float, float],
     budgets: list[float],
     progress: Progress | None = None,
     stop: Callable[[], bool] | None = None,
-) -> list[list[Choice]]:
+) -> list[list[ChosenWeights]]:
     """Return for each budget P2, and eta within its bounds, for the least horizon ln(lam)/eta; the best first.
 
     Notes
@@ -351,7 +351,7 @@ def choose_weights(
     report = progress or (lambda fraction, message: None)
     free = bounds[0] < bounds[1]
     rates = [float(rate) for rate in np.geomspace(*bounds, SCAN)] if free else [bounds[0]]
-    guesses: list[Choice] = []
+    guesses: list[ChosenWeights] = []
     for k, rate in enumerate(rates):
         report(0.3 * k / len(rates), f"rate {rate:.3g}")
         if search.late:
@@ -373,7 +373,7 @@ def choose_weights(
             f"schedule is on the edge of what can be certified.{slip(canon)}"
         )
     guesses.sort(key=_value)
-    found: list[Choice] = []
+    found: list[ChosenWeights] = []
     for k, guess in enumerate(guesses[: search.starts]):
         if found and search.late:
             break
@@ -394,41 +394,43 @@ def choose_weights(
             made = search.descend(start, reference, bounds if above else (start.eta, start.eta))
             shapes.append((reference if above else 0.0, made))
             last = made if above else last
-    shapes += [(0.0, Choice(shape, best.eta, np.inf)) for shape in search.guesses(best.eta)]
+    shapes += [(0.0, ChosenWeights(shape, best.eta, np.inf)) for shape in search.guesses(best.eta)]
     report(0.9, "proof")
     others = [guess for guess in guesses if guess.eta != best.eta]
     return [_ordered(search, shapes, budget) + _spare(search, others, budget) for budget in budgets]
 
 
-def _spare(search: WeightSearch, guesses: list[Choice], budget: float) -> list[Choice]:
+def _spare(search: WeightSearch, guesses: list[ChosenWeights], budget: float) -> list[ChosenWeights]:
     """The guesses at other rates, scaled to the budget: those of moderate lambda first, then by their horizons."""
     found = [search.judged(guess.P2, guess.eta, budget, guess, COARSE) for guess in guesses]
     spare = [replace(choice, spare=True) for choice in found if choice is not None]
     return sorted(spare, key=lambda choice: (choice.value * choice.eta > MODERATE, choice.value))
 
 
-def round_choices(canon: Canonical, rates: list[float], budget: float, whole: Work) -> Iterator[list[Choice]]:
+def round_choices(
+    canon: ScaledProblem, rates: list[float], budget: float, whole: Work
+) -> Iterator[list[ChosenWeights]]:
     """First guesses of less and less condition at these rates: for where nothing better can be proven."""
     work = whole.share(ROUND_WORK)
     for share in ROUNDER:
         search = WeightSearch(canon, share, work)
-        found: list[Choice] = []
+        found: list[ChosenWeights] = []
         for rate in rates:
             guess = None if search.late else search.best_guess(rate, budget)
             found += [] if guess is None else [replace(guess, spare=True)]
         yield found
 
 
-def _ordered(search: WeightSearch, shapes: list[tuple[float, Choice]], budget: float) -> list[Choice]:
+def _ordered(search: WeightSearch, shapes: list[tuple[float, ChosenWeights]], budget: float) -> list[ChosenWeights]:
     """The shapes of references up to the budget, each scaled to it, the best first, and none twice."""
     found = [search.judged(choice.P2, choice.eta, budget, choice) for least, choice in shapes if least <= budget]
-    kept: list[Choice] = []
+    kept: list[ChosenWeights] = []
     for choice in sorted((choice for choice in found if choice is not None), key=_value):
         kept += [] if any(_alike(choice, other) for other in kept) else [choice]
     return kept
 
 
-def _alike(one: Choice, other: Choice) -> bool:
+def _alike(one: ChosenWeights, other: ChosenWeights) -> bool:
     """Whether two choices are one as far as a descent tells: one that gains nothing ends where it began."""
     size = np.sqrt(np.diagonal(other.P2))
     near = np.abs(one.P2 - other.P2) <= PRECISION * size * size[:, None]
@@ -436,7 +438,7 @@ def _alike(one: Choice, other: Choice) -> bool:
 
 
 def choose_rate(
-    canon: Canonical,
+    canon: ScaledProblem,
     P2: Array,
     bounds: tuple[float, float],
     progress: Progress | None = None,
@@ -454,7 +456,7 @@ def choose_rate(
         rate = float(np.exp(log_rate))
         report(0.5, f"rate {rate:.3g}")
         if work.over:
-            raise _Late
+            raise _WorkExhausted
         try:
             problem = window_problem(canon.plant, canon.schedule, np.eye(n), *canon.weights, rate)
             met[rate] = max(float(WindowSet.of(problem, work).log_lambda(root)[0].max()), 0.0) / rate
@@ -467,5 +469,5 @@ def choose_rate(
         k = int(np.argmin([horizon(rate) for rate in grid]))
         ends = grid[max(k - 1, 0)], grid[min(k + 1, SCAN - 1)]
         return float(np.exp(minimize_scalar(horizon, bounds=ends, options={"xatol": 1e-3}).x))
-    except _Late:
+    except _WorkExhausted:
         return min(met, key=lambda rate: met[rate])

@@ -36,7 +36,7 @@ SET_UP = 1000
 """Work, about microseconds, of a set of windows before any is followed."""
 
 
-class Windows(Protocol):
+class WindowConditions(Protocol):
     """What first guesses ask of the windows of one rate, however many digits these are followed in."""
 
     @property

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
-from sampling_design._linalg import discounted_flow, symmetrise
+from sampling_design.numerics.linalg import discounted_flow, symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import PeriodicSchedule

@@ -10,16 +10,16 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._balance import balance, balanced, balanced_rows
-from sampling_design._checks import Seed, generator, positive, vector
-from sampling_design._door import door
-from sampling_design._linalg import expm_batch, positive_or_one
-from sampling_design._record import Record, short
 from sampling_design.certificates.existence.periodic import Existence, judged, stays_bounded, too_dense
 from sampling_design.errors import CertificateError
+from sampling_design.numerics.balancing import balance, balanced, balanced_rows
+from sampling_design.numerics.linalg import expm_batch, positive_or_one
 from sampling_design.observability.count.period_modes import period_modes
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant
+from sampling_design.records.checks import Seed, generator, positive, vector
+from sampling_design.records.record import Record, short
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import LONGEST_WORD, SamplingFamily, period_of
 from sampling_design.schedules.schedule import PeriodicSchedule
 
@@ -96,7 +96,7 @@ class Counterexample(Record):
         return f"The schedule with the gaps {short(self.schedule.gaps)} belongs to the family, and {self.reason}."
 
 
-class Nearest(NamedTuple):
+class NearestFailure(NamedTuple):
     """How near a search came to a schedule without certificate: the least margin of all words tried, and its schedule.
 
     `searched` says what was left out, "" if nothing was.
@@ -159,7 +159,7 @@ def counterexample(plant: Plant, schedule: PeriodicSchedule, eta: float, found: 
     )
 
 
-@door
+@checked
 def find_counterexample(
     plant: Plant,
     family: SamplingFamily,
@@ -168,7 +168,7 @@ def find_counterexample(
     rng: Seed = None,
     quick: bool = False,
     budget: float = MOST_SECONDS,
-) -> tuple[Counterexample | None, Nearest]:
+) -> tuple[Counterexample | None, NearestFailure]:
     """Search a periodic schedule of `family` whose period is not detectable at rate `eta`.
 
     Parameters
@@ -215,24 +215,24 @@ def find_counterexample(
     for schedule in _suspects(family, sorted({*periods, *(h for h in near if h)}), rng, quick):
         made, margin = refused(schedule)
         if made is not None:
-            return made, Nearest(margin, schedule, "; ".join(searched))
+            return made, NearestFailure(margin, schedule, "; ".join(searched))
         tried.append((margin, schedule))
         least = min(least, tried[-1], key=_first)
         if late():
             searched.append(f"the search ended after {budget:g} s and {len(tried)} schedules")
             break
     if quick:
-        return None, Nearest(*least, "; ".join(searched))
+        return None, NearestFailure(*least, "; ".join(searched))
     for margin, schedule in sorted(tried, key=_first)[:DESCENTS]:
         if late():
             break
         better = _descend(plant, family, eta, schedule)
         made, reached = refused(better)
         if made is not None:
-            return made, Nearest(reached, better, "; ".join(searched))
+            return made, NearestFailure(reached, better, "; ".join(searched))
         if reached < min(margin, least[0]):
             least = (reached, better)
-    return None, Nearest(*least, "; ".join(searched))
+    return None, NearestFailure(*least, "; ".join(searched))
 
 
 def _first(pair: tuple[float, PeriodicSchedule]) -> float:
@@ -241,7 +241,7 @@ def _first(pair: tuple[float, PeriodicSchedule]) -> float:
 
 def refute(
     plant: Plant, family: SamplingFamily, eta: float, hints: Sequence[float | None] = (), quick: bool = False
-) -> Nearest:
+) -> NearestFailure:
     """Return how near the search came, if no schedule of the family is found that has no certificate.
 
     Raises

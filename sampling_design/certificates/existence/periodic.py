@@ -8,16 +8,16 @@ from typing import TypedDict, overload
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._balance import balance, balanced, balanced_rows
-from sampling_design._door import door
-from sampling_design._linalg import expm_batch, positive_or_one
-from sampling_design._record import YesOrNo, short
-from sampling_design._verbs import OpenPlant, registered
 from sampling_design.errors import CertificateError, UndecidedError
-from sampling_design.observability.count.period_modes import PeriodModes, Sight, period_modes
-from sampling_design.observability.meeting import meet
+from sampling_design.numerics.balancing import balance, balanced, balanced_rows
+from sampling_design.numerics.linalg import expm_batch, positive_or_one
+from sampling_design.observability.alignment import meet
+from sampling_design.observability.count.period_modes import LeastObservedMode, PeriodModes, period_modes
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant
+from sampling_design.records.dispatch import OpenPlant, registered
+from sampling_design.records.record import YesOrNo, short
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
@@ -98,7 +98,7 @@ class Existence(ExistenceAnswer):
 def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta: float) -> Existence: ...
 @overload
 def certificate_exists(plant: OpenPlant, schedule: PeriodicSchedule | Schedule, eta: float) -> ExistenceAnswer: ...
-@door
+@checked
 def certificate_exists(plant: Plant | OpenPlant, schedule: PeriodicSchedule | Schedule, eta: float) -> ExistenceAnswer:
     """Decide whether some certificate with rate `eta` exists on a schedule, whatever the weights.
 
@@ -231,7 +231,7 @@ Repair = TypedDict("Repair", {"gap": int, "from": float, "to": float, "margin": 
 """One gap of a period, by its index, and what it becomes; `margin` is what is seen then."""
 
 
-@door
+@checked
 def smallest_repair(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Repair | None:
     """Return the smallest change of one gap after which the period sees every mode with margin, or None.
 
@@ -272,7 +272,7 @@ def smallest_repair(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Rep
     return None
 
 
-def _involved(modes: PeriodModes, sight: Sight, period: float) -> tuple[complex, tuple[complex, ...]]:
+def _involved(modes: PeriodModes, sight: LeastObservedMode, period: float) -> tuple[complex, tuple[complex, ...]]:
     """The eigenvalues of A of which the unseen direction is made, the largest share first."""
     shares = [
         (float(share), c) for block, share in zip(modes.blocks, sight.shares, strict=True) for c in block.clusters

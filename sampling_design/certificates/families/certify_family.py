@@ -10,34 +10,34 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._door import door
-from sampling_design._linalg import symmetrise
-from sampling_design._record import short
 from sampling_design.certificates.exact.canonical import NoiseWeights
 from sampling_design.certificates.exact.efforts import TimeLimit
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.riccati import periodic_riccati_solution
 from sampling_design.certificates.exact.weight_choice import rate_range
 from sampling_design.certificates.exact.window_problem import window_problem
-from sampling_design.certificates.existence.counterexample import Nearest, refute
+from sampling_design.certificates.existence.counterexample import NearestFailure, refute
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
 from sampling_design.certificates.families.graphs import graph_of, in_plant_terms
 from sampling_design.certificates.families.path_complete import PathCompleteGraph, unrolled
-from sampling_design.certificates.families.program import Program
+from sampling_design.certificates.families.program import FamilyProgram
 from sampling_design.certificates.families.step_proof import (
     Doubles,
-    Dynamics,
-    Outcome,
+    StepDynamics,
+    StepOutcome,
     dynamics_of,
     edge_conditions,
     node_conditions,
 )
 from sampling_design.certificates.families.step_proof import prove as proven_along
-from sampling_design.certificates.form.seal import RESOLUTION, STATED_MARGIN
+from sampling_design.certificates.form.digest import RESOLUTION, STATED_MARGIN
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
-from sampling_design.evidence import SolverRecord
+from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.evidence import SolverRecord
+from sampling_design.records.record import short
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily
 
 Array = npt.NDArray[np.float64]
@@ -70,10 +70,10 @@ ROOM = 1.05
 
 
 @dataclass(frozen=True, eq=False)
-class Proposal:
+class CandidateWeights:
     """Matrices of every node (P2 first) in the coordinates of `dynamics`, with the lambda that they reach."""
 
-    dynamics: Dynamics
+    dynamics: StepDynamics
     graph: PathCompleteGraph
     P: Array
     lam: float
@@ -81,7 +81,7 @@ class Proposal:
 
 
 @dataclass(frozen=True)
-class Shortfall:
+class InfeasibilityReason:
     """Why there is no proposal: the share of the nominal information that is kept, and the gap that is worst.
 
     `lam` is the least one on the grid, proven for nothing; infinite if there is none.
@@ -114,7 +114,7 @@ class FamilySearch:
         """Whether the time is over."""
         return time.perf_counter() > self.deadline
 
-    def program(self, eta: float, memory: int, layers: int = LAYERS) -> Program:
+    def program(self, eta: float, memory: int, layers: int = LAYERS) -> FamilyProgram:
         """The inequalities in coordinates where the nominal schedule keeps about the identity."""
         graph = graph_of(self.family, memory, self.plant.n_outputs)
         n, scales = self.plant.n_states, self.plant.states.scales
@@ -125,10 +125,10 @@ class FamilySearch:
         root = np.linalg.solve(K, np.diag(1.0 / scales)).T  # P = root root' = (scales Y scales)^-1
         dynamics = dynamics_of(self.plant, self.weights, eta, np.asarray(root, dtype=np.float64), graph)
         given = None if self.P2 is None else dynamics.inside(self.P2)
-        return Program(dynamics, graph, dynamics.inside(np.diag(1.0 / scales**2)), given, self.deadline)
+        return FamilyProgram(dynamics, graph, dynamics.inside(np.diag(1.0 / scales**2)), given, self.deadline)
 
     def least_lam(
-        self, program: Program, rtol: float, start: float = 2.0
+        self, program: FamilyProgram, rtol: float, start: float = 2.0
     ) -> tuple[float, Array | None, float, SolverRecord]:
         """Return (lam, P, kept, solver): the least lambda on the grid and how much information is kept at all."""
         if program.P2 is not None:
@@ -148,7 +148,7 @@ class FamilySearch:
             lam = lam**2 * 2 if np.isinf(high) else float(np.sqrt(low * high))
         return (high, best, kept, seen) if best is not None else (np.inf, None, kept, record)
 
-    def propose(self, eta: float, memory: int, worst: float = LARGEST_LAM) -> Proposal | Shortfall:
+    def propose(self, eta: float, memory: int, worst: float = LARGEST_LAM) -> CandidateWeights | InfeasibilityReason:
         """Return matrices for which every inequality is proven along its interval, or why there are none.
 
         A lambda above `worst` on the grid ends the search, and so does the deadline.
@@ -162,7 +162,7 @@ class FamilySearch:
             edges = proven_along(program.dynamics, edge_conditions(program.dynamics, program.graph, P), self.deadline)
             claimed, nodes = self._lam_of(program, P)
             if edges.proven and nodes.proven:
-                return Proposal(program.dynamics, program.graph, P, claimed, record)
+                return CandidateWeights(program.dynamics, program.graph, P, claimed, record)
             gap = max(edges.failed.values(), key=lambda item: item[1])[0] if edges.failed else gap
             program.gain(edges.failed, nodes.failed)
             if (edges.tight or nodes.tight) and not program.widen():
@@ -175,10 +175,10 @@ class FamilySearch:
             if again is None:
                 lam, again, kept, record = self.least_lam(program, LAM_RTOL, start=min(lam * 2, LARGEST_LAM))
             P = again
-        return Shortfall(kept, gap, memory, eta, lam)
+        return InfeasibilityReason(kept, gap, memory, eta, lam)
 
     @staticmethod
-    def _lam_of(program: Program, P: Array) -> tuple[float, Outcome]:
+    def _lam_of(program: FamilyProgram, P: Array) -> tuple[float, StepOutcome]:
         """The lambda that the matrices reach, and the proof of (1 - 1e-3) P2 <= lam Phi."""
         dynamics, graph = program.dynamics, program.graph
         tops = graph.tops
@@ -223,13 +223,15 @@ class FamilySearch:
                     tried[rate] = self.horizon(rate, memory)
         return [rate for rate in sorted(tried, key=lambda rate: (tried[rate], rate)) if np.isfinite(tried[rate])]
 
-    def decide(self, bounds: tuple[float, float], levels: list[int], least: Nearest, report: Progress) -> Proposal:
+    def decide(
+        self, bounds: tuple[float, float], levels: list[int], least: NearestFailure, report: Progress
+    ) -> CandidateWeights:
         """Return the proposal with the least horizon at the least memory that has one; refuse, or say undecided."""
-        missed: list[Shortfall] = []
+        missed: list[InfeasibilityReason] = []
         for level in levels:
             report(0.1, f"memory level {level}")
             found = self.propose(bounds[0], level)  # what exists at some rate exists at the least
-            if isinstance(found, Proposal):
+            if isinstance(found, CandidateWeights):
                 chosen = bounds[0] < bounds[1]
                 return self.best_of(bounds, level, found, report) if chosen else found
             missed.append(found)
@@ -242,7 +244,9 @@ class FamilySearch:
                 least = refute(self.plant, self.family, bounds[0], hints=[found.gap])
         raise _undecided(self, bounds[0], missed, least)
 
-    def best_of(self, bounds: tuple[float, float], memory: int, known: Proposal, report: Progress) -> Proposal:
+    def best_of(
+        self, bounds: tuple[float, float], memory: int, known: CandidateWeights, report: Progress
+    ) -> CandidateWeights:
         """The first of the most promising rates whose proposal is proven and better than `known`, else `known`.
 
         So it is where the time is over, or who asked interrupts: what is proven stays.
@@ -250,16 +254,16 @@ class FamilySearch:
         with suppress(KeyboardInterrupt):
             for rate in self.rates(bounds, memory, report)[:TRIED_RATES]:
                 found = None if self.late else self.propose(rate, memory)
-                if isinstance(found, Proposal) and _horizon_of(found) < _horizon_of(known):
+                if isinstance(found, CandidateWeights) and _horizon_of(found) < _horizon_of(known):
                     return found
         return known
 
 
-def _horizon_of(found: Proposal) -> float:
+def _horizon_of(found: CandidateWeights) -> float:
     return float(np.log(max(found.lam, 1.0)) / found.dynamics.eta)
 
 
-@door
+@checked
 def certify_family(
     plant: Plant,
     family: SamplingFamily,
@@ -330,12 +334,12 @@ def certify_family(
     report = progress or (lambda fraction, message: None)
     family = in_plant_terms(plant, family)
     weights = weights_of(plant, Qw, R, Qv)
-    given = None if P2 is None else _checks.definite("P2", P2, plant.n_states)
-    rate = None if eta is None else _checks.positive("eta", eta)
-    if not _checks.number("noise_gain", noise_gain) > 1:
+    given = None if P2 is None else checks.definite("P2", P2, plant.n_states)
+    rate = None if eta is None else checks.positive("eta", eta)
+    if not checks.number("noise_gain", noise_gain) > 1:
         raise ArgumentError(f"`noise_gain` must be above 1, got {noise_gain!r}: no P2 attains the least noise gain.")
-    limit = TimeLimit(None if budget is None else _checks.positive("budget", budget))
-    levels = range(family.levels_of_memory) if memory is None else [_checks.whole("memory", memory)]
+    limit = TimeLimit(None if budget is None else checks.positive("budget", budget))
+    levels = range(family.levels_of_memory) if memory is None else [checks.whole("memory", memory)]
     if not plant.n_states:
         return without_states(plant, family, weights, rate or 1.0, graph_of(family, levels[0], plant.n_outputs))
     bounds = rate_range(plant, family.nominal) if rate is None else (rate, rate)
@@ -364,7 +368,7 @@ def _bearable(plant: Plant, longest: float, eta: float) -> None:
 
 
 def certified(
-    plant: Plant, family: SamplingFamily, weights: NoiseWeights, given: Array | None, found: Proposal
+    plant: Plant, family: SamplingFamily, weights: NoiseWeights, given: Array | None, found: CandidateWeights
 ) -> FamilyCertificate:
     """The certificate of a proposal, judged by the independent checker."""
     P: Doubles = np.stack([found.dynamics.outside(matrix) for matrix in found.P]).astype(np.float64)
@@ -409,7 +413,9 @@ def without_states(
     )
 
 
-def _undecided(search: FamilySearch, eta: float, missed: list[Shortfall], least: Nearest) -> UndecidedError:
+def _undecided(
+    search: FamilySearch, eta: float, missed: list[InfeasibilityReason], least: NearestFailure
+) -> UndecidedError:
     """The best of both sides: the largest part of the family that is certified, and the word that is seen worst."""
     if search.late:
         return UndecidedError(
@@ -426,7 +432,7 @@ def _undecided(search: FamilySearch, eta: float, missed: list[Shortfall], least:
         found = FamilySearch(
             search.plant, smaller, search.weights, search.P2, search.noise_gain, search.deadline
         ).propose(eta, 0)
-        low, high, part = (fraction, high, smaller) if isinstance(found, Proposal) else (low, fraction, part)
+        low, high, part = (fraction, high, smaller) if isinstance(found, CandidateWeights) else (low, fraction, part)
     best = max(missed, key=lambda item: item.kept, default=None)
     known = "" if part is None else f" Certified is: {part.explain()}"
     known += f" Of the search for a counterexample: {least.searched}." if least.searched else ""

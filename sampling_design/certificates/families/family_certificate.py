@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._record import Plain, short
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.certificates.families.graphs import in_plant_terms
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
-from sampling_design.certificates.form.seal import FAMILY_CLAIM
+from sampling_design.certificates.form.digest import FAMILY_CLAIM
 from sampling_design.errors import ArgumentError
-from sampling_design.evidence import Claim
+from sampling_design.records import checks
+from sampling_design.records.evidence import Claim
+from sampling_design.records.record import Plain, short
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.family_files import family_to_dict
 
@@ -52,11 +52,11 @@ class FamilyCertificate(SampledCertificate):
         super().__post_init__()
         object.__setattr__(self, "family", in_plant_terms(self.plant, self.family))
         if not isinstance(self.graph, PathCompleteGraph):
-            raise ArgumentError(f"`graph` must be a PathCompleteGraph, got {_checks.described(self.graph)}.")
-        P = _checks.floats("P", self.P)
+            raise ArgumentError(f"`graph` must be a PathCompleteGraph, got {checks.described(self.graph)}.")
+        P = checks.floats("P", self.P)
         if P.shape != (self.graph.count, *self.P2.shape) or not np.array_equal(P[0], self.P2):
             raise ArgumentError(f"`P` must hold one matrix per node of the graph, P2 first, got shape {P.shape}.")
-        object.__setattr__(self, "P", _checks.freeze(P))
+        object.__setattr__(self, "P", checks.freeze(P))
 
     @property
     def covers(self) -> SamplingFamily:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sampling_design.certificates.families.path_complete import Edge, PathCompleteGraph
 from sampling_design.errors import ArgumentError
-from sampling_design.observability.meeting import meet
+from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.family import START, SamplingFamily, Steps, Word, period_of
 from sampling_design.schedules.schedule import PeriodicSchedule

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._record import Plain
+from sampling_design.records.record import Plain
 from sampling_design.schedules.family import Word
 
 Array = npt.NDArray[np.float64]

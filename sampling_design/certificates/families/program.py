@@ -15,11 +15,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _conic
-from sampling_design._linalg import psd_root
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
-from sampling_design.certificates.families.step_proof import Dynamics
-from sampling_design.evidence import SolverRecord
+from sampling_design.certificates.families.step_proof import StepDynamics
+from sampling_design.numerics import conic_programs
+from sampling_design.numerics.linalg import psd_root
+from sampling_design.records.evidence import SolverRecord
 
 Array = npt.NDArray[np.float64]
 
@@ -39,7 +39,7 @@ LEAST_SLACK = 1e-9
 """A point counts only if the solver reached at least this slack; the tolerance asked of it."""
 
 
-class Solved(NamedTuple):
+class ProgramSolution(NamedTuple):
     """The largest value that was found, with its matrices (None: none), and how the solver ended."""
 
     value: float
@@ -48,10 +48,10 @@ class Solved(NamedTuple):
 
 
 @dataclass(eq=False)
-class Program:
+class FamilyProgram:
     """The inequalities of one graph on a grid that grows; `P2` None means that it is a variable."""
 
-    dynamics: Dynamics
+    dynamics: StepDynamics
     graph: PathCompleteGraph
     unit: Array
     P2: Array | None = None
@@ -65,7 +65,7 @@ class Program:
         self.edge_times = [_grid(self.dynamics, e.low, e.high) for e in self.graph.edges]
         self.node_times = [_grid(self.dynamics, 0.0, top) for top in self.graph.tops.tolist()]
         self.pairs = self.dynamics.size * (self.dynamics.size + 1) // 2
-        self.basis = _conic.smat(np.eye(self.pairs))
+        self.basis = conic_programs.smat(np.eye(self.pairs))
 
     def _flow(self, h: float) -> tuple[Array, Array, Array]:
         """Operators of one gap on svec: P -> J P J', Z -> E'ZE, and E = [F L] itself."""
@@ -75,8 +75,8 @@ class Program:
             L = psd_root(W[0])
             E = np.hstack([F[0], L])
             J = np.vstack([np.eye(n), np.zeros((L.shape[1], n))])
-            lift = _conic.svec(J @ self.basis @ J.T).T
-            self._cache[h] = lift, _conic.svec(E.T @ self.basis @ E).T, E
+            lift = conic_programs.svec(J @ self.basis @ J.T).T
+            self._cache[h] = lift, conic_programs.svec(E.T @ self.basis @ E).T, E
         return self._cache[h]
 
     def _columns(self, node: int) -> slice | None:
@@ -93,7 +93,7 @@ class Program:
         assert column is not None
         return slice(column.start * self.pairs, column.stop * self.pairs)
 
-    def floor(self) -> Solved:
+    def floor(self) -> ProgramSolution:
         """Return the largest p such that Pi >= p unit is certified from P2 = infinity on the grid, the P_v (P[0] nan).
 
         p <= 0 or None: not even this exists.
@@ -106,13 +106,13 @@ class Program:
             blocks = [self._edge(k, h, width, infinite=True) for k, h in self._edge_points()]
             blocks += [self._node_floor(u, s, width) for u, s in self._node_points()]
             found = _solved(cost, [b for b in blocks if b[2].size], self.deadline)
-            if not _conic.usable(found.record):
-                return Solved(0.0, None, found.record)
-            return Solved(float(found.x[-1]), self._matrices(found.x), found.record)
+            if not conic_programs.usable(found.record):
+                return ProgramSolution(0.0, None, found.record)
+            return ProgramSolution(float(found.x[-1]), self._matrices(found.x), found.record)
         finally:
             self.P2 = given
 
-    def feasible(self, lam: float, floor: float) -> Solved:
+    def feasible(self, lam: float, floor: float) -> ProgramSolution:
         """Return the largest slack at `lam` with P2/lam >= floor unit, and the matrices (P2 first); P2 a variable."""
         width = self._width(True)
         cost = np.zeros(width)
@@ -122,16 +122,16 @@ class Program:
         blocks += [self._node(u, s, width, ratio) for u, s in self._node_points()]
         above = np.zeros((self.pairs, width))
         above[:, self._place(None, 0)] = -np.eye(self.pairs) / lam
-        blocks.append(("psd", above, -floor * _conic.svec(self.unit)))
+        blocks.append(("psd", above, -floor * conic_programs.svec(self.unit)))
         cap = np.zeros((1, width))
         cap[0, -1] = 1.0
         blocks.append(("nonnegative", cap, np.ones(1)))
         found = _solved(cost, blocks, self.deadline)
-        if not _conic.usable(found.record) or found.x[-1] < LEAST_SLACK:
-            return Solved(0.0, None, found.record)
-        return Solved(float(found.x[-1]), self._matrices(found.x), found.record)
+        if not conic_programs.usable(found.record) or found.x[-1] < LEAST_SLACK:
+            return ProgramSolution(0.0, None, found.record)
+        return ProgramSolution(float(found.x[-1]), self._matrices(found.x), found.record)
 
-    def best_ratio(self) -> Solved:
+    def best_ratio(self) -> ProgramSolution:
         """Return the largest mu with Phi_s(P_u) >= mu P2 for the given P2, and the matrices."""
         width = self._width(True)
         cost = np.zeros(width)
@@ -139,9 +139,9 @@ class Program:
         blocks = [self._edge(k, h, width) for k, h in self._edge_points()]
         blocks += [self._node_ratio(u, s, width) for u, s in self._node_points()]
         found = _solved(cost, blocks, self.deadline)
-        if not _conic.usable(found.record) or found.x[-1] <= 0:
-            return Solved(0.0, None, found.record)
-        return Solved(float(found.x[-1]), self._matrices(found.x), found.record)
+        if not conic_programs.usable(found.record) or found.x[-1] <= 0:
+            return ProgramSolution(0.0, None, found.record)
+        return ProgramSolution(float(found.x[-1]), self._matrices(found.x), found.record)
 
     def _edge_points(self) -> list[tuple[int, float]]:
         return [(k, h) for k, times in enumerate(self.edge_times) for h in times]
@@ -174,37 +174,41 @@ class Program:
         rows[:, self._place(None, edge.target)] += (1 + self.margin) * press
         right = right + E.T @ self.dynamics.information(edge.outputs) @ E
         if slack:
-            rows[:, -1] = _conic.svec(np.eye(E.shape[1]))
-        return "psd", rows, _conic.svec(right)
+            rows[:, -1] = conic_programs.svec(np.eye(E.shape[1]))
+        return "psd", rows, conic_programs.svec(right)
 
     def _from_infinity(self, h: float, width: int, place: slice, information: Array) -> tuple[str, Array, Array]:
         """I - L'ZL >= 0 with Z = (1 + margin) P_v - information."""
         _, _, E = self._flow(h)
         L = E[:, self.dynamics.size :]
         rows = np.zeros((L.shape[1] * (L.shape[1] + 1) // 2, width))
-        rows[:, place] = (1 + self.margin) * _conic.svec(L.T @ self.basis @ L).T
-        return "psd", rows, _conic.svec(np.eye(L.shape[1]) + L.T @ information @ L)
+        rows[:, place] = (1 + self.margin) * conic_programs.svec(L.T @ self.basis @ L).T
+        return "psd", rows, conic_programs.svec(np.eye(L.shape[1]) + L.T @ information @ L)
 
     def _node(self, node: int, s: float, width: int, ratio: float) -> tuple[str, Array, Array]:
         rows, right, press, E = self._start(node, s, width)
         rows[:, self._place(None, 0)] += ratio * press
-        rows[:, -1] = _conic.svec(np.eye(E.shape[1]))
-        return "psd", rows, _conic.svec(right)
+        rows[:, -1] = conic_programs.svec(np.eye(E.shape[1]))
+        return "psd", rows, conic_programs.svec(right)
 
     def _node_ratio(self, node: int, s: float, width: int) -> tuple[str, Array, Array]:
         assert self.P2 is not None
         rows, right, press, _ = self._start(node, s, width)
-        rows[:, -1] = (1 + self.margin) * press @ _conic.svec(self.P2)
-        return "psd", rows, _conic.svec(right)
+        rows[:, -1] = (1 + self.margin) * press @ conic_programs.svec(self.P2)
+        return "psd", rows, conic_programs.svec(right)
 
     def _node_floor(self, node: int, s: float, width: int) -> tuple[str, Array, Array]:
         _, press, E = self._flow(s)
         if node == 0:
             L = E[:, self.dynamics.size :]
-            return "psd", self._column(_conic.svec(L.T @ self.unit @ L), width), _conic.svec(np.eye(L.shape[1]))
+            return (
+                "psd",
+                self._column(conic_programs.svec(L.T @ self.unit @ L), width),
+                conic_programs.svec(np.eye(L.shape[1])),
+            )
         rows, right, press, _ = self._start(node, s, width)
-        rows[:, -1] = press @ _conic.svec(self.unit)
-        return "psd", rows, _conic.svec(right)
+        rows[:, -1] = press @ conic_programs.svec(self.unit)
+        return "psd", rows, conic_programs.svec(right)
 
     @staticmethod
     def _column(values: Array, width: int) -> Array:
@@ -214,7 +218,7 @@ class Program:
 
     def _matrices(self, x: Array) -> Array:
         """P of every node, P2 first (nan where it is infinite)."""
-        P = _conic.smat(x[:-1].reshape(-1, self.pairs))
+        P = conic_programs.smat(x[:-1].reshape(-1, self.pairs))
         if self.P2 is None:
             return np.concatenate([P[-1:], P[:-1]])
         first = self.P2 if self.P2.size else np.full_like(P[0], np.nan)
@@ -235,19 +239,19 @@ class Program:
         return self.margin > before
 
 
-def _solved(cost: Array, blocks: list[tuple[str, Array, Array]], deadline: float) -> _conic.ConeSolution:
+def _solved(cost: Array, blocks: list[tuple[str, Array, Array]], deadline: float) -> conic_programs.ConeSolution:
     """The solver's answer; where it broke down on the way, that to a coarser tolerance, which the proof judges."""
 
     def left() -> float | None:
         return None if np.isinf(deadline) else max(deadline - time.perf_counter(), LEAST_TIME)
 
-    found = _conic.solve_cone_program(cost, blocks, budget=left())
-    if found.record.status == _conic.FAILED and time.perf_counter() < deadline:
-        found = _conic.solve_cone_program(cost, blocks, tolerance=COARSE_TOLERANCE, budget=left())
+    found = conic_programs.solve_cone_program(cost, blocks, budget=left())
+    if found.record.status == conic_programs.FAILED and time.perf_counter() < deadline:
+        found = conic_programs.solve_cone_program(cost, blocks, tolerance=COARSE_TOLERANCE, budget=left())
     return found
 
 
-def _grid(dynamics: Dynamics, low: float, high: float) -> list[float]:
+def _grid(dynamics: StepDynamics, low: float, high: float) -> list[float]:
     """Grid of an interval, ends included; one point where it has no length."""
     if high <= low:
         return [low]

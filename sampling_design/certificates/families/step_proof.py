@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.canonical import NoiseWeights
 from sampling_design.certificates.exact.window_problem import growing_flow, noise_input, whitened_rows
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
+from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -36,7 +36,7 @@ FIRST_CUT = 16
 
 
 @dataclass(frozen=True, eq=False)
-class Dynamics:
+class StepDynamics:
     """A plant with its weights in coordinates z = root'x: Y' = AY + YA' + eta Y + noise, samples add `information`."""
 
     A: Doubles
@@ -69,7 +69,7 @@ class Dynamics:
         return symmetrise(self.root @ X @ self.root.T)
 
 
-def dynamics_of(plant: Plant, weights: NoiseWeights, eta: float, root: Array, graph: PathCompleteGraph) -> Dynamics:
+def dynamics_of(plant: Plant, weights: NoiseWeights, eta: float, root: Array, graph: PathCompleteGraph) -> StepDynamics:
     """Return the recursion of `plant` in coordinates z = root'x, with the rows of each set of outputs of `graph`."""
     Qw, R, Qv = weights
     A = np.linalg.solve(root, (root.T @ plant.A).T).T
@@ -79,11 +79,11 @@ def dynamics_of(plant: Plant, weights: NoiseWeights, eta: float, root: Array, gr
     for outputs in {edge.outputs for edge in graph.edges}:
         whitened = whitened_rows(plant.C, R, Qv, np.array([outputs], dtype=bool), 1)[0]
         rows[outputs] = np.linalg.solve(root, whitened.T).T
-    return Dynamics(np.asarray(A, dtype=np.float64), np.asarray(noise, dtype=np.float64), eta, root, rows)
+    return StepDynamics(np.asarray(A, dtype=np.float64), np.asarray(noise, dtype=np.float64), eta, root, rows)
 
 
 @dataclass(frozen=True, eq=False)
-class Conditions:
+class StepConditions:
     """Inequalities Phi_h(P[source]) >= Z on [low, high], all of them at once."""
 
     sources: Array
@@ -95,22 +95,22 @@ class Conditions:
         return self.low.size
 
 
-def edge_conditions(dynamics: Dynamics, graph: PathCompleteGraph, P: Array) -> Conditions:
+def edge_conditions(dynamics: StepDynamics, graph: PathCompleteGraph, P: Array) -> StepConditions:
     """Every edge: Phi_h(P_u) >= P_v - C_e'R~C_e."""
     edges = graph.edges
     targets = np.stack([P[e.target] - dynamics.information(e.outputs) for e in edges])
     ends = np.array([(e.low, e.high) for e in edges])
-    return Conditions(P[[e.source for e in edges]], targets, ends[:, 0], ends[:, 1])
+    return StepConditions(P[[e.source for e in edges]], targets, ends[:, 0], ends[:, 1])
 
 
-def node_conditions(graph: PathCompleteGraph, P: Array, target: Array) -> Conditions:
+def node_conditions(graph: PathCompleteGraph, P: Array, target: Array) -> StepConditions:
     """Every node: Phi_s(P_u) >= target for s up to its longest edge."""
     repeated = np.broadcast_to(target, P.shape)
-    return Conditions(P, repeated, np.zeros(graph.count), graph.tops)
+    return StepConditions(P, repeated, np.zeros(graph.count), graph.tops)
 
 
 @dataclass(frozen=True)
-class Outcome:
+class StepOutcome:
     """How a proof ended: `failed` maps a condition to the (h, theta) where it was found violated.
 
     Theta just below 1 means that the steps became too short there. `open` conditions ran out of steps; `slack` is
@@ -133,7 +133,7 @@ class Outcome:
         return not self.failed and not self.open
 
 
-def prove(dynamics: Dynamics, conditions: Conditions, deadline: float = np.inf) -> Outcome:
+def prove(dynamics: StepDynamics, conditions: StepConditions, deadline: float = np.inf) -> StepOutcome:
     """Prove every condition on its whole interval, or say where it fails; what is left at the deadline stays open."""
     parts = np.linspace(0.0, 1.0, FIRST_CUT + 1)
     widths = conditions.high - conditions.low
@@ -158,7 +158,7 @@ def prove(dynamics: Dynamics, conditions: Conditions, deadline: float = np.inf) 
         on = ~bad & (low[now] + reach < high[now])
         pieces = _cut(owner[now][on], low[now][on] + reach[on], high[now][on], reach[on])
         owner, low, high = (np.append(new, old[rest]) for new, old in zip(pieces, (owner, low, high), strict=True))
-    return Outcome(failed, tuple(sorted(set(owner.tolist()))), slack, steps)
+    return StepOutcome(failed, tuple(sorted(set(owner.tolist()))), slack, steps)
 
 
 def _cut(owner: Index, low: Array, high: Array, reach: Array) -> tuple[Index, Array, Array]:
@@ -170,7 +170,7 @@ def _cut(owner: Index, low: Array, high: Array, reach: Array) -> tuple[Index, Ar
     return np.append(owner, owner[long]), np.append(low, middle), np.append(stop, high[long])
 
 
-def _step(dynamics: Dynamics, conditions: Conditions, owner: Index, h: Array) -> tuple[Array, Array]:
+def _step(dynamics: StepDynamics, conditions: StepConditions, owner: Index, h: Array) -> tuple[Array, Array]:
     """Theta at h, and how far beyond h the inequality is then proven."""
     times, where = np.unique(h, return_inverse=True)
     F, W = (part[where] for part in dynamics.flow(times))

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from sampling_design._door import doors
-from sampling_design._record import short
 from sampling_design.errors import ArgumentError
+from sampling_design.records.record import short
+from sampling_design.records.signatures import checked_methods
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Constant:
         return f"{self.name} = {short(self.value)}  [{self.source}]"
 
 
-@doors
+@checked_methods
 class ConstantList(tuple[Constant, ...]):
     """Constants in the order of the proof; also by name, `constants["mu_bar"].value`."""
 

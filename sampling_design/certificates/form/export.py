@@ -11,7 +11,7 @@ _SHARP = "sharper horizon theorem"
 _PAPER = "Theorem 9"
 
 
-class Rated(Protocol):
+class HasConstants(Protocol):
     """A certificate about samples: rate, lambdas, margin and horizons."""
 
     @property
@@ -26,7 +26,7 @@ class Rated(Protocol):
         """The least horizon and its gains."""
 
 
-def constants_of(certificate: Rated) -> ConstantList:
+def constants_of(certificate: HasConstants) -> ConstantList:
     """Return the constants of a certificate: rate, lambdas, and both horizons with their gains.
 
     Parameters

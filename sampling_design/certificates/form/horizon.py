@@ -8,12 +8,12 @@ from typing import Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._linalg import unit_diagonal
-from sampling_design._record import Record, short
 from sampling_design.errors import CertificateError
-from sampling_design.evidence import Claim
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.checks import unit_diagonal
+from sampling_design.records.evidence import Claim
+from sampling_design.records.record import Record, short
 
 Array = npt.NDArray[np.float64]
 Theorem = Literal["sharp", "paper"]
@@ -22,7 +22,7 @@ _CONTRACTION = 4.0
 """By default a window shrinks the squared error at least by this factor (formats.md, Defaults)."""
 
 
-class Weighted(Protocol):
+class HasWeights(Protocol):
     """What a horizon needs of a certificate."""
 
     @property
@@ -116,7 +116,7 @@ class Horizon(Record):
         )
 
 
-def horizon_of(certificate: Weighted, theorem: str = "sharp", length: float | None = None) -> Horizon:
+def horizon_of(certificate: HasWeights, theorem: str = "sharp", length: float | None = None) -> Horizon:
     """Return the horizon of a certificate by the sharper theorem or by Thm 9 of the paper.
 
         sharp:  M > ln(lam)/eta,             eta_tilde = eta - ln(lam)/M
@@ -141,7 +141,7 @@ def horizon_of(certificate: Weighted, theorem: str = "sharp", length: float | No
     CertificateError
         If `length` is too short for the theorem.
     """
-    _checks.word("theorem", theorem, ("sharp", "paper"))
+    checks.word("theorem", theorem, ("sharp", "paper"))
     eta, P1, P2 = certificate.eta, certificate.P1, certificate.P2
     lam = certificate.lam_proven if theorem == "sharp" else certificate.lam_samples_proven
     factor = 1.0 if theorem == "sharp" else 2.0
@@ -152,7 +152,7 @@ def horizon_of(certificate: Weighted, theorem: str = "sharp", length: float | No
         raise CertificateError(
             f"The rate {eta:.3g} is so slow that the horizon is no number: ask for a larger `eta`.", minimum=minimum
         )
-    M = default if length is None else _checks.positive("length", length)
+    M = default if length is None else checks.positive("length", length)
     least = max(minimum, certificate.d_max) if theorem == "paper" else minimum
     if not (minimum < M and least <= M):
         raise CertificateError(

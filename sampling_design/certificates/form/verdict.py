@@ -8,13 +8,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from sampling_design._record import Plain, YesOrNo, short
 from sampling_design.checkers import verdict
 from sampling_design.checkers.claims import certificate
 from sampling_design.checkers.outcome import UNDECIDED, Refused
 from sampling_design.checkers.sampled import replay
 from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.checkers.work import Work
+from sampling_design.records.record import Plain, YesOrNo, short
 
 
 @dataclass(frozen=True, eq=False, repr=False)

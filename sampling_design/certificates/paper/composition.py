@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_continuous_lyapunov
 
-from sampling_design._linalg import symmetrise
 from sampling_design.certificates.form.constants import Constant, ConstantList
 from sampling_design.certificates.paper.observable_case import SAFE, ProofChain, _in_range
+from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 

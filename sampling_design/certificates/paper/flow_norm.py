@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._linalg import expm_batch
+from sampling_design.numerics.linalg import expm_batch
 
 Array = npt.NDArray[np.float64]
 

@@ -7,10 +7,10 @@ import numpy.typing as npt
 from scipy.linalg import LinAlgError, solve_continuous_are, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
-from sampling_design._linalg import expm_batch, symmetrise
 from sampling_design.certificates.detectability.best_rate import _refuse_unseen, detectability_from_proof
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
 from sampling_design.errors import SolverError
+from sampling_design.numerics.linalg import expm_batch, symmetrise
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._linalg import expm_batch, generalised_max
-from sampling_design._record import short
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
 from sampling_design.certificates.form.constants import Constant, ConstantList
 from sampling_design.certificates.paper.flow_norm import largest_flow
 from sampling_design.errors import CertificateError
+from sampling_design.numerics.linalg import expm_batch, generalised_max
+from sampling_design.records.record import short
 
 Array = npt.NDArray[np.float64]
 
@@ -23,7 +23,7 @@ LARGEST = 1e150
 
 
 @dataclass(frozen=True)
-class Hypotheses:
+class SamplingHypotheses:
     """What Theorem 14 assumes of the samples, measured on a schedule.
 
     `window` T; `kappa` the most samples in a closed window of length T; `sigma_bar` > 0 a proven lower bound of sigma
@@ -58,7 +58,7 @@ class ProofChain:
         return generalised_max(self.P2, self.P1)
 
 
-def lemma_12(detectability: DetectabilityCertificate, samples: Hypotheses) -> ConstantList:
+def lemma_12(detectability: DetectabilityCertificate, samples: SamplingHypotheses) -> ConstantList:
     """|C e^{AT}|, mu_bar and k_w: what a window of samples says about the output at its end."""
     plant, T = detectability.plant, samples.window
     ends = float(np.linalg.norm(plant.C @ expm_batch(plant.A, T)[0], 2)) * SAFE
@@ -82,7 +82,7 @@ def lemma_12(detectability: DetectabilityCertificate, samples: Hypotheses) -> Co
     )
 
 
-def paper_chain(detectability: DetectabilityCertificate, samples: Hypotheses) -> ProofChain:
+def paper_chain(detectability: DetectabilityCertificate, samples: SamplingHypotheses) -> ProofChain:
     """The paper's own constants, its misprints corrected (theory 3.1).
 
         P1 = P/2,  P2 = 4 lambda_max(P) e^{(2 Lf + eta) t*} I,
@@ -133,7 +133,7 @@ def paper_chain(detectability: DetectabilityCertificate, samples: Hypotheses) ->
     return ProofChain(detectability.P / 2, P2 * np.eye(n), Qw * eye_w, R0, eta, constants)
 
 
-def tightened_chain(detectability: DetectabilityCertificate, samples: Hypotheses) -> ProofChain:
+def tightened_chain(detectability: DetectabilityCertificate, samples: SamplingHypotheses) -> ProofChain:
     """The same proof without its avoidable losses (theory 3.2): Fubini for the overlap, |H| as a whole, P-norms.
 
         P1 = P,  P2 = beta P,  beta = 2 max_{s<=t*} e^{eta s} lambda_max(e^{A's} P e^{As}, P),  f = (e^{eta T}-1)/eta,

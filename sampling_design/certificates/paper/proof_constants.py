@@ -8,9 +8,6 @@ from typing import TypedDict, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._door import door
-from sampling_design._record import Plain, Record, short
 from sampling_design.certificates.detectability.best_rate import detectability_from_proof
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
 from sampling_design.certificates.exact.certificate import Certificate
@@ -18,18 +15,21 @@ from sampling_design.certificates.form.constants import Constant, ConstantList
 from sampling_design.certificates.paper.composition import RATE_SHARE, compose, residual_alone, residual_decay
 from sampling_design.certificates.paper.gain_sweep import best_gain
 from sampling_design.certificates.paper.observable_case import (
-    Hypotheses,
     ProofChain,
+    SamplingHypotheses,
     paper_chain,
     tightened_chain,
     within_range,
 )
 from sampling_design.certificates.paper.sampling_hypotheses import measure_hypotheses
 from sampling_design.errors import ArgumentError, UndecidedError
-from sampling_design.evidence import Claim, SolverRecord
-from sampling_design.observability.meeting import meet
+from sampling_design.observability.alignment import meet
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant, first_difference
+from sampling_design.records import checks
+from sampling_design.records.evidence import Claim, SolverRecord
+from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
@@ -132,7 +132,7 @@ class ProofConstants(Record):
         )
 
 
-@door
+@checked
 def constants_from_proof(
     plant: Plant,
     schedule: Schedule | PeriodicSchedule,
@@ -199,7 +199,7 @@ def constants_from_proof(
     >>> round(proof.horizon, 1)
     44.3
     """
-    _checks.word("variant", variant, _CHAINS)
+    checks.word("variant", variant, _CHAINS)
     if not plant.n_states:
         raise ArgumentError("`plant` must have at least one state: of none the paper's proof says nothing.")
     schedule = meet(plant, schedule)
@@ -218,7 +218,7 @@ def constants_from_proof(
     return _record(plant, schedule, variant, split, chain, found)
 
 
-class Choices(TypedDict, total=False):
+class ProofChoices(TypedDict, total=False):
     """What may be chosen in the proof, as for `constants_from_proof`."""
 
     gain: npt.ArrayLike | None
@@ -231,13 +231,13 @@ class Choices(TypedDict, total=False):
 _CHAINS = {"paper": paper_chain, "tightened": tightened_chain}
 
 
-@door
+@checked
 def certify_from_proof(
     plant: Plant,
     schedule: Schedule | PeriodicSchedule,
     window: float | None = None,
     variant: str = "paper",
-    **choices: Unpack[Choices],
+    **choices: Unpack[ProofChoices],
 ) -> Certificate:
     """Return the certificate with the constants of the paper's proof.
 
@@ -293,7 +293,7 @@ def certify_from_proof(
 def _detectability(
     retained: Plant,
     variant: str,
-    samples: Hypotheses,
+    samples: SamplingHypotheses,
     cap: float,
     gain: npt.ArrayLike | None,
     Q: npt.ArrayLike | None,
@@ -324,8 +324,8 @@ def _record(
     found: DetectabilityCertificate | None,
 ) -> ProofConstants:
     """Add measurement noise and the horizon, and freeze everything."""
-    R = _checks.freeze(2 * chain.R0 * np.eye(plant.n_outputs))
-    frozen = {key: _checks.freeze(getattr(chain, key)) for key in ("P1", "P2", "Qw")}
+    R = checks.freeze(2 * chain.R0 * np.eye(plant.n_outputs))
+    frozen = {key: checks.freeze(getattr(chain, key)) for key in ("P1", "P2", "Qw")}
     return ProofConstants(
         plant=plant,
         schedule=schedule,

@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._door import door
 from sampling_design.errors import ArgumentError, CertificateError
-from sampling_design.observability.meeting import meet
+from sampling_design.observability.alignment import meet
 from sampling_design.observability.windows.sampled import observability_matrix
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
 
 
-@door
+@checked
 def restart_times(schedule: Schedule | PeriodicSchedule, t: float, t_star: float) -> Array:
     """Return k_1 = t* < k_2 < ... < t, the partition of [t*, t] in the repaired proof of Theorem 5.
 
@@ -58,7 +58,7 @@ def restart_times(schedule: Schedule | PeriodicSchedule, t: float, t_star: float
     >>> restart_times(PeriodicSchedule([1.0]), t=9.25, t_star=2.0)
     array([2.  , 4.  , 6.  , 9.25])
     """
-    t, t_star = _checks.positive("t", t), _checks.positive("t_star", t_star)
+    t, t_star = checks.positive("t", t), checks.positive("t_star", t_star)
     if t <= t_star:
         raise ArgumentError(f"`t` must be later than `t_star`, got t = {t!r} and t_star = {t_star!r}.")
     times = schedule.between(0.0, t).times
@@ -75,7 +75,7 @@ def restart_times(schedule: Schedule | PeriodicSchedule, t: float, t_star: float
     return np.array([*points, t])
 
 
-@door
+@checked
 def output_predictor(plant: Plant, schedule: Schedule | PeriodicSchedule, t: float, window: float) -> Array:
     """Return Lemma 12's H: the output at the window's end from the samples inside, without disturbance.
 
@@ -108,8 +108,8 @@ def output_predictor(plant: Plant, schedule: Schedule | PeriodicSchedule, t: flo
     >>> output_predictor(plant, PeriodicSchedule([1.0]), t=2.5, window=2.0).round(9)
     array([[-0.5,  1.5]])
     """
-    window = _checks.positive("window", window)
-    inside = meet(plant, schedule).window(_checks.number("t", t), window)
+    window = checks.positive("window", window)
+    inside = meet(plant, schedule).window(checks.number("t", t), window)
     O = observability_matrix(plant, inside.times - (t - window), inside.outputs)
     left, sizes, right = np.linalg.svd(O, full_matrices=False)
     n = plant.n_states

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from sampling_design import _checks
-from sampling_design._record import short
-from sampling_design.certificates.paper.observable_case import Hypotheses
+from sampling_design.certificates.paper.observable_case import SamplingHypotheses
 from sampling_design.errors import ArgumentError, CertificateError
 from sampling_design.observability.windows.window_sigma import window_sigma
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.record import short
 from sampling_design.schedules.sampling_set import SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -23,7 +23,7 @@ def measure_hypotheses(
     window: float | None = None,
     sigma_bar: float | None = None,
     kappa: int | None = None,
-) -> Hypotheses:
+) -> SamplingHypotheses:
     """Return T, kappa(T), sigma_bar and d_max of a schedule for an observable plant.
 
     Without `window`: the shortest sum of consecutive gaps (the largest over their position) with sigma_bar > 0.
@@ -38,12 +38,12 @@ def measure_hypotheses(
     if not len(schedule):
         raise ArgumentError("`schedule` must have at least one sample.")
     sampling, plant = SamplingSet(schedule), plant.unscaled()  # weights and constants of a proof are physical
-    tried = _windows(schedule, plant.n_states) if window is None else [_checks.positive("window", window)]
+    tried = _windows(schedule, plant.n_states) if window is None else [checks.positive("window", window)]
     for T in tried:
-        sigma = _sigma(plant, schedule, T) if sigma_bar is None else _checks.positive("sigma_bar", sigma_bar)
+        sigma = _sigma(plant, schedule, T) if sigma_bar is None else checks.positive("sigma_bar", sigma_bar)
         if sigma > 0:
-            count = sampling.kappa(T) if kappa is None else _checks.whole("kappa", kappa, 1)
-            return Hypotheses(float(T), count, sigma, float(sampling.d_max))
+            count = sampling.kappa(T) if kappa is None else checks.whole("kappa", kappa, 1)
+            return SamplingHypotheses(float(T), count, sigma, float(sampling.d_max))
     length = f"windows of {short(tried[0])}" if len(tried) == 1 else f"windows up to {short(tried[-1])}"
     raise CertificateError(
         f"Theorem 14 does not apply: {length} {plant.time_unit} do not all see every retained state (sigma_bar = 0). "

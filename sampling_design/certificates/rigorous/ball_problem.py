@@ -11,16 +11,16 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._ball_flow import BallFlow
-from sampling_design._balls import Matrix, ball, cholesky, definite, flint, floats, identity, matrix, symmetric
 from sampling_design.checkers.outcome import REFUTED, UNDECIDED
 from sampling_design.checkers.parts import Plant, Weights
 from sampling_design.checkers.schedule_file import Times
+from sampling_design.numerics.ball_flow import BallFlow
+from sampling_design.numerics.balls import Matrix, ball, cholesky, definite, flint, floats, identity, matrix, symmetric
 
 Array = npt.NDArray[np.float64]
 
 
-class Stated(NamedTuple):
+class StatedInequality(NamedTuple):
     """What a file states: target <= Pi(t), its name, and whether for sample starts only."""
 
     target: Matrix
@@ -28,7 +28,7 @@ class Stated(NamedTuple):
     samples_only: bool
 
 
-class Decision(NamedTuple):
+class BallDecision(NamedTuple):
     """What was proven: the inequalities, for what, and the slack."""
 
     inequality: str
@@ -36,7 +36,7 @@ class Decision(NamedTuple):
     slack: float
 
 
-class Unproven(Exception):
+class BallFailure(Exception):
     """What stops a proof: verdict, inequality, reason; what is known of where and how much."""
 
     def __init__(self, verdict: str, inequality: str, reason: str, **where: object) -> None:
@@ -49,7 +49,7 @@ def positive_definite(name: str, M: Matrix) -> None:
     found = definite(M)
     if not found:
         verdict, word = (REFUTED, "is not") if found is False else (UNDECIDED, "is not certainly")
-        raise Unproven(verdict, f"{name} > 0", f"{name} {word} positive definite")
+        raise BallFailure(verdict, f"{name} > 0", f"{name} {word} positive definite")
 
 
 class BallWeights:
@@ -86,10 +86,10 @@ def noise(G: Array, Qw: Array) -> Matrix:
     for k in range(q):
         pivot = form[k][k]
         if pivot < 0 or (pivot == 0 and any(form[k][k + 1 :])):
-            raise Unproven(REFUTED, "Qw > 0", "Qw is not positive definite, not even semidefinite")
+            raise BallFailure(REFUTED, "Qw > 0", "Qw is not positive definite, not even semidefinite")
         if pivot == 0:
             if any(drive[k]):
-                raise Unproven(REFUTED, "Qw > 0", "Qw is singular in a direction that drives the plant")
+                raise BallFailure(REFUTED, "Qw > 0", "Qw is singular in a direction that drives the plant")
             continue
         for a in range(n):
             for b in range(n):
@@ -138,7 +138,7 @@ class BallFrame:
     ) -> None:
         L = cholesky(target)
         if L is None:
-            raise Unproven(UNDECIDED, inequality, f"{inequality}: the left side is not certainly positive definite")
+            raise BallFailure(UNDECIDED, inequality, f"{inequality}: the left side is not certainly positive definite")
         self.weights, self.n, self.inequality = weights, weights.n, inequality
         self.L, Lt = L, L.transpose()
         A = Lt * L.solve(weights.A.transpose()).transpose() + ball(weights.eta) * identity(self.n) / 2

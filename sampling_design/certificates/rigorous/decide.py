@@ -9,18 +9,15 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from sampling_design._ball_flow import Clock, OutOfTime
-from sampling_design._balls import BITS, Matrix, ball, definite, flint, lowered, matrix, precision, symmetric
-from sampling_design._verbs import offered
-from sampling_design.certificates.form.seal import CLAIM, DETECTABILITY_CLAIM, FAMILY_CLAIM, RESOLUTION
+from sampling_design.certificates.form.digest import CLAIM, DETECTABILITY_CLAIM, FAMILY_CLAIM, RESOLUTION
 from sampling_design.certificates.form.verdict import Verification, verdict_of
 from sampling_design.certificates.rigorous.ball_problem import (
+    BallDecision,
+    BallFailure,
     BallTimes,
     BallWeights,
-    Decision,
     ScheduleFrame,
-    Stated,
-    Unproven,
+    StatedInequality,
     positive_definite,
 )
 from sampling_design.certificates.rigorous.ball_proof import PROPOSALS, BallWindows
@@ -34,6 +31,9 @@ from sampling_design.checkers.parts import Weights
 from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.checkers.strict import Altered, BadFile, Tree
 from sampling_design.checkers.work import Work
+from sampling_design.numerics.ball_flow import OutOfTime, TimeBudget
+from sampling_design.numerics.balls import BITS, Matrix, ball, definite, flint, lowered, matrix, precision, symmetric
+from sampling_design.records.dispatch import offered
 
 REPLAY = 1e-6
 """What a witness may miss of its stated ratio, relative."""
@@ -46,7 +46,7 @@ PATIENCE = 6
 """Halvings of a cell of window starts after which a counterexample is looked for."""
 
 
-class CountedClock(Clock):
+class CountedClock(TimeBudget):
     """A budget in counted work beside that in seconds: it ends at the same place on every machine."""
 
     def __init__(self, seconds: float, work: Work) -> None:
@@ -135,12 +135,12 @@ def verify_rigorously(
     """
     flint()
     began = time.perf_counter()
-    clock = Clock(budget) if work is None else CountedClock(budget, work)
+    clock = TimeBudget(budget) if work is None else CountedClock(budget, work)
     found: Tree = {"passed": False, "inequality": "form", "time": None, "start": None, "amount": 0.0}
     try:
         with precision(), np.errstate(all="ignore"):  # floats only guess: what is not finite proves nothing
             found |= _decided(dict(data), clock)
-    except Unproven as stop:
+    except BallFailure as stop:
         found |= {"verdict": stop.verdict, "inequality": stop.inequality, "reason": stop.reason, **stop.where}
     except OutOfTime:
         reason = "it takes more work than was handed over" if work and work.over else f"{budget:g} s were not enough"
@@ -154,28 +154,28 @@ def verify_rigorously(
     return RigorousVerification(**found, seconds=time.perf_counter() - began)
 
 
-def _decided(data: Tree, clock: Clock) -> dict[str, object]:
+def _decided(data: Tree, clock: TimeBudget) -> dict[str, object]:
     try:
         content = certificate(data)
     except BadFile as error:
         word = "digest" if isinstance(error, Altered) else "form"
-        raise Unproven(BAD_FILE, word, f"the data are no certificate: {error}") from None
-    decides = CLAIMS.get(data["claim"]) or offered("verify_rigorously", data["claim"], Decision)
+        raise BallFailure(BAD_FILE, word, f"the data are no certificate: {error}") from None
+    decides = CLAIMS.get(data["claim"]) or offered("verify_rigorously", data["claim"], BallDecision)
     assert decides is not None, "a claim that the auditor reads and nobody decides"
     inequality, subject, slack = decides(content, clock)
     reason = f"{inequality} for {subject}, slack {slack:.3g}"
     return {"verdict": PROVEN, "passed": True, "inequality": inequality, "amount": slack, "reason": reason}
 
 
-def targets(weights: Weights) -> list[Stated]:
+def targets(weights: Weights) -> list[StatedInequality]:
     """What a file states: target <= Pi(t), its name, and whether for sample starts only; implied ones left out."""
     P1, P2 = symmetric(weights.P1), symmetric(weights.P2)
     lam, lam_samples, margin = weights.lam, weights.lam_samples, weights.margin
     positive_definite("P1", P1)
     share = P2 * (ball(1.0) - ball(RESOLUTION))
-    first = Stated(P1 * (ball(1.0) + ball(margin)), "(1 + margin) P1 <= Pi(t)", False)
-    second = Stated(share / ball(lam), "(1 - 1e-3) P2 <= lam Pi(t)", False)
-    third = Stated(share / ball(lam_samples), "(1 - 1e-3) P2 <= lam_samples Pi(t), sample starts", True)
+    first = StatedInequality(P1 * (ball(1.0) + ball(margin)), "(1 + margin) P1 <= Pi(t)", False)
+    second = StatedInequality(share / ball(lam), "(1 - 1e-3) P2 <= lam Pi(t)", False)
+    third = StatedInequality(share / ball(lam_samples), "(1 - 1e-3) P2 <= lam_samples Pi(t), sample starts", True)
     if not len(weights.P1):
         return []
     kept = [first, second]
@@ -187,7 +187,7 @@ def targets(weights: Weights) -> list[Stated]:
     return kept if implied else [*kept, third]
 
 
-def assumption_7(c: Sampled, clock: Clock) -> Decision:
+def assumption_7(c: Sampled, clock: TimeBudget) -> BallDecision:
     """Prove P1 and lam over all real starts, lam_samples over sample starts; the inequalities, for what, the slack."""
     stated, slack = targets(c.weights), 1.0
     for k, (_, inequality, samples_only) in enumerate(stated):
@@ -200,7 +200,7 @@ def assumption_7(c: Sampled, clock: Clock) -> Decision:
     if stated:
         attained(c, clock)
     names = " and ".join(name for _, name, _ in stated) or "(1 + margin) P1 <= Pi(t)"
-    return Decision(names, "every real window start and every later t", slack)
+    return BallDecision(names, "every real window start and every later t", slack)
 
 
 def replays_in_balls(data: Mapping[str, object]) -> bool:
@@ -209,13 +209,13 @@ def replays_in_balls(data: Mapping[str, object]) -> bool:
     assert isinstance(content, Sampled)
     try:
         with precision(), np.errstate(all="ignore"):
-            attained(content, Clock(np.inf))
-    except (Unproven, np.linalg.LinAlgError):
+            attained(content, TimeBudget(np.inf))
+    except (BallFailure, np.linalg.LinAlgError):
         return False
     return True
 
 
-def attained(c: Sampled, clock: Clock) -> None:
+def attained(c: Sampled, clock: TimeBudget) -> None:
     """Raise Unproven unless the witness, if there is one, reaches its ratio x'P2x / x'Pi(t)x, to `REPLAY` of it."""
     if c.witness is None:
         return
@@ -228,10 +228,10 @@ def attained(c: Sampled, clock: Clock) -> None:
     if not ratio >= ball(stated) * (1 - ball(REPLAY)):
         verdict = REFUTED if ratio < ball(stated) * (1 - ball(REPLAY)) else UNDECIDED
         reason = f"the witness reaches {float(ratio):.6g}, not {stated:.6g}"
-        raise Unproven(verdict, frame.inequality, reason, amount=float(ratio) / stated - 1, time=t, start=start)
+        raise BallFailure(verdict, frame.inequality, reason, amount=float(ratio) / stated - 1, time=t, start=start)
 
 
-def flown(frame: ScheduleFrame, start: float, t: float, clock: Clock) -> Matrix:
+def flown(frame: ScheduleFrame, start: float, t: float, clock: TimeBudget) -> Matrix:
     """A lower bound of Y at t in the window from `start`; samples within `NEAR` of either end are not counted."""
     schedule, Y, now = frame.schedule, frame.start, ball(start)
     near, turn = NEAR * max(t, 1e-300), 0 * schedule.period
@@ -248,7 +248,7 @@ def flown(frame: ScheduleFrame, start: float, t: float, clock: Clock) -> Matrix:
     return lowered(frame.flow.step(Y, ball(t) - now))
 
 
-def prove(make: Callable[[], ScheduleFrame], samples_only: bool, clock: Clock) -> float:
+def prove(make: Callable[[], ScheduleFrame], samples_only: bool, clock: TimeBudget) -> float:
     """Prove Y <= I for one target and return the slack; Unproven if it is refuted, or cannot be decided."""
     halved: list[int] = []
 
@@ -271,15 +271,15 @@ def prove(make: Callable[[], ScheduleFrame], samples_only: bool, clock: Clock) -
         refute(make, clock, samples_only)
     name, why = windows.frame.inequality, "it is tight or nearly so"
     why = why if catches else "no bound that holds over all periods was found"
-    raise Unproven(UNDECIDED, name, f"{name} could not be decided: {why}")
+    raise BallFailure(UNDECIDED, name, f"{name} could not be decided: {why}")
 
 
-def of_family(c: OfFamily, clock: Clock) -> Decision:
+def of_family(c: OfFamily, clock: TimeBudget) -> BallDecision:
     """Prove a family certificate; the inequalities, for what, and the slack."""
     return family(c, targets(c.weights), clock)
 
 
-CLAIMS: dict[str, Callable[..., Decision]] = {
+CLAIMS: dict[str, Callable[..., BallDecision]] = {
     CLAIM: assumption_7,
     FAMILY_CLAIM: of_family,
     DETECTABILITY_CLAIM: detectability,

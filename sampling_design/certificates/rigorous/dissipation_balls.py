@@ -11,12 +11,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._ball_flow import Clock
-from sampling_design._balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, symmetric
-from sampling_design._record import short
-from sampling_design.certificates.rigorous.ball_problem import Decision, Unproven
+from sampling_design.certificates.rigorous.ball_problem import BallDecision, BallFailure
 from sampling_design.checkers.detectability import INEQUALITY, Detectability
 from sampling_design.checkers.outcome import REFUTED, UNDECIDED
+from sampling_design.numerics.ball_flow import TimeBudget
+from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, symmetric
+from sampling_design.records.record import short
 
 Array = npt.NDArray[np.float64]
 
@@ -24,21 +24,21 @@ SHARES = (0.999, 0.5, 1e-3)
 """Parts of the guessed least eigenvalue that are tried as a proven slack, the largest first."""
 
 
-def detectability(c: Detectability, clock: Clock) -> Decision:
+def detectability(c: Detectability, clock: TimeBudget) -> BallDecision:
     """Prove P > 0 and the dissipation inequality; return the inequality, for what, and its slack relative to its terms.
 
     Raises
     ------
-    Unproven
+    BallFailure
         If one of them certainly fails (with amount and direction), or nothing is certain at this precision.
     """
     clock.check()
     if not c.plant.n:
-        return Decision(INEQUALITY, "a plant without states", 1.0)
+        return BallDecision(INEQUALITY, "a plant without states", 1.0)
     P = symmetric(c.P)
     form, sizes = negative(c, P)
     decided("P > 0", P, [abs(P[i, i]) for i in range(c.plant.n)])
-    return Decision(INEQUALITY, "every state and disturbance", decided(INEQUALITY, form, sizes))
+    return BallDecision(INEQUALITY, "every state and disturbance", decided(INEQUALITY, form, sizes))
 
 
 def negative(c: Detectability, P: Matrix) -> tuple[Matrix, list[Ball]]:
@@ -66,7 +66,7 @@ def decided(name: str, form: Matrix, sizes: list[Ball]) -> float:
             return slack
     found = downhill(M)
     if found is None:
-        raise Unproven(UNDECIDED, name, f"{name} could not be decided: it is tight or nearly so")
+        raise BallFailure(UNDECIDED, name, f"{name} could not be decided: it is tight or nearly so")
     value, z = found
     guess = matrix(vectors[:, :1])
     quotient = (guess.transpose() * M * guess)[0, 0] / (guess.transpose() * guess)[0, 0]
@@ -75,7 +75,7 @@ def decided(name: str, form: Matrix, sizes: list[Ball]) -> float:
     along = z / np.array([float(root) for root in roots])
     amount, along = float(value.upper()), (along / np.linalg.norm(along)).tolist()
     reason = f"{name} fails by {-amount:.3g}, an eigenvalue relative to the size of its terms, along {short(along, 3)}"
-    raise Unproven(REFUTED, name, reason, amount=amount, direction=along)
+    raise BallFailure(REFUTED, name, reason, amount=amount, direction=along)
 
 
 def downhill(M: Matrix) -> tuple[Ball, Array] | None:

@@ -10,8 +10,19 @@ from fractions import Fraction
 
 import numpy as np
 
-from sampling_design._ball_flow import HALVINGS, Clock
-from sampling_design._balls import (
+from sampling_design.certificates.rigorous.ball_problem import (
+    BallDecision,
+    BallFailure,
+    BallFrame,
+    BallWeights,
+    StatedInequality,
+    positive_definite,
+)
+from sampling_design.checkers.cover import judge
+from sampling_design.checkers.family_file import OfFamily
+from sampling_design.checkers.outcome import REFUTED, UNDECIDED, Refused
+from sampling_design.numerics.ball_flow import HALVINGS, TimeBudget
+from sampling_design.numerics.balls import (
     Ball,
     Matrix,
     ball,
@@ -23,17 +34,6 @@ from sampling_design._balls import (
     spectral,
     symmetric,
 )
-from sampling_design.certificates.rigorous.ball_problem import (
-    BallFrame,
-    BallWeights,
-    Decision,
-    Stated,
-    Unproven,
-    positive_definite,
-)
-from sampling_design.checkers.cover import judge
-from sampling_design.checkers.family_file import OfFamily
-from sampling_design.checkers.outcome import REFUTED, UNDECIDED, Refused
 
 Pattern = tuple[bool, ...]
 
@@ -44,7 +44,7 @@ class BallIntervals:
     """Proofs of Y <= I after a sample of some outputs, or without one, for all times of an interval."""
 
     def __init__(
-        self, weights: BallWeights, target: Matrix, patterns: list[tuple[bool, ...]], name: str, clock: Clock
+        self, weights: BallWeights, target: Matrix, patterns: list[tuple[bool, ...]], name: str, clock: TimeBudget
     ) -> None:
         seen = [np.array(pattern, dtype=bool) for pattern in patterns]
         self.frame = BallFrame(weights, seen, target, name)
@@ -68,7 +68,7 @@ class BallIntervals:
             self._refute(Y, at, which)
             self._refute(middle, at + length / 2, which)
             if depth >= HALVINGS or not length > 0:
-                raise Unproven(UNDECIDED, self.name, f"{self.name} could not be decided: it is tight or nearly so")
+                raise BallFailure(UNDECIDED, self.name, f"{self.name} could not be decided: it is tight or nearly so")
             pending += [(middle, at + length / 2, length / 2, depth + 1), (Y, at, length / 2, depth + 1)]
 
     def _bound(self, Y: Matrix, length: Ball, which: int | None) -> Ball:
@@ -89,7 +89,7 @@ class BallIntervals:
         if definite(self.frame.identity - left) is False:
             amount = 1 / float(np.linalg.eigvalsh(floats(left))[-1]) - 1
             reason = f"{self.name} fails by {-amount:.3g} at gap {float(at):.6g}"
-            raise Unproven(REFUTED, self.name, reason, amount=amount, time=float(at))
+            raise BallFailure(REFUTED, self.name, reason, amount=amount, time=float(at))
 
 
 def _ball(time: Fraction) -> Ball:
@@ -97,13 +97,13 @@ def _ball(time: Fraction) -> Ball:
     return made
 
 
-def family(c: OfFamily, stated: list[Stated], clock: Clock) -> Decision:
+def family(c: OfFamily, stated: list[StatedInequality], clock: TimeBudget) -> BallDecision:
     """Prove that the graph holds the family, and every edge and node; the inequalities, for what, and the slack."""
     graph = c.graph
     try:
         judge(c.family, graph)
     except Refused as error:
-        raise Unproven(REFUTED, error.inequality, error.reason) from None
+        raise BallFailure(REFUTED, error.inequality, error.reason) from None
     weights = BallWeights(c.plant, c.weights)
     P = [weights.P2, *(symmetric(node) for node in graph.P[1:])]
     for u, node in enumerate(P):
@@ -122,4 +122,4 @@ def family(c: OfFamily, stated: list[Stated], clock: Clock) -> Decision:
             along.prove(node, None, Fraction(0), Fraction(graph.top(u)))
         slack = min(slack, 1.0 - along.reached)
     names = " and ".join(each.name for each in stated) or "(1 + margin) P1 <= Pi(t)"
-    return Decision(names, SUBJECT, slack)
+    return BallDecision(names, SUBJECT, slack)

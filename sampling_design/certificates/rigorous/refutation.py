@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._ball_flow import Clock
-from sampling_design._balls import ball, definite, floats, lowered, precision
-from sampling_design._linalg import discounted_flow
-from sampling_design.certificates.rigorous.ball_problem import ScheduleFrame, Unproven
+from sampling_design.certificates.rigorous.ball_problem import BallFailure, ScheduleFrame
 from sampling_design.checkers.outcome import REFUTED
+from sampling_design.numerics.ball_flow import TimeBudget
+from sampling_design.numerics.balls import ball, definite, floats, lowered, precision
+from sampling_design.numerics.linalg import discounted_flow
 
 Array = npt.NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class WindowPoint:
 class RefutationSearch:
     """Float search for the largest eigenvalue of Y over starts and times."""
 
-    def __init__(self, frame: ScheduleFrame, samples_only: bool, clock: Clock) -> None:
+    def __init__(self, frame: ScheduleFrame, samples_only: bool, clock: TimeBudget) -> None:
         self.frame, self.schedule, self.samples_only, self.clock = frame, frame.schedule, samples_only, clock
         self.gaps = [float(gap) for gap in self.schedule.gaps]
         self.reach = [float(gap) for gap in self.schedule.reach]
@@ -170,7 +170,7 @@ def fails_at(frame: ScheduleFrame, point: WindowPoint) -> bool:
     return definite(frame.identity - Y) is False
 
 
-def refute(make: Callable[[], ScheduleFrame], clock: Clock, samples_only: bool = False) -> None:
+def refute(make: Callable[[], ScheduleFrame], clock: TimeBudget, samples_only: bool = False) -> None:
     """Raise Unproven(REFUTED) if some window is found in which Y <= I certainly fails; `make()` makes the frame."""
     frame = make()
     search = RefutationSearch(frame, samples_only, clock)
@@ -183,7 +183,7 @@ def refute(make: Callable[[], ScheduleFrame], clock: Clock, samples_only: bool =
                 raise _refutation(frame, point)
 
 
-def _refutation(frame: ScheduleFrame, point: WindowPoint) -> Unproven:
+def _refutation(frame: ScheduleFrame, point: WindowPoint) -> BallFailure:
     """The exception that names the window, the time and by how much."""
     schedule = frame.schedule
     times, gaps = [float(t) for t in schedule.times], [float(gap) for gap in schedule.gaps]
@@ -192,4 +192,4 @@ def _refutation(frame: ScheduleFrame, point: WindowPoint) -> Unproven:
     late = point.r + point.s + sum(gaps[(point.i + j) % schedule.N] for j in range(1, point.k))
     amount = 1 / point.value - 1
     reason = f"{frame.inequality} fails by {-amount:.3g} at time {start + late:.6g} in the window from {start:.6g}"
-    return Unproven(REFUTED, frame.inequality, reason, amount=amount, time=start + late, start=start)
+    return BallFailure(REFUTED, frame.inequality, reason, amount=amount, time=start + late, start=start)

@@ -12,7 +12,6 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _conic
 from sampling_design.design.bounds.relaxation import TOLERANCE, Relaxation, feasible_multipliers, grams_at
 from sampling_design.design.bounds.weak_duality import (
     TimeCells,
@@ -28,6 +27,7 @@ from sampling_design.design.bounds.weak_duality import (
 )
 from sampling_design.design.bounds.zones import follower_zones, widest_gap
 from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.numerics import conic_programs
 
 Array = npt.NDArray[np.float64]
 
@@ -59,12 +59,12 @@ def relax_averaged(problem: DesignProblem, zones: Array) -> tuple[Relaxation, Ar
         means = np.hstack([belongs * times / P, last])[:tilted]
         blocks.append(("zero", means, np.arange(1, tilted + 1) / k))
     blocks.append(("nonnegative", -np.eye(times.size, times.size + 1), np.zeros(times.size)))
-    roof = _conic.svec(rows.N)[:, None]
+    roof = conic_programs.svec(rows.N)[:, None]
     for m in range(starts.size):
-        blocks.append(("psd", np.hstack([-_conic.svec(pair[m]).T, roof]), _conic.svec(anchor[m])))
+        blocks.append(("psd", np.hstack([-conic_programs.svec(pair[m]).T, roof]), conic_programs.svec(anchor[m])))
     cost = np.zeros(times.size + 1)
     cost[-1] = -1.0
-    found = _conic.solve_cone_program(cost, blocks, tolerance=TOLERANCE)
+    found = conic_programs.solve_cone_program(cost, blocks, tolerance=TOLERANCE)
     Z, mass = feasible_multipliers(problem, found.z[len(blocks) - starts.size :])
     tilt = np.zeros(k - 1)
     if tilted:  # the multiplier of a mean serves follower i and, mirrored, follower k - i

@@ -10,10 +10,6 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._door import doors
-from sampling_design._linalg import expm_batch, psd_root
-from sampling_design._record import Plain
 from sampling_design.design.bounds.averaged import averaged_bound, relax_averaged
 from sampling_design.design.bounds.local_bound import LocalRelaxation, local_bound, relax_local
 from sampling_design.design.bounds.relaxation import Relaxation, grams_at, relax_placed
@@ -38,7 +34,11 @@ from sampling_design.design.problem.feasible import changed
 from sampling_design.design.problem.gram import MANY_STATES
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.errors import ArgumentError
+from sampling_design.numerics.linalg import expm_batch, psd_root
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.record import Plain
+from sampling_design.records.signatures import checked_methods
 
 Array = npt.NDArray[np.float64]
 Method = Literal["placed", "alone", "averaged", "zones", "local"]
@@ -133,7 +133,7 @@ class BoundPart:
         return {"method": self.method, "side": self.side, "value": self.value, "price": self.price, **plain}
 
 
-@doors
+@checked_methods
 @dataclass(frozen=True, eq=False)
 class UpperBound:
     """The sigma that no admissible schedule over all real times can beat, with the multipliers that prove it.
@@ -236,7 +236,7 @@ class UpperBound:
         parts = []
         found = _table("a bound", data, ("value", "parts"))["parts"]
         if not isinstance(found, list):
-            raise ArgumentError(f"a bound's `parts` must be a list, got {_checks.described(found)}.")
+            raise ArgumentError(f"a bound's `parts` must be a list, got {checks.described(found)}.")
         for entry in found:
             entry = {"chosen": [], **entry} if isinstance(entry, dict) else entry  # older files know no choices
             _table("a part of a bound", entry, tuple(BoundPart.__dataclass_fields__))
@@ -244,10 +244,10 @@ class UpperBound:
                 raise ArgumentError(f"a bound's `side` must be one of {', '.join(SIDES)}, got {entry['side']!r}.")
             if entry["method"] not in METHODS:
                 raise ArgumentError(f"a bound's `method` must be one of {', '.join(METHODS)}, got {entry['method']!r}.")
-            arrays = {key: _checks.real_array(key, entry[key], ndim) for key, ndim in _DIMENSIONS.items()}
-            zones = _none() if entry["zones"] == [] else _checks.matrix("zones", entry["zones"], columns=2)
+            arrays = {key: checks.real_array(key, entry[key], ndim) for key, ndim in _DIMENSIONS.items()}
+            zones = _none() if entry["zones"] == [] else checks.matrix("zones", entry["zones"], columns=2)
             numbers = {key: _number(key, entry[key]) for key in ("value", "price")}
-            tied = _untied() if entry["tied"] == [] else _checks.matrix("tied", entry["tied"], columns=4)
+            tied = _untied() if entry["tied"] == [] else checks.matrix("tied", entry["tied"], columns=4)
             if np.any(tied != np.rint(tied)) or np.any(np.abs(tied) > _MOST_TIED):
                 raise ArgumentError(
                     "a bound's `tied` must hold whole numbers: sample, end, side and anchor of windows."
@@ -273,15 +273,15 @@ def _chosen(value: object) -> npt.NDArray[np.bool_]:
 def _number(key: str, value: object) -> float:
     """A number; a bound that says nothing is infinite."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ArgumentError(f"a bound's `{key}` must be a number, got {_checks.described(value)}.")
+        raise ArgumentError(f"a bound's `{key}` must be a number, got {checks.described(value)}.")
     return float(value)
 
 
 def _table(where: str, data: object, keys: tuple[str, ...]) -> dict[str, object]:
     """The data, if they are a table with exactly these keys."""
     if not isinstance(data, dict):
-        raise ArgumentError(f"{where} must be a table of names and values, got {_checks.described(data)}.")
-    _checks.known_keys(where, data, keys)
+        raise ArgumentError(f"{where} must be a table of names and values, got {checks.described(data)}.")
+    checks.known_keys(where, data, keys)
     for key in keys:
         if key not in data:
             raise ArgumentError(f"{where} must hold `{key}`; it holds {', '.join(data) or 'nothing'}.")

@@ -20,12 +20,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _conic
-from sampling_design._linalg import expm_batch
 from sampling_design.design.bounds.derivatives import largest_derivatives
 from sampling_design.design.bounds.weak_duality import rooted
 from sampling_design.design.problem.gram import EPS, ROUNDING_MARGIN
 from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.numerics import conic_programs
+from sampling_design.numerics.linalg import expm_batch
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -185,9 +185,15 @@ def relax_local(
     limits = np.concatenate([np.ones(2 * moved.size), np.maximum(room, 0.0)])
     blocks: list[tuple[str, Array, Array]] = [("nonnegative", np.hstack([rows, np.zeros((len(rows), 1))]), limits)]
     for m in range(posed.size):
-        blocks.append(("psd", np.hstack([-_conic.svec(D[m]).T, _conic.svec(K[m])[:, None]]), _conic.svec(W[m])))
+        blocks.append(
+            (
+                "psd",
+                np.hstack([-conic_programs.svec(D[m]).T, conic_programs.svec(K[m])[:, None]]),
+                conic_programs.svec(W[m]),
+            )
+        )
     cost = np.append(np.zeros(moved.size), -1.0)
-    found = _conic.solve_cone_program(cost, blocks, tolerance=_TOLERANCE, iterations=60, budget=seconds)
+    found = conic_programs.solve_cone_program(cost, blocks, tolerance=_TOLERANCE, iterations=60, budget=seconds)
     values, vectors = np.linalg.eigh(np.nan_to_num(np.array(found.z[1:])))
     roots = T @ (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
     push = np.maximum(np.nan_to_num(found.z[0][2 * moved.size :]), 0.0)

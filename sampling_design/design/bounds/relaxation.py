@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _conic
 from sampling_design.design.bounds.zones import turn
 from sampling_design.design.problem.gram import lags
 from sampling_design.design.problem.numbers import DesignProblem
-from sampling_design.evidence import SolverRecord
+from sampling_design.numerics import conic_programs
+from sampling_design.records.evidence import SolverRecord
 
 Array = npt.NDArray[np.float64]
 
@@ -208,10 +208,10 @@ def solve_relaxation(
         ("zero", total, np.array([count])),
         ("nonnegative", bounded, np.concatenate([linear[1], np.zeros(N)])),
     ]
-    roof = _conic.svec(rows.N)[:, None]
+    roof = conic_programs.svec(rows.N)[:, None]
     for m in range(starts.size):
-        blocks.append(("psd", np.hstack([-_conic.svec(grams[m]).T, roof]), _conic.svec(constant[m])))
-    found = _conic.solve_cone_program(cost, blocks, tolerance=tolerance, budget=seconds, refined=False)
+        blocks.append(("psd", np.hstack([-conic_programs.svec(grams[m]).T, roof]), conic_programs.svec(constant[m])))
+    found = conic_programs.solve_cone_program(cost, blocks, tolerance=tolerance, budget=seconds, refined=False)
     Z, _ = feasible_multipliers(problem, found.z[2:])
     weights = np.clip(np.nan_to_num(found.x[:N]), 0.0, None)
     return Relaxation(times, weights, starts, Z, found.x[-1] / rows.unit, found.record)

@@ -14,9 +14,9 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._linalg import expm_batch, rows_ahead
 from sampling_design.design.bounds.derivatives import change_of_bend, remainder_of_bend
 from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.numerics.linalg import expm_batch, rows_ahead
 
 Array = npt.NDArray[np.float64]
 

@@ -21,7 +21,7 @@ Change = dict[str, Any]
 """Arguments of a problem and what they become: each has a type of its own."""
 
 
-class Obstacle(NamedTuple):
+class InfeasibleConstraint(NamedTuple):
     """Which constraint is in the way, in words, and single changes of the problem that may get it out."""
 
     name: str
@@ -52,7 +52,7 @@ def changed(problem: DesignProblem, change: Change) -> DesignProblem:
     return result
 
 
-def obstacle(problem: DesignProblem) -> Obstacle | None:
+def obstacle(problem: DesignProblem) -> InfeasibleConstraint | None:
     """The first constraint that no schedule meets."""
     return _fixed(problem) or _room(problem) or _too_few(problem) or _too_dear(problem)
 
@@ -78,7 +78,7 @@ def _said(key: str, value: Any) -> str:
     return {"forbidden": "shorter forbidden times", "available": "outputs available for longer"}[key]
 
 
-def _fixed(problem: DesignProblem) -> Obstacle | None:
+def _fixed(problem: DesignProblem) -> InfeasibleConstraint | None:
     fixed, eps, period = problem.fixed, problem.spacing, problem.period
     if not fixed.size:
         return None
@@ -86,7 +86,7 @@ def _fixed(problem: DesignProblem) -> Obstacle | None:
     if closed.size:
         t = float(fixed[int(closed[0])])
         words = f"`fixed` time {t:g} is forbidden or no output is available then. Remove it or open that time."
-        return Obstacle("fixed", words, ({"fixed": np.delete(fixed, closed)},))
+        return InfeasibleConstraint("fixed", words, ({"fixed": np.delete(fixed, closed)},))
     gaps = np.diff(np.append(fixed, fixed[0] + period))
     if gaps.min() < eps * (1 - SLACK):
         i = int(np.argmin(gaps))
@@ -94,14 +94,14 @@ def _fixed(problem: DesignProblem) -> Obstacle | None:
             f"`fixed` times {fixed[i]:g} and {fixed[(i + 1) % fixed.size]:g} lie {gaps[i]:g} apart, closer than "
             f"`spacing` {eps:g}."
         )
-        return Obstacle("fixed", words, ({"spacing": _rounded_down(float(gaps[i]))},))
+        return InfeasibleConstraint("fixed", words, ({"spacing": _rounded_down(float(gaps[i]))},))
     if fixed.size > problem.samples:
         words = f"`fixed` names {fixed.size} times, `samples` allows {problem.samples}."
-        return Obstacle("fixed", words, ({"samples": int(fixed.size)},))
+        return InfeasibleConstraint("fixed", words, ({"samples": int(fixed.size)},))
     return None
 
 
-def _room(problem: DesignProblem) -> Obstacle | None:
+def _room(problem: DesignProblem) -> InfeasibleConstraint | None:
     k, eps, period = problem.samples, problem.spacing, problem.period
     room = problem.capacity()
     if k <= room:
@@ -109,7 +109,7 @@ def _room(problem: DesignProblem) -> Obstacle | None:
     opened = _opened(problem)
     if not problem.intervals.size:
         words = "`forbidden` and the outputs' availability leave no time to sample at all."
-        return Obstacle("forbidden", words, opened)
+        return InfeasibleConstraint("forbidden", words, opened)
     widest = _widest_spacing(problem)
     limited = int(np.floor(period / eps * (1 + SLACK))) > room
     what = "`forbidden` and `fixed` times leave" if limited else f"`spacing` {eps:g} leaves"
@@ -118,7 +118,9 @@ def _room(problem: DesignProblem) -> Obstacle | None:
         *(({"samples": room},) if room else ()),
         *(({"spacing": widest},) if widest > 0 else ()),
     )
-    return Obstacle("forbidden" if limited else "spacing", words, (*changes, *(opened if widest == 0 else ())))
+    return InfeasibleConstraint(
+        "forbidden" if limited else "spacing", words, (*changes, *(opened if widest == 0 else ()))
+    )
 
 
 def fewest_samples(problem: DesignProblem) -> int:
@@ -131,7 +133,7 @@ def _least(problem: DesignProblem) -> int:
     return int(np.ceil(problem.plant.n_states / problem.plant.n_outputs))
 
 
-def _too_few(problem: DesignProblem) -> Obstacle | None:
+def _too_few(problem: DesignProblem) -> InfeasibleConstraint | None:
     k, period, least = problem.samples, problem.period, _least(problem)
     per_window = int(np.floor(k * problem.window / period + SLACK))
     if per_window >= least:
@@ -141,10 +143,10 @@ def _too_few(problem: DesignProblem) -> Obstacle | None:
         f"`samples` {k} per period {period:g} leave some window {problem.window:g} with {per_window} samples, and "
         f"{problem.plant.n_states} states with {problem.plant.n_outputs} outputs need at least {least}."
     )
-    return Obstacle("samples", words, ({"samples": needed},))
+    return InfeasibleConstraint("samples", words, ({"samples": needed},))
 
 
-def _too_dear(problem: DesignProblem) -> Obstacle | None:
+def _too_dear(problem: DesignProblem) -> InfeasibleConstraint | None:
     if problem.costs is None:
         return None
     least = float(problem.costs.min())
@@ -154,7 +156,7 @@ def _too_dear(problem: DesignProblem) -> Obstacle | None:
     affordable = int(problem.cost_limit / least * (1 + SLACK))
     words = f"`cost_limit` {problem.cost_limit:g} is less than {problem.samples} of the cheapest measurements cost."
     fewer: tuple[Change, ...] = ({"samples": affordable},) if affordable else ()
-    return Obstacle("cost_limit", words, (*fewer, {"cost_limit": cheapest}))
+    return InfeasibleConstraint("cost_limit", words, (*fewer, {"cost_limit": cheapest}))
 
 
 def _widest_spacing(problem: DesignProblem) -> float:

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._linalg import expm_batch, product, product_quotient
+from sampling_design.numerics.linalg import expm_batch, product, product_quotient
 from sampling_design.observability.windows.sampled import observability_matrix
 from sampling_design.plants.plant import Plant
 

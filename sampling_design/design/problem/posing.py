@@ -7,9 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._door import door
-from sampling_design._units import time_factor
 from sampling_design.design.problem.feasible import check_feasible
 from sampling_design.design.problem.numbers import SLACK, DesignProblem
 from sampling_design.design.problem.requirement import Requirement
@@ -18,13 +15,16 @@ from sampling_design.observability.count.default_window import default_window
 from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.signatures import checked
+from sampling_design.records.units import time_factor
 
 Array = npt.NDArray[np.float64]
 
 MOST_DEFAULT_SAMPLES = 24
 
 
-class Resolved(NamedTuple):
+class ResolvedRequirement(NamedTuple):
     """A requirement without gaps, the defaults that were used, with reasons, and the zero count if they took it."""
 
     requirement: Requirement
@@ -32,8 +32,8 @@ class Resolved(NamedTuple):
     zero_count: ZeroCountBound | None
 
 
-@door
-def resolve(split: ModalSplit, requirement: Requirement) -> Resolved:
+@checked
+def resolve(split: ModalSplit, requirement: Requirement) -> ResolvedRequirement:
     """Fill in the defaults, in the plant's time unit; return them with what they rest on."""
     r = in_unit(requirement, split.plant.time_unit)
     used: dict[str, Any] = {}
@@ -61,7 +61,7 @@ def resolve(split: ModalSplit, requirement: Requirement) -> Resolved:
         r = r.replace(spacing=_known(r.window) / (4 * max(r.samples.values())))
         used["spacing"] = r.spacing
     r._check_within(_known(r.period))
-    return Resolved(r, used, count)
+    return ResolvedRequirement(r, used, count)
 
 
 def repeated(requirement: Requirement, periods: int) -> Requirement:
@@ -122,7 +122,7 @@ def pose(plant: Plant, requirement: Requirement, samples: int, check: bool = Tru
         If no schedule meets it; names the obstacle and the nearest requirement that works.
     """
     names = plant.outputs.names
-    _checks.known_keys("`outputs` of the requirement", requirement.outputs, names)
+    checks.known_keys("`outputs` of the requirement", requirement.outputs, names)
     access = [requirement.outputs.get(name) for name in names]
     prices = np.array([0.0 if a is None else a.cost for a in access])
     problem = DesignProblem(

@@ -21,7 +21,7 @@ _NUMBERS = 400_000  # numbers per batch: fits into a cache
 
 
 @dataclass(frozen=True, eq=False)
-class Positions:
+class WindowPositions:
     """Window starts of each schedule: `at` (B, q), as combinations of the sample times plus a constant.
 
     `first`, `second` (B, q) index the two events that a start lies between, `share` (q,) its place.
@@ -36,7 +36,7 @@ class Positions:
     closed: tuple[str, ...]
 
 
-def positions(problem: DesignProblem, times: Array, inner: int = 1) -> Positions:
+def positions(problem: DesignProblem, times: Array, inner: int = 1) -> WindowPositions:
     """Limits just after and just before every event, and `inner` places inside every gap between events."""
     period, k = problem.period, times.shape[1]
     ratio = problem.window / period
@@ -52,7 +52,7 @@ def positions(problem: DesignProblem, times: Array, inner: int = 1) -> Positions
     q = events.shape[1]
     shape = (times.shape[0], shares.size * q)
     spread = np.broadcast_to
-    return Positions(
+    return WindowPositions(
         at.reshape(shape),
         spread((order % k)[:, None, :], (times.shape[0], shares.size, q)).reshape(shape),
         spread((following % k)[:, None, :], (times.shape[0], shares.size, q)).reshape(shape),
@@ -61,7 +61,7 @@ def positions(problem: DesignProblem, times: Array, inner: int = 1) -> Positions
     )
 
 
-def window_grams(problem: DesignProblem, times: Array, where: Positions, used: Mask | None = None) -> Array:
+def window_grams(problem: DesignProblem, times: Array, where: WindowPositions, used: Mask | None = None) -> Array:
     """Scaled Gram matrices (B, q, n, n) of the schedules `times` (B, k) in their windows.
 
     `used` (B, k, p) says which outputs each sample measures; default what the problem says.

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._record import Plain, Record, short
-from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError
+from sampling_design.records import checks
+from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.units import check_time_unit
 
 Array = npt.NDArray[np.float64]
 COUNTS = ("exactly", "at_least", "at_most")
@@ -45,7 +45,7 @@ class OutputAccess(Record):
     def __post_init__(self) -> None:
         if self.available is not None:
             object.__setattr__(self, "available", _intervals("available", self.available))
-        object.__setattr__(self, "cost", _checks.nonnegative("cost", self.cost))
+        object.__setattr__(self, "cost", checks.nonnegative("cost", self.cost))
 
     def _rows(self) -> list[tuple[str, str]]:
         return [("available", _spans(self.available, "always")), ("cost", short(self.cost))]
@@ -142,13 +142,13 @@ class Requirement(Record):
         own: dict[str, object] = {}
         for key in ("window", "period", "spacing", "target_sigma", "cost_limit"):
             value = getattr(self, key)
-            own[key] = None if value is None else _checks.positive(key, value)
+            own[key] = None if value is None else checks.positive(key, value)
         own["samples"] = _counts(self.samples)
-        own["decay_rate"] = _checks.nonnegative("decay_rate", self.decay_rate)
+        own["decay_rate"] = checks.nonnegative("decay_rate", self.decay_rate)
         own["forbidden"] = _intervals("forbidden", () if self.forbidden is None else self.forbidden)
-        own["fixed"] = _checks.increasing("fixed", () if self.fixed is None else self.fixed)
+        own["fixed"] = checks.increasing("fixed", () if self.fixed is None else self.fixed)
         if not isinstance(self.outputs, (Mapping, type(None))):
-            came = _checks.described(self.outputs)
+            came = checks.described(self.outputs)
             raise ArgumentError(f"`outputs` must be a table of outputs by name, got {came}.")
         own["outputs"] = {str(k): _access(str(k), v) for k, v in dict(self.outputs or {}).items()}
         if self.time_unit is not None:
@@ -177,7 +177,7 @@ class Requirement(Record):
             If an entry is unknown, or as for `Requirement`.
         """
         known = {name: getattr(self, name) for name in (f.name for f in fields(self))}
-        _checks.known_keys("the requirement", changes, known)
+        checks.known_keys("the requirement", changes, known)
         return Requirement(**{**known, **changes})
 
     def to_dict(self) -> dict[str, Plain]:
@@ -250,9 +250,9 @@ def _spans(value: Array | None, empty: str) -> str:
 
 def _intervals(name: str, value: npt.ArrayLike) -> Array:
     """Frozen (m, 2) array of non-empty, non-negative, sorted, disjoint intervals; overlapping ones are joined."""
-    if not _checks.floats(name, value).size:
-        return _checks.freeze(np.zeros((0, 2)))
-    array = _checks.matrix(name, value, None, 2)
+    if not checks.floats(name, value).size:
+        return checks.freeze(np.zeros((0, 2)))
+    array = checks.matrix(name, value, None, 2)
     if np.any(array < 0):
         raise ArgumentError(f"`{name}` must not be negative, got {float(array.min())!r}.")
     empty = np.flatnonzero(array[:, 1] <= array[:, 0])
@@ -268,7 +268,7 @@ def _intervals(name: str, value: npt.ArrayLike) -> Array:
             joined[-1][1] = max(joined[-1][1], float(b))
         else:
             joined.append([float(a), float(b)])
-    return _checks.freeze(joined)
+    return checks.freeze(joined)
 
 
 def _counts(value: object) -> dict[str, int]:
@@ -276,9 +276,9 @@ def _counts(value: object) -> dict[str, int]:
     if value is None:
         return {}
     if not isinstance(value, Mapping):
-        return {"exactly": _checks.whole("samples", value, 1)}
-    _checks.known_keys("`samples`", value, COUNTS)
-    counts = {k: _checks.whole(f"samples.{k}", value[k], 1) for k in COUNTS if k in value}
+        return {"exactly": checks.whole("samples", value, 1)}
+    checks.known_keys("`samples`", value, COUNTS)
+    counts = {k: checks.whole(f"samples.{k}", value[k], 1) for k in COUNTS if k in value}
     if "exactly" in counts and len(counts) > 1:
         raise ArgumentError("`samples` must give either exactly or at_least and at_most, got both.")
     if counts.get("at_least", 0) > counts.get("at_most", np.inf):
@@ -291,5 +291,5 @@ def _access(name: str, value: object) -> OutputAccess:
         return value
     if not isinstance(value, Mapping):
         raise ArgumentError(f"`outputs.{name}` must be a table with available and cost, got {value!r:.60}.")
-    _checks.known_keys(f"`outputs.{name}`", value, ("available", "cost"))
+    checks.known_keys(f"`outputs.{name}`", value, ("available", "cost"))
     return OutputAccess(**value)

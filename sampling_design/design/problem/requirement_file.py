@@ -6,8 +6,6 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from sampling_design._door import door
-from sampling_design._files import read_tree, usable, write_tree
 from sampling_design.checkers.parts import time_unit
 from sampling_design.checkers.strict import (
     by_name,
@@ -20,6 +18,8 @@ from sampling_design.checkers.strict import (
 )
 from sampling_design.design.problem.requirement import COUNTS, FORMAT, Requirement
 from sampling_design.errors import ArgumentError
+from sampling_design.records.file_io import read_tree, usable, write_tree
+from sampling_design.records.signatures import checked
 
 _SPANS = list_of(list_of(nonnegative, 2))
 _COUNTS = table({}, {**dict.fromkeys(COUNTS, count), "target_sigma": positive})
@@ -46,7 +46,7 @@ _TREE = table(
 )
 
 
-@door
+@checked
 def read_requirement(path: str | os.PathLike[str]) -> Requirement:
     """Read a requirement from a `.toml` or `.json` file.
 
@@ -68,7 +68,7 @@ def read_requirement(path: str | os.PathLike[str]) -> Requirement:
     return requirement_from_dict(read_tree(path), os.fspath(path))
 
 
-@door
+@checked
 def requirement_from_dict(data: Mapping[str, object], where: str = "requirement") -> Requirement:
     """Return the requirement in a tree of plain data; the inverse of `Requirement.to_dict`.
 
@@ -102,7 +102,7 @@ def requirement_from_dict(data: Mapping[str, object], where: str = "requirement"
         return Requirement(**tree)
 
 
-@door
+@checked
 def write_requirement(requirement: Requirement, path: str | os.PathLike[str]) -> Path:
     """Write a requirement as `.toml` or `.json`, whole or not at all.
 

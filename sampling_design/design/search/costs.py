@@ -12,7 +12,6 @@ import time
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _conic
 from sampling_design.design.bounds.relaxation import (
     Relaxation,
     feasible_multipliers,
@@ -28,6 +27,7 @@ from sampling_design.design.search.fedorov_exchange import even, is_admissible, 
 from sampling_design.design.search.local_search import FIRST_STEPS, HOPELESS, FoundSchedule, SearchTrial
 from sampling_design.design.search.refine import refined
 from sampling_design.errors import InfeasibleRequirementError
+from sampling_design.numerics import conic_programs
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -68,13 +68,13 @@ def relax_costly(problem: DesignProblem, seconds: float | None = None) -> Relaxa
             np.concatenate([b for _, b in inequalities]),
         ),
     ]
-    roof = _conic.svec(problem.rows.N)[:, None]
+    roof = conic_programs.svec(problem.rows.N)[:, None]
     for m in range(M):
-        seen = _conic.svec(grams[m].reshape(N * p, *grams.shape[-2:])).T
+        seen = conic_programs.svec(grams[m].reshape(N * p, *grams.shape[-2:])).T
         blocks.append(("psd", np.hstack([np.zeros((roof.size, N)), -seen, roof]), np.zeros(roof.size)))
     cost = np.zeros(N + N * p + 1)
     cost[-1] = -1.0
-    found = _conic.solve_cone_program(cost, blocks, tolerance=1e-7, budget=seconds)
+    found = conic_programs.solve_cone_program(cost, blocks, tolerance=1e-7, budget=seconds)
     Z, mass = feasible_multipliers(problem, found.z[2:])
     price = float(np.nan_to_num(max(found.z[1][0], 0.0))) / mass
     weights = np.clip(np.nan_to_num(found.x[: grid.size]), 0.0, None)

@@ -11,11 +11,11 @@ import time
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _conic
 from sampling_design.design.problem.gram import lags
 from sampling_design.design.problem.numbers import DesignProblem
-from sampling_design.design.problem.positions import Positions, positions, window_grams, worst_sigma2
+from sampling_design.design.problem.positions import WindowPositions, positions, window_grams, worst_sigma2
 from sampling_design.design.search.fedorov_exchange import is_admissible
+from sampling_design.numerics import conic_programs
 
 Array = npt.NDArray[np.float64]
 
@@ -78,21 +78,25 @@ def _step(problem: DesignProblem, times: Array, sigma2: float, trust: float, dea
     slopes = _slopes(problem, times, where, kept, V)
     blocks: list[tuple[str, Array, Array]] = [("nonnegative", *_limits(problem, times, trust))]
     for place in range(kept.size):
-        D = _conic.svec(slopes[place]).T * (trust / unit)
-        blocks.append(("psd", np.hstack([-D, _conic.svec(roof[place])[:, None]]), _conic.svec(W[place]) / unit))
+        D = conic_programs.svec(slopes[place]).T * (trust / unit)
+        blocks.append(
+            ("psd", np.hstack([-D, conic_programs.svec(roof[place])[:, None]]), conic_programs.svec(W[place]) / unit)
+        )
     cost = np.zeros(times.size + 1)
     cost[-1] = -1.0
     left = max(deadline - time.perf_counter(), 0.0)
     seconds = left if np.isfinite(left) else None
-    found = _conic.solve_cone_program(cost, blocks, tolerance=1e-8, iterations=60, budget=seconds)
-    if not _conic.usable(found.record) or not np.all(np.isfinite(found.x)):
+    found = conic_programs.solve_cone_program(cost, blocks, tolerance=1e-8, iterations=60, budget=seconds)
+    if not conic_programs.usable(found.record) or not np.all(np.isfinite(found.x)):
         return None
     move = np.asarray(found.x[:-1] * trust)
     move[np.isin(times, problem.fixed)] = 0.0
     return move
 
 
-def _slopes(problem: DesignProblem, times: Array, where: Positions, kept: npt.NDArray[np.intp], V: Array) -> Array:
+def _slopes(
+    problem: DesignProblem, times: Array, where: WindowPositions, kept: npt.NDArray[np.intp], V: Array
+) -> Array:
     """Derivatives (m, k, q, q) of the kept windows' Gram matrices, seen in the directions V, by each sample time.
 
     A lag is sample minus window start, and the start moves with the two events beside it.

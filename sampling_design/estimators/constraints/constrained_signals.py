@@ -17,7 +17,7 @@ Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
-class Signal:
+class ConstrainedSignal:
     """A constrained signal at K places; entries not `seen` are free.
 
         value_k = base_k + here_k dx_j + before_k dx_{j-1} + own_k e_k,    j = at_k,
@@ -109,7 +109,7 @@ class ConstraintRows:
     `entries` counts half-spaces, and after them the rows of balls that are points, after the signal's own entries.
     """
 
-    signal: Signal
+    signal: ConstrainedSignal
     places: Index
     entries: Index
     lower: Array
@@ -163,7 +163,7 @@ class ConstraintRows:
         return f"{signal.entries[entry]} {bound} at {where} ({signal.name})"
 
 
-def rows_of(signal: Signal) -> Iterator[ConstraintRows]:
+def rows_of(signal: ConstrainedSignal) -> Iterator[ConstraintRows]:
     """Yield the bounds on entries, then what else is linear."""
     K, k = signal.base.shape
     lower, upper = np.empty((K, k)), np.empty((K, k))

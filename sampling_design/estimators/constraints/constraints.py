@@ -7,9 +7,9 @@ from typing import Literal, TypeAlias, get_args
 
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._record import Record, short
 from sampling_design.estimators.constraints.convex_set import ConvexSet
+from sampling_design.records import checks
+from sampling_design.records.record import Record, short
 
 SetLike: TypeAlias = "ConvexSet | tuple[npt.ArrayLike, npt.ArrayLike] | None"
 WModel = Literal["outer", "constant"]
@@ -61,9 +61,9 @@ class Constraints(Record):
 
     def __post_init__(self) -> None:
         if self.check_spacing is not None:
-            object.__setattr__(self, "check_spacing", _checks.positive("check_spacing", self.check_spacing))
+            object.__setattr__(self, "check_spacing", checks.positive("check_spacing", self.check_spacing))
         for key, value, known in (("w_model", self.w_model, WModel), ("engine", self.engine, Engine)):
-            _checks.word(key, value, get_args(known))
+            checks.word(key, value, get_args(known))
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [(key, _said(getattr(self, key))) for key in "xyvw" if getattr(self, key) is not None]

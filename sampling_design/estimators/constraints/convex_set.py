@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._record import Record, short
 from sampling_design.errors import ArgumentError
+from sampling_design.records import checks
+from sampling_design.records.record import Record, short
 
 Array = npt.NDArray[np.float64]
 
@@ -79,8 +79,8 @@ class ConvexSet(Record):
         k = lower.size
         if upper.size != k:
             raise ArgumentError(f"`upper` must have {k} entries as `lower` has, got {upper.size}.")
-        rows = _checks.matrix("rows", np.zeros((0, k)) if self.rows is None else self.rows, None, k)
-        offsets = _checks.vector("offsets", np.zeros(0) if self.offsets is None else self.offsets, rows.shape[0])
+        rows = checks.matrix("rows", np.zeros((0, k)) if self.rows is None else self.rows, None, k)
+        offsets = checks.vector("offsets", np.zeros(0) if self.offsets is None else self.offsets, rows.shape[0])
         crossed = np.flatnonzero(lower > upper)
         if crossed.size:
             i = int(crossed[0])
@@ -90,7 +90,7 @@ class ConvexSet(Record):
         for key, value in {"lower": lower, "upper": upper, "rows": rows, "offsets": offsets}.items():
             object.__setattr__(self, key, value)
         if not isinstance(self.balls, tuple) or not all(isinstance(ball, NormBall) for ball in self.balls):
-            raise ArgumentError(f"`balls` must be a tuple of balls, got {_checks.described(self.balls)}.")
+            raise ArgumentError(f"`balls` must be a tuple of balls, got {checks.described(self.balls)}.")
         if rows.shape[0] + len(self.balls) > 0:
             self._refuse_empty()
 
@@ -102,9 +102,9 @@ class ConvexSet(Record):
     @classmethod
     def halfspaces(cls, rows: npt.ArrayLike, offsets: npt.ArrayLike) -> ConvexSet:
         """Return {z : rows z <= offsets}."""
-        matrix = _checks.matrix("rows", rows)
+        matrix = checks.matrix("rows", rows)
         whole = np.full(matrix.shape[1], np.inf)
-        return cls(-whole, whole, matrix, _checks.vector("offsets", offsets, matrix.shape[0]))
+        return cls(-whole, whole, matrix, checks.vector("offsets", offsets, matrix.shape[0]))
 
     @classmethod
     def ball(
@@ -122,16 +122,16 @@ class ConvexSet(Record):
         ArgumentError
             If the radius is negative or the dimension cannot be told.
         """
-        size = _checks.nonnegative("radius", radius)
+        size = checks.nonnegative("radius", radius)
         if shape is not None:
-            E = _checks.matrix("shape", shape)
+            E = checks.matrix("shape", shape)
             k = E.shape[1]
         elif dimension is None and centre is None:
             raise ArgumentError("`dimension` must be given for a ball without `centre` and `shape`.")
         else:
-            k = np.size(np.asarray(centre)) if dimension is None else _checks.whole("dimension", dimension, 1)
-            E = _checks.freeze(np.eye(k))
-        middle = _checks.vector("centre", np.zeros(k) if centre is None else centre, k)
+            k = np.size(np.asarray(centre)) if dimension is None else checks.whole("dimension", dimension, 1)
+            E = checks.freeze(np.eye(k))
+        middle = checks.vector("centre", np.zeros(k) if centre is None else centre, k)
         whole = np.full(k, np.inf)
         return cls(-whole, whole, None, None, (NormBall(size, middle, E),))  # type: ignore[arg-type]
 
@@ -193,7 +193,7 @@ class ConvexSet(Record):
 
     def excess(self, values: npt.ArrayLike) -> float:
         """Return by how much the worst of (N, k) `values` leaves the set (0 or negative: none does)."""
-        z = _checks.floats("values", values)
+        z = checks.floats("values", values)
         if not self.dimension or z.shape[-1:] != (self.dimension,):
             if z.size and self.dimension:
                 raise ArgumentError(f"`values` must have {self.dimension} columns, got shape {z.shape}.")
@@ -236,18 +236,18 @@ class ConvexSet(Record):
     def _refuse_empty(self) -> None:
         if self._is_ball:
             return
-        from sampling_design import _conic
+        from sampling_design.numerics import conic_programs
 
-        cp = _conic.cvxpy()
+        cp = conic_programs.cvxpy()
         z, excess = cp.Variable(self.dimension), cp.Variable()
         low, high = np.flatnonzero(np.isfinite(self.lower)), np.flatnonzero(np.isfinite(self.upper))
         parts = [self.lower[low] - z[low] <= excess] if low.size else []
         parts += [z[high] - self.upper[high] <= excess] if high.size else []
         parts += [self.rows @ z - self.offsets <= excess] if self.rows.shape[0] else []
         parts += [cp.norm(ball.shape @ (z - ball.centre)) - ball.radius <= excess for ball in self.balls]
-        record = _conic.solve(cp.Problem(cp.Minimize(excess), [*parts, excess >= -1]))
+        record = conic_programs.solve(cp.Problem(cp.Minimize(excess), [*parts, excess >= -1]))
         size = max([1.0, *np.abs(self.offsets), *(b.radius for b in self.balls)])
-        if _conic.usable(record) and float(excess.value) > EMPTY_MARGIN * size:
+        if conic_programs.usable(record) and float(excess.value) > EMPTY_MARGIN * size:
             raise ArgumentError(f"the set is empty: every point violates it by {float(excess.value):.3g} or more.")
 
     def _rows(self) -> list[tuple[str, str]]:
@@ -283,7 +283,7 @@ def convex_set(name: str, value: object, dimension: int) -> ConvexSet | None:
     if not isinstance(value, ConvexSet):
         if not isinstance(value, (tuple, list)) or len(value) != 2:
             raise ArgumentError(f"`{name}` must be a ConvexSet or a pair (lower, upper), got {type(value).__name__}.")
-        sides = (_checks.floats(name, side) for side in value)
+        sides = (checks.floats(name, side) for side in value)
         lower, upper = (np.broadcast_to(side, (dimension,)) if side.ndim == 0 else side for side in sides)
         value = ConvexSet.box(lower, upper)
     found: ConvexSet = value
@@ -293,9 +293,9 @@ def convex_set(name: str, value: object, dimension: int) -> ConvexSet | None:
 
 
 def _bounds(name: str, value: object) -> Array:
-    array = _checks.floats(name, value)
+    array = checks.floats(name, value)
     if array.ndim != 1 or np.isnan(array).any():
-        raise ArgumentError(f"`{name}` must be a vector without NaN, got {_checks.described(value)}.")
+        raise ArgumentError(f"`{name}` must be a vector without NaN, got {checks.described(value)}.")
     array.flags.writeable = False
     return array
 

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._linalg import expm_batch
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.convex_set import ConvexSet, NormBall, normed
 from sampling_design.estimators.gap_flows.composed_flow import state_units
-from sampling_design.estimators.gap_flows.cost_weights import Weights
+from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import CACHE_SIZE, FlowTable, GapFlow, discounted_length
+from sampling_design.numerics.linalg import expm_batch
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -46,7 +46,7 @@ class DisturbanceReach:
         self.plant, self.weights = table.weights.plant, table.weights
         self._sets: dict[float, ConvexSet] = {}
         self._radius, self._box = self._ball_radius(), w.bounding_box()
-        self._responses = Responses(self.plant, self.weights.units)
+        self._responses = DisturbanceResponses(self.plant, self.weights.units)
         bounded = all(bool(np.isfinite(side).all()) for side in self._box)
         if table.constant_w:
             if np.linalg.matrix_rank(normed(self.plant.G / self.weights.units[:, None])) < self.plant.n_disturbances:
@@ -113,7 +113,7 @@ class _Cells:
     norms: Array
 
 
-class Responses:
+class DisturbanceResponses:
     """e^{As} G on grids that all gaps share: one for each length of cells, remembered as far as it was asked for.
 
     States count in `units`, so that norms of A mean something.
@@ -152,7 +152,7 @@ class Responses:
 
 
 def support_boxes(
-    responses: Responses, weights: Weights, flows: Sequence[GapFlow], lower: Array, upper: Array
+    responses: DisturbanceResponses, weights: CostWeights, flows: Sequence[GapFlow], lower: Array, upper: Array
 ) -> tuple[Array, Array]:
     """Return lower and upper bounds on omega, per flow, over all w with `lower` <= w(t) <= `upper`.
 
@@ -177,7 +177,7 @@ def support_boxes(
     return centre - reach, centre + reach
 
 
-def _absolute_integrals(responses: Responses, d: float, gaps: Array, whiten: Array) -> Array:
+def _absolute_integrals(responses: DisturbanceResponses, d: float, gaps: Array, whiten: Array) -> Array:
     """Upper bounds on int |phi| over gaps, (N, n, q), from cells of length d.
 
     Over a cell with middle m, int |phi| <= d|phi(m)| + d^3/24 sup|phi''|, and d^2/4 |phi'(m)| more where phi may change

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _conic
 from sampling_design.estimators.constraints.least_distance_problem import LeastDistance
+from sampling_design.numerics import conic_programs
 
 Array = npt.NDArray[np.float64]
 
@@ -110,7 +110,7 @@ def conic(problem: LeastDistance) -> NearestPoint | None:
     """Solve the problem, cones and all, by an interior-point method."""
     from scipy import sparse
 
-    cl = _conic.clarabel()
+    cl = conic_programs.clarabel()
     size, count = problem.size, problem.A.shape[0]
     has_up, has_low = np.isfinite(problem.upper), np.isfinite(problem.lower)
     blocks = [problem.A[has_up], -problem.A[has_low]]
@@ -121,7 +121,7 @@ def conic(problem: LeastDistance) -> NearestPoint | None:
         blocks += [np.zeros((1, size)), -M / scale]
         right += [np.array([radius / scale]), c / scale]
         kinds.append(cl.SecondOrderConeT(1 + M.shape[0]))
-    settings = _conic.quiet_settings()
+    settings = conic_programs.quiet_settings()
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = SOLVER_TOLERANCE
     A, b = sparse.csc_matrix(np.vstack(blocks)), np.concatenate(right)
     found = cl.DefaultSolver(sparse.identity(size, format="csc"), np.zeros(size), A, b, kinds, settings).solve()

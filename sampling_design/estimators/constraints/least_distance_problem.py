@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.estimators.constraints.constrained_signals import ConstraintRows, Mask, Signal, rows_of
-from sampling_design.estimators.window.solution import Spread
+from sampling_design.estimators.constraints.constrained_signals import ConstrainedSignal, ConstraintRows, Mask, rows_of
+from sampling_design.estimators.window.solution import SolutionSpread
 
 Array = npt.NDArray[np.float64]
 
@@ -29,7 +29,7 @@ class LeastDistance:
     cones: list[tuple[Array, Array, float]]
     scales: Array
     blocks: list[ConstraintRows]
-    cone_owners: list[tuple[Signal, int]]
+    cone_owners: list[tuple[ConstrainedSignal, int]]
 
     def row_label(self, index: int, below: bool) -> str:
         """Say in words what row `index` asks, of its lower bound where `below`."""
@@ -44,13 +44,13 @@ class LeastDistance:
         return f"a ball of {signal.name} at t = {signal.times[place]:.6g}"
 
 
-class Demands:
+class ConstraintDemands:
     """What the constraints ask of all trajectories around the minimiser without them.
 
     x = x* + T z for the smoother's `spread` T; where signals have noise of their own, z has that after it.
     """
 
-    def __init__(self, spread: Spread, signals: Sequence[Signal], nodes: int, n: int):
+    def __init__(self, spread: SolutionSpread, signals: Sequence[ConstrainedSignal], nodes: int, n: int):
         self.spread, self.signals = spread, signals
         self.rows = [rows for signal in signals for rows in rows_of(signal)]
         noisy = [signal.own.shape[::2] for signal in signals if signal.own is not None]
@@ -85,7 +85,7 @@ class Demands:
     def pose(self, chosen: list[Mask] | None = None) -> LeastDistance:
         """Return the whole problem, or that of the rows `chosen` per block, without balls."""
         cones: list[tuple[Array, Array, float]] = []
-        owners: list[tuple[Signal, int]] = []
+        owners: list[tuple[ConstrainedSignal, int]] = []
         if chosen is None:
             maps = self._maps()
             blocks, (cones, owners) = self.rows, _cones(maps)
@@ -103,7 +103,7 @@ class Demands:
         lower, upper = (lower - base) / scales, (upper - base) / scales
         return LeastDistance(self.size, A / scales[:, None], lower, upper, cones, scales, blocks, owners)
 
-    def _maps(self) -> dict[Signal, Array]:
+    def _maps(self) -> dict[ConstrainedSignal, Array]:
         """Every signal with its map from z."""
         T = self.spread.maps()
         if self.size > self.states:
@@ -119,10 +119,12 @@ class Demands:
         return found
 
 
-def _cones(maps: dict[Signal, Array]) -> tuple[list[tuple[Array, Array, float]], list[tuple[Signal, int]]]:
+def _cones(
+    maps: dict[ConstrainedSignal, Array],
+) -> tuple[list[tuple[Array, Array, float]], list[tuple[ConstrainedSignal, int]]]:
     """The balls as cones over z, and the signal and the place of each."""
     cones: list[tuple[Array, Array, float]] = []
-    owners: list[tuple[Signal, int]] = []
+    owners: list[tuple[ConstrainedSignal, int]] = []
     for signal, over in maps.items():
         for chosen, places in () if signal.boxed else signal.groups():
             for ball in chosen.round_balls:

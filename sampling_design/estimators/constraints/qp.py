@@ -12,11 +12,11 @@ import numpy as np
 
 from sampling_design.estimators.constraints.constrained_signals import Mask
 from sampling_design.estimators.constraints.least_distance import NearestPoint, active_set, conic
-from sampling_design.estimators.constraints.least_distance_problem import Demands
+from sampling_design.estimators.constraints.least_distance_problem import ConstraintDemands
 from sampling_design.estimators.constraints.reference import find_obstacle, solve_reference
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.window.solution import Solution
-from sampling_design.estimators.window.window_problem import Window
+from sampling_design.estimators.window.window_problem import EstimationWindow
 
 FEW = 0.1
 """Share of the rows up to which those that matter are sought one by one; beyond, all are taken at once."""
@@ -25,7 +25,9 @@ SATISFIED = 1e-10
 """Excess, relative to the size of the values, up to which a signal counts as inside its set."""
 
 
-def solve_constrained(window: Window, constraints: WindowConstraints, free: Solution, engine: str = "auto") -> Solution:
+def solve_constrained(
+    window: EstimationWindow, constraints: WindowConstraints, free: Solution, engine: str = "auto"
+) -> Solution:
     """Return the minimiser under the constraints, given the one without.
 
     Notes
@@ -58,7 +60,7 @@ def solve_constrained(window: Window, constraints: WindowConstraints, free: Solu
     return replace(free, status="solver failed", note="No engine reached its tolerance.", engine="conic")
 
 
-def row_by_row(demands: Demands, violated: list[Mask]) -> NearestPoint | None:
+def row_by_row(demands: ConstraintDemands, violated: list[Mask]) -> NearestPoint | None:
     """Solve under the rows that are `violated`, take in those that this breaks, and so on until none is.
 
     Every answer is a lower bound for the whole problem, so the last one, which keeps all rows, is the minimiser.

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _conic
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.least_distance import ACCEPTED, SOLVER_TOLERANCE
 from sampling_design.estimators.constraints.least_distance_problem import LeastDistance
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.gap_flows.cost_weights import marginal_root
 from sampling_design.estimators.window.solution import Solution
-from sampling_design.estimators.window.window_problem import Window
-from sampling_design.evidence import SolverRecord
+from sampling_design.estimators.window.window_problem import EstimationWindow
+from sampling_design.numerics import conic_programs
+from sampling_design.records.evidence import SolverRecord
 
 if TYPE_CHECKING:
-    from sampling_design._conic import Constraint, Expression
+    from sampling_design.numerics.conic_programs import Constraint, Expression
 
 Array = npt.NDArray[np.float64]
 
@@ -43,7 +43,7 @@ class _Point:
 
 
 def solve_reference(
-    window: Window, constraints: WindowConstraints, free: Solution, scales: Sequence[float] = SCALES
+    window: EstimationWindow, constraints: WindowConstraints, free: Solution, scales: Sequence[float] = SCALES
 ) -> Solution:
     """Solve the window problem as it is written, in states, omega and v, with the modelling library. Slow.
 
@@ -66,7 +66,7 @@ def solve_reference(
         if found is not None:
             point = found
         elif np.isnan(point.cost):
-            if record.status == _conic.INFEASIBLE:
+            if record.status == conic_programs.INFEASIBLE:
                 note = "No trajectory meets the constraints."
                 return replace(free, status="infeasible", note=note, engine="reference")
             return replace(free, status="solver failed", note=f"Status {record.status}.", engine="reference")
@@ -75,10 +75,10 @@ def solve_reference(
 
 
 def _improved(
-    window: Window, constraints: WindowConstraints, point: _Point, scale: float
+    window: EstimationWindow, constraints: WindowConstraints, point: _Point, scale: float
 ) -> tuple[SolverRecord, _Point | None]:
     """Minimise over the steps (x, omega, v) = point + scale step; None if the solver brings nothing to use."""
-    cp = _conic.cvxpy()
+    cp = conic_programs.cvxpy()
     weights, plant, root = window.weights, window.weights.plant, np.sqrt(window.discount)
     x = [cp.Variable(plant.n_states) for _ in window.times]
     omega = [cp.Variable(flow.root.shape[1]) for flow in window.flows]
@@ -114,8 +114,8 @@ def _improved(
         rows = np.linalg.solve(root, means.rows.reshape(len(shown), -1))
         program.add_square(np.linalg.solve(root, shown), -rows @ cp.hstack(x))
     problem = cp.Problem(cp.Minimize(cp.sum(program.terms)), program.parts)
-    record = _conic.solve(problem, tolerance=SOLVER_TOLERANCE)
-    if not _conic.usable(record) or problem.value is None or any(step.value is None for step in x):
+    record = conic_programs.solve(problem, tolerance=SOLVER_TOLERANCE)
+    if not conic_programs.usable(record) or problem.value is None or any(step.value is None for step in x):
         return record, None
     return record, _Point(
         point.x + scale * np.array([step.value for step in x]),
@@ -163,7 +163,7 @@ class _Program:
 
 def find_obstacle(problem: LeastDistance) -> str:
     """Name the constraint that needs the largest slack when the sum of slacks is least ("" if none is needed)."""
-    cp = _conic.cvxpy()
+    cp = conic_programs.cvxpy()
     z = cp.Variable(problem.size)
     slack, wide = cp.Variable(problem.A.shape[0], nonneg=True), cp.Variable(len(problem.cones), nonneg=True)
     has_up, has_low = np.isfinite(problem.upper), np.isfinite(problem.lower)
@@ -173,8 +173,8 @@ def find_obstacle(problem: LeastDistance) -> str:
         parts += [value[has_up] <= problem.upper[has_up] + slack[has_up]]
         parts += [value[has_low] >= problem.lower[has_low] - slack[has_low]]
     parts += [cp.norm(M @ z + c) <= r + wide[i] for i, (M, c, r) in enumerate(problem.cones)]
-    record = _conic.solve(cp.Problem(cp.Minimize(cp.sum(slack) + cp.sum(wide)), parts))
-    if not _conic.usable(record):
+    record = conic_programs.solve(cp.Problem(cp.Minimize(cp.sum(slack) + cp.sum(wide)), parts))
+    if not conic_programs.usable(record):
         return ""
     needs = [(float(s) * scale, i, True) for i, (s, scale) in enumerate(zip(slack.value, problem.scales, strict=True))]
     needs += [(float(s), i, False) for i, s in enumerate(wide.value)]

@@ -7,14 +7,14 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.estimators.constraints.constrained_signals import Signal
+from sampling_design.estimators.constraints.constrained_signals import ConstrainedSignal
 from sampling_design.estimators.constraints.constraints import Constraints
 from sampling_design.estimators.constraints.convex_set import ConvexSet, convex_set
 from sampling_design.estimators.constraints.disturbance import DisturbanceReach
-from sampling_design.estimators.constraints.least_distance_problem import Demands
+from sampling_design.estimators.constraints.least_distance_problem import ConstraintDemands
 from sampling_design.estimators.gap_flows.flows import FlowTable
 from sampling_design.estimators.window.solution import Solution
-from sampling_design.estimators.window.window_problem import Window
+from sampling_design.estimators.window.window_problem import EstimationWindow
 
 Array = npt.NDArray[np.float64]
 
@@ -43,19 +43,21 @@ class WindowConstraints:
         """Whether there is any norm ball."""
         return any(s is not None and s.round_balls for s in (self.x, self.y, self.v, self.w))
 
-    def noise(self, window: Window, nodes: Array) -> Array:
+    def noise(self, window: EstimationWindow, nodes: Array) -> Array:
         """Return the best v at every node for given states: (R + Qv)^-1 R (y - C x - D u), measured outputs only."""
         residual = window.y - window.feedthrough - nodes @ self.plant.C.T
         return np.asarray(np.matmul(self.weights.of(window.masks).gain, residual[:, :, None])[:, :, 0])
 
-    def demands(self, window: Window, free: Solution) -> Demands:
+    def demands(self, window: EstimationWindow, free: Solution) -> ConstraintDemands:
         """Return what the constraints ask of all trajectories around the minimiser without them."""
         nodes = free.nodes
         signals = []
         if self.x is not None:
             at = np.arange(window.times.size)
             unit = np.sqrt(np.diag(free.covariance))
-            signals.append(Signal("constraints.x", window.times, self.plant.states.names, nodes, [self.x], at, unit))
+            signals.append(
+                ConstrainedSignal("constraints.x", window.times, self.plant.states.names, nodes, [self.x], at, unit)
+            )
         if self.keeps_v:
             signals += self._noisy_signals(window, free)
         if window.limits is not None:
@@ -66,7 +68,7 @@ class WindowConstraints:
             names, at = self._omega_names[: whiten.shape[1]], np.arange(1, window.times.size)
             sets = self.reach.over(window.flows)
             signals.append(
-                Signal(
+                ConstrainedSignal(
                     name="constraints.w",
                     times=window.times[1:],
                     entries=names,
@@ -78,14 +80,14 @@ class WindowConstraints:
                     before=before,
                 )
             )
-        return Demands(free.spread, signals, *nodes.shape)
+        return ConstraintDemands(free.spread, signals, *nodes.shape)
 
-    def _limited_signal(self, window: Window, free: Solution, limits: Array) -> Signal:
+    def _limited_signal(self, window: EstimationWindow, free: Solution, limits: Array) -> ConstrainedSignal:
         """C x where limits of detection were told."""
         seen = np.isfinite(limits[:, 0]) | np.isfinite(limits[:, 1])
         at, C = np.flatnonzero(seen.any(axis=1)), self.plant.C
         known = np.sqrt(np.einsum("ij,jk,ik->i", C, free.covariance, C))
-        return Signal(
+        return ConstrainedSignal(
             name="limits of detection",
             times=window.times[at],
             entries=self.plant.outputs.names,
@@ -97,7 +99,7 @@ class WindowConstraints:
             seen=seen[at],
         )
 
-    def _noisy_signals(self, window: Window, free: Solution) -> list[Signal]:
+    def _noisy_signals(self, window: EstimationWindow, free: Solution) -> list[ConstrainedSignal]:
         """The noise v = gain (y - C x - D u) + its own part, and the output C x + D u + v, at the samples."""
         plant, at, found, nodes = self.plant, window.samples, [], free.nodes
         unit = np.linalg.norm(self.weights.at(np.ones(plant.n_outputs)).v_root, axis=1)
@@ -108,16 +110,20 @@ class WindowConstraints:
         here = -kinds.gain @ plant.C
         own = kinds.v_root / np.sqrt(window.discount[at])[:, None, None]
         if self.v is not None:
-            found.append(Signal("constraints.v", times, names, v, [self.v], at, unit, here, own=own, seen=seen))
+            found.append(
+                ConstrainedSignal("constraints.v", times, names, v, [self.v], at, unit, here, own=own, seen=seen)
+            )
         if self.y is not None:
             y = nodes[at] @ plant.C.T + window.feedthrough[at] + v
             found.append(
-                Signal("constraints.y", times, names, y, [self.y], at, unit + known, plant.C + here, own=own, seen=seen)
+                ConstrainedSignal(
+                    "constraints.y", times, names, y, [self.y], at, unit + known, plant.C + here, own=own, seen=seen
+                )
             )
         return found
 
 
-def _omegas(window: Window, nodes: Array, whiten: Array) -> Array:
+def _omegas(window: EstimationWindow, nodes: Array, whiten: Array) -> Array:
     """The least omega of every gap for given states, (N, width)."""
     deviation = nodes - window.reference
     moved = deviation[1:] - np.matmul(window.F, deviation[:-1, :, None])[:, :, 0] - window.defect

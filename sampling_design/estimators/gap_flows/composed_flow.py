@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import matrix_balance
 
-from sampling_design._linalg import SHORT, expm_batch, exponential_terms, gramian_terms
+from sampling_design.numerics.linalg import SHORT, expm_batch, exponential_terms, gramian_terms
 
 Array = npt.NDArray[np.float64]
 

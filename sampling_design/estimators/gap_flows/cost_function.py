@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, ClassVar, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._record import Record, short
 from sampling_design.errors import ArgumentError
+from sampling_design.records import checks
+from sampling_design.records.record import Record, short
 
 Array = npt.NDArray[np.float64]
 Form = Literal["certificate", "paper"]
@@ -93,16 +93,16 @@ class CostFunction(Record):
         for key in MATRICES:
             value = getattr(self, key)
             if value is not None:
-                array = _checks.matrix(key, value)
-                object.__setattr__(self, key, _checks.matrix(key, value, len(array), len(array)))
+                array = checks.matrix(key, value)
+                object.__setattr__(self, key, checks.matrix(key, value, len(array), len(array)))
         if self.eta is not None:
-            object.__setattr__(self, "eta", _checks.nonnegative("eta", self.eta))
+            object.__setattr__(self, "eta", checks.nonnegative("eta", self.eta))
         words_of = ("form", self.form, Form), ("arrival", self.arrival, ArrivalKind), ("begins", self.begins, Beginning)
         for key, value, known in words_of:
             named = isinstance(value, str) and value in get_args(known)
             if not (named or (key == "form" and value is None)):
                 words = " or ".join(f'"{word}"' for word in get_args(known))
-                raise ArgumentError(f"`{key}` must be {words}, got {_checks.described(value)}.")
+                raise ArgumentError(f"`{key}` must be {words}, got {checks.described(value)}.")
 
     @property
     def given(self) -> tuple[str, ...]:

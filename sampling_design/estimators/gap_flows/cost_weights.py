@@ -15,12 +15,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._linalg import symmetrise
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant, first_difference
+from sampling_design.records import checks
 
 Array = npt.NDArray[np.float64]
 
@@ -45,7 +45,7 @@ class SampleWeights(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Weights:
+class CostWeights:
     """Effective weights of one cost, all positive definite.
 
     Attributes
@@ -212,9 +212,9 @@ def noise_bound(name: str, value: npt.ArrayLike | None, length: int) -> Array | 
     """
     if value is None:
         return None
-    if _checks.dimensions(value) == 0:
-        return np.asarray(_checks.nonnegative(name, value))
-    bound = _checks.vector(name, value, length)
+    if checks.dimensions(value) == 0:
+        return np.asarray(checks.nonnegative(name, value))
+    bound = checks.vector(name, value, length)
     if np.any(bound < 0):
         raise ArgumentError(f"`{name}` must not be negative, got {float(bound.min())!r}.")
     return bound
@@ -224,7 +224,7 @@ def build_weights(
     plant: Plant,
     certificate: SampledCertificate | None,
     cost: CostFunction,
-) -> Weights:
+) -> CostWeights:
     """Return the effective weights: those of the cost, else the certificate's, else those of the plant's scales.
 
     Raises
@@ -244,15 +244,15 @@ def build_weights(
         value = getattr(cost, key)
         if value is None and certificate is not None:
             value = getattr(certificate, key)
-        matrices[key] = _checks.definite(key, np.diag(diagonal) if value is None else value, diagonal.size)
+        matrices[key] = checks.definite(key, np.diag(diagonal) if value is None else value, diagonal.size)
     theirs = 0.0 if certificate is None else certificate.eta
-    rate = _checks.nonnegative("eta", theirs if cost.eta is None else cost.eta)
+    rate = checks.nonnegative("eta", theirs if cost.eta is None else cost.eta)
     form = cost.form or "certificate"
     twice = 2.0 if form == "paper" else 1.0
     kept = twice * matrices["Qv"]
     together = symmetrise(matrices["R"] @ np.linalg.solve(matrices["R"] + kept, kept))
     prior, w = twice * matrices["P2"], twice * matrices["Qw"]
-    return Weights(plant, prior, w, R=matrices["R"], v=kept, y=together, eta=rate, cost=form)
+    return CostWeights(plant, prior, w, R=matrices["R"], v=kept, y=together, eta=rate, cost=form)
 
 
 def _refuse_what_is_not_its_own(plant: Plant, certificate: SampledCertificate | None) -> None:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.linalg import lapack
 
 from sampling_design.estimators.gap_flows.composed_flow import SMALL, ComposedFlow
-from sampling_design.estimators.gap_flows.cost_weights import Weights
+from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 
 Array = npt.NDArray[np.float64]
 
@@ -27,7 +27,7 @@ LONGEST = 700.0
 """Exponents from here on count as overflows: e^709 is the largest double."""
 
 
-class Arrival(NamedTuple):
+class ArrivalInformation(NamedTuple):
     """What a prior before a gap is worth after it: information, and its lower band as that of a node without others."""
 
     information: Array
@@ -79,7 +79,7 @@ class GapFlow:
         self._band: Array | None = None
         self._loose = 0.0
         self._size: Array | None = None
-        self._arrival: tuple[Array, Arrival | None] | None = None
+        self._arrival: tuple[Array, ArrivalInformation | None] | None = None
         self._joint: Array | bool | None = None if roots is not None else False
 
     @property
@@ -132,11 +132,11 @@ class GapFlow:
         """Take what was found of many gaps at once."""
         self._joint, self._loose, self._band = joint, loose, band
 
-    def arrived(self, Y: Array, found: Arrival) -> None:
+    def arrived(self, Y: Array, found: ArrivalInformation) -> None:
         """Take what a prior was found to be worth."""
         self._arrival = Y, found
 
-    def arrival(self, Y: Array) -> Arrival | None:
+    def arrival(self, Y: Array) -> ArrivalInformation | None:
         """Return what a prior of covariance Y is worth after the gap, the inverse of growth F Y F' + W.
 
         None where that would lose digits. What was asked for last is kept.
@@ -182,7 +182,7 @@ class FlowTable:
     piecewise-constant parametrisation, d = root omega with the same cost |omega|^2.
     """
 
-    def __init__(self, weights: Weights, constant_w: bool = False):
+    def __init__(self, weights: CostWeights, constant_w: bool = False):
         self.weights, self.constant_w = weights, constant_w
         self._table: OrderedDict[float, GapFlow] = OrderedDict()
         self._flow = ComposedFlow(weights.plant.A, weights.noise, weights.eta, weights.units)
@@ -350,7 +350,7 @@ def prepare_arrival(flows: list[GapFlow], Y: Array) -> None:
     information = half.transpose(0, 2, 1) @ half
     bands = _bands(information, len(Y))
     for k in np.flatnonzero(fit & np.isfinite(information).all(axis=(1, 2))).tolist():
-        flows[k].arrived(Y, Arrival(information[k], bands[k, 0]))
+        flows[k].arrived(Y, ArrivalInformation(information[k], bands[k, 0]))
 
 
 def _joint(F: Array, W: Array) -> tuple[Array | None, float]:
@@ -366,11 +366,11 @@ def _joint(F: Array, W: Array) -> tuple[Array | None, float]:
     return joint, COVARIANCE_ERROR * condition
 
 
-def _arrival(M: Array) -> Arrival | None:
+def _arrival(M: Array) -> ArrivalInformation | None:
     """Return the inverse of a covariance, in both forms."""
     found = _half(M)
     if found is None:
         return None
     half = found[0]
     information = half.T.dot(half)
-    return Arrival(information, lower_band(information, len(M))[0])
+    return ArrivalInformation(information, lower_band(information, len(M))[0])

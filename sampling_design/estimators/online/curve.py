@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._checks import freeze
-from sampling_design._door import door
-from sampling_design._record import Record, counted
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import EstimateRecord, Estimator
-from sampling_design.estimators.online.tube import Tube, joined
+from sampling_design.estimators.online.state_tube import StateTube, joined
 from sampling_design.estimators.records.measurements import Measurements
+from sampling_design.records import checks
+from sampling_design.records.checks import freeze
+from sampling_design.records.record import Record, counted
+from sampling_design.records.signatures import checked
 
 Array = npt.NDArray[np.float64]
 
@@ -36,7 +36,7 @@ class EstimateCurve(Record):
     """
 
     estimates: EstimateRecord
-    tube: Tube | None
+    tube: StateTube | None
     measurements: Measurements
 
     def _rows(self) -> list[tuple[str, str]]:
@@ -50,7 +50,7 @@ class EstimateCurve(Record):
         return f"Estimates between and at {count}; the tube holds every state at all times, if the bounds do."
 
 
-class Following:
+class CurveCollector:
     """Collects a curve while an estimator goes along a record: `before` each sample, then `after` its estimate.
 
     `start` is when the prior is. `centred`: the curve is the middle of the tube, which goes with estimates that are in
@@ -59,7 +59,7 @@ class Following:
 
     def __init__(self, estimator: Estimator, points: int = POINTS_PER_GAP, centred: bool = False, start: float = 0.0):
         self.estimator, self.count, self.centred = estimator, points, centred
-        self.points, self.tubes, self.last = [estimator.predict(start)], list[Tube](), start
+        self.points, self.tubes, self.last = [estimator.predict(start)], list[StateTube](), start
 
     def before(self, t: float) -> None:
         """Draw on to t, with what is known before the sample there."""
@@ -90,7 +90,7 @@ def _moved(estimate: Estimate, x: Array) -> Estimate:
     return replace(estimate, x=freeze(np.where(np.isfinite(x), x, estimate.x)))
 
 
-@door
+@checked
 def estimate_curve(
     estimator: Estimator, measurements: Measurements, points: int = POINTS_PER_GAP, *, start: float = 0.0
 ) -> EstimateCurve:
@@ -124,14 +124,15 @@ def estimate_curve(
 
     Examples
     --------
-    >>> from sampling_design import MovingHorizonEstimator, PeriodicSchedule, library, simulate_record
+    >>> from sampling_design import MovingHorizonEstimator, PeriodicSchedule, simulate_record
+    >>> from sampling_design.plants import library
     >>> plant = library.oscillator()
     >>> record = simulate_record(plant, PeriodicSchedule([0.7, 1.6]), 3.0, w_bound=0.02, v_bound=0.1)
     >>> estimator = MovingHorizonEstimator(plant, horizon=6.0, w_bound=0.02, v_bound=0.1, initial_error=2.0)
     >>> print(estimate_curve(estimator, record.measurements).explain())
     Estimates between and at 4 samples; the tube holds every state at all times, if the bounds do.
     """
-    following = Following(estimator, _checks.whole("points", points, 1), start=_checks.number("start", start))
+    following = CurveCollector(estimator, checks.whole("points", points, 1), start=checks.number("start", start))
     for t, y, u in measurements:
         following.before(t)
         following.after(t, estimator.update(t, y, u))

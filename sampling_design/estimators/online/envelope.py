@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._record import Record, short
 from sampling_design.plants.plant import Plant
+from sampling_design.records.record import Record, short
 
 Array = npt.NDArray[np.float64]
 

@@ -9,13 +9,13 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._checks import freeze
-from sampling_design._record import Plain, Record, finite_or_none, finite_or_nones, short
+from sampling_design.accuracy.interval import Interval
+from sampling_design.accuracy.rows import Wanted
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.online.tube import Tube
-from sampling_design.recovery.interval import Interval
-from sampling_design.recovery.rows import Wanted
+from sampling_design.estimators.online.state_tube import StateTube
+from sampling_design.records import checks
+from sampling_design.records.checks import freeze
+from sampling_design.records.record import Plain, Record, finite_or_none, finite_or_nones, short
 
 Array = npt.NDArray[np.float64]
 
@@ -92,7 +92,7 @@ class ProvesIntervals(Protocol):
         """Return the interval of wanted rows at t, no wider than an ellipsoid (centre, covariance, radius)."""
         ...
 
-    def tube(self, times: Array, x: Array) -> Tube:
+    def tube(self, times: Array, x: Array) -> StateTube:
         """Return the tube over increasing times from the last sample on, for estimates x (N, n) there."""
         ...
 
@@ -246,9 +246,7 @@ class Estimate(Record):
 
     def ratio(self, truth: npt.ArrayLike) -> float:
         """Return |truth - x|^2_Pi / radius, at most 1 where the claim holds."""
-        half = np.linalg.solve(
-            np.linalg.cholesky(self.covariance), _checks.vector("truth", truth, self.x.size) - self.x
-        )
+        half = np.linalg.solve(np.linalg.cholesky(self.covariance), checks.vector("truth", truth, self.x.size) - self.x)
         square = float(half @ half)
         if np.isnan(self.radius):
             return np.nan

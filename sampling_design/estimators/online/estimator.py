@@ -10,14 +10,14 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._checks import freeze
-from sampling_design._record import Gridded, Plain, Table, Variable, finite_or_nones
+from sampling_design.accuracy.readings import CensoredReading
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.estimate import Contradiction, Estimate, Status, half_widths
-from sampling_design.estimators.online.tally import Tally
+from sampling_design.estimators.online.tally import EstimateCounts
 from sampling_design.plants.plant import Plant
-from sampling_design.recovery.readings import Told
+from sampling_design.records import checks
+from sampling_design.records.checks import freeze
+from sampling_design.records.record import CurveRecord, Plain, TableRecord, Variable, finite_or_nones
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -35,13 +35,13 @@ class Sample(NamedTuple):
     u: object = None
 
 
-class Taken(NamedTuple):
+class CheckedSample(NamedTuple):
     """A sample that was checked: limits and means among its outputs stand apart, y is NaN there."""
 
     t: float
     y: Any = None
     u: Any = None
-    told: tuple[Told, ...] = ()
+    told: tuple[CensoredReading, ...] = ()
 
 
 class HasStates(Protocol):
@@ -53,7 +53,7 @@ class HasStates(Protocol):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class EstimateRecord(Table, Gridded):
+class EstimateRecord(TableRecord, CurveRecord):
     """Estimates in order of time, as arrays.
 
     Attributes
@@ -85,10 +85,10 @@ class EstimateRecord(Table, Gridded):
     def collect(cls, plant: Plant | HasStates, estimates: Iterable[Estimate]) -> EstimateRecord:
         """Return the record of some estimates of one plant, linear or not."""
         if not isinstance(getattr(plant, "n_states", None), int):
-            raise ArgumentError(f"`plant` must be a Plant or a NonlinearPlant, got {_checks.described(plant)}.")
+            raise ArgumentError(f"`plant` must be a Plant or a NonlinearPlant, got {checks.described(plant)}.")
         found: Sequence[Estimate] = list(estimates)
         if not all(isinstance(e, Estimate) for e in found):
-            raise ArgumentError(f"`estimates` must be a list of estimates, got {_checks.described(found)}.")
+            raise ArgumentError(f"`estimates` must be a list of estimates, got {checks.described(found)}.")
         n = plant.n_states
         if any(e.x.shape != (n,) for e in found):
             raise ArgumentError(f"`estimates` must be of the plant's {n} states.")
@@ -185,8 +185,8 @@ class EstimateRecord(Table, Gridded):
         return tuple(dict.fromkeys(each for each in self.contradictions if each is not None))
 
     @property
-    def _tally(self) -> Tally:
-        found = Tally(self.plant.time_unit)
+    def _tally(self) -> EstimateCounts:
+        found = EstimateCounts(self.plant.time_unit)
         contradictions = self.contradictions or (None,) * len(self)
         flags = (self.status, self.certified.tolist(), self.on_schedule.tolist(), contradictions)
         for each in zip(self.times.tolist(), *flags, strict=True):

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.accuracy.gap_table import GapTable
+from sampling_design.accuracy.interval import Disproof, Interval, prove
+from sampling_design.accuracy.readings import DisturbanceSet, Readings, RowReading, StartError, gathered, rows_told
+from sampling_design.accuracy.record_program import RecordProgram
+from sampling_design.accuracy.rows import Wanted, wanted_rows
 from sampling_design.estimators.online.estimate import Contradiction
-from sampling_design.estimators.online.history import InputHistory, Node
-from sampling_design.estimators.online.tube import Tube, open_tube
+from sampling_design.estimators.online.history import HistoryNode, InputHistory
+from sampling_design.estimators.online.state_tube import StateTube, open_tube
 from sampling_design.plants.plant import Plant
-from sampling_design.recovery.gap_table import GapTable
-from sampling_design.recovery.interval import Disproof, Interval, prove
-from sampling_design.recovery.readings import Push, Readings, Row, StartError, gathered, rows_told
-from sampling_design.recovery.record_program import RecordProgram
-from sampling_design.recovery.rows import Wanted, wanted_rows
 
 Array = npt.NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class Assumptions:
     Attributes
     ----------
     plant : Plant
-    push : Push
+    push : DisturbanceSet
     noise : SetBounds
     error : StartError
         Of the prior.
@@ -57,10 +57,10 @@ class Assumptions:
     """
 
     plant: Plant
-    push: Push
+    push: DisturbanceSet
     noise: SetBounds
     error: StartError
-    state: tuple[Row, ...] = ()
+    state: tuple[RowReading, ...] = ()
     _tables: dict[tuple[bytes, ...], GapTable] = field(default_factory=dict, repr=False)
 
     def program(self, readings: Readings) -> RecordProgram:
@@ -75,7 +75,7 @@ class Evidence:
 
     __slots__ = ("_program", "assumed", "inputs", "nodes", "radius_known")
 
-    def __init__(self, assumed: Assumptions, nodes: tuple[Node, ...], inputs: InputHistory, known: bool):
+    def __init__(self, assumed: Assumptions, nodes: tuple[HistoryNode, ...], inputs: InputHistory, known: bool):
         self.assumed, self.nodes, self.inputs, self.radius_known = assumed, nodes, inputs, known
         self._program: RecordProgram | None = None
 
@@ -147,7 +147,7 @@ class Evidence:
         rows = (*readings.rows[:k], kept, *readings.rows[k + 1 :])
         return not any(rows) or not self.assumed.program(replace(readings, rows=rows)).contradicted
 
-    def tube(self, times: Array, x: Array) -> Tube:
+    def tube(self, times: Array, x: Array) -> StateTube:
         """Return the tube over increasing times from the last sample on, for estimates x (N, n) there."""
         if self._program is None:
             self._program = self.assumed.program(self._readings())
@@ -155,7 +155,7 @@ class Evidence:
         if self.contradiction is None:
             return found
         nothing = np.full(found.lower.shape, np.nan)
-        return Tube(found.times, nothing, nothing)
+        return StateTube(found.times, nothing, nothing)
 
     def _readings(self, until: float | None = None) -> Readings:
         nodes = self.nodes[-(REMEMBERED + 1) :]
@@ -164,7 +164,7 @@ class Evidence:
         if first.number:
             known = self.radius_known and first.stands and bool(np.isfinite(first.beta) and np.isfinite(first.Y).all())
             start = StartError(_root(first.beta * first.Y), True) if known else StartError()
-        rows: dict[float, tuple[Row, ...]] = {}
+        rows: dict[float, tuple[RowReading, ...]] = {}
         for node in nodes:
             rows[node.t] = (*rows.get(node.t, ()), *self._rows(node), *self.assumed.state)
         if until is not None:
@@ -180,10 +180,10 @@ class Evidence:
             inputs=tuple(self.inputs),
         )
 
-    def _rows(self, node: Node) -> tuple[Row, ...]:
+    def _rows(self, node: HistoryNode) -> tuple[RowReading, ...]:
         C, noise = self.assumed.plant.C, self.assumed.noise
         y = node.y - node.feedthrough - noise.centre
-        rows = [Row(C[i], float(y[i]), float(noise.size[i])) for i in np.flatnonzero(node.mask)]
+        rows = [RowReading(C[i], float(y[i]), float(noise.size[i])) for i in np.flatnonzero(node.mask)]
         first = self.nodes[-(REMEMBERED + 1) :][0].t
         for each in node.sample.told:
             if each.since is None or each.since >= first:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import warnings
 
-from sampling_design import _checks
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.online.estimator import GuaranteeWarning
+from sampling_design.records import checks
 
 
 def least_horizon(certificate: SampledCertificate, cost: str) -> float:
@@ -45,7 +45,7 @@ def choose_horizon(
     if horizon is None:
         length = certificate.horizon("paper" if cost.form == "paper" else "sharp").length
     else:
-        length = _checks.positive("horizon", horizon)
+        length = checks.positive("horizon", horizon)
     if cost.given:
         return length, f"No a-priori claim: {', '.join(cost.given)} differ from the certificate's."
     least = least_horizon(certificate, cost.form or "certificate")
@@ -62,7 +62,7 @@ def own_horizon(horizon: float | None) -> float:
     """
     if horizon is None:
         raise ArgumentError("`horizon` must be given where there is no certificate to take it from.")
-    return _checks.positive("horizon", horizon)
+    return checks.positive("horizon", horizon)
 
 
 def too_short(length: float, least: float) -> str:

@@ -12,10 +12,10 @@ from typing import NamedTuple, overload
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._checks import freeze
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.estimate import Contradiction, Estimate
-from sampling_design.estimators.online.estimator import Taken
+from sampling_design.estimators.online.estimator import CheckedSample
+from sampling_design.records.checks import freeze
 
 Array = npt.NDArray[np.float64]
 
@@ -70,7 +70,7 @@ class Branch:
         return branch._proven[1]
 
 
-class Node(NamedTuple):
+class HistoryNode(NamedTuple):
     """A processed sample: a snapshot from which everything later can be computed again.
 
     `flow` and `drift` lead from the node before to this one; `scheduled` says that everything up to here was
@@ -93,7 +93,7 @@ class Node(NamedTuple):
     scheduled: bool
     sound: bool
     estimate: Estimate
-    sample: Taken
+    sample: CheckedSample
     number: int = 0
     limits: Array | None = None
     counted: float = np.nan
@@ -193,7 +193,7 @@ class InputHistory(Sequence[tuple[float, Array]]):
 NO_INPUTS = InputHistory()
 
 
-class State(NamedTuple):
+class EstimatorState(NamedTuple):
     """Everything an estimator knows. Never changed; `step` returns a new one.
 
     Attributes
@@ -204,12 +204,12 @@ class State(NamedTuple):
         What the inputs add from the last node at a to the last input at b, so that many inputs cost each their own.
     """
 
-    nodes: tuple[Node, ...]
+    nodes: tuple[HistoryNode, ...]
     inputs: InputHistory = NO_INPUTS
     reached: tuple[float, float, Array] | None = None
 
     @property
-    def last(self) -> Node:
+    def last(self) -> HistoryNode:
         """The latest node."""
         return self.nodes[-1]
 
@@ -224,7 +224,7 @@ class State(NamedTuple):
         k = self.inputs.before(t) - 1
         return self.inputs[k][1] if k >= 0 else None
 
-    def trimmed(self, memory: float, least: int = 0) -> State:
+    def trimmed(self, memory: float, least: int = 0) -> EstimatorState:
         """Drop what lies further back than `memory` and than `least` nodes, save the last node and input before."""
         nodes, inputs = self.nodes, self.inputs
         first = min(self.node_before(nodes[-1].t - memory), len(nodes) - 1 - least)
@@ -232,9 +232,9 @@ class State(NamedTuple):
             return self
         nodes = nodes[first:]
         if inputs is NO_INPUTS:
-            return State(nodes)
+            return EstimatorState(nodes)
         keep = max(0, inputs.until(nodes[0].t) - 2)
-        return State(nodes, inputs.since(keep) if keep else inputs)
+        return EstimatorState(nodes, inputs.since(keep) if keep else inputs)
 
 
 _time = attrgetter("t")
@@ -242,18 +242,18 @@ _first = itemgetter(0)
 
 
 @dataclass(frozen=True)
-class Drift:
+class InputDrift:
     """The inputs' part of a transition: int_a^b e^{A(b - s)} B u(s) ds for the inputs of a state."""
 
     table: FlowTable
     none: Array
 
     @classmethod
-    def of(cls, table: FlowTable) -> Drift:
+    def of(cls, table: FlowTable) -> InputDrift:
         """Return that of the inputs of a table's plant."""
         return cls(table, freeze(np.zeros(table.weights.plant.n_states)))
 
-    def between(self, state: State, a: float, b: float) -> Array:
+    def between(self, state: EstimatorState, a: float, b: float) -> Array:
         """Return the integral over [a, b]; u is zero before the first input."""
         inputs = state.inputs
         if inputs is NO_INPUTS or b <= a or not len(inputs):

@@ -10,17 +10,17 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._door import doors
+from sampling_design.accuracy.readings import CensoredReading, as_typed, told
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.gap_flows.cost_weights import Weights
+from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.online.estimate import Estimate
-from sampling_design.estimators.online.estimator import EstimateRecord, Progress, Sample, Taken
-from sampling_design.estimators.online.history import Node, State
-from sampling_design.estimators.records.measurement_table import Measured
+from sampling_design.estimators.online.estimator import CheckedSample, EstimateRecord, Progress, Sample
+from sampling_design.estimators.online.history import EstimatorState, HistoryNode
+from sampling_design.estimators.records.measurement_table import MeasuredPlant
 from sampling_design.estimators.records.measurements import DataFrame, read_measurements
 from sampling_design.plants.plant import Plant
-from sampling_design.recovery.readings import Told, as_typed, told
+from sampling_design.records import checks
+from sampling_design.records.signatures import checked_methods
 
 Array = npt.NDArray[np.float64]
 
@@ -29,39 +29,39 @@ AHEAD = 512
 """Samples of a record whose gaps are made at once."""
 
 
-@doors
+@checked_methods
 class OnlineEstimator(ABC):
     """Base of the estimators: a pure `step(state, sample)`, and `update`, `predict`, `run`, `stream` around it."""
 
     _order: ClassVar[str] = "Times and values make one record: Measurements(times, y)."
 
     plant: Plant
-    weights: Weights
+    weights: CostWeights
     memory: float
     maximum_delay: float
     input_side: str
-    state: State
+    state: EstimatorState
     remembered: int = 0
     """Nodes that are kept beside those that `memory` [time] keeps."""
 
     def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
-        doors(cls)
+        checked_methods(cls)
 
     @abstractmethod
-    def _advance(self, state: State, sample: Taken) -> Node:
+    def _advance(self, state: EstimatorState, sample: CheckedSample) -> HistoryNode:
         """Return the node of a checked sample that is later than all nodes of `state` (or at the prior's time)."""
 
     @abstractmethod
-    def _predict(self, state: State, t: float) -> Estimate:
+    def _predict(self, state: EstimatorState, t: float) -> Estimate:
         """Return the estimate at t, at or after the first node of `state`."""
 
-    def step(self, state: State, sample: Sample | tuple[object, ...]) -> tuple[State, Estimate]:
+    def step(self, state: EstimatorState, sample: Sample | tuple[object, ...]) -> tuple[EstimatorState, Estimate]:
         """Return the state after `sample` and the estimate at the latest sample; `state` itself stays as it was.
 
         Parameters
         ----------
-        state : State
+        state : EstimatorState
             From `initial_state` or an earlier `step`.
         sample : (t, y, u)
             y (p,) with NaN for "not measured", None for no measurement; u (m,) holds from t on, None for unchanged.
@@ -79,7 +79,7 @@ class OnlineEstimator(ABC):
         """
         return self._taken_in(state, triple(sample))
 
-    def _taken_in(self, state: State, sample: Sample) -> tuple[State, Estimate]:
+    def _taken_in(self, state: EstimatorState, sample: Sample) -> tuple[EstimatorState, Estimate]:
         checked = self._check(sample, state)
         if checked.u is not None:
             state = _with_input(state, checked)
@@ -87,20 +87,20 @@ class OnlineEstimator(ABC):
             if checked.y is None:
                 state = self._after_input(state, checked.t)
                 return state, self._predict(state, checked.t)
-            state = State((*state.nodes, self._advance(state, checked)), state.inputs)
+            state = EstimatorState((*state.nodes, self._advance(state, checked)), state.inputs)
             state = state.trimmed(self.memory, self.remembered)
             return state, self._handed_out(state, len(state.nodes) - 1)
         return self._late(state, checked)
 
-    def _handed_out(self, state: State, node: int) -> Estimate:
+    def _handed_out(self, state: EstimatorState, node: int) -> Estimate:
         """Return the estimate of a node as a caller gets it."""
         return state.nodes[node].estimate
 
-    def _after_input(self, state: State, t: float) -> State:
+    def _after_input(self, state: EstimatorState, t: float) -> EstimatorState:
         """Return the state after an input at t, ahead of all nodes, with what makes the next one cheap."""
         return state
 
-    def _late(self, state: State, sample: Taken) -> tuple[State, Estimate]:
+    def _late(self, state: EstimatorState, sample: CheckedSample) -> tuple[EstimatorState, Estimate]:
         """Insert a sample (or an input) at or before the last node and replay what comes after it."""
         at = state.node_before(sample.t)
         first = [sample]
@@ -113,21 +113,23 @@ class OnlineEstimator(ABC):
             first = []
         return self._replay(state, at, first, sample.t)
 
-    def _replay(self, state: State, at: int, first: list[Taken], t: float) -> tuple[State, Estimate]:
+    def _replay(
+        self, state: EstimatorState, at: int, first: list[CheckedSample], t: float
+    ) -> tuple[EstimatorState, Estimate]:
         if at < 0:
             raise ArgumentError(f"`t` = {t!r} is the oldest snapshot kept: there is nothing before it to replay from.")
         later = [node.sample for node in state.nodes[at + 1 :] if node.t > t]
-        replayed = State(state.nodes[: at + 1], state.inputs)
+        replayed = EstimatorState(state.nodes[: at + 1], state.inputs)
         for item in [*first, *later]:
-            replayed = State((*replayed.nodes, self._advance(replayed, item)), state.inputs)
+            replayed = EstimatorState((*replayed.nodes, self._advance(replayed, item)), state.inputs)
         replayed = replayed.trimmed(self.memory, self.remembered)
         old, new = state.last.branch, replayed.last.branch
         if old is not None and new is not None and (proven := old.contradiction(state.last.number)) is not None:
             new.tell(replayed.last.number, proven)  # a sample more does not make the others agree
         return replayed, self._handed_out(replayed, len(replayed.nodes) - 1)
 
-    def _check(self, sample: Sample, state: State) -> Taken:
-        t = sample.t if type(sample.t) is float and math.isfinite(sample.t) else _checks.number("t", sample.t)
+    def _check(self, sample: Sample, state: EstimatorState) -> CheckedSample:
+        t = sample.t if type(sample.t) is float and math.isfinite(sample.t) else checks.number("t", sample.t)
         oldest = max(state.nodes[0].t, state.last.t - self.maximum_delay)
         if t < oldest:
             raise ArgumentError(
@@ -141,18 +143,18 @@ class OnlineEstimator(ABC):
         if sample.u is None:
             if y is None:
                 raise ArgumentError(f"`y` and `u` are both missing at t = {t!r}. To look ahead use predict(t).")
-            return Taken(t, y, None, limits)
+            return CheckedSample(t, y, None, limits)
         plain = type(sample.u) is np.ndarray and sample.u.dtype == np.float64
         u = np.array(sample.u, ndmin=1) if plain else None
         if u is not None and u.shape == (self.plant.n_inputs,) and math.isfinite(sum(u.tolist())):
             u.flags.writeable = False
-            return Taken(t, y, u, limits)
-        u = np.atleast_1d(_checks.floats("u", sample.u))
+            return CheckedSample(t, y, u, limits)
+        u = np.atleast_1d(checks.floats("u", sample.u))
         if np.isnan(u).any():
             raise ArgumentError(f"`u` must not hold NaN, got {u.tolist()} at t = {t!r}: a known input has a value.")
-        return Taken(t, y, _checks.vector("u", u, self.plant.n_inputs), limits)
+        return CheckedSample(t, y, checks.vector("u", u, self.plant.n_inputs), limits)
 
-    def _check_told(self, state: State, t: float, limits: tuple[Told, ...]) -> None:
+    def _check_told(self, state: EstimatorState, t: float, limits: tuple[CensoredReading, ...]) -> None:
         """Refuse limits and means that say nothing here."""
         raise ArgumentError(f"`y` holds a limit or a mean at t = {t!r}: this estimator takes plain numbers only.")
 
@@ -191,7 +193,7 @@ class OnlineEstimator(ABC):
         ArgumentError
             If t lies before the oldest snapshot kept.
         """
-        when = _checks.number("t", t)
+        when = checks.number("t", t)
         first = self.state.nodes[0].t
         if when < first:
             raise ArgumentError(f"`t` must be at least {first!r}, the oldest time kept, got {when!r}.")
@@ -207,7 +209,7 @@ class OnlineEstimator(ABC):
         times : (N,) array
             Those that come next; what is not later than the last sample is passed over.
         """
-        given = _checks.vector("times", times)
+        given = checks.vector("times", times)
         later = given[given > self.state.last.t]
         if later.size:
             self._expect(np.unique(later))
@@ -260,7 +262,7 @@ def _stamps(samples: list[object]) -> list[float]:
     return [t for t in map(_stamp, samples) if math.isfinite(t)]
 
 
-def listed(record: object, plant: Measured) -> list[object]:
+def listed(record: object, plant: MeasuredPlant) -> list[object]:
     """The samples of a record in order of time, whatever it is made of; a frame is read like a file of `plant`.
 
     Raises
@@ -277,7 +279,7 @@ def listed(record: object, plant: Measured) -> list[object]:
         times = _stamps(found)
         return sorted(found, key=_stamp) if len(times) == len(found) and times != sorted(times) else found
     raise ArgumentError(
-        f"`record` must be Measurements, a DataFrame or a list of (t, y, u), got {_checks.described(record)}."
+        f"`record` must be Measurements, a DataFrame or a list of (t, y, u), got {checks.described(record)}."
     )
 
 
@@ -290,11 +292,11 @@ def triple(item: object) -> Sample:
         If it is no (t, y), (t, y, u).
     """
     if not isinstance(item, (tuple, list)) or not 1 <= len(item) <= 3:
-        raise ArgumentError(f"`sample` must be (t, y) or (t, y, u), got {_checks.described(item)}.")
+        raise ArgumentError(f"`sample` must be (t, y) or (t, y, u), got {checks.described(item)}.")
     return Sample(*item)
 
 
-def _with_input(state: State, sample: Taken) -> State:
+def _with_input(state: EstimatorState, sample: CheckedSample) -> EstimatorState:
     """Return the state that also knows the input from `sample.t` on."""
     at = state.inputs.before(sample.t)
     if at < len(state.inputs) and state.inputs[at][0] == sample.t:
@@ -305,10 +307,10 @@ def _with_input(state: State, sample: Taken) -> State:
             )
         return state
     reached = state.reached if at == len(state.inputs) else None
-    return State(state.nodes, state.inputs.added(at, sample.t, sample.u), reached)
+    return EstimatorState(state.nodes, state.inputs.added(at, sample.t, sample.u), reached)
 
 
-def _merge(old: Taken, new: Taken) -> Taken | None:
+def _merge(old: CheckedSample, new: CheckedSample) -> CheckedSample | None:
     """Join two samples at one time; None if the new one adds nothing. Of one output both must say the same."""
     if new.y is None:
         return old
@@ -323,16 +325,16 @@ def _merge(old: Taken, new: Taken) -> Taken | None:
         return None
     y = np.where(np.isnan(old.y), new.y, old.y)
     y.flags.writeable = False
-    return Taken(old.t, y, None, tuple(dict.fromkeys((*old.told, *new.told))))
+    return CheckedSample(old.t, y, None, tuple(dict.fromkeys((*old.told, *new.told))))
 
 
-def _said(sample: Taken) -> dict[int, float | Told]:
+def _said(sample: CheckedSample) -> dict[int, float | CensoredReading]:
     """What a sample says of each output that it reads."""
     y = {output: float(sample.y[output]) for output in np.flatnonzero(np.isfinite(sample.y)).tolist()}
     return y | {each.output: each for each in sample.told}
 
 
-def _as_given(sample: Taken) -> list[object]:
+def _as_given(sample: CheckedSample) -> list[object]:
     """What a sample says of each output, as a user gives it."""
     values: list[object] = sample.y.tolist()
     for each in sample.told:

@@ -8,22 +8,22 @@ from typing import NamedTuple, TypedDict, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._checks import freeze
-from sampling_design._linalg import symmetrise
+from sampling_design.accuracy.readings import CensoredReading, DisturbanceSet, StartError
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.composed_flow import ComposedFlow
-from sampling_design.estimators.gap_flows.cost_weights import Weights, noise_bound
+from sampling_design.estimators.gap_flows.cost_weights import CostWeights, noise_bound
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.estimate import Contradiction, Estimate, Status, estimate_of, with_proof
-from sampling_design.estimators.online.estimator import Taken
+from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.online.evidence import REMEMBERED, Assumptions, Evidence, SetBounds
-from sampling_design.estimators.online.history import Branch, Drift, Node, State
+from sampling_design.estimators.online.history import Branch, EstimatorState, HistoryNode, InputDrift
 from sampling_design.estimators.online.in_order import OnlineEstimator
-from sampling_design.estimators.online.rounded import Precision, faded, in_units_of, moved, passed, rounding
+from sampling_design.estimators.online.rounding import CovariancePrecision, faded, in_units_of, moved, passed, rounding
 from sampling_design.estimators.online.schedule_watch import ScheduleWatch
+from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
-from sampling_design.recovery.readings import Push, StartError, Told
+from sampling_design.records import checks
+from sampling_design.records.checks import freeze
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 
 Array = npt.NDArray[np.float64]
@@ -44,7 +44,7 @@ LARGEST = 1e150
 """Residuals beyond this, in units of their weights, have squares that overflow in sums."""
 
 
-class Verdict(NamedTuple):
+class SolveVerdict(NamedTuple):
     """What a solve is worth: the bound on |x|^2_Pi, the status, whether the assumptions stand, and what contradicts."""
 
     beta: float
@@ -64,21 +64,21 @@ class SolveDetails(TypedDict, total=False):
 class MeasuredSample(NamedTuple):
     """A sample as the equations take it: y with 0 where it is missing, the mask of 0 and 1, D u, and its limits."""
 
-    sample: Taken
+    sample: CheckedSample
     y: Array
     mask: Array
     feedthrough: Array
     limits: Array | None = None
 
 
-class Held(NamedTuple):
+class OpenLoopState(NamedTuple):
     """What is held after a sample: state, covariance, the flow and drift that led there, Y's precision where known."""
 
     x: Array
     Y: Array
     flow: GapFlow
     drift: Array
-    precision: Precision | None = None
+    precision: CovariancePrecision | None = None
 
 
 class OpenLoopEstimator(OnlineEstimator):
@@ -101,7 +101,7 @@ class OpenLoopEstimator(OnlineEstimator):
     def _set_up(
         self,
         plant: Plant,
-        weights: Weights,
+        weights: CostWeights,
         schedule: AnySchedule | SamplingFamily | None,
         input_side: str,
         constant_w: bool = False,
@@ -110,16 +110,16 @@ class OpenLoopEstimator(OnlineEstimator):
     ) -> None:
         if plant.n_states == 0:
             raise ArgumentError("`plant` must have at least one state: there is nothing to estimate.")
-        _checks.word("input_side", input_side, ("right", "left"))
+        checks.word("input_side", input_side, ("right", "left"))
         self.plant, self.weights, self.input_side = plant, weights, input_side
         self.table = FlowTable(weights, constant_w)
-        self._drift = Drift.of(self.table)
+        self._drift = InputDrift.of(self.table)
         self._undiscounted_flow = ComposedFlow(plant.A, weights.noise, 0.0, weights.units)
         self._direct = bool(plant.D.any())  # whether an input enters a measurement at once
         self._nothing, self._everything = freeze(np.zeros(plant.n_outputs)), freeze(np.ones(plant.n_outputs))
         self._watch = None
-        tolerance = _checks.nonnegative("timing_tolerance", timing_tolerance)
-        zero = _checks.number("schedule_zero", schedule_zero)
+        tolerance = checks.nonnegative("timing_tolerance", timing_tolerance)
+        zero = checks.number("schedule_zero", schedule_zero)
         if schedule is not None:
             self._watch = ScheduleWatch(schedule, plant.time_unit, tolerance, zero)
 
@@ -150,10 +150,10 @@ class OpenLoopEstimator(OnlineEstimator):
                 (self._v_bound, self.plant.n_outputs),
             )
         )
-        push = Push(np.zeros(w.size), np.diag(w), w_ball)
+        push = DisturbanceSet(np.zeros(w.size), np.diag(w), w_ball)
         return Assumptions(self.plant, push, SetBounds(np.zeros(v.size), v, v_ball), error)
 
-    def _check_told(self, state: State, t: float, limits: tuple[Told, ...]) -> None:
+    def _check_told(self, state: EstimatorState, t: float, limits: tuple[CensoredReading, ...]) -> None:
         exact = self.weighs_means and all(each.since is not None and each.lower == each.upper for each in limits)
         if self._assumed is None and not exact:
             raise ArgumentError(
@@ -172,10 +172,10 @@ class OpenLoopEstimator(OnlineEstimator):
                     "the oldest time kept or the end of the mean before."
                 )
 
-    def _handed_out(self, state: State, node: int) -> Estimate:
+    def _handed_out(self, state: EstimatorState, node: int) -> Estimate:
         return self._known(state, node, state.nodes[node].estimate)
 
-    def _known(self, state: State, node: int, estimate: Estimate) -> Estimate:
+    def _known(self, state: EstimatorState, node: int, estimate: Estimate) -> Estimate:
         """Return an estimate made from the nodes up to one of them, with the evidence for its interval."""
         if self._assumed is None:
             return estimate
@@ -198,16 +198,16 @@ class OpenLoopEstimator(OnlineEstimator):
         """
         self.state = self.initial_state(prior, prior_time)
 
-    def initial_state(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> State:
+    def initial_state(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> EstimatorState:
         """Return the state before any sample: `prior` (default 0) at `prior_time`, with weight P2."""
         n, p = self.plant.n_states, self.plant.n_outputs
-        t = _checks.number("prior_time", prior_time)
-        x = _checks.vector("prior", np.zeros(n) if prior is None else prior, n)
+        t = checks.number("prior_time", prior_time)
+        x = checks.vector("prior", np.zeros(n) if prior is None else prior, n)
         Y = freeze(self.weights.prior_root @ self.weights.prior_root.T)
         scheduled = not self.claim_note and self._watch is not None
         estimate = self._estimate(t, x, Y, self._prior_energy, "prior", sound=True, scheduled=scheduled)
         zero = np.zeros(p)
-        node = Node(
+        node = HistoryNode(
             t=t,
             y=zero,
             mask=zero,
@@ -220,10 +220,10 @@ class OpenLoopEstimator(OnlineEstimator):
             scheduled=scheduled,
             sound=True,
             estimate=estimate,
-            sample=Taken(t),
+            sample=CheckedSample(t),
             branch=Branch(),
         )
-        return State((node,))
+        return EstimatorState((node,))
 
     def _estimate(
         self,
@@ -259,14 +259,14 @@ class OpenLoopEstimator(OnlineEstimator):
 
     def _node(
         self,
-        state: State,
+        state: EstimatorState,
         measured: MeasuredSample,
-        held: Held,
-        found: Verdict,
+        held: OpenLoopState,
+        found: SolveVerdict,
         details: SolveDetails,
         note: str = "",
         scheduled: bool = False,
-    ) -> Node:
+    ) -> HistoryNode:
         """Return the node of a sample, with the estimate that is handed out; its rounding widens the radius."""
         last, (x, Y, flow, drift, precision) = state.nodes[-1], held
         sample, y, mask, feedthrough, limits = measured
@@ -281,13 +281,13 @@ class OpenLoopEstimator(OnlineEstimator):
         limited = t if sample.told else last.limited
         size += 0.0 if math.isinf(flow.growth) else last.held / flow.growth
         branch = None if last.branch is None else last.branch.after(last.number)
-        return Node(
+        return HistoryNode(
             t=t, y=y, mask=mask, feedthrough=feedthrough, x=x, Y=Y, beta=beta, flow=flow, drift=drift,
             scheduled=scheduled, sound=sound, estimate=estimate, sample=sample, number=last.number + 1, limits=limits,
             limited=limited, held=size, loose=loose, branch=branch,
         )  # fmt: skip
 
-    def _flown(self, node: Node, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
+    def _flown(self, node: HistoryNode, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
         """Return state, covariance and radius after `flow`, without a measurement."""
         beta = faded(node.beta, 1 / flow.growth) + self._lost(flow.gap) if flow.gap > 0 else node.beta
         x: Array = flow.F.dot(node.x)
@@ -298,11 +298,11 @@ class OpenLoopEstimator(OnlineEstimator):
         eta = self.weights.eta
         return self._w_energy * (h if eta == 0 else -math.expm1(-eta * h) / eta) if h > 0 else 0.0
 
-    def _after_input(self, state: State, t: float) -> State:
+    def _after_input(self, state: EstimatorState, t: float) -> EstimatorState:
         a = state.last.t
         return state._replace(reached=(a, t, self._drift.between(state, a, t)))
 
-    def _predict(self, state: State, t: float) -> Estimate:
+    def _predict(self, state: EstimatorState, t: float) -> Estimate:
         at = state.node_before(t)
         node = state.nodes[at]
         if node.t == t:
@@ -329,7 +329,7 @@ class OpenLoopEstimator(OnlineEstimator):
         return self._known(state, at, found)
 
     @staticmethod
-    def _moved(node: Node, flow: GapFlow, drift: Array) -> Array:
+    def _moved(node: HistoryNode, flow: GapFlow, drift: Array) -> Array:
         with np.errstate(over="ignore", invalid="ignore"):
             return np.asarray(flow.F @ node.x + drift)
 
@@ -340,7 +340,7 @@ class OpenLoopEstimator(OnlineEstimator):
                 "for so long grows beyond double precision. Start again near it: reset(prior, prior_time)."
             )
 
-    def _ahead(self, node: Node, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
+    def _ahead(self, node: HistoryNode, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
         """Return state, covariance and radius after `flow`: of the two ellipsoids the smaller one."""
         with np.errstate(over="ignore", invalid="ignore"):
             x, Y, beta = self._flown(node, flow, drift)
@@ -356,7 +356,7 @@ class OpenLoopEstimator(OnlineEstimator):
         scale = beta if beta > 0 else 1.0
         return x, whole / scale, scale
 
-    def _undiscounted(self, node: Node, flow: GapFlow) -> Array | None:
+    def _undiscounted(self, node: HistoryNode, flow: GapFlow) -> Array | None:
         """Return the matrix of an ellipsoid z'M^-1 z <= 1 that holds the error after `flow`; None without bounds."""
         if not (np.isfinite(node.beta) and np.isfinite(self._w_energy)) or flow.gap == 0:
             return None
@@ -377,13 +377,13 @@ class OpenLoopEstimator(OnlineEstimator):
         with np.errstate(over="ignore", invalid="ignore"):
             return np.asarray(self._undiscounted_flow.over([gap])[2][0])
 
-    def _nothing_missed(self, nodes: tuple[Node, ...], t: float) -> bool:
+    def _nothing_missed(self, nodes: tuple[HistoryNode, ...], t: float) -> bool:
         if self._watch is None:
             return True
         last = next((node for node in reversed(nodes) if _counts(node)), None)
         return last is not None and self._watch.nothing_missed(last.t, t, first=last.sample.y is None)
 
-    def _fits_schedule(self, state: State, t: float, mask: Array) -> bool:
+    def _fits_schedule(self, state: EstimatorState, t: float, mask: Array) -> bool:
         """Whether everything up to and with a sample at t is on schedule.
 
         A sample without a number, of limits and means alone, is none for the schedule: the claim is about numbers.
@@ -399,7 +399,7 @@ class OpenLoopEstimator(OnlineEstimator):
         times.append(t)
         return self._watch.sample_fits(times, mask, first=before[-1].sample.y is None)
 
-    def _measured(self, state: State, sample: Taken) -> tuple[Array, Array, Array]:
+    def _measured(self, state: EstimatorState, sample: CheckedSample) -> tuple[Array, Array, Array]:
         """Return y with 0 where it is missing, the mask of 0 and 1, and D u."""
         y: Array = sample.y
         u = state.input_at(sample.t, before=self.input_side == "left") if self._direct else None
@@ -419,12 +419,14 @@ class OpenLoopEstimator(OnlineEstimator):
         """Whether residuals, in units of their weights, are so large that their squares overflow."""
         return not bool((np.abs(weighted) < LARGEST).all())
 
-    def _overflowed(self, state: State, sample: Taken, residual: Array, terms: float) -> tuple[Verdict, str]:
+    def _overflowed(
+        self, state: EstimatorState, sample: CheckedSample, residual: Array, terms: float
+    ) -> tuple[SolveVerdict, str]:
         """Return what a sample is worth that is too large to be weighed: nothing, and a contradiction of all bounds."""
         last = state.last
         contradiction, words = last.contradiction, "A measurement is too large to be weighed."
         if np.isinf(terms):
-            return Verdict(np.nan, "solver failed", last.stands, contradiction), words
+            return SolveVerdict(np.nan, "solver failed", last.stands, contradiction), words
         if contradiction is None:
             seen = np.isfinite(sample.y)
             output = int(np.argmax(np.where(seen, np.abs(residual), -1.0)))
@@ -432,18 +434,18 @@ class OpenLoopEstimator(OnlineEstimator):
             factor = weight * abs(float(residual[output])) / math.sqrt(terms) if terms > 0 else np.inf
             name = self.plant.outputs.names[output]
             contradiction = Contradiction(last.number + 1, sample.t, name, factor)
-        return Verdict(np.nan, "bounds disproved", False, contradiction), words
+        return SolveVerdict(np.nan, "bounds disproved", False, contradiction), words
 
-    def _judged(self, terms: float, dual: float, last: Node) -> Verdict:
+    def _judged(self, terms: float, dual: float, last: HistoryNode) -> SolveVerdict:
         """Return the radius `terms` - `dual`, its status, and whether the assumptions still stand."""
         beta = terms - dual
         if beta < -CONTRADICTION * terms:
-            return Verdict(0.0, "bounds disproved", False, last.contradiction)
+            return SolveVerdict(0.0, "bounds disproved", False, last.contradiction)
         rest = (ROUNDING + self.weights.loose) * terms + moved(terms, last.held)
-        return Verdict(max(beta, 0.0) + rest, "ok", last.stands, last.contradiction)
+        return SolveVerdict(max(beta, 0.0) + rest, "ok", last.stands, last.contradiction)
 
 
-def _counts(node: Node) -> bool:
+def _counts(node: HistoryNode) -> bool:
     """Whether a node is the prior or holds a number: what a certificate's schedule is about."""
     return not node.sample.told or bool(node.mask.any())
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.schedules.family import AnySchedule, Leeway, SamplingFamily
+from sampling_design.schedules.family import AnySchedule, SamplingFamily, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
@@ -39,7 +39,7 @@ class ScheduleWatch:
         if schedule is None or isinstance(schedule, SamplingFamily):
             family, plan = schedule, None if schedule is None else schedule.leeway
         else:
-            family, plan = None, Leeway(schedule)
+            family, plan = None, TimingTolerance(schedule)
         self.family = family if plan is None else None
         self.nominal: AnySchedule | None = None
         self.zero = zero

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
-from sampling_design._record import short
 from sampling_design.estimators.online.estimate import FAILURES, Contradiction, Estimate, Status
+from sampling_design.records.record import short
 
 
 @dataclass
-class Tally:
+class EstimateCounts:
     """Counts of estimates in order of time."""
 
     time_unit: str

@@ -11,11 +11,11 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks, _files
-from sampling_design._units import SECONDS
+from sampling_design.accuracy.readings import CensoredReading
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.plant import Signals
-from sampling_design.recovery.readings import Told
+from sampling_design.records import checks, file_io
+from sampling_design.records.units import SECONDS
 from sampling_design.schedules.time_stamps import time_zone
 
 Array = npt.NDArray[np.float64]
@@ -32,7 +32,7 @@ LONGEST_LINE = 100_000
 
 
 @runtime_checkable
-class Measured(Protocol):
+class MeasuredPlant(Protocol):
     """What a file of measurements needs of a plant, linear or not."""
 
     @property
@@ -50,7 +50,7 @@ class Measured(Protocol):
 
 
 def read_table(
-    where: str, lines: Iterator[str], plant: Measured, origin: str | None, zone: str | None = None
+    where: str, lines: Iterator[str], plant: MeasuredPlant, origin: str | None, zone: str | None = None
 ) -> MeasurementTable:
     """Return what the lines of a file say, read block by block.
 
@@ -63,8 +63,8 @@ def read_table(
     first = next(held, None)
     if first is None:
         raise FileFormatError(f"{where}: is empty, expected a header line.", where)
-    mark = _files.separator(first[1])
-    ((_, found),) = _files.csv_rows([first], where)
+    mark = file_io.separator(first[1])
+    ((_, found),) = file_io.csv_rows([first], where)
     own = {*plant.outputs.names, *plant.inputs.names}
     header = [name.lower() if name.lower() in ("time", "date") and name not in own else name for name in found]
     stamp = _check_header(where, header, plant)
@@ -82,7 +82,7 @@ class _Clock:
     whether there was one, and `place` where it was taken to be.
     """
 
-    def __init__(self, where: str, plant: Measured, zero: datetime | None, zone: str | None):
+    def __init__(self, where: str, plant: MeasuredPlant, zero: datetime | None, zone: str | None):
         self.where, self.unit, self.zero, self.naive = where, SECONDS[plant.time_unit], zero, False
         self.zone: tzinfo = UTC if zero is None or zero.tzinfo is None else zero.tzinfo
         self.place = str(self.zone)
@@ -114,11 +114,11 @@ class _Clock:
 class MeasurementTable:
     """Rows that were read so far, eight bytes a cell; a time may come twice if the rows agree."""
 
-    def __init__(self, where: str, plant: Measured, header: list[str], mark: str, clock: _Clock, stamp: str):
+    def __init__(self, where: str, plant: MeasuredPlant, header: list[str], mark: str, clock: _Clock, stamp: str):
         self.where, self.plant, self.header, self.mark = where, plant, header, mark
         self.clock, self.stamp = clock, stamp
         self.read = clock.date if stamp == "date" else clock.time
-        self.told: list[tuple[Told, ...]] = []
+        self.told: list[tuple[CensoredReading, ...]] = []
         self._blocks: list[tuple[Array, Array, Array, npt.NDArray[np.intp]]] = []
         self._latest, self._held = -np.inf, np.full(plant.n_inputs, np.nan)
         self._rows = _Rows()
@@ -152,7 +152,7 @@ class MeasurementTable:
             self._blocks.append((times[kept], y[kept], u[kept], np.array([number for number, _ in lines])[kept]))
             self.told += [()] * int(kept.sum())
             return
-        for number, cells in _files.csv_rows(lines, self.where, self.mark):
+        for number, cells in file_io.csv_rows(lines, self.where, self.mark):
             if len(cells) != len(self.header):
                 raise FileFormatError(
                     f"{self.where}: line {number} has {len(cells)} cells, expected {len(self.header)}.", self.where
@@ -200,11 +200,11 @@ class MeasurementTable:
             return None  # said again with its line
 
     def _column(self, cells: tuple[str, ...], blank: bool = True) -> Array | None:
-        return _files.decimals([cell.strip() for cell in cells], self.mark != ",", blank)
+        return file_io.decimals([cell.strip() for cell in cells], self.mark != ",", blank)
 
     def _add(self, line: int, t: float, cell: dict[str, str]) -> None:
         outputs: list[float] = []
-        told: list[Told] = []
+        told: list[CensoredReading] = []
         for i, name in enumerate(self.plant.outputs.names):
             limit = cell[name][:1] if cell[name][:1] in ("<", ">") else ""
             value = _number(self.where, line, name, cell[name].removeprefix(limit).strip(), blank=not limit)
@@ -216,7 +216,7 @@ class MeasurementTable:
                 )
             if limit or since is not None:
                 ends = {"<": (-np.inf, value), ">": (value, np.inf), "": (value, value)}[limit]
-                told.append(Told(i, *ends, since))
+                told.append(CensoredReading(i, *ends, since))
             outputs.append(np.nan if limit or since is not None else value)
         inputs = [_number(self.where, line, name, cell[name], blank=True) for name in self.plant.inputs.names]
         inputs = self._filled(line, inputs)
@@ -292,7 +292,7 @@ class _Rows:
         return np.array(self.times), y, u, np.array(self.lines)
 
 
-def _content(outputs: list[float], inputs: list[float], told: list[Told]) -> tuple[float, ...]:
+def _content(outputs: list[float], inputs: list[float], told: list[CensoredReading]) -> tuple[float, ...]:
     return (*outputs, *inputs, *(np.nan if x is None else x for each in told for x in each))
 
 
@@ -317,7 +317,7 @@ def _counts(line: str) -> bool:
     return bool(text) and not text.startswith("#")
 
 
-def _check_header(where: str, header: list[str], plant: Measured) -> str:
+def _check_header(where: str, header: list[str], plant: MeasuredPlant) -> str:
     stamps = [name for name in ("time", "date") if name in header]
     if len(stamps) != 1:
         raise FileFormatError(f"{where}: the header must hold `time` or `date`, got {', '.join(header)}.", where)
@@ -336,7 +336,7 @@ def _check_header(where: str, header: list[str], plant: Measured) -> str:
         raise FileFormatError(f"{where}: column {twice[0]!r} occurs twice.", where)
     try:
         known = [stamps[0], *wanted, *(name + SINCE for name in plant.outputs.names)]
-        _checks.known_keys("the header", header, known)
+        checks.known_keys("the header", header, known)
     except ArgumentError as error:
         slip = f" Take a column that is neither out; the plant names {', '.join(wanted)}."
         raise FileFormatError(f"{where}: unknown column: {error}{slip}", where) from None
@@ -346,7 +346,7 @@ def _check_header(where: str, header: list[str], plant: Measured) -> str:
 def _number(where: str, line: int, name: str, cell: str, blank: bool = False) -> float:
     if blank and cell == "":
         return float("nan")
-    value = _files.decimal(cell)
+    value = file_io.decimal(cell)
     if value is None:
         hint = " Leave the cell empty if nothing was measured." if blank else ""
         if name == "time" and _is_date(cell):

@@ -14,21 +14,21 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks, _files
-from sampling_design._door import door
-from sampling_design._record import Record, counted, short
-from sampling_design._units import SECONDS
+from sampling_design.accuracy.readings import CensoredReading, as_typed
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.records.measurement_table import (
     SINCE,
-    Measured,
+    MeasuredPlant,
     date_of,
     dated,
     held_on,
     read_table,
 )
 from sampling_design.plants.plant import Plant
-from sampling_design.recovery.readings import Told, as_typed
+from sampling_design.records import checks, file_io
+from sampling_design.records.record import Record, counted, short
+from sampling_design.records.signatures import checked
+from sampling_design.records.units import SECONDS
 
 Array = npt.NDArray[np.float64]
 
@@ -78,23 +78,23 @@ class Measurements(Record):
     everything that a row says of time, the beginnings of its means too.
     """
 
-    plant: Measured
+    plant: MeasuredPlant
     times: Array
     y: Array
     u: Array = None  # type: ignore[assignment]
     origin: str = field(default="", kw_only=True)
     assumed_zone: str = field(default="", kw_only=True)
-    told: tuple[tuple[Told, ...], ...] = field(default=(), kw_only=True)
+    told: tuple[tuple[CensoredReading, ...], ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.plant, Measured):
-            raise ArgumentError(f"`plant` must be a Plant, got {_checks.described(self.plant)}.")
-        times = _checks.vector("times", self.times)
+        if not isinstance(self.plant, MeasuredPlant):
+            raise ArgumentError(f"`plant` must be a Plant, got {checks.described(self.plant)}.")
+        times = checks.vector("times", self.times)
         shapes = {"y": (self.y, self.plant.n_outputs), "u": (self.u, self.plant.n_inputs)}
         owned = {"times": times}
         for key, (value, width) in shapes.items():
             blank = np.full((times.size, width), np.nan)
-            array = blank if value is None else _checks.floats(key, value)
+            array = blank if value is None else checks.floats(key, value)
             if array.shape != blank.shape or np.isinf(array).any():
                 raise ArgumentError(f"`{key}` must be finite or NaN of shape {blank.shape}, got shape {array.shape}.")
             array.flags.writeable = False
@@ -103,10 +103,10 @@ class Measurements(Record):
             object.__setattr__(self, key, array)
         held, outputs = (tuple, list), range(self.plant.n_outputs)
         if not isinstance(self.told, held) or not all(
-            isinstance(row, held) and all(isinstance(each, Told) and each.output in outputs for each in row)
+            isinstance(row, held) and all(isinstance(each, CensoredReading) and each.output in outputs for each in row)
             for row in self.told
         ):
-            raise ArgumentError(f"`told` must be a tuple of what each row says, got {_checks.described(self.told)}.")
+            raise ArgumentError(f"`told` must be a tuple of what each row says, got {checks.described(self.told)}.")
         rows = tuple(tuple(row) for row in self.told) or ((),) * times.size
         if len(rows) != times.size or any(
             not np.isnan(self.y[k, each.output]) for k, r in enumerate(rows) for each in r
@@ -152,7 +152,7 @@ class Measurements(Record):
         ArgumentError
             If `by` is no number, or the origin would leave the years 1 to 9999.
         """
-        by = _checks.number("by", by)
+        by = checks.number("by", by)
         told = tuple(tuple(each.shifted(by) for each in row) for row in self.told)
         zero = dated(date_of("`origin`", 0, self.origin), -by, self.plant.time_unit) if self.origin else ""
         return replace(self, times=self.times + by, told=told, origin=zero)
@@ -178,7 +178,7 @@ class Measurements(Record):
 
         A mean that began before `start` tells of a time outside, and is left out.
         """
-        start, stop = _checks.number("start", start), _checks.number("stop", stop)
+        start, stop = checks.number("start", start), checks.number("stop", stop)
         ordered = self.in_order()
         within = np.flatnonzero((ordered.times >= start) & (ordered.times <= stop))
         told = tuple(
@@ -208,7 +208,7 @@ class Measurements(Record):
             If `other` is of another plant, only one of the two has dates, or they contradict each other.
         """
         if not isinstance(other, Measurements) or _signals(other.plant) != _signals(self.plant):
-            raise ArgumentError(f"`other` must be Measurements of the same plant, got {_checks.described(other)}.")
+            raise ArgumentError(f"`other` must be Measurements of the same plant, got {checks.described(other)}.")
         if bool(self.origin) != bool(other.origin):
             raise ArgumentError("`other` must have dates where these measurements do, and none where they have none.")
         if self.origin and other.origin != self.origin:
@@ -262,10 +262,10 @@ class Measurements(Record):
         return f"{rows} of measurements of {self.plant.name or 'a plant'}; {measured}."
 
 
-@door
+@checked
 def read_measurements(
     path: str | os.PathLike[str] | DataFrame,
-    plant: Plant | Measured,
+    plant: Plant | MeasuredPlant,
     *,
     origin: str | None = None,
     zone: str | None = None,
@@ -311,7 +311,7 @@ def read_measurements(
 def _lines_of(source: str | os.PathLike[str] | DataFrame) -> tuple[str, Iterator[str]]:
     """Name and lines of a file; of a frame those that its file would have, so that both are read by one grammar."""
     if isinstance(source, str | os.PathLike):
-        return os.fspath(source), _files.text_lines(source)
+        return os.fspath(source), file_io.text_lines(source)
     known = {"time": "time", "date": "date"}
     columns = source
     if not any(str(name).lower() in known for name in source.columns):
@@ -327,7 +327,7 @@ def _kind(column: object) -> str:
     return str(getattr(getattr(column, "dtype", None), "kind", ""))
 
 
-@door
+@checked
 def write_measurements(measurements: Measurements, path: str | os.PathLike[str]) -> Path:
     """Write measurements as CSV; `read_measurements` returns them exactly.
 
@@ -356,7 +356,7 @@ def write_measurements(measurements: Measurements, path: str | os.PathLike[str])
     return write_csv(path, header, body)
 
 
-def _signals(plant: Measured) -> tuple[object, ...]:
+def _signals(plant: MeasuredPlant) -> tuple[object, ...]:
     return plant.time_unit, tuple(plant.outputs.names), tuple(plant.inputs.names)
 
 
@@ -369,4 +369,4 @@ def write_csv(path: str | os.PathLike[str], header: list[str], body: list[list[s
     """Write a header and rows, whole or not at all; return the path."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([header, *body])
-    return _files.write_text(path, text.getvalue())
+    return file_io.write_text(path, text.getvalue())

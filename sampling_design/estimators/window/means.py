@@ -21,11 +21,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
-from sampling_design.estimators.gap_flows.cost_weights import Weights
+from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import FlowTable, noise_root
-from sampling_design.estimators.online.estimator import Taken
-from sampling_design.estimators.online.history import Drift, State
-from sampling_design.estimators.window.solution import DUAL_MARGIN, Solution, Spread
+from sampling_design.estimators.online.estimator import CheckedSample
+from sampling_design.estimators.online.history import EstimatorState, InputDrift
+from sampling_design.estimators.window.solution import DUAL_MARGIN, Solution, SolutionSpread
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -40,7 +40,7 @@ class MeanReading(NamedTuple):
     value: float
 
 
-def means_of(sample: Taken) -> tuple[tuple[int, float, float], ...]:
+def means_of(sample: CheckedSample) -> tuple[tuple[int, float, float], ...]:
     """Return output, beginning and value of the means that a sample holds as numbers, none of them a limit."""
     return tuple(
         (each.output, each.since, each.lower)
@@ -50,7 +50,7 @@ def means_of(sample: Taken) -> tuple[tuple[int, float, float], ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Means:
+class MeanRows:
     """The means of one window, as rows of the deviations from its reference.
 
     Attributes
@@ -74,7 +74,7 @@ class Means:
     masks: Array
     y: Array
 
-    def without(self, k: int) -> Means | None:
+    def without(self, k: int) -> MeanRows | None:
         """Return all but one; None where there is no other."""
         kept = [j for j in range(len(self.readings)) if j != k]
         if not kept:
@@ -83,13 +83,13 @@ class Means:
         masks, y = self.masks.copy(), self.y.copy()
         masks[one.end, one.output] = y[one.end, one.output] = 0.0
         readings = tuple(self.readings[j] for j in kept)
-        return Means(readings, self.rows[kept], self.target[kept], self.spread[np.ix_(kept, kept)], masks, y)
+        return MeanRows(readings, self.rows[kept], self.target[kept], self.spread[np.ix_(kept, kept)], masks, y)
 
 
 class IntegralFlows:
     """Flows of a plant's state and of the integrals of all its outputs, with the same disturbance."""
 
-    def __init__(self, weights: Weights, constant_w: bool = False):
+    def __init__(self, weights: CostWeights, constant_w: bool = False):
         plant, n = weights.plant, weights.plant.n_states
         p = plant.n_outputs
         A = np.zeros((n + p, n + p))
@@ -101,12 +101,12 @@ class IntegralFlows:
         prior = block_diag(weights.prior, np.diag(plant.outputs.scales**-2.0))
         self.n, self.weights = n, weights
         self.table = FlowTable(replace(weights, plant=longer, prior=prior), constant_w)
-        self._drift = Drift.of(self.table)
+        self._drift = InputDrift.of(self.table)
 
     def means(
-        self, state: State, times: Sequence[float], reference: Array, residual: Array, masks: Array,
+        self, state: EstimatorState, times: Sequence[float], reference: Array, residual: Array, masks: Array,
         readings: Sequence[MeanReading],
-    ) -> Means:  # fmt: skip
+    ) -> MeanRows:  # fmt: skip
         """Return means as rows; residual and masks are those of the window's plain readings."""
         n, weights, count = self.n, self.weights, len(readings)
         p = weights.plant.n_outputs
@@ -145,10 +145,10 @@ class IntegralFlows:
             target[own] -= beside @ residual[end]
             rows[own, end] -= beside @ weights.plant.C
             spread[np.ix_(own, own)] += np.linalg.solve(part, np.eye(len(own))) * grown[end]
-        return Means(tuple(readings), rows, target, (spread + spread.T) / 2, together, y)
+        return MeanRows(tuple(readings), rows, target, (spread + spread.T) / 2, together, y)
 
 
-def with_means(solution: Solution, reference: Array, means: Means) -> Solution:
+def with_means(solution: Solution, reference: Array, means: MeanRows) -> Solution:
     """Return the minimiser with the means, given that without them.
 
     Notes
@@ -184,7 +184,7 @@ def with_means(solution: Solution, reference: Array, means: Means) -> Solution:
 class _Narrowed:
     """T Q of a spread T, Q = I - Z' diag(loss) Z with orthonormal rows Z."""
 
-    base: Spread
+    base: SolutionSpread
     Z: Array
     loss: Array
 

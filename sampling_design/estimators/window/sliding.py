@@ -19,10 +19,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
 
-from sampling_design.estimators.gap_flows.cost_weights import Weights
+from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import GapFlow, lower_band
-from sampling_design.estimators.online.history import Node
-from sampling_design.estimators.online.rounded import Precision
+from sampling_design.estimators.online.history import HistoryNode
+from sampling_design.estimators.online.rounding import CovariancePrecision
 from sampling_design.estimators.window.smoother import PIVOT_LIMIT
 from sampling_design.estimators.window.solution import DUAL_MARGIN
 from sampling_design.estimators.window.square_root import absorb, covariance_root
@@ -57,7 +57,7 @@ HISTORIES = 64
 """Histories of one estimator that are remembered side by side."""
 
 
-class Heard(NamedTuple):
+class OutputInformation(NamedTuple):
     """What measuring some outputs means: band of C'Y C, C'U', U, |U|, U C with U'U = Y, a bound on the noise's cost."""
 
     band: Array
@@ -68,7 +68,7 @@ class Heard(NamedTuple):
     energy: float
 
 
-class Opening(NamedTuple):
+class InitialNode(NamedTuple):
     """The window's start: time, prior and its covariance, and the sample taken there (y, mask, D u), if any."""
 
     t: float
@@ -77,7 +77,7 @@ class Opening(NamedTuple):
     sample: tuple[Array, Array, Array] | None = None
 
 
-class Arriving(NamedTuple):
+class IncomingNode(NamedTuple):
     """A node on its way in: time, y, mask, D u, the gap that leads to it, and what the inputs do over it."""
 
     t: float
@@ -97,7 +97,7 @@ class WindowGains(NamedTuple):
     root: Array
     end: float
     Y: Array
-    precision: Precision
+    precision: CovariancePrecision
 
     def applied(self, right: Array, end: float) -> tuple[Array, float]:
         """Return the last node's deviation and what the deviations gain, for its discount `end`."""
@@ -106,12 +106,12 @@ class WindowGains(NamedTuple):
         return self.root.T.dot(half[-len(self.root) :] * scale), float(half.dot(half)) * scale
 
 
-class Optimum(NamedTuple):
+class WindowOptimum(NamedTuple):
     """State, covariance Y and its precision at the newest node; cost, a lower bound on it; noise and rounding."""
 
     x: Array
     Y: Array
-    precision: Precision
+    precision: CovariancePrecision
     cost: float
     dual: float
     energy: float
@@ -126,17 +126,17 @@ class SlidingBand:
     cancel (`SETTLED`), and where a history is begun anew, what was estimated for it.
     """
 
-    def __init__(self, weights: Weights, energy: Callable[[Array], Array]):
+    def __init__(self, weights: CostWeights, energy: Callable[[Array], Array]):
         n = weights.plant.n_states
         self._weights, self._energy, self._n, self._eta = weights, energy, n, weights.eta
         self._C, self._held = weights.plant.C, np.abs(weights.prior_factor)
         self._direct = bool(weights.plant.D.any())
-        self.nodes: list[Node] = []
-        self._known: list[Arriving] = []
+        self.nodes: list[HistoryNode] = []
+        self._known: list[IncomingNode] = []
         self._reference: list[Array] = []
-        self._kinds: dict[bytes, Heard] = {}
-        self._latest: tuple[Array, Heard] | None = None  # the mask that came last, and what it means
-        self._heard: list[tuple[Heard, Array]] = []  # what a node's outputs mean, and U (y - D u)
+        self._kinds: dict[bytes, OutputInformation] = {}
+        self._latest: tuple[Array, OutputInformation] | None = None  # the mask that came last, and what it means
+        self._heard: list[tuple[OutputInformation, Array]] = []  # what a node's outputs mean, and U (y - D u)
         self._zero, self._cancelling, self._untouched = 0.0, False, False
         self._banded = 0  # so many nodes have their columns
         self._alike = 0  # so many of the newest nodes came after the same gap with the same outputs
@@ -155,7 +155,7 @@ class SlidingBand:
     def _parts(self) -> tuple[Array, ...]:
         return self._own, self._before, self._pull, self._pushed, self._sums, self._places
 
-    def heard(self, mask: Array) -> Heard:
+    def heard(self, mask: Array) -> OutputInformation:
         """Return what a sample of some outputs means."""
         if self._latest is not None and self._latest[0] is mask:
             return self._latest[1]
@@ -166,11 +166,11 @@ class SlidingBand:
             back = self._C.T @ root.T
             energy = float(self._energy(mask[None])[0])
             band = lower_band(back @ back.T, self._n)[0]
-            found = self._kinds[key] = Heard(band, back, root, np.abs(root), root @ self._C, energy)
+            found = self._kinds[key] = OutputInformation(band, back, root, np.abs(root), root @ self._C, energy)
         self._latest = mask, found
         return found
 
-    def append(self, new: Arriving, reference: Array, predicted: bool = False) -> bool:
+    def append(self, new: IncomingNode, reference: Array, predicted: bool = False) -> bool:
         """Take in a node, whose unknown is the deviation from a reference; False where it cannot be weighed.
 
         `predicted`: the reference is where the gap leads from the estimate of the node before. If that is the node's
@@ -241,12 +241,12 @@ class SlidingBand:
         self._sums[k - 1, 2] = cost = float(moved.dot(push))
         return math.isfinite(cost)
 
-    def settle(self, node: Node) -> bool:
+    def settle(self, node: HistoryNode) -> bool:
         """Take in what was estimated for the newest node; False where that cannot be weighed."""
         self.nodes.append(node)
         return not self._cancelling or self._moved_to(node)
 
-    def _moved_to(self, node: Node) -> bool:
+    def _moved_to(self, node: HistoryNode) -> bool:
         """Take the estimate of the newest node for its reference."""
         k, eta, zero = len(self._known) - 1, self._eta, self._zero
         self._reference[k] = node.x
@@ -255,7 +255,7 @@ class SlidingBand:
         d = math.exp(eta * (node.t - zero))
         return self._weighed(k, d) and self._joined(k, d)
 
-    def ends_with(self, node: Node) -> bool:
+    def ends_with(self, node: HistoryNode) -> bool:
         """Whether the last entry, of which there is no node yet, is that of a node."""
         last = self._known[-1]
         return last.y is node.y and last.drift is node.drift and last.feedthrough is node.feedthrough
@@ -293,13 +293,13 @@ class SlidingBand:
         work: Array = own[rows] + before[rows]
         return work
 
-    def solve(self, first: int, opening: Opening, gap: tuple[GapFlow, Array]) -> Optimum | None:
+    def solve(self, first: int, opening: InitialNode, gap: tuple[GapFlow, Array]) -> WindowOptimum | None:
         """Return the optimum over the nodes from number `first` on; None where that would lose digits.
 
         Parameters
         ----------
         first : int
-        opening : Opening
+        opening : InitialNode
         gap : (GapFlow, (n,) array)
             From the window's start to the first node, with the inputs' part.
 
@@ -352,7 +352,7 @@ class SlidingBand:
         if not cost > CANCELLED * gain:
             return None
         dual = cost - DUAL_MARGIN * (cost + abs(gain))
-        return Optimum(
+        return WindowOptimum(
             self._reference[-1] + deviation,
             gains.Y,
             gains.precision,
@@ -363,18 +363,18 @@ class SlidingBand:
             kept,
         )
 
-    def _with(self, flow: GapFlow, opening: Opening) -> tuple[object, ...]:
+    def _with(self, flow: GapFlow, opening: InitialNode) -> tuple[object, ...]:
         """What the newest node came with, and the window began with."""
         return self._known[-1].flow, self._heard[-1][0], flow, opening.Y
 
-    def _remembered(self, count: int, flow: GapFlow, opening: Opening) -> WindowGains | None:
+    def _remembered(self, count: int, flow: GapFlow, opening: InitialNode) -> WindowGains | None:
         """The gains of the window before, where all `count` nodes came with the same: they are those of this one."""
         if self._gains is None or self._alike < count or opening.sample is not None:
             return None
         so_many, came, gains = self._gains
         return gains if so_many == count and all(map(is_, came, self._with(flow, opening))) else None
 
-    def _opened(self, opening: Opening) -> tuple[Array, Array, float, float, float]:
+    def _opened(self, opening: InitialNode) -> tuple[Array, Array, float, float, float]:
         """Return state and covariance after the sample at the start, its cost, noise bound and what was read."""
         assert opening.sample is not None
         y, mask, feedthrough = opening.sample
@@ -404,22 +404,22 @@ def _solved(work: Array, right: Array, end: float) -> tuple[Array, float, Window
     last = np.ndarray((n, n), np.float64, work, step * (count - 1) * n * width, (step, step * (width - 1)))
     root = lapack.dtrtri(last, lower=1)[0]
     Y = (root.T * end).dot(root)
-    gains = WindowGains(factor, root, end, Y, Precision.of(Y, last, end))
+    gains = WindowGains(factor, root, end, Y, CovariancePrecision.of(Y, last, end))
     return solution[-n:], float(right.dot(solution)), gains
 
 
-NOTHING: tuple[Node | None, SlidingBand | None] = (None, None)
+NOTHING: tuple[HistoryNode | None, SlidingBand | None] = (None, None)
 
 
-class Histories:
+class BandCache:
     """Sliding bands by their last node, the least recently used dropped first."""
 
-    def __init__(self, weights: Weights, energy: Callable[[Array], Array]):
+    def __init__(self, weights: CostWeights, energy: Callable[[Array], Array]):
         self._weights, self._energy = weights, energy
-        self._known: OrderedDict[int, tuple[Node, SlidingBand]] = OrderedDict()
+        self._known: OrderedDict[int, tuple[HistoryNode, SlidingBand]] = OrderedDict()
         self._begun: SlidingBand | None = None
 
-    def of(self, nodes: tuple[Node, ...], first: int) -> tuple[SlidingBand, int] | None:
+    def of(self, nodes: tuple[HistoryNode, ...], first: int) -> tuple[SlidingBand, int] | None:
         """Return the band that ends with the last of `nodes`, and the number in it of node `first`; None if unfit."""
         count = len(nodes) - first
         if not count:
@@ -434,7 +434,9 @@ class Histories:
                 return band, at
         band = SlidingBand(self._weights, self._energy)
         for node in nodes[first:]:
-            if not band.append(Arriving(node.t, node.y, node.mask, node.feedthrough, node.flow, node.drift), node.x):
+            if not band.append(
+                IncomingNode(node.t, node.y, node.mask, node.feedthrough, node.flow, node.drift), node.x
+            ):
                 return None
             band.nodes.append(node)
         return band, 0
@@ -443,7 +445,7 @@ class Histories:
         """Hold a band to whose last entry there is no node yet."""
         self._begun = band
 
-    def keep(self, node: Node) -> None:
+    def keep(self, node: HistoryNode) -> None:
         """Remember the band that was begun, if `node` is what its last entry has become."""
         band, self._begun = self._begun, None
         if band is not None and band.ends_with(node):

@@ -20,9 +20,9 @@ import numpy.typing as npt
 from scipy.linalg import lapack
 
 from sampling_design.estimators.window.means import with_means
-from sampling_design.estimators.window.solution import DUAL_MARGIN, Kernel, Solution
+from sampling_design.estimators.window.solution import DUAL_MARGIN, SmootherKernel, Solution
 from sampling_design.estimators.window.square_root import solve_square_root
-from sampling_design.estimators.window.window_problem import Window
+from sampling_design.estimators.window.window_problem import EstimationWindow
 
 Array = npt.NDArray[np.float64]
 
@@ -30,7 +30,7 @@ PIVOT_LIMIT = 1e-5
 """A Cholesky pivot below this share of its diagonal entry has lost five digits: the other route is taken."""
 
 
-def smooth(window: Window) -> Solution:
+def smooth(window: EstimationWindow) -> Solution:
     """Return the minimiser by the cheaper route that keeps its digits.
 
     Notes
@@ -46,7 +46,7 @@ def smooth(window: Window) -> Solution:
     return found if window.means is None else with_means(found, window.reference, window.means)
 
 
-def information_band(window: Window) -> tuple[Array, Array] | None:
+def information_band(window: EstimationWindow) -> tuple[Array, Array] | None:
     """Return the lower band (2n, (N+1)n) and the right-hand side of the normal equations, None if some W is unfit."""
     joint = window.joint
     if joint is None:
@@ -79,7 +79,7 @@ def information_band(window: Window) -> tuple[Array, Array] | None:
     return band.reshape(count * n, 2 * n).T, rhs.ravel()
 
 
-def solve_banded(window: Window) -> Solution | None:
+def solve_banded(window: EstimationWindow) -> Solution | None:
     """Return the minimiser by one banded Cholesky factorisation, None where that would lose digits."""
     assembled = information_band(window)
     if assembled is None:
@@ -148,7 +148,7 @@ class _BandSpread:
         """Return T_j T_j' of every node, (N+1, n, n)."""
         return self.kernel().covariances()
 
-    def kernel(self) -> Kernel:
+    def kernel(self) -> SmootherKernel:
         """Return T as a backward recursion."""
         n, width = self.n, self.factor.shape[0]
         columns = self.factor.reshape(width, -1, n)
@@ -157,10 +157,10 @@ class _BandSpread:
         stacked = stacked.transpose(1, 0, 2)  # (N+1, 2n, n): diagonal block on top, the one below under it
         roots = np.swapaxes(np.linalg.solve(stacked[:, :n], np.eye(n)), 1, 2)
         gains = -roots[:-1] @ np.swapaxes(stacked[:-1, n:], 1, 2)
-        return Kernel(roots, gains)
+        return SmootherKernel(roots, gains)
 
 
-def _cost(window: Window, deviation: Array) -> float:
+def _cost(window: EstimationWindow, deviation: Array) -> float:
     """Cost at the reference plus `deviation`; only where every W is invertible."""
     square = window.prior_half @ deviation[0]
     fit = window.weighted(window.residual - deviation @ window.weights.plant.C.T)

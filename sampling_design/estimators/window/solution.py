@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._linalg import symmetrise
 from sampling_design.estimators.online.estimate import Status
+from sampling_design.numerics.linalg import symmetrise
 
 Array = npt.NDArray[np.float64]
 
@@ -18,7 +18,7 @@ DUAL_MARGIN = 1e-11
 """Share of the reference trajectory's cost by which a computed optimum may exceed the exact one (see `smooth`)."""
 
 
-class Spread(Protocol):
+class SolutionSpread(Protocol):
     """All trajectories x = x* + T z around a minimiser x*; each costs |z|^2 more."""
 
     def covariances(self) -> Array:
@@ -39,7 +39,7 @@ class Spread(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Kernel:
+class SmootherKernel:
     """x_N = x*_N + S_N z_N, x_j = x*_j + G_j (x_{j+1} - x*_{j+1}) + S_j z_j: roots S (N+1, n, n), gains G (N, n, n)."""
 
     roots: Array
@@ -89,7 +89,7 @@ class Solution:
     cost, dual : float
         Cost at the minimiser, and a lower bound on the least cost.
     engine : str
-    spread : Spread
+    spread : SolutionSpread
         Every other trajectory relative to this one.
     status : str
         "ok", "infeasible" or "solver failed".
@@ -102,6 +102,6 @@ class Solution:
     cost: float
     dual: float
     engine: str
-    spread: Spread
+    spread: SolutionSpread
     status: Status = "ok"
     note: str = ""

@@ -6,13 +6,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
 
-from sampling_design.estimators.window.solution import DUAL_MARGIN, Kernel, Solution
-from sampling_design.estimators.window.window_problem import Window
+from sampling_design.estimators.window.solution import DUAL_MARGIN, SmootherKernel, Solution
+from sampling_design.estimators.window.window_problem import EstimationWindow
 
 Array = npt.NDArray[np.float64]
 
 
-def solve_square_root(window: Window) -> Solution:
+def solve_square_root(window: EstimationWindow) -> Solution:
     """Return the minimiser by orthogonal factorisations, forward and backward.
 
     Notes
@@ -48,11 +48,11 @@ def solve_square_root(window: Window) -> Solution:
     for j in range(count - 2, -1, -1):
         nodes[j] += gains[j] @ (nodes[j + 1] - predicted[j + 1])
     margin = DUAL_MARGIN * (cost + _cost_of_reference(window))
-    found = Kernel(roots, gains)
+    found = SmootherKernel(roots, gains)
     return Solution(window.reference + nodes, root @ root.T, cost, cost - margin, "square root", found)
 
 
-def _absorb(window: Window, j: int, root: Array, mean: Array, scale: float) -> tuple[Array, Array, float]:
+def _absorb(window: EstimationWindow, j: int, root: Array, mean: Array, scale: float) -> tuple[Array, Array, float]:
     """Return root and mean after the sample at node j, and what the innovation costs."""
     weights = window.weights
     seen = weights.at(window.masks[j]).y_root * scale
@@ -87,7 +87,7 @@ def covariance_root(Y: Array) -> Array:
         return np.asarray(unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _cost_of_reference(window: Window) -> float:
+def _cost_of_reference(window: EstimationWindow) -> float:
     """What the outputs cost along the reference: the size of the numbers that the optimum is a difference of."""
     fit = window.weighted(window.residual)
     return float(np.einsum("k,ki,ki->", window.discount, fit, fit))

@@ -16,15 +16,15 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.estimators.gap_flows.cost_weights import Weights
+from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import CONDITION_LIMIT, GapFlow
-from sampling_design.estimators.window.means import Means
+from sampling_design.estimators.window.means import MeanRows
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class EstimationWindow:
     """Data of one window problem, centred on a reference trajectory.
 
     Attributes
@@ -55,7 +55,7 @@ class Window:
         Composite samples.
     """
 
-    weights: Weights
+    weights: CostWeights
     times: Array
     flows: list[GapFlow]
     reference: Array
@@ -68,7 +68,7 @@ class Window:
     feedthrough: Array
     F: Array
     limits: Array | None = None
-    means: Means | None = None
+    means: MeanRows | None = None
 
     @cached_property
     def joint(self) -> Array | None:
@@ -129,7 +129,7 @@ def information_root(root: Array) -> Array | None:
 
 
 def build_window(
-    weights: Weights,
+    weights: CostWeights,
     times: Array,
     flows: list[GapFlow],
     drift: Array,
@@ -139,7 +139,7 @@ def build_window(
     feedthrough: Array,
     prior_root: Array | None = None,
     limits: Array | None = None,
-) -> Window:
+) -> EstimationWindow:
     """Return the window problem; `reference[0]` is the prior, `drift` (N, n) the inputs' part of each gap."""
     C = weights.plant.C
     n = C.shape[1]
@@ -148,7 +148,7 @@ def build_window(
         defect = np.matmul(F, reference[:-1, :, None])[:, :, 0] + drift - reference[1:]
     else:
         defect = np.zeros((0, n))
-    return Window(
+    return EstimationWindow(
         weights=weights,
         times=times,
         flows=flows,

@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
 
-from sampling_design._checks import described
-from sampling_design._door import door
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.pbh import require_observable, spectrum
 from sampling_design.plants.clusters import eigenvalue_clusters
 from sampling_design.plants.plant import Plant
+from sampling_design.records.checks import described
+from sampling_design.records.signatures import checked
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
@@ -27,7 +27,7 @@ STEPS_PER_RADIAN = 12  # samples of a minor per radian of its fastest oscillatio
 TOUCH = 1e-9  # a least |minor| below this fraction of the compound's column counts as a zero that touches
 
 
-@door
+@checked
 def critical_length(plant: Plant | npt.ArrayLike) -> float:
     """Return h such that any n distinct times in a closed window shorter than h determine the state.
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from sampling_design._door import door
 from sampling_design.plants.modes import ModalSplit
+from sampling_design.records.signatures import checked
 
 
-@door
+@checked
 def default_window(split: ModalSplit) -> float | None:
     """Return the window that is used where none is given: the slowest oscillation, else 4/|A| of the retained part.
 

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._door import door
-from sampling_design._linalg import positive_or_one
-from sampling_design._modal import exponential
-from sampling_design._record import Plain, Record, short
-from sampling_design.evidence import Claim
+from sampling_design.numerics.linalg import positive_or_one
+from sampling_design.numerics.modal_flow import exponential
+from sampling_design.observability.alignment import meet
 from sampling_design.observability.count.pbh import require_observable
-from sampling_design.observability.meeting import meet
 from sampling_design.plants.clusters import eigenvalue_clusters
 from sampling_design.plants.modes import split_modes
 from sampling_design.plants.plant import Plant
+from sampling_design.records.evidence import Claim
+from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 Array = npt.NDArray[np.float64]
@@ -110,7 +110,7 @@ class LossTolerance(Record):
         return words
 
 
-@door
+@checked
 def loss_tolerance(plant: Plant, schedule: PeriodicSchedule) -> LossTolerance:
     """Return the probabilities of independent losses that an endless schedule bears.
 

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._balance import balanced, balanced_rows
-from sampling_design._door import door
-from sampling_design._linalg import positive_or_one
-from sampling_design._record import Record, short
 from sampling_design.errors import NotObservableError
+from sampling_design.numerics.balancing import balanced, balanced_rows
+from sampling_design.numerics.linalg import positive_or_one
 from sampling_design.plants.clusters import EigenvalueCluster, clusters_of, format_eigenvalue
 from sampling_design.plants.grouping import CLUSTER_CAP, SPREAD, SchurForm, balanced_schur, invariant_subspace
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.record import Record, short
+from sampling_design.records.signatures import checked
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
@@ -32,7 +32,7 @@ APART = 0.3  # sine of the angle from which a direction is another one
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class UnseenModes(Record):
+class UnobservableModes(Record):
     """Modes of a plant that no output sees, however often it is sampled.
 
     Attributes
@@ -85,8 +85,8 @@ class UnseenModes(Record):
         return f"No output sees {self.describe()}."
 
 
-@door
-def unseen_modes(plant: Plant, rate: float | None = None, *, rtol: float = RANK_TOLERANCE) -> UnseenModes:
+@checked
+def unobservable_modes(plant: Plant, rate: float | None = None, *, rtol: float = RANK_TOLERANCE) -> UnobservableModes:
     """Return the eigenvalues and directions of a plant that no output sees.
 
         A d = lambda d,    C d = 0,    d != 0
@@ -102,7 +102,7 @@ def unseen_modes(plant: Plant, rate: float | None = None, *, rtol: float = RANK_
 
     Returns
     -------
-    UnseenModes
+    UnobservableModes
         Empty if every (such) mode is seen.
 
     Raises
@@ -126,12 +126,12 @@ def unseen_modes(plant: Plant, rate: float | None = None, *, rtol: float = RANK_
 
     Examples
     --------
-    >>> modes = unseen_modes(Plant([[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0]], states=["position", "velocity"]))
+    >>> modes = unobservable_modes(Plant([[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0]], states=["position", "velocity"]))
     >>> modes.explain()
     'No output sees 0 along position.'
     """
-    offset = None if rate is None else _checks.nonnegative("rate", rate) / 2
-    tolerance = _checks.positive("rtol", rtol)
+    offset = None if rate is None else checks.nonnegative("rate", rate) / 2
+    tolerance = checks.positive("rtol", rtol)
     n = plant.n_states
     values: list[complex] = []
     vectors: list[Complex] = []
@@ -152,7 +152,7 @@ def unseen_modes(plant: Plant, rate: float | None = None, *, rtol: float = RANK_
         vectors.extend(directions)
         values.extend([cluster.value] * len(directions))
     found = np.column_stack(vectors) if vectors else np.zeros((n, 0), dtype=complex)
-    return UnseenModes(np.array(values, dtype=complex), found, margin, tolerance, plant.states.names)
+    return UnobservableModes(np.array(values, dtype=complex), found, margin, tolerance, plant.states.names)
 
 
 def _grouped(plant: Plant) -> tuple[SchurForm, list[tuple[EigenvalueCluster, list[int]]]]:
@@ -224,7 +224,7 @@ class _Pair:
         return float(np.max(left / positive_or_one(self._entries(value, np.abs(z)))))
 
 
-@door
+@checked
 def require_observable(plant: Plant, purpose: str, *, rtol: float = RANK_TOLERANCE) -> None:
     """Raise if some mode is seen by no output.
 
@@ -234,7 +234,7 @@ def require_observable(plant: Plant, purpose: str, *, rtol: float = RANK_TOLERAN
     purpose : str
         What needs it; begins the message.
     rtol : float
-        As for `unseen_modes`.
+        As for `unobservable_modes`.
 
     Returns
     -------
@@ -245,7 +245,7 @@ def require_observable(plant: Plant, purpose: str, *, rtol: float = RANK_TOLERAN
     NotObservableError
         If a mode is unseen; carries the eigenvalues and directions.
     """
-    unseen = unseen_modes(plant, rtol=rtol)
+    unseen = unobservable_modes(plant, rtol=rtol)
     if len(unseen):
         raise NotObservableError(
             f"{purpose} needs every mode to be seen by some output; unseen: {unseen.describe()}. "

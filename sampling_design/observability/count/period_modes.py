@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
-from sampling_design._balance import balanced_rows
-from sampling_design._linalg import expm_batch, positive_or_one
+from sampling_design.numerics.balancing import balanced_rows
+from sampling_design.numerics.linalg import expm_batch, positive_or_one
 from sampling_design.observability.count.pbh import RANK_TOLERANCE
 from sampling_design.plants.clusters import EigenvalueCluster, clusters_of
 from sampling_design.plants.grouping import CLUSTER_CAP, SPREAD, SchurForm, balanced_schur, invariant_subspace
@@ -41,7 +41,7 @@ class ModeBlock:
     clusters: tuple[EigenvalueCluster, ...]
 
 
-class Sight(NamedTuple):
+class LeastObservedMode(NamedTuple):
     """The multiplier e^{rate P} that a period sees least, how well, and what the unseen direction is made of.
 
     `parts` holds a vector for each block, in its own coordinates, at the period's first sample.
@@ -61,7 +61,7 @@ class PeriodModes:
     d: Array
     C: Array
 
-    def least_seen(self, schedule: PeriodicSchedule) -> Sight:
+    def least_seen(self, schedule: PeriodicSchedule) -> LeastObservedMode:
         """Least singular value of [e^{AP} - mu I; rows of one period] over mu = e^{rate P}, in scaled coordinates."""
         period, tau = schedule.period, schedule.times - schedule.times[0]
         sizes = [len(block.N) for block in self.blocks]
@@ -85,14 +85,16 @@ class PeriodModes:
         if len(seen) > seen.shape[1]:
             seen = np.asarray(np.linalg.qr(seen, mode="r"))
         flows = [expm_batch(b.N * c / c[:, None], period)[0] for b, c in zip(self.blocks, columns, strict=True)]
-        best: Sight | None = None
+        best: LeastObservedMode | None = None
         for rate in dict.fromkeys(c.value for block in self.blocks for c in block.clusters):
             parts = [_less(f, b.mean * period, rate * period) for b, f in zip(self.blocks, flows, strict=True)]
             _, singular, right = np.linalg.svd(np.vstack([block_diag(*parts), seen]))
             if best is None or singular[-1] < best.margin:
                 z = np.split(right[-1].conj(), ends[1:-1])
                 shares = np.array([np.linalg.norm(part) for part in z])
-                best = Sight(rate, float(singular[-1]), [c * part for c, part in zip(columns, z, strict=True)], shares)
+                best = LeastObservedMode(
+                    rate, float(singular[-1]), [c * part for c, part in zip(columns, z, strict=True)], shares
+                )
         assert best is not None
         return best
 
@@ -103,7 +105,7 @@ class PeriodModes:
         rows = out @ expm_batch(block.N, times)
         return rows if schedule.outputs is None else rows * schedule.outputs[:, :, None]
 
-    def direction(self, sight: Sight, schedule: PeriodicSchedule, before: float) -> Entries:
+    def direction(self, sight: LeastObservedMode, schedule: PeriodicSchedule, before: float) -> Entries:
         """The least seen state, in the plant's coordinates and of length 1, `before` the period's first sample."""
         tau = schedule.times - schedule.times[0]
         tops = np.array([np.max(block.mean.real * tau) + block.mean.real * before for block in self.blocks])

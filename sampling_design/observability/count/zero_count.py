@@ -8,16 +8,16 @@ from typing import overload
 
 import numpy as np
 
-from sampling_design import _checks
-from sampling_design._door import door
-from sampling_design._record import Plain, Record, short
-from sampling_design._verbs import OpenPlant, registered
 from sampling_design.errors import ArgumentError
-from sampling_design.evidence import Claim
 from sampling_design.observability.count.critical_length import search
 from sampling_design.observability.count.pbh import observable_rank, require_observable, spectrum
 from sampling_design.plants.clusters import EigenvalueCluster, eigenvalue_clusters
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.dispatch import OpenPlant, registered
+from sampling_design.records.evidence import Claim
+from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.signatures import checked
 
 ROUNDING_GUARD = 1e-9
 """k* within this of a whole number (relative above 1) counts as that number: floor(k* + guard) + 1, never ceil(k*)."""
@@ -133,7 +133,7 @@ class ZeroCountBound(SampleCount):
 def zero_count_bound(plant: Plant, duration: float) -> ZeroCountBound: ...
 @overload
 def zero_count_bound(plant: OpenPlant, duration: float) -> SampleCount: ...
-@door
+@checked
 def zero_count_bound(plant: Plant | OpenPlant, duration: float) -> SampleCount:
     """Return how many samples in a closed window of length `duration` determine the state, whatever the times.
 
@@ -180,7 +180,7 @@ def zero_count_bound(plant: Plant | OpenPlant, duration: float) -> SampleCount:
     >>> bound.value, bound.samples_needed, bound.binding
     (2.0, 3, 'zero count')
     """
-    T = _checks.nonnegative("duration", duration)
+    T = checks.nonnegative("duration", duration)
     if not isinstance(plant, Plant):
         return registered("zero_count_bound", plant, SampleCount)(plant, T)
     n, p = plant.n_states, plant.n_outputs

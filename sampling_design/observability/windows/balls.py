@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._ball_flow import BallFlow, Clock, OutOfTime, highest
-from sampling_design._balls import Ball, Matrix, ball, flint, floats, matrix, precision
-from sampling_design._linalg import symmetrise
+from sampling_design.numerics.ball_flow import BallFlow, OutOfTime, TimeBudget, highest
+from sampling_design.numerics.balls import Ball, Matrix, ball, flint, floats, matrix, precision
+from sampling_design.numerics.linalg import symmetrise
 from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -104,7 +104,7 @@ def prove_window_sigma(
         If python-flint is not installed.
     """
     flint()
-    clock, exact = Clock(seconds), exact_times(schedule, pieces)
+    clock, exact = TimeBudget(seconds), exact_times(schedule, pieces)
     slack = needed_slack(schedule, pieces, exact)
     if not 0 < guess < np.inf:
         return ProvenSigma(guess, slack, "closed")
@@ -119,7 +119,7 @@ def prove_window_sigma(
     return ProvenSigma(0.0, slack, "budget" if bits < BITS[-1] else "rounding")
 
 
-class SeenInBalls(NamedTuple):
+class BallSigma(NamedTuple):
     """Sigma of one window in high precision: its piece, its start, sigma and the state that it sees least."""
 
     piece: int
@@ -130,12 +130,12 @@ class SeenInBalls(NamedTuple):
 
 def see_in_balls(
     plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, seconds: float = 60.0
-) -> SeenInBalls | None:
+) -> BallSigma | None:
     """The least sigma among some windows of every piece, where growth hides it from floats; None where it is zero.
 
     A sigma below n eps |C| counts as zero: rounding in the plant and the times alone can hide it.
     """
-    clock, exact = Clock(seconds), exact_times(schedule, pieces)
+    clock, exact = TimeBudget(seconds), exact_times(schedule, pieces)
     least = plant.n_states * float(np.finfo(float).eps) * float(np.linalg.norm(plant.C))
     for bits in BITS:
         with precision(bits):
@@ -150,11 +150,11 @@ def see_in_balls(
 
 
 def _seen(
-    plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, exact: list[Fraction], clock: Clock
-) -> SeenInBalls:
+    plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, exact: list[Fraction], clock: TimeBudget
+) -> BallSigma:
     """The least of the windows that are looked at, at the precision that is set: all over, then around the least."""
     flow, rows = BallFlow(matrix(plant.A), matrix(np.zeros_like(plant.A))), BallRows(plant)
-    best = SeenInBalls(0, float(pieces.left[0]), np.inf, np.zeros(plant.n_states))
+    best = BallSigma(0, float(pieces.left[0]), np.inf, np.zeros(plant.n_states))
 
     def look(g: int, left: Fraction, right: Fraction) -> None:
         nonlocal best
@@ -165,7 +165,7 @@ def _seen(
             values, vectors = np.linalg.eigh(symmetrise(floats(Y)))
             sigma = float(1 / np.sqrt(values[-1])) if values[-1] > 0 else 0.0
             if sigma < best.sigma:
-                best = SeenInBalls(g, float(left + k * step), sigma, vectors[:, -1])
+                best = BallSigma(g, float(left + k * step), sigma, vectors[:, -1])
             Y = E * Y * E.transpose()
             clock.check()
 
@@ -225,7 +225,7 @@ def _proven(
     pieces: Pieces,
     exact: list[Fraction],
     guess: float,
-    clock: Clock,
+    clock: TimeBudget,
 ) -> float:
     """The largest of the shaved guesses that holds on every piece, or 0."""
     n = plant.n_states

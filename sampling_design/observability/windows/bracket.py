@@ -32,7 +32,7 @@ _EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
-class Bracket:
+class WindowBracket:
     """What the search found, in window starts; `status` as in `WindowSigma`, `growth` of a state by itself."""
 
     lower: float
@@ -234,7 +234,7 @@ def bracket_sigma(
     seconds: float,
     progress: Progress | None,
     reached: float = np.inf,
-) -> Bracket:
+) -> WindowBracket:
     """Bracket the least sigma over all pieces; `seconds` may be infinite.
 
     Where a sigma was `reached` elsewhere, what is certainly not below it is not looked at closely.
@@ -260,7 +260,7 @@ def bracket_sigma(
     return _bracket(plant, search, status, g, start, reached)
 
 
-def _bracket(plant: Plant, search: _BracketSearch, status: str, g: int, start: float, reached: float) -> Bracket:
+def _bracket(plant: Plant, search: _BracketSearch, status: str, g: int, start: float, reached: float) -> WindowBracket:
     """The result, with the witness evaluated afresh from its own rows."""
     pieces = search.pieced.pieces
     rows = _rows(plant, pieces, g, start)
@@ -278,7 +278,7 @@ def _bracket(plant: Plant, search: _BracketSearch, status: str, g: int, start: f
     order = np.lexsort((nodes, owner))
     with np.errstate(divide="ignore"):
         sigma = 1 / np.concatenate(search.values)
-    return Bracket(
+    return WindowBracket(
         lower=lower,
         upper=upper,
         status=status,
@@ -313,12 +313,12 @@ def _too_few(plant: Plant, pieces: Pieces) -> int | None:
     return g if count[g] < plant.n_states else None
 
 
-def _nothing_to_see(pieces: Pieces) -> Bracket:
+def _nothing_to_see(pieces: Pieces) -> WindowBracket:
     """A plant without states: sigma is the least over no direction, infinity."""
     nothing, start = np.zeros(0), float(pieces.left[0])
     infinite = np.full(len(pieces), np.inf)
     owner = np.arange(len(pieces))
-    return Bracket(
+    return WindowBracket(
         lower=np.inf,
         upper=np.inf,
         status="no states",

@@ -5,20 +5,20 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._door import door
-from sampling_design._linalg import smallest_singular
-from sampling_design._modal import exponential
 from sampling_design.errors import ArgumentError
-from sampling_design.observability.meeting import meet
+from sampling_design.numerics.linalg import smallest_singular
+from sampling_design.numerics.modal_flow import exponential
+from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 
-@door
+@checked
 def observability_matrix(plant: Plant, times: npt.ArrayLike | Schedule, outputs: npt.ArrayLike | None = None) -> Array:
     """Return the sample-based observability matrix O_s.
 
@@ -71,7 +71,7 @@ def observability_matrix(plant: Plant, times: npt.ArrayLike | Schedule, outputs:
     return rows.reshape(tau.size * plant.n_outputs, plant.n_states) if mask is None else rows[mask]
 
 
-@door
+@checked
 def sigma_min(plant: Plant, times: npt.ArrayLike | Schedule, outputs: npt.ArrayLike | None = None) -> float:
     """Return sigma_n(O_s), the n-th singular value of the sample-based observability matrix.
 
@@ -113,7 +113,7 @@ def sigma_min(plant: Plant, times: npt.ArrayLike | Schedule, outputs: npt.ArrayL
     return float(smallest_singular(observability_matrix(plant, times, outputs)))
 
 
-@door
+@checked
 def observability_gramian(plant: Plant, times: npt.ArrayLike | Schedule, outputs: npt.ArrayLike | None = None) -> Array:
     """Return the sampled observability Gramian.
 
@@ -176,9 +176,9 @@ def _times_and_mask(
         schedule = meet(plant, times)
         tau, mask = schedule.times, schedule.outputs
     else:
-        tau, mask = _checks.vector("times", times), None
+        tau, mask = checks.vector("times", times), None
     if outputs is not None:
-        mask = _checks.output_mask("outputs", outputs, tau.size)
+        mask = checks.output_mask("outputs", outputs, tau.size)
         if mask is not None and mask.shape[1] != plant.n_outputs:
             raise ArgumentError(
                 f"`outputs` must have one column per output, ({tau.size}, {plant.n_outputs}), got shape {mask.shape}."

@@ -10,17 +10,17 @@ from typing import overload
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._door import door
-from sampling_design._record import Gridded, Plain, Record, Table, Variable, short
-from sampling_design._verbs import OpenPlant, registered
 from sampling_design.errors import ArgumentError
-from sampling_design.evidence import Claim
-from sampling_design.observability.meeting import meet
+from sampling_design.observability.alignment import meet
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of
-from sampling_design.observability.windows.bracket import Bracket, bracket_sigma
+from sampling_design.observability.windows.bracket import WindowBracket, bracket_sigma
 from sampling_design.observability.windows.pieces import Pieces, window_pieces
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.dispatch import OpenPlant, registered
+from sampling_design.records.evidence import Claim
+from sampling_design.records.record import CurveRecord, Plain, Record, TableRecord, Variable, short
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
@@ -103,7 +103,7 @@ class WindowProfile:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WindowSigma(SigmaBracket, Table, Gridded):
+class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
     """Bounds on the least sigma over all real positions of a window along one schedule.
 
     Attributes
@@ -257,7 +257,7 @@ def window_sigma(
     rigorous: bool = False,
     start: float | None = None,
 ) -> SigmaBracket: ...
-@door
+@checked
 def window_sigma(
     plant: Plant | OpenPlant,
     schedule: Schedule | PeriodicSchedule,
@@ -355,11 +355,11 @@ def asked(
     ArgumentError
         If the window does not fit, or a number is out of range.
     """
-    length, tolerance = _checks.positive("window", window), _checks.positive("rtol", rtol)
+    length, tolerance = checks.positive("window", window), checks.positive("rtol", rtol)
     if tolerance >= 1:
         raise ArgumentError(f"`rtol` must be less than 1, got {tolerance!r}.")
-    seconds = np.inf if budget is None else _checks.nonnegative("budget", budget)
-    first = None if start is None else _checks.nonnegative("start", start)
+    seconds = np.inf if budget is None else checks.nonnegative("budget", budget)
+    first = None if start is None else checks.nonnegative("start", start)
     return window_pieces(schedule, length, first), tolerance, seconds
 
 
@@ -388,7 +388,7 @@ def sigma_of_pieces(
     return result
 
 
-def _hidden(found: Bracket) -> bool:
+def _hidden(found: WindowBracket) -> bool:
     """Whether growth within the window may be all that hides sigma from doubles."""
     return found.status in ("below rounding", "rounding") and found.growth > HIDING
 
@@ -413,7 +413,7 @@ def _in_balls(
     return replace(result, lower=proof.lower, status=status, closed=closed, rigorous=True, slack=proof.slack)
 
 
-def record_of(found: Bracket, rtol: float, time_unit: str, coordinates: str) -> WindowSigma:
+def record_of(found: WindowBracket, rtol: float, time_unit: str, coordinates: str) -> WindowSigma:
     """The public record: window starts become window ends."""
     window = found.pieces.window
     witness = WindowWitness(found.start + window, found.side, found.samples, found.direction, found.upper)

@@ -23,8 +23,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._ball_flow import BallFlow, Clock, OutOfTime
-from sampling_design._balls import Ball, ball, definite, flint, matrix
+from sampling_design.numerics.ball_flow import BallFlow, OutOfTime, TimeBudget
+from sampling_design.numerics.balls import Ball, ball, definite, flint, matrix
 from sampling_design.observability.windows.balls import SHAVES, ProvenSigma, fraction, nearest_proven
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.plants.plant import Plant
@@ -83,7 +83,7 @@ class BallTable(NamedTuple):
 class WorstCase:
     """Tables and cells of one plant and family, in coordinates x = L z."""
 
-    def __init__(self, plant: Plant, family: SpacedWindows, basis: Array, clock: Clock) -> None:
+    def __init__(self, plant: Plant, family: SpacedWindows, basis: Array, clock: TimeBudget) -> None:
         self.n, self.p, self.k, self.clock = plant.n_states, plant.n_outputs, family.count, clock
         self.offsets = [Fraction(family.spacing) * i for i in range(self.k)]
         self.slack = max(Fraction(family.window) - self.offsets[-1], Fraction(0))
@@ -274,7 +274,7 @@ def prove_worst_sigma(
     flint()
     if plant.n_states > MOST_STATES:
         return ProvenSigma(0.0, 0.0, "too many states")
-    clock = Clock(seconds)
+    clock = TimeBudget(seconds)
 
     def begin() -> Callable[[float], bool]:
         rows = SpacedRows(plant, family.window, family.count, family.spacing)

@@ -24,7 +24,7 @@ _NUMBERS = 2_000_000  # numbers per batch of starts
 LEAST_CELLS, _MOST_CELLS = 48, 2048
 
 
-class Attained(NamedTuple):
+class AttainedSchedule(NamedTuple):
     """A schedule (its slacks), its sigma, and the unit state that it sees least."""
 
     sigma: float
@@ -32,14 +32,14 @@ class Attained(NamedTuple):
     direction: Array
 
 
-def worst_of(rows: SpacedRows, slacks: Array) -> Attained:
+def worst_of(rows: SpacedRows, slacks: Array) -> AttainedSchedule:
     """The worst of the schedules (B, k)."""
     sigma, direction = _weakest(rows.observed(slacks))
     best = int(np.argmin(sigma))
-    return Attained(float(sigma[best]), slacks[best], direction[best])
+    return AttainedSchedule(float(sigma[best]), slacks[best], direction[best])
 
 
-def search_worst(rows: SpacedRows, rng: np.random.Generator, seconds: float = np.inf) -> Attained:
+def search_worst(rows: SpacedRows, rng: np.random.Generator, seconds: float = np.inf) -> AttainedSchedule:
     """Alternate from many directions on a grid, then polish the worst few different schedules off it.
 
     After `seconds` no further turn begins.
@@ -61,14 +61,14 @@ def search_worst(rows: SpacedRows, rng: np.random.Generator, seconds: float = np
     return min(polished, key=lambda a: a.sigma)
 
 
-def search_from(rows: SpacedRows, direction: Array, cells: int) -> Attained:
+def search_from(rows: SpacedRows, direction: Array, cells: int) -> AttainedSchedule:
     """Alternate from one direction on a grid of `cells`, then polish."""
     slacks, times = rows.grid(cells)
     found = _alternate(rows, slacks, rows.at(times).reshape(-1, rows.n), direction[None])
     return polish(rows, found[0], rows.slack / cells)
 
 
-def polish(rows: SpacedRows, slacks: Array, step: float, deadline: float = np.inf) -> Attained:
+def polish(rows: SpacedRows, slacks: Array, step: float, deadline: float = np.inf) -> AttainedSchedule:
     """Improve one schedule off the grid: alternation on shrinking local grids, then Newton on what is free."""
     best, tight = worst_of(rows, slacks[None]), rows.spacing < step
     for _ in range(_TURNS):
@@ -142,7 +142,7 @@ def _alternate(rows: SpacedRows, slacks: Array, table: Array, directions: Array,
     return found
 
 
-def _newton(rows: SpacedRows, best: Attained, deadline: float) -> Attained:
+def _newton(rows: SpacedRows, best: AttainedSchedule, deadline: float) -> AttainedSchedule:
     """Newton on lambda = sigma^2 over the samples that no constraint holds; ties move together."""
     tie = _TIE * rows.slack
     for _ in range(_NEWTON_STEPS):
@@ -169,7 +169,7 @@ def _newton(rows: SpacedRows, best: Attained, deadline: float) -> Attained:
     return best
 
 
-def _derivatives(rows: SpacedRows, at: Attained) -> tuple[Array, Array]:
+def _derivatives(rows: SpacedRows, at: AttainedSchedule) -> tuple[Array, Array]:
     """Gradient (k,) and Hessian (k, k) of lambda_min(O'O) with respect to the sample times."""
     here = rows.at(rows.times(at.slacks))
     _, singular, right = np.linalg.svd(here.reshape(-1, rows.n), full_matrices=True)

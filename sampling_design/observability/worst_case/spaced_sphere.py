@@ -28,8 +28,8 @@ import numpy.typing as npt
 
 from sampling_design.observability.worst_case.spaced_paths import so_far, sums_so_far, sums_to_go
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
-from sampling_design.observability.worst_case.spaced_search import Attained, search_from
-from sampling_design.observability.worst_case.spaced_tables import MOST_CELLS, CurveTable, StartTable, Tables
+from sampling_design.observability.worst_case.spaced_search import AttainedSchedule, search_from
+from sampling_design.observability.worst_case.spaced_tables import MOST_CELLS, CurveTable, SphereTables, StartTable
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int_]
@@ -90,11 +90,11 @@ class SphereCells(NamedTuple):
         return min(1.0, float(np.sum(np.prod(self.half, axis=1, where=self.half > 0)) / n))
 
 
-class Proof(NamedTuple):
+class SphereBounds(NamedTuple):
     """Bounds of the search: the proven sigma, the best schedule met, why it ended and how many cells it took."""
 
     lower: float
-    attained: Attained
+    attained: AttainedSchedule
     status: str
     cells: int
 
@@ -105,8 +105,8 @@ def joined(parts: list[SphereCells]) -> SphereCells:
 
 
 def prove_worst(
-    rows: SpacedRows, found: Attained, rtol: float, seconds: float, progress: Progress | None = None
-) -> Proof:
+    rows: SpacedRows, found: AttainedSchedule, rtol: float, seconds: float, progress: Progress | None = None
+) -> SphereBounds:
     """Prove a lower bound of sigma that lies within `rtol` below the attained one, or as near as time allows."""
     return _SphereSearch(rows, found, rtol).run(seconds, progress)
 
@@ -114,9 +114,9 @@ def prove_worst(
 class _SphereSearch:
     """The open cells, the least bound of the closed ones, and the attained schedule, which may still improve."""
 
-    def __init__(self, rows: SpacedRows, found: Attained, rtol: float) -> None:
+    def __init__(self, rows: SpacedRows, found: AttainedSchedule, rtol: float) -> None:
         self.rows, self.best, self.rtol = rows, found, rtol
-        self.tables = Tables(rows, found.slacks, rtol / 100)
+        self.tables = SphereTables(rows, found.slacks, rtol / 100)
         n, k = rows.n, rows.count
         self.sides = np.array([[j for j in range(n) if j != face] for face in range(n)], dtype=int).reshape(n, n - 1)
         cells = self.tables.least_cells
@@ -133,7 +133,7 @@ class _SphereSearch:
         """Lambda at which a cell may close."""
         return float((self.best.sigma * (1 - 0.99 * self.rtol)) ** 2)
 
-    def run(self, seconds: float, progress: Progress | None) -> Proof:
+    def run(self, seconds: float, progress: Progress | None) -> SphereBounds:
         """Work on the cells with the lowest bounds until all are closed or the budget is spent."""
         began, status = time.monotonic(), ""
         while self.open.face.size:
@@ -152,7 +152,7 @@ class _SphereSearch:
             if progress is not None:
                 share = 1 - self.open.volume() - self.stuck.volume()
                 progress(share, f"worst case sigma: {self.open.face.size} cells open, at least {self.lower:.6g}")
-        return Proof(self.lower, self.best, status or self._verdict(), self.cells)
+        return SphereBounds(self.lower, self.best, status or self._verdict(), self.cells)
 
     @property
     def lower(self) -> float:
@@ -292,7 +292,7 @@ def _quarters(cells: SphereCells, loss: Array) -> SphereCells:
     return _halves(halves, np.concatenate([left, left]))
 
 
-class _Torn(NamedTuple):
+class _WideStretch(NamedTuple):
     """Windows with a wide stretch inside at which nothing matters: two windows are looked at instead.
 
     gap : (B,) points between the last that matters before it and the first after it, 0 where nothing is torn.
@@ -304,7 +304,7 @@ class _Torn(NamedTuple):
     after: Indices
 
     @classmethod
-    def of(cls, alive: npt.NDArray[np.bool_], start: Indices, width: Indices) -> _Torn:
+    def of(cls, alive: npt.NDArray[np.bool_], start: Indices, width: Indices) -> _WideStretch:
         """The widest stretch of each cell, if it is most of its window."""
         at = np.arange(alive.shape[2])
         before = np.maximum.accumulate(np.where(alive, at, -1), axis=2)
@@ -418,7 +418,7 @@ class _Batch:
         part.cells = self.cells.take(index)
         return part
 
-    def narrowed(self, cells: SphereCells, wanted: float) -> tuple[SphereCells, _Torn]:
+    def narrowed(self, cells: SphereCells, wanted: float) -> tuple[SphereCells, _WideStretch]:
         """Windows without the times through which no schedule with its worst state here comes below `wanted`."""
         needed = wanted * np.maximum(self.norm, 0.0)
         through = self.so_far + sums_to_go(self.cost, self.start, -needed)
@@ -427,7 +427,7 @@ class _Batch:
         last = self.width - 1 - np.argmax(alive[..., ::-1], axis=-1) + self.start
         # a real time next to a point that matters still counts: one cell more on either side
         cells = cells._replace(first=np.maximum(first - 1, cells.first), last=np.minimum(last + 1, cells.last))
-        return cells, _Torn.of(alive, self.start, cells.last - cells.first)
+        return cells, _WideStretch.of(alive, self.start, cells.last - cells.first)
 
     def losses(self, wanted: float) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
         """What time costs at the weakest corner, what else is missing, and where rounding costs more than both."""

@@ -106,7 +106,7 @@ class StartTable(NamedTuple):
     rounding: Array
 
 
-class Tables:
+class SphereTables:
     """Tables in the coordinates x = L z of the state at the first sample, made when asked for and kept.
 
     A schedule is a start u and slacks v_1 = 0 <= v_2 <= ... <= v_k <= S - u; the state at the window's start is

@@ -10,21 +10,21 @@ from typing import overload
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._checks import Seed
-from sampling_design._door import door
-from sampling_design._record import Plain, counted, short
-from sampling_design._verbs import OpenPlant, registered
 from sampling_design.errors import ArgumentError
-from sampling_design.evidence import Claim
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of
 from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.sampled import sigma_min
 from sampling_design.observability.worst_case.periodicity import within_periods
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
-from sampling_design.observability.worst_case.spaced_search import LEAST_CELLS, Attained, search_worst, worst_of
-from sampling_design.observability.worst_case.spaced_sphere import MOST_STATES, Proof, prove_worst
+from sampling_design.observability.worst_case.spaced_search import LEAST_CELLS, AttainedSchedule, search_worst, worst_of
+from sampling_design.observability.worst_case.spaced_sphere import MOST_STATES, SphereBounds, prove_worst
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.checks import Seed
+from sampling_design.records.dispatch import OpenPlant, registered
+from sampling_design.records.evidence import Claim
+from sampling_design.records.record import Plain, counted, short
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.spaced_windows import SpacedWindows
 
 Array = npt.NDArray[np.float64]
@@ -189,7 +189,7 @@ def worst_case_sigma(
     progress: Progress | None = None,
     rigorous: bool = False,
 ) -> SigmaBracket: ...
-@door
+@checked
 def worst_case_sigma(
     plant: Plant | OpenPlant,
     family: SpacedWindows,
@@ -273,7 +273,7 @@ def worst_case_sigma(
         other = registered("worst_case_sigma", plant, SigmaBracket)
         return other(plant, family, rtol, budget, rng, progress, rigorous)
     tolerance, seconds = asked(plant, family, RTOL if rtol is None else rtol, budget)
-    generator = _checks.generator(rng)
+    generator = checks.generator(rng)
     require_moderate(plant)
     _require_memory(plant, family)
     own = plant.scaled() if plant.has_scales else plant
@@ -295,10 +295,10 @@ def asked(plant: OpenPlant, family: SpacedWindows, rtol: float, budget: float | 
         raise ArgumentError(
             f"`family` is in {family.time_unit} and the plant in {plant.time_unit}. Give both in one unit of time."
         )
-    tolerance = _checks.positive("rtol", rtol)
+    tolerance = checks.positive("rtol", rtol)
     if tolerance >= 1:
         raise ArgumentError(f"`rtol` must be less than 1, got {tolerance!r}.")
-    return tolerance, np.inf if budget is None else _checks.nonnegative("budget", budget)
+    return tolerance, np.inf if budget is None else checks.nonnegative("budget", budget)
 
 
 def _require_memory(plant: Plant, family: SpacedWindows) -> None:
@@ -333,8 +333,8 @@ def _bracketed(
 ) -> WorstCaseSigma:
     """The record for one plant in its own coordinates."""
     if plant.n_states == 0:
-        times = _checks.freeze(family.spacing * np.arange(family.count))
-        proof, method = Proof(np.inf, Attained(np.inf, times, np.zeros(0)), "no states", 0), "no states"
+        times = checks.freeze(family.spacing * np.arange(family.count))
+        proof, method = SphereBounds(np.inf, AttainedSchedule(np.inf, times, np.zeros(0)), "no states", 0), "no states"
         return _record(plant, family, rtol, proof, times, method)
     rows = SpacedRows(plant, family.window, family.count, family.spacing)
     proof, method = _proof(rows, rtol, seconds, rng, progress)
@@ -343,23 +343,23 @@ def _bracketed(
 
 def _proof(
     rows: SpacedRows, rtol: float, seconds: float, rng: np.random.Generator, progress: Progress | None
-) -> tuple[Proof, str]:
+) -> tuple[SphereBounds, str]:
     """Both bounds, by the shortest way that the problem allows, and its name."""
     if rows.count * rows.p < rows.n:
         found = worst_of(rows, np.linspace(0.0, rows.slack, rows.count)[None])
-        return Proof(0.0, found, "too few samples", 0), "fewer measurements than states"
+        return SphereBounds(0.0, found, "too few samples", 0), "fewer measurements than states"
     if rows.slack == 0.0:
         found = worst_of(rows, np.zeros((1, rows.count)))
         lower = max(0.0, found.sigma - rows.rounding(found.slacks))
-        proof = Proof(lower, found, "closed" if lower >= (1 - rtol) * found.sigma else "rounding", 0)
+        proof = SphereBounds(lower, found, "closed" if lower >= (1 - rtol) * found.sigma else "rounding", 0)
         method = "only one schedule is admissible"
     else:
         began = time.monotonic()
         found, method = search_worst(rows, rng, max(seconds / 2, LEAST_SEARCH)), "branch and bound over directions"
         if rows.counts_as_zero(found.sigma, found.slacks):
-            proof, method = Proof(0.0, found, "", 0), "a schedule that leaves a direction unseen"
+            proof, method = SphereBounds(0.0, found, "", 0), "a schedule that leaves a direction unseen"
         elif rows.n > MOST_STATES:
-            proof, method = Proof(0.0, found, "too many states", 0), "none"
+            proof, method = SphereBounds(0.0, found, "too many states", 0), "none"
         else:
             left = max(0.0, seconds - (time.monotonic() - began))
             proof = prove_worst(rows, found, rtol, left, progress)
@@ -372,7 +372,7 @@ def _record(
     plant: Plant,
     family: SpacedWindows,
     rtol: float,
-    proof: Proof,
+    proof: SphereBounds,
     times: Array,
     method: str,
 ) -> WorstCaseSigma:
@@ -380,12 +380,12 @@ def _record(
     upper, x = sigma_min(plant, times) if plant.n_states else np.inf, proof.attained.direction
     s = np.linspace(0.0, family.window, _PICTURE)
     seen, at_samples = (np.linalg.norm(plant.C @ plant.transition(t) @ x, axis=1) for t in (s, times))
-    frozen = [_checks.freeze(a) for a in (s, seen, times, at_samples)]
+    frozen = [checks.freeze(a) for a in (s, seen, times, at_samples)]
     return WorstCaseSigma(
         lower=min(proof.lower, upper),
         upper=upper,
         witness=frozen[2],
-        direction=_checks.freeze(x),
+        direction=checks.freeze(x),
         status=proof.status,
         method=method,
         cells=proof.cells,

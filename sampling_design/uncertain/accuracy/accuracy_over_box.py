@@ -10,15 +10,15 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._record import Plain, finite_or_nones, short
+from sampling_design.accuracy.accuracy import AccuracyBracket, guaranteed_accuracy
+from sampling_design.accuracy.bounds import Bound
+from sampling_design.accuracy.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.errors import ArgumentError, UndecidedError
-from sampling_design.evidence import Claim
-from sampling_design.observability.meeting import meet
+from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant, Signals
-from sampling_design.recovery.accuracy import AccuracyBracket, accuracy
-from sampling_design.recovery.bounds import Bound
-from sampling_design.recovery.rows import Wanted, WantedRows, wanted_rows
+from sampling_design.records import checks
+from sampling_design.records.evidence import Claim
+from sampling_design.records.record import Plain, finite_or_nones, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.model import require_constant_box
 from sampling_design.uncertain.box.question import at_parameters
@@ -115,7 +115,7 @@ def accuracy_over_box(
     rtol: float | None = None,
     **others: object,
 ) -> AccuracyOverBox:
-    """Bracket the worst accuracy over a box: see `accuracy`.
+    """Bracket the worst accuracy over a box: see `guaranteed_accuracy`.
 
     Within a cell about theta_0 the plant theta is that of theta_0 with the disturbance sum_k (theta_k - theta_0k) A_k x
     and the noise of C_k x beside. If |r'x| <= beta for the rows r of A_k and C_k implies |r'x| < beta for them under
@@ -130,7 +130,7 @@ def accuracy_over_box(
         If some plant of the box could not be bounded.
     """
     refuse_others("over a box of parameters", **others)
-    schedule, rtol = meet(plant.nominal, schedule), _checks.positive("rtol", RTOL if rtol is None else rtol)
+    schedule, rtol = meet(plant.nominal, schedule), checks.positive("rtol", RTOL if rtol is None else rtol)
     require_constant_box(plant, "accuracy")
     if not isinstance(schedule, PeriodicSchedule):
         raise ArgumentError("`schedule` must be periodic for accuracy over a box of parameters.")
@@ -258,16 +258,16 @@ def _named(plant: UncertainPlant, theta: Array) -> dict[str, float]:
 def _entries(name: str, value: Bound, count: int) -> Array:
     """A bound for each entry; one number only where there is one entry."""
     if value is not None and not callable(value) and not isinstance(value, Mapping):
-        size = _checks.dimensions(value)
+        size = checks.dimensions(value)
         if size == 0 and count == 1:
-            return np.array([_checks.nonnegative(name, value)])
+            return np.array([checks.nonnegative(name, value)])
         if size == 1:
-            found = np.array(_checks.vector(name, value, count))
+            found = np.array(checks.vector(name, value, count))
             if np.all(found >= 0):
                 return found
     raise ArgumentError(
         f"`{name}` must be {count} numbers that are not negative, one bound for each entry, for accuracy over a box of "
-        f"parameters, got {_checks.described(value)}."
+        f"parameters, got {checks.described(value)}."
     )
 
 
@@ -288,7 +288,7 @@ def one_plant(schedule: PeriodicSchedule) -> OnePlant:
     """Both bounds of one plant of a box."""
 
     def one(member: Plant, w: Array, v: Array, rows: Array, rtol: float) -> Both:
-        found = accuracy(member, schedule, w_bound=w, v_bound=v, of=rows, rtol=rtol)
+        found = guaranteed_accuracy(member, schedule, w_bound=w, v_bound=v, of=rows, rtol=rtol)
         return found.lower, found.upper
 
     return one

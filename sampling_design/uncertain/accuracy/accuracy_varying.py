@@ -9,16 +9,16 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._checks import freeze
-from sampling_design._record import Plain, finite_or_nones, short
+from sampling_design.accuracy.accuracy import RTOL, AccuracyBracket
+from sampling_design.accuracy.bounds import Bound, SignalBounds
+from sampling_design.accuracy.rows import Wanted, WantedRows, wanted_rows
+from sampling_design.accuracy.start import InitialError, InitialSet
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.evidence import Claim
-from sampling_design.observability.meeting import meet
-from sampling_design.recovery.accuracy import RTOL, AccuracyBracket
-from sampling_design.recovery.bounds import Bound, SignalBounds
-from sampling_design.recovery.rows import Wanted, WantedRows, wanted_rows
-from sampling_design.recovery.start import InitialError, InitialSet
+from sampling_design.observability.alignment import meet
+from sampling_design.records import checks
+from sampling_design.records.checks import freeze
+from sampling_design.records.evidence import Claim
+from sampling_design.records.record import Plain, finite_or_nones, short
 from sampling_design.schedules.schedule import Schedule
 from sampling_design.uncertain.accuracy.accuracy_over_box import refuse_others
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
@@ -155,7 +155,7 @@ def accuracy_along(
         If the program is not solved.
     """
     refuse_others("of a plant that varies", **others)
-    rtol = _checks.positive("rtol", RTOL if rtol is None else rtol)
+    rtol = checks.positive("rtol", RTOL if rtol is None else rtol)
     problem = _Problem(plant, schedule, w_bound, v_bound, of, initial_error, (start, end))
     lower, upper = (np.zeros((len(problem.rows), len(problem.looked))) for _ in range(2))
     for k, (gap, part, taken) in enumerate(problem.looked):
@@ -203,7 +203,7 @@ class _Problem:
         if not isinstance(schedule, Schedule) or not len(schedule):
             raise ArgumentError(
                 "`schedule` must be a Schedule with samples within the plant's horizon, got "
-                f"{_checks.described(schedule)}."
+                f"{checks.described(schedule)}."
             )
         still = plant.at(0.0)
         self.plant, self.schedule, self.rows = plant, meet(still, schedule), wanted_rows(still, of)
@@ -211,7 +211,7 @@ class _Problem:
         if any(isinstance(name, str) and name not in still.states.names for name in names):
             raise ArgumentError("`of` must name states, or be rows of a matrix: the rows of outputs vary in time.")
         times = self.schedule.times
-        first, last = (float(edge if end is None else _checks.number(name, end))
+        first, last = (float(edge if end is None else checks.number(name, end))
                        for name, edge, end in zip(("start", "end"), times[[0, -1]], ends, strict=True))  # fmt: skip
         if not 0 <= first <= times[0] or not times[-1] <= last <= plant.horizon:
             raise ArgumentError(

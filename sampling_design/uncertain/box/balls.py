@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, symmetric
-from sampling_design._linalg import symmetrise
+from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, symmetric
+from sampling_design.numerics.linalg import symmetrise
 from sampling_design.uncertain.box.expansion import bases
 from sampling_design.uncertain.box.model import BoxModel
 
@@ -32,7 +32,7 @@ class BallCell(NamedTuple):
     parts_C: list[Matrix]
 
 
-class Metric(NamedTuple):
+class CellMetric(NamedTuple):
     """Proven of every plant of a cell, in the metric W of its states."""
 
     W: Matrix
@@ -76,7 +76,7 @@ class BallBox:
             parts_C.append(self.parts_C[k] * wide)
         return BallCell(A, C, parts_A, parts_C)
 
-    def metrics(self, cell: BallCell, longest: float) -> list[Metric]:
+    def metrics(self, cell: BallCell, longest: float) -> list[CellMetric]:
         """Metrics that suit the cell's centre, with all that is proven in them."""
         A, C = floats(cell.A), floats(cell.C)
         found = []
@@ -87,7 +87,7 @@ class BallBox:
                 found.append(self._metric(cell, symmetric(W)))
         return [each for each in found if each is not None]
 
-    def _metric(self, cell: BallCell, W: Matrix) -> Metric | None:
+    def _metric(self, cell: BallCell, W: Matrix) -> CellMetric | None:
         norms: list[Ball] = []
         forms = [X.transpose() * W * X for X in (cell.A, *cell.parts_A)]
         forms += [X.transpose() * X for X in (cell.C, *cell.parts_C, self.unit)]
@@ -102,7 +102,7 @@ class BallBox:
             return None
         m, zero = self.m, flint().arb(0)
         moved, shown = sum(norms[1 : m + 1], zero), sum(norms[m + 2 : 2 * m + 2], zero)
-        return Metric(W, rate, norms[0], moved.upper(), norms[m + 1], shown.upper(), norms[-1])
+        return CellMetric(W, rate, norms[0], moved.upper(), norms[m + 1], shown.upper(), norms[-1])
 
 
 def largest_over(form: Matrix, W: Matrix, size: float = 0.0) -> Ball | None:

@@ -29,7 +29,7 @@ DESCENTS = 3
 STEPS = 400
 
 
-class Branched(NamedTuple):
+class BoxBounds(NamedTuple):
     """Lower and attained bound, where it is attained (u, window start, piece), why it ended, and the cells judged."""
 
     lower: float
@@ -50,7 +50,7 @@ def branch(
     seconds: float,
     ends: tuple[Array, Array],
     progress: Progress | None,
-) -> Branched:
+) -> BoxBounds:
     """Halve cells until lower >= (1 - rtol) upper; `value` is exact at one point, `unseen`: where it counts as zero."""
     began, judged, rounds = time.monotonic(), 0, 0
     open_, lower = start, np.zeros(len(start.s))
@@ -68,7 +68,7 @@ def branch(
             best = descended(best, value, ends)
         if unseen(*best[1:]):
             best = descended(best, value, ends)
-            return Branched(0.0, best[0], best[1], best[2], best[3], "unseen", judged)
+            return BoxBounds(0.0, best[0], best[1], best[2], best[3], "unseen", judged)
         done = lower >= (1 - rtol) * best[0]
         closed = min(closed, float(lower[done].min(initial=np.inf)))
         open_, lower, effect = open_.take(~done), lower[~done], effect[~done]
@@ -81,7 +81,7 @@ def branch(
     best = descended(best, value, ends)
     if status == "closed" and not min(closed, best[0]) >= (1 - 1.001 * rtol) * best[0]:
         status = "rounding"
-    return Branched(min(closed, best[0]), *best, status, judged)
+    return BoxBounds(min(closed, best[0]), *best, status, judged)
 
 
 def halved(cells: BoxCells, effect: Array) -> BoxCells:

@@ -48,7 +48,7 @@ class BoxCells(NamedTuple):
         return BoxCells._make(part[index] for part in self)
 
 
-class Rest(NamedTuple):
+class ExpansionRemainder(NamedTuple):
     """In one basis T: |rest z|^2 <= z'N z of the rows, and |turn z| <= beyond |T^-1 z| of what moves the window."""
 
     N: Array  # (K, n, n)
@@ -63,7 +63,7 @@ class Expansion(NamedTuple):
     A: Array  # (K, n, n)
     rows: Array  # (K, R, n)
     slopes: Array  # (K, m, R, n) per parameter, times its half-width in the cell
-    rest: tuple[Rest, ...]
+    rest: tuple[ExpansionRemainder, ...]
 
 
 def expanded(model: BoxModel, cells: BoxCells, times: Array, measured: Mask) -> Expansion:
@@ -99,7 +99,7 @@ def expanded(model: BoxModel, cells: BoxCells, times: Array, measured: Mask) -> 
             bound = 1.01 * squared[:, None, None] * (metric + np.swapaxes(metric, 1, 2)) / 2 + own
         bound = np.where(np.isfinite(bound).all(axis=(1, 2))[:, None, None], bound, np.inf)
         beyond = beyond * np.linalg.norm(model.unit[:, None] * T, 2, axis=(1, 2))
-        rests.append(Rest(bound, inverse, beyond, effect))
+        rests.append(ExpansionRemainder(bound, inverse, beyond, effect))
     return Expansion(A, rows.reshape(K, N * p, n), slopes.reshape(K, m, N * p, n), tuple(rests))
 
 

@@ -32,7 +32,7 @@ LARGEST = 1e60
 """A rest beyond it proves nothing."""
 
 
-class Least(NamedTuple):
+class LeastSigma(NamedTuple):
     """Of each cell: a proven lower bound, sigma at its centre, and how much parameters and position matter."""
 
     lower: Array
@@ -40,16 +40,16 @@ class Least(NamedTuple):
     effect: Array
 
 
-def least_sigma(model: BoxModel, cells: BoxCells, times: Array, measured: Mask) -> Least:
+def least_sigma(model: BoxModel, cells: BoxCells, times: Array, measured: Mask) -> LeastSigma:
     """Bound sigma over every cell from below."""
     return bounded(model, expanded(model, cells, times, measured), cells.h)
 
 
-def bounded(model: BoxModel, found: Expansion, h: Array) -> Least:
+def bounded(model: BoxModel, found: Expansion, h: Array) -> LeastSigma:
     """The bounds of an expansion, for windows that begin up to h earlier or later."""
     K, R, n = found.rows.shape
     if n > R:
-        return Least(np.zeros(K), np.zeros(K), np.ones((K, model.m + 1)))
+        return LeastSigma(np.zeros(K), np.zeros(K), np.ones((K, model.m + 1)))
     Q, S = np.linalg.qr(found.rows)
     diagonal = np.abs(np.einsum("kii->ki", S))
     sound = (diagonal > 0).all(axis=1) & np.isfinite(found.slopes).all(axis=(1, 2, 3))
@@ -79,7 +79,7 @@ def bounded(model: BoxModel, found: Expansion, h: Array) -> Least:
             k = np.flatnonzero(fine)
             reached = _lower(H[k], N[k], (unit[k], turn[k], beyond[k]), rounding[k])
             lower[k] = np.maximum(lower[k], np.where(np.isfinite(reached), reached, 0.0))
-    return Least(np.minimum(lower, centre), centre, whole)
+    return LeastSigma(np.minimum(lower, centre), centre, whole)
 
 
 def _lower(H: Array, N: Array, window: tuple[Array, Array, Array | Complex], rounding: Array) -> Array:

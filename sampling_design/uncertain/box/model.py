@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._balance import balance
 from sampling_design.errors import ArgumentError
+from sampling_design.numerics.balancing import balance
 from sampling_design.plants.plant import Plant
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sampling_design._record import short
+from sampling_design.records.record import short
 
 REASONS = {
     "budget": "the budget ran out before the bracket closed; more time, or a smaller box, narrows it",

@@ -11,13 +11,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy import optimize
 
-from sampling_design import _checks
-from sampling_design._linalg import positive_or_one
-from sampling_design._record import short
 from sampling_design.certificates.existence.periodic import ExistenceAnswer, certificate_exists, judged
 from sampling_design.errors import UndecidedError
-from sampling_design.observability.meeting import meet
+from sampling_design.numerics.linalg import positive_or_one
+from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.record import short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.branching import halved
 from sampling_design.uncertain.box.expansion import UP, BoxCells, expanded
@@ -105,7 +105,7 @@ def existence_over_box(
     UndecidedError
         If the budget ran out before every cell was proven and no plant without certificate was found.
     """
-    schedule, eta = meet(plant.nominal, schedule), _checks.nonnegative("eta", eta)
+    schedule, eta = meet(plant.nominal, schedule), checks.nonnegative("eta", eta)
     if isinstance(schedule, Schedule):
         nominal = {each.name: each.nominal for each in plant.parameters}
         return ExistenceOverBox(True, nominal, np.inf, "a finite schedule is certified to its last time", 0, plant)

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._door import door
-from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
-from sampling_design.evidence import Claim
-from sampling_design.observability.meeting import meet
+from sampling_design.observability.alignment import meet
 from sampling_design.observability.windows.pieces import window_pieces
+from sampling_design.records import checks
+from sampling_design.records.evidence import Claim
+from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.branching import TOGETHER, halved
 from sampling_design.uncertain.box.branching import descended as descended_sigma
@@ -103,7 +103,7 @@ class LargestBox(Record):
         return f"{self.question[0].upper()}{self.question[1:]} for every plant with {ranges}{end}"
 
 
-@door
+@checked
 def largest_box(
     plant: UncertainPlant,
     schedule: PeriodicSchedule | Schedule,
@@ -161,10 +161,10 @@ def largest_box(
         raise ArgumentError("`window` or `eta` must be given, one of them and not both.")
     model = BoxModel.of(plant, "largest_box")
     aligned = meet(plant.nominal, schedule)
-    tolerance = _checks.positive("rtol", rtol)
+    tolerance = checks.positive("rtol", rtol)
     if window is not None:
-        least = _checks.nonnegative("at_least", at_least)
-        asked = WindowsOverBox(model, window_pieces(aligned, _checks.positive("window", window)))
+        least = checks.nonnegative("at_least", at_least)
+        asked = WindowsOverBox(model, window_pieces(aligned, checks.positive("window", window)))
         question = f"sigma is above {short(least)} in every window of {short(window)} {plant.time_unit}"
         cells = asked.cells()
         judge: _BySigma | _ByGains = _BySigma(asked, least)
@@ -175,12 +175,12 @@ def largest_box(
             raise ArgumentError(
                 "`schedule` must be periodic with `eta`: on a finite one every plant has a certificate."
             )
-        rate = _checks.nonnegative("eta", eta)
+        rate = checks.nonnegative("eta", eta)
         question = f"a certificate with rate {short(rate)} exists"
         start = np.zeros((1, model.m))
         cells = BoxCells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
         judge = _ByGains(model, aligned, rate)
-    return _searched(model, cells, judge, tolerance, _checks.positive("budget", budget), question)
+    return _searched(model, cells, judge, tolerance, checks.positive("budget", budget), question)
 
 
 class _BySigma:

@@ -9,9 +9,6 @@ from typing import TypedDict, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._door import door
-from sampling_design._record import short
 from sampling_design.certificates.exact.given_weights import met, weights_of
 from sampling_design.certificates.existence.counterexample import find_counterexample
 from sampling_design.certificates.families.graphs import in_plant_terms
@@ -19,6 +16,9 @@ from sampling_design.certificates.families.path_complete import PathCompleteGrap
 from sampling_design.certificates.form.verdict import Verification
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.record import short
+from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -57,7 +57,7 @@ class Options(TypedDict, total=False):
     progress: Progress | None
 
 
-@door
+@checked
 def certify_inclusion(
     plant: LinearInclusion,
     schedule: Schedules,
@@ -134,10 +134,10 @@ def certify_inclusion(
     """
     schedules, report = in_terms(plant, schedule), progress or (lambda fraction, message: None)
     weights = InclusionWeights(*weights_of(plant.centre, Qw, R, Qv))
-    rate = None if eta is None else _checks.positive("eta", eta)
-    counts = PIECES if pieces is None else (_checks.whole("pieces", pieces, 1),)
+    rate = None if eta is None else checks.positive("eta", eta)
+    counts = PIECES if pieces is None else (checks.whole("pieces", pieces, 1),)
     gain = above_one("noise_gain", noise_gain)
-    deadline = time.perf_counter() + (np.inf if budget is None else _checks.positive("budget", budget))
+    deadline = time.perf_counter() + (np.inf if budget is None else checks.positive("budget", budget))
     search: InclusionSearch | None = None
     verdict: Verification | None = None
     tried = rate
@@ -192,7 +192,7 @@ def within_pieces(
 
 def above_one(name: str, value: object) -> float:
     """A noise gain relative to its least, which no P2 attains."""
-    if not _checks.number(name, value) > 1:
+    if not checks.number(name, value) > 1:
         raise ArgumentError(f"`{name}` must be above 1, got {value!r}: no P(tau) attains the least noise gain.")
     return float(value)  # type: ignore[arg-type]
 
@@ -234,7 +234,7 @@ def in_terms(plant: LinearInclusion, schedule: object, **others: object) -> Sche
     if not isinstance(schedule, (PeriodicSchedule, SamplingFamily)):
         raise ArgumentError(
             "`schedule` must be a GapRange, another family or a periodic schedule for a plant that is not exactly "
-            f"known, got {_checks.described(schedule)}."
+            f"known, got {checks.described(schedule)}."
         )
     if not plant.centre.n_states:
         raise ArgumentError("`plant` must have states: there is nothing to certify.")
@@ -304,7 +304,7 @@ def refused(search: InclusionSearch, eta: float, verdict: Verification | None) -
     )  # fmt: skip
 
 
-@door
+@checked
 def longest_gap(
     plant: LinearInclusion,
     *,
@@ -349,9 +349,9 @@ def longest_gap(
     -----
     *Claim.* Proven, not the longest that is true: P(tau) is piecewise linear, and one for the whole model.
     """
-    rate, top = _checks.positive("eta", eta), _checks.positive("most", most)
-    count = _checks.whole("pieces", pieces, 1)
-    least = None if shortest is None else _checks.positive("shortest", shortest)
+    rate, top = checks.positive("eta", eta), checks.positive("most", most)
+    count = checks.whole("pieces", pieces, 1)
+    least = None if shortest is None else checks.positive("shortest", shortest)
     if least is not None and least > top:
         raise ArgumentError(f"`most` must be at least `shortest` = {least!r}, got {top!r}.")
     began, report = time.perf_counter(), progress or (lambda fraction, message: None)

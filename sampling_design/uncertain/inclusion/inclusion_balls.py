@@ -13,16 +13,16 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._ball_flow import Clock
-from sampling_design._balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, symmetric
-from sampling_design.certificates.form.seal import RESOLUTION
-from sampling_design.certificates.rigorous.ball_problem import Decision, Unproven, positive_definite
+from sampling_design.certificates.form.digest import RESOLUTION
+from sampling_design.certificates.rigorous.ball_problem import BallDecision, BallFailure, positive_definite
 from sampling_design.checkers.cover import judge
 from sampling_design.checkers.inclusion import FLOW, SUBJECT, broken, pieces
 from sampling_design.checkers.inclusion_file import Box, Inclusion, Region, Vertices, moved
 from sampling_design.checkers.jumps import JUMP
 from sampling_design.checkers.outcome import REFUTED, UNDECIDED, Refused
-from sampling_design.uncertain.inclusion.region_balls import Cells, mid, parted
+from sampling_design.numerics.ball_flow import TimeBudget
+from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, symmetric
+from sampling_design.uncertain.inclusion.region_balls import JacobianCells, mid, parted
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -35,21 +35,21 @@ MOST_SETS = 2000
 """Sets of C that are tried for one sample."""
 
 
-def inclusion(c: Inclusion, clock: Clock) -> Decision:
+def inclusion(c: Inclusion, clock: TimeBudget) -> BallDecision:
     """Prove all inequalities of a certificate for an inclusion; what was proven, for what, and the least slack.
 
     Raises
     ------
-    Unproven
+    BallFailure
         If one of them certainly fails, or nothing is certain at this precision.
     """
     try:
         judge(c.family, c.graph)
     except Refused as error:
-        raise Unproven(error.verdict, error.inequality, error.reason) from None
+        raise BallFailure(error.verdict, error.inequality, error.reason) from None
     name = f"{FLOW}, {JUMP}"
     if not c.plant.n:
-        return Decision(name, SUBJECT, 1.0)
+        return BallDecision(name, SUBJECT, 1.0)
     w, P = c.weights, [symmetric(M) for M in c.P]
     P1, P2, Qw, R, Qv = (symmetric(M) for M in (w.P1, w.P2, w.Qw, w.R, w.Qv))
     for key, M in (("P1", P1), ("Qw", Qw), ("R", R), ("Qv", Qv)):
@@ -62,7 +62,7 @@ def inclusion(c: Inclusion, clock: Clock) -> Decision:
     Rt = R * (R + Qv).solve(Qv)
     slacks.append(jumps(c, P, Rt, clock))
     slacks.append(flows(c, P, Qw, clock))
-    return Decision(name, SUBJECT, min(slacks))
+    return BallDecision(name, SUBJECT, min(slacks))
 
 
 def positive(name: str, form: Matrix, size: Matrix, when: float | None = None) -> float:
@@ -75,8 +75,10 @@ def positive(name: str, form: Matrix, size: Matrix, when: float | None = None) -
         if definite(M - identity(n) * ball(share * guess)):
             return share * guess
     if definite(M) is False:
-        raise Unproven(REFUTED, name, f"{name} certainly fails by {-guess:.3g}", amount=guess, time=when)
-    raise Unproven(UNDECIDED, name, f"{name} could not be decided: it is tight or nearly so", amount=guess, time=when)
+        raise BallFailure(REFUTED, name, f"{name} certainly fails by {-guess:.3g}", amount=guess, time=when)
+    raise BallFailure(
+        UNDECIDED, name, f"{name} could not be decided: it is tight or nearly so", amount=guess, time=when
+    )
 
 
 # --- members of a box or a list --------------------------------------------------------------------------------------
@@ -129,7 +131,7 @@ def sized(P: Matrix, slope: Matrix, A: Matrix, Qw: Matrix, eta: Ball) -> Matrix:
     return made
 
 
-def flows(c: Inclusion, P: list[Matrix], Qw: Matrix, clock: Clock) -> float:
+def flows(c: Inclusion, P: list[Matrix], Qw: Matrix, clock: TimeBudget) -> float:
     """The flow condition for every member."""
     eta, every = ball(c.weights.eta), ends_of(c, P)
     if isinstance(c.model, Region):
@@ -137,7 +139,7 @@ def flows(c: Inclusion, P: list[Matrix], Qw: Matrix, clock: Clock) -> float:
         def slacks(A: Matrix, G: Matrix) -> Iterator[Matrix]:
             return (flow(p, slope, A, G, Qw, eta) for p, slope, _ in every)
 
-        return Cells(c, c.model, clock).prove(FLOW, lambda M, _: slacks(*parted(M, c.plant.n)), True)
+        return JacobianCells(c, c.model, clock).prove(FLOW, lambda M, _: slacks(*parted(M, c.plant.n)), True)
     if c.multipliers is not None:
         return multiplied(c, every, Qw, clock)
     slack = 1.0
@@ -148,7 +150,7 @@ def flows(c: Inclusion, P: list[Matrix], Qw: Matrix, clock: Clock) -> float:
     return slack
 
 
-def multiplied(c: Inclusion, every: list[tuple[Matrix, Matrix, float]], Qw: Matrix, clock: Clock) -> float:
+def multiplied(c: Inclusion, every: list[tuple[Matrix, Matrix, float]], Qw: Matrix, clock: TimeBudget) -> float:
     """The flow condition with multipliers; see `checkers/inclusion.py`."""
     assert isinstance(c.model, Box)
     assert c.multipliers is not None
@@ -178,22 +180,24 @@ def multiplied(c: Inclusion, every: list[tuple[Matrix, Matrix, float]], Qw: Matr
             sizes.append([*([ball(0.0)] * (n + q)), *own])
         try:
             slack = min(slack, positive(FLOW, flint().arb_mat(rows), flint().arb_mat(sizes), tau))
-        except Unproven as error:
+        except BallFailure as error:
             raise multipliers_fail(c, error) from None
     return slack
 
 
-def multipliers_fail(c: Inclusion, error: Unproven) -> Unproven:
+def multipliers_fail(c: Inclusion, error: BallFailure) -> BallFailure:
     """What it says of the claim that multipliers do not prove it: refuted only with a corner that breaks it."""
     both, slope, size, taus = pieces(c, (c.P + np.swapaxes(c.P, 1, 2)) / 2)
     try:
         broken(c, both, slope, size, taus, (c.weights.Qw + c.weights.Qw.T) / 2)
     except Refused as found:
-        return Unproven(REFUTED, FLOW, found.reason.replace(" fails by", " certainly fails by"), amount=found.amount)
-    return Unproven(UNDECIDED, FLOW, f"{FLOW} could not be decided: these multipliers do not prove it", **error.where)
+        return BallFailure(REFUTED, FLOW, found.reason.replace(" fails by", " certainly fails by"), amount=found.amount)
+    return BallFailure(
+        UNDECIDED, FLOW, f"{FLOW} could not be decided: these multipliers do not prove it", **error.where
+    )
 
 
-def jumps(c: Inclusion, P: list[Matrix], Rt: Matrix, clock: Clock) -> float:
+def jumps(c: Inclusion, P: list[Matrix], Rt: Matrix, clock: TimeBudget) -> float:
     """The jump condition for every member: tangents from below, as in `checkers/jumps.py`."""
     slack = 1.0
     for pattern in sorted(set(map(tuple, c.jumps.seen.tolist()))):
@@ -217,7 +221,7 @@ def jumps(c: Inclusion, P: list[Matrix], Rt: Matrix, clock: Clock) -> float:
                 shown = tangent(kept, about, Y)
                 return (later - base + shown for later, base, _ in every)
 
-            Cells(c, c.model, clock).prove(JUMP, forms, False)
+            JacobianCells(c, c.model, clock).prove(JUMP, forms, False)
             slack = 0.0
         else:
             sets = OutputSets(c, seen)
@@ -288,7 +292,7 @@ class OutputSets:
         return [np.array(list(product(*(pair if i == k else own for i, own in enumerate(sides)))))
                 for pair in ([low[k], middle], [middle, high[k]])]  # fmt: skip
 
-    def over(self, jump: tuple[Matrix, Matrix, float], Y: Matrix, clock: Clock) -> float:
+    def over(self, jump: tuple[Matrix, Matrix, float], Y: Matrix, clock: TimeBudget) -> float:
         """A proven slack of one sample; Unproven where there is none."""
         later, base, tau = jump
         gained, slack, every, spent = later - base, 1.0, [self.points], 0
@@ -305,7 +309,7 @@ class OutputSets:
             least = [float(np.linalg.eigvalsh(floats(M))[0]) for M in exact]
             weakest = int(np.argmin(least))
             if definite(exact[weakest]) is False:
-                raise Unproven(
+                raise BallFailure(
                     REFUTED, JUMP, f"{JUMP} certainly fails by {-least[weakest]:.3g}", amount=least[weakest], time=tau
                 )
             found = np.array([floats(C) for C in Cs])
@@ -315,6 +319,8 @@ class OutputSets:
                     break
             else:
                 if spent > MOST_SETS:
-                    raise Unproven(UNDECIDED, JUMP, f"{JUMP} could not be decided: it is tight or nearly so", time=tau)
+                    raise BallFailure(
+                        UNDECIDED, JUMP, f"{JUMP} could not be decided: it is tight or nearly so", time=tau
+                    )
                 every += self.halves(points, found)
         return slack

@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._record import Plain, short
 from sampling_design.certificates.exact.certificate import SampledCertificate, times_to_dict
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
+from sampling_design.certificates.form.digest import INCLUSION_CLAIM
 from sampling_design.certificates.form.horizon import Horizon, horizon_of, largest_eigenvalue, least_eigenvalue
-from sampling_design.certificates.form.seal import INCLUSION_CLAIM
 from sampling_design.errors import ArgumentError, CertificateError
-from sampling_design.evidence import Claim
+from sampling_design.records import checks
+from sampling_design.records.evidence import Claim
+from sampling_design.records.record import Plain, short
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.family_files import family_to_dict
 from sampling_design.schedules.gap_range import GapRange
@@ -83,21 +83,21 @@ class InclusionCertificate(SampledCertificate):
         super().__post_init__()
         if not isinstance(self.family, (SamplingFamily, PeriodicSchedule)):
             kinds = "a GapRange, another family or a PeriodicSchedule"
-            raise ArgumentError(f"`family` must be {kinds}, got {_checks.described(self.family)}.")
+            raise ArgumentError(f"`family` must be {kinds}, got {checks.described(self.family)}.")
         if self.graph is None:
             object.__setattr__(self, "graph", graph_for(self.family, 0, self.plant.n_outputs))
-        nodes = _checks.floats("nodes", self.nodes)
+        nodes = checks.floats("nodes", self.nodes)
         if nodes.ndim != 1 or nodes.size < 2 or nodes[0] != 0 or not np.all(np.diff(nodes)[nodes[1:] != 0] > 0):
             raise ArgumentError("`nodes` must increase from 0, for each word of the graph.")
         shape = (nodes.size, *self.P2.shape)
-        P = _checks.floats("P", self.P)
+        P = checks.floats("P", self.P)
         if P.shape != shape:
             raise ArgumentError(f"`P` must hold one matrix per node, shape {shape}, got {P.shape}.")
         if self.model is not None and not self.model_data:
             object.__setattr__(self, "model_data", self.model.model_to_dict())
-        object.__setattr__(self, "nodes", _checks.freeze(nodes))
-        P = np.array([_checks.definite(f"P[{k}]", M, self.P2.shape[0]) for k, M in enumerate(P)]).reshape(shape)
-        object.__setattr__(self, "P", _checks.freeze(P))
+        object.__setattr__(self, "nodes", checks.freeze(nodes))
+        P = np.array([checks.definite(f"P[{k}]", M, self.P2.shape[0]) for k, M in enumerate(P)]).reshape(shape)
+        object.__setattr__(self, "P", checks.freeze(P))
 
     @property
     def covers(self) -> Schedules:
@@ -152,12 +152,12 @@ class InclusionCertificate(SampledCertificate):
         ArgumentError
             If a time lies outside of [0, longest gap], or there is no such word.
         """
-        if not -self.words <= _checks.whole("word", word, -self.words) < self.words:
+        if not -self.words <= checks.whole("word", word, -self.words) < self.words:
             raise ArgumentError(f"`word` must be one of the {self.words} words of the graph, got {word!r}.")
         ends = np.append(np.flatnonzero(self.nodes == 0), self.nodes.size)
         own = slice(ends[:-1][word], ends[1:][word])
         nodes, P = self.nodes[own], self.P[own]
-        times = np.atleast_1d(_checks.floats("tau", tau))
+        times = np.atleast_1d(checks.floats("tau", tau))
         if np.any((times < 0) | (times > nodes[-1] * (1 + 1e-12))):
             raise ArgumentError(f"`tau` must lie in [0, {nodes[-1]:.6g}], the gaps that are certified.")
         k = np.clip(np.searchsorted(nodes, times, side="right") - 1, 0, nodes.size - 2)
@@ -185,13 +185,13 @@ class InclusionCertificate(SampledCertificate):
         CertificateError
             If `length` is too short for the theorem.
         """
-        _checks.word("theorem", theorem, ("sharp", "arrival", "paper"))
+        checks.word("theorem", theorem, ("sharp", "arrival", "paper"))
         if theorem == "paper":
             return horizon_of(self, "paper", length)
         lost = _TWO_TRAJECTORIES * (self.lam_proven if theorem == "sharp" else 1.0)
         minimum = float(np.log(lost)) / self.eta
         default = max(self.d_max, minimum + float(np.log(_CONTRACTION)) / self.eta)
-        M = default if length is None else _checks.positive("length", length)
+        M = default if length is None else checks.positive("length", length)
         if not minimum < M:
             raise CertificateError(
                 f"`length` = {M:.6g} is too short: Theorem G needs M > {minimum:.6g}.", minimum=minimum, length=M

@@ -10,17 +10,17 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from sampling_design._balance import balance
 from sampling_design.certificates.exact.riccati import periodic_riccati_solution
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.certificates.form.horizon import output_information
 from sampling_design.errors import SamplingDesignError
+from sampling_design.numerics.balancing import balance
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.jitter import Jitter
 from sampling_design.uncertain.inclusion.layout import Layout, Schedules, layout_of
-from sampling_design.uncertain.inclusion.program import Posed
-from sampling_design.uncertain.plants.inclusion import Hull, LinearInclusion, Members
+from sampling_design.uncertain.inclusion.program import PosedProgram
+from sampling_design.uncertain.plants.inclusion import InclusionMembers, LinearInclusion, MemberHull
 
 Array = npt.NDArray[np.float64]
 
@@ -59,7 +59,7 @@ class PosedMembers:
         self.plant, self.schedules, self.graph, self.weights = plant, schedules, graph, weights
         self.centre = plant.centre
         self.longest = float(graph.tops.max())
-        self.members: Members = plant.members(np.random.default_rng(seed))
+        self.members: InclusionMembers = plant.members(np.random.default_rng(seed))
         self.columns, self.sizes = plant.columns, np.zeros(0)
         if self.columns is not None:  # multipliers stand for all members
             self.members = self.members._replace(dynamics=self.columns.middle[None], complete=True)
@@ -67,9 +67,9 @@ class PosedMembers:
         self.inflation = 0.0 if self.members.complete else INFLATED[0]
         self._roots: dict[float, Array] = {}
         self._sampled = (self.members, self.chosen, self.shown)
-        self.hull: Hull | None = None
+        self.hull: MemberHull | None = None
 
-    def inner(self, eta: float, pieces: int, T: Array | None = None) -> tuple[Posed, Array]:
+    def inner(self, eta: float, pieces: int, T: Array | None = None) -> tuple[PosedProgram, Array]:
         """The program in inner coordinates, and the T with P = T P_inner T': by default that of the rate."""
         layout, b = self.layout(pieces), self.longest
         T = self.coordinates(eta) if T is None else T
@@ -90,7 +90,7 @@ class PosedMembers:
             seen = axes[list(self.columns.at)]
             self.sizes = np.linalg.norm(seen, axis=1)
             columns, seen = b * (T.T @ self.columns.add) * self.sizes, seen / self.sizes[:, None]
-        posed = Posed(
+        posed = PosedProgram(
             dynamics=np.concatenate([A, G], axis=2), outputs=outputs, Qw=np.eye(q), unit=unit, eta=eta * b,
             nodes=layout.nodes / b, pieces=layout.pieces, later=layout.later, base=layout.base, pattern=pattern.ravel(),
             columns=columns, seen=seen,
@@ -158,7 +158,7 @@ class PosedMembers:
             pass  # the centre alone may have no certificate, or none at this rate
         return np.diag(1 / balance(self.centre.A).d)
 
-    def pushed(self, posed: Posed) -> Array:
+    def pushed(self, posed: PosedProgram) -> Array:
         """Members pushed away from their middle."""
         M = posed.dynamics
         middle = (M.max(axis=0) + M.min(axis=0)) / 2
@@ -183,7 +183,7 @@ class PosedMembers:
         self._sampled = (self.members, self.chosen, self.shown)
         self.hull = hull
         outputs = corners(hull.output, hull.output_moves)
-        self.members = Members(hull.middle, outputs, ("a cell of the region",) * len(hull.middle), False)
+        self.members = InclusionMembers(hull.middle, outputs, ("a cell of the region",) * len(hull.middle), False)
         self.chosen, self.shown = extreme(hull.middle), extreme(outputs)
         return True
 

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from sampling_design import _conic
-from sampling_design.evidence import SolverRecord
+from sampling_design.numerics import conic_programs
+from sampling_design.records.evidence import SolverRecord
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -34,7 +34,7 @@ SMALLEST = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class Posed:
+class PosedProgram:
     """The numbers of one program, in inner coordinates and inner time.
 
     dynamics (K, n, n + q); outputs (patterns, L, p, n), for each pattern of measured outputs in units in which R~ is I
@@ -69,7 +69,7 @@ class Posed:
         slope = (P[j] - P[i]) / (self.nodes[j] - self.nodes[i])[:, None, None]
         return np.stack([P[i], P[j]], axis=1).reshape(-1, self.n, self.n), np.repeat(slope, 2, axis=0)
 
-    def turned(self, T: Array) -> Posed:
+    def turned(self, T: Array) -> PosedProgram:
         """The same program in coordinates T'z, T (n, n): P = T P_new T'."""
         inverse = np.linalg.inv(T)
         n, q = self.n, self.dynamics.shape[2] - self.n
@@ -87,7 +87,7 @@ class Posed:
         )
 
 
-def flow_scale(posed: Posed) -> Array:
+def flow_scale(posed: PosedProgram) -> Array:
     """N^-1/2, N the size of A + A' where rates are fast, in all coordinates that flow conditions have; else I.
 
     A congruence with it changes no definiteness. Rates up to `BEARABLE` per longest gap are left as they are.
@@ -108,11 +108,11 @@ def own_size(A: Array) -> Array:
 class InclusionProgram:
     """The blocks of a program that do not depend on what is minimised."""
 
-    def __init__(self, posed: Posed, budget: float | None = None) -> None:
+    def __init__(self, posed: PosedProgram, budget: float | None = None) -> None:
         self.posed, self.budget = posed, budget
         n = posed.n
         self.pairs = n * (n + 1) // 2
-        self.basis = np.asarray(_conic.smat(np.eye(self.pairs)), dtype=np.float64)
+        self.basis = np.asarray(conic_programs.smat(np.eye(self.pairs)), dtype=np.float64)
         self.count = posed.nodes.size
         self.ends = 2 * posed.pieces.size
         self.gains_at = self.count * self.pairs + self.ends * len(posed.seen)
@@ -142,7 +142,7 @@ class InclusionProgram:
         if side is not None:
             full[:, :n, n : n + side.shape[2]] = side
             full[:, n : n + side.shape[2], :n] = np.swapaxes(side, 1, 2)
-        return np.asarray(_conic.svec(self.scale.T @ full @ self.scale).T)
+        return np.asarray(conic_programs.svec(self.scale.T @ full @ self.scale).T)
 
     def _flow(self) -> list[Block]:
         p, n = self.posed, self.posed.n
@@ -176,7 +176,7 @@ class InclusionProgram:
         for k in range(m):
             full[k, size + k, size + k] = 1.0
         scaled = self.scale.T @ full @ self.scale
-        return [(self.count * self.pairs + end * m, np.asarray(_conic.svec(scaled).T))]
+        return [(self.count * self.pairs + end * m, np.asarray(conic_programs.svec(scaled).T))]
 
     def _jump(self) -> list[Block]:
         """D + C'C > 0, D what P gains; for several C [D + C'K + K'C, K'; K, I] > 0 with one K, whose Schur complement
@@ -202,7 +202,7 @@ class InclusionProgram:
         """svec of [X, 0; 0, 0] for each of a stack, as columns."""
         full = np.zeros((len(stack), self.posed.n + self.rows, self.posed.n + self.rows))
         full[:, : self.posed.n, : self.posed.n] = stack
-        return np.asarray(_conic.svec(full).T)
+        return np.asarray(conic_programs.svec(full).T)
 
     def _gain(self, C: Array) -> Array:
         """svec of [C'K + K'C, K'; K, 0] for each entry of K, as columns."""
@@ -213,7 +213,7 @@ class InclusionProgram:
             full[k, :n, j] += C[i]
             full[k, j, :n] += C[i]
             full[k, n + i, j] = full[k, j, n + i] = 1.0
-        return np.asarray(_conic.svec(full).T)
+        return np.asarray(conic_programs.svec(full).T)
 
     def gains(self, x: Array) -> Array:
         """K of each jump, (jumps, p, n)."""
@@ -233,13 +233,15 @@ class InclusionProgram:
                 (-np.ones(m), (np.arange(m), self.count * self.pairs + np.arange(m))), shape=(m, len(cost))
             )
             every.append(("nonnegative", signs, np.zeros(m)))
-        found = _conic.solve_cone_program(cost, every, budget=self.budget)
+        found = conic_programs.solve_cone_program(cost, every, budget=self.budget)
         point = np.asarray(found.x, dtype=np.float64)
-        return (point if _conic.usable(found.record) else None), found.record
+        return (point if conic_programs.usable(found.record) else None), found.record
 
     def matrices(self, x: Array) -> Array:
         """P at the nodes."""
-        return np.asarray(_conic.smat(x[: self.count * self.pairs].reshape(self.count, self.pairs)), dtype=np.float64)
+        return np.asarray(
+            conic_programs.smat(x[: self.count * self.pairs].reshape(self.count, self.pairs)), dtype=np.float64
+        )
 
     def diagonals(self, x: Array) -> Array:
         """Multipliers per piece and end."""
@@ -282,7 +284,7 @@ class InclusionProgram:
         x, record = self._solved(cost, self._pinned(blocks, (self.width - 1,), more))
         if x is None:
             return None, np.eye(self.posed.n), record
-        drawn = np.asarray(_conic.smat(x[W:]), dtype=np.float64)
+        drawn = np.asarray(conic_programs.smat(x[W:]), dtype=np.float64)
         good = x[t] > 0 and np.linalg.eigvalsh(drawn)[0] > SMALLEST * floor
         return (x if good else None), drawn, record
 
@@ -308,7 +310,7 @@ class InclusionProgram:
 
     def bound(self, x: Array) -> Array | None:
         """The W of a point that has one."""
-        return np.asarray(_conic.smat(x[self.width :]), dtype=np.float64) if len(x) > self.width else None
+        return np.asarray(conic_programs.smat(x[self.width :]), dtype=np.float64) if len(x) > self.width else None
 
     def _with_slack(self, blocks: list[Block], more: int = 0) -> tuple[Array | None, float, SolverRecord]:
         """The largest variable before the last of the width, which is taken from all flow conditions."""
@@ -324,9 +326,9 @@ class InclusionProgram:
         ]  # fmt: skip
         cost = np.zeros(self.width + more)
         cost[at] = -1.0
-        found = _conic.solve_cone_program(cost, [*fixed, *blocks], budget=self.budget)
+        found = conic_programs.solve_cone_program(cost, [*fixed, *blocks], budget=self.budget)
         point = np.asarray(found.x, dtype=np.float64)
-        good = _conic.usable(found.record) and point[at] > SMALLEST
+        good = conic_programs.usable(found.record) and point[at] > SMALLEST
         return (point if good else None), float(point[at]) if good else 0.0, found.record
 
     def _pinned(self, blocks: list[Block], columns: tuple[int, ...], more: int = 0) -> list[Block]:
@@ -339,10 +341,10 @@ class InclusionProgram:
 
 def vector(matrix: Array) -> Array:
     """svec of one matrix."""
-    return np.asarray(_conic.svec(matrix), dtype=np.float64)
+    return np.asarray(conic_programs.svec(matrix), dtype=np.float64)
 
 
-def flow_slacks(posed: Posed, P: Array) -> Array:
+def flow_slacks(posed: PosedProgram, P: Array) -> Array:
     """The least eigenvalue of the flow condition in its own size over both ends of all pieces, for each member."""
     n, ends = posed.n, 2 * posed.pieces.size
     scale = flow_scale(posed)
@@ -358,7 +360,7 @@ def flow_slacks(posed: Posed, P: Array) -> Array:
     return np.concatenate(least)
 
 
-def jump_slacks(posed: Posed, P: Array, gains: Array) -> Array:
+def jump_slacks(posed: PosedProgram, P: Array, gains: Array) -> Array:
     """The least eigenvalue of the jump condition over all jumps with their gains, for each C."""
     gained = P[posed.later] - P[posed.base] - np.swapaxes(gains, 1, 2) @ gains
     cross = np.swapaxes(posed.outputs[posed.pattern], 2, 3) @ gains[:, None]

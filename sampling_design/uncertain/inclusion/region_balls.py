@@ -8,12 +8,12 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._ball_flow import Clock
-from sampling_design._balls import Ball, Matrix, ball, definite, flint, floats, matrix
-from sampling_design.certificates.rigorous.ball_problem import Unproven
+from sampling_design.certificates.rigorous.ball_problem import BallFailure
 from sampling_design.checkers.inclusion_file import Inclusion, Region
 from sampling_design.checkers.outcome import REFUTED, UNDECIDED
 from sampling_design.checkers.programs import Instruction
+from sampling_design.numerics.ball_flow import TimeBudget
+from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, matrix
 
 Array = npt.NDArray[np.float64]
 Slopes = dict[tuple[str, int], Ball]
@@ -43,10 +43,10 @@ def mid(M: Matrix) -> Matrix:
     return matrix(floats(M))
 
 
-class Cells:
+class JacobianCells:
     """The region, halved until all forms are positive for the Jacobians of every cell."""
 
-    def __init__(self, c: Inclusion, region: Region, clock: Clock) -> None:
+    def __init__(self, c: Inclusion, region: Region, clock: TimeBudget) -> None:
         self.c, self.region, self.clock = c, region, clock
         self.keys = [(key, k) for key in ("x", "u", "w") for k in range(len(region.low[key]))]
         root = np.sqrt(np.einsum("kii->i", c.P) / len(c.P))
@@ -68,14 +68,14 @@ class Cells:
             self.refute(name, a, b, forms, of_f)
             side = self.side(a, b, of_f)
             if side is None or depth >= DEPTH:
-                raise Unproven(UNDECIDED, name, f"{name} could not be decided: it is tight or nearly so")
+                raise BallFailure(UNDECIDED, name, f"{name} could not be decided: it is tight or nearly so")
             middle = a[side] / 2 + b[side] / 2
             left, right = b.copy(), a.copy()
             left[side] = right[side] = middle
             pending += [(a, left, depth + 1), (right, b, depth + 1)]
         return 0.0
 
-    def holds(self, found: Assembly, forms: Forms, of_f: bool) -> bool:
+    def holds(self, found: OutputAssembly, forms: Forms, of_f: bool) -> bool:
         """Whether all forms are positive for all matrices of a cell: as they are, else at ends of the widest slopes."""
         whole = found.matrix({})
         middle = mid(whole)
@@ -105,7 +105,7 @@ class Cells:
         M = self.jacobian(at, at, of_f)
         if M is not None and any(definite(form) is False for form in forms(M, M)):
             where = ", ".join(f"{x:.6g}" for x in at[:n])
-            raise Unproven(REFUTED, name, f"{name} fails at x = [{where}]")
+            raise BallFailure(REFUTED, name, f"{name} fails at x = [{where}]")
 
     def outside(self, a: Array, b: Array) -> bool:
         """Whether a cell certainly lies outside of a half-space."""
@@ -147,17 +147,17 @@ class Cells:
         found = self.assembly(a, b, of_f)
         return None if found is None else found.matrix({})
 
-    def assembly(self, a: Array, b: Array, of_f: bool) -> Assembly | None:
+    def assembly(self, a: Array, b: Array, of_f: bool) -> OutputAssembly | None:
         """(A, G) or C over a cell as what its slopes make of it; None where it is not finite."""
         inputs = {key: hull(low, high) for key, low, high in zip(self.keys, a.tolist(), b.tolist(), strict=True)}
         n, q = self.c.plant.n, self.c.plant.G.shape[1]
         program = self.region.f if of_f else self.region.h
         columns = [("x", k) for k in range(n)] + [("w", k) for k in range(q if of_f else 0)]
-        found = Assembly(program.code, program.outputs, columns, differentiated(program.code, inputs))
+        found = OutputAssembly(program.code, program.outputs, columns, differentiated(program.code, inputs))
         return found if all(x.is_finite() for x in found.matrix({}).entries()) else None
 
 
-class Assembly:
+class OutputAssembly:
     """The derivatives of outputs from those of what is not linear in earlier instructions.
 
     A slope that several outputs share is one and the same number in all of them.

@@ -8,16 +8,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._record import Plain
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.certificates.form.verdict import Verification
 from sampling_design.certificates.rigorous.decide import judged
 from sampling_design.errors import ArgumentError
-from sampling_design.evidence import SolverRecord
+from sampling_design.records.evidence import SolverRecord
+from sampling_design.records.record import Plain
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.uncertain.inclusion.layout import Schedules
 from sampling_design.uncertain.inclusion.members import INFLATED, InclusionWeights, PosedMembers
-from sampling_design.uncertain.inclusion.program import SMALLEST, InclusionProgram, Posed, flow_slacks, jump_slacks
+from sampling_design.uncertain.inclusion.program import (
+    SMALLEST,
+    InclusionProgram,
+    PosedProgram,
+    flow_slacks,
+    jump_slacks,
+)
 from sampling_design.uncertain.inclusion.stiff import solve_stiff
 from sampling_design.uncertain.plants.inclusion import LinearInclusion
 
@@ -41,7 +47,7 @@ ROOM = 1e-6
 class InclusionSolution:
     """A solution in inner coordinates, not proven: P at the nodes between s I and q I."""
 
-    posed: Posed
+    posed: PosedProgram
     P: Array
     low: float
     high: float
@@ -95,7 +101,7 @@ class InclusionSearch(PosedMembers):
             self.chosen, self.shown = sorted({*self.chosen, *worst}), sorted({*self.shown, *unseen})
         return None
 
-    def _once(self, posed: Posed, T: Array, narrow: bool) -> InclusionSolution | None:
+    def _once(self, posed: PosedProgram, T: Array, narrow: bool) -> InclusionSolution | None:
         dynamics = self.pushed(posed)[self.chosen]
         some = replace(posed, dynamics=dynamics, outputs=posed.outputs[:, self.shown])
         search = InclusionProgram(some, self.left)
@@ -131,12 +137,12 @@ class InclusionSearch(PosedMembers):
 
     @staticmethod
     def _found(
-        posed: Posed, P: Array, T: Array, free: tuple[Array | None, Array], record: SolverRecord
+        posed: PosedProgram, P: Array, T: Array, free: tuple[Array | None, Array], record: SolverRecord
     ) -> InclusionSolution:
         values = np.linalg.eigvalsh(P)
         return InclusionSolution(posed, P, float(values[:, 0].min()), float(values[:, -1].max()), T, *free, record)
 
-    def _violated(self, posed: Posed, found: InclusionSolution) -> list[int]:
+    def _violated(self, posed: PosedProgram, found: InclusionSolution) -> list[int]:
         """Members that the solution violates most, not yet in the program."""
         if len(self.chosen) == len(self.members.dynamics):
             return []
@@ -144,14 +150,14 @@ class InclusionSearch(PosedMembers):
         least = flow_slacks(moved, found.P)
         return [int(k) for k in np.argsort(least)[:JOINING] if least[k] < 0 and int(k) not in self.chosen]
 
-    def _hidden(self, posed: Posed, found: InclusionSolution) -> list[int]:
+    def _hidden(self, posed: PosedProgram, found: InclusionSolution) -> list[int]:
         """Outputs at which the solution's jump fails most, not yet in the program."""
         if len(self.shown) == posed.outputs.shape[1]:
             return []
         least = jump_slacks(posed.turned(self._turn(posed, found)), found.P, found.gains)
         return [int(k) for k in np.argsort(least)[:JOINING] if least[k] < 0 and int(k) not in self.shown]
 
-    def _turn(self, posed: Posed, found: InclusionSolution) -> Array:
+    def _turn(self, posed: PosedProgram, found: InclusionSolution) -> Array:
         """The solution's coordinates in those of `posed`."""
         return np.asarray(np.linalg.solve(self.coordinates(posed.eta / self.longest), found.T))
 

@@ -16,12 +16,18 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.evidence import SolverRecord
+from sampling_design.records.evidence import SolverRecord
 from sampling_design.uncertain.inclusion.members import PosedMembers
-from sampling_design.uncertain.inclusion.program import InclusionProgram, Posed, flow_scale, flow_slacks, jump_slacks
+from sampling_design.uncertain.inclusion.program import (
+    InclusionProgram,
+    PosedProgram,
+    flow_scale,
+    flow_slacks,
+    jump_slacks,
+)
 
 Array = npt.NDArray[np.float64]
-Posing = Callable[[Array], tuple[Posed, Array]]
+Posing = Callable[[Array], tuple[PosedProgram, Array]]
 Solver = Callable[[InclusionProgram], tuple[Array | None, float, SolverRecord]]
 
 TURNS = 6
@@ -39,10 +45,10 @@ LEAST_SLACK = 0.05
 """A P(tau) of less slack is not drawn together further: its proof would need cells that are too small."""
 
 
-class Fitted(NamedTuple):
+class FittedWeights(NamedTuple):
     """A program's P(tau) at the nodes, in coordinates where their mean is I, the problem in them, and its slack."""
 
-    posed: Posed
+    posed: PosedProgram
     T: Array
     P: Array
     slack: float
@@ -68,7 +74,9 @@ class Fitted(NamedTuple):
         return high / low
 
 
-def fitted(search: PosedMembers, posing: Posing, T: Array, solve: Solver, share: float, join: bool) -> Fitted | None:
+def fitted(
+    search: PosedMembers, posing: Posing, T: Array, solve: Solver, share: float, join: bool
+) -> FittedWeights | None:
     """Solve for the members chosen, drawn to their mean; those that the solution violates join until none does."""
     for _ in range(ROUNDS):
         if search.late:
@@ -101,11 +109,13 @@ def fitted(search: PosedMembers, posing: Posing, T: Array, solve: Solver, share:
         root, W = np.linalg.cholesky(np.mean(P, axis=0)), program.bound(x)
         own = np.linalg.solve(root, np.linalg.solve(root, P).swapaxes(1, 2))
         bound = np.eye(posed.n) if W is None else np.linalg.solve(root, np.linalg.cholesky(W))
-        return Fitted(some.turned(root), T @ root, (own + own.swapaxes(1, 2)) / 2, slack, record, np.asarray(bound))
+        return FittedWeights(
+            some.turned(root), T @ root, (own + own.swapaxes(1, 2)) / 2, slack, record, np.asarray(bound)
+        )
     return None
 
 
-def drawn(search: PosedMembers, posed: Posed, share: float) -> Posed:
+def drawn(search: PosedMembers, posed: PosedProgram, share: float) -> PosedProgram:
     """Members drawn to their mean by a share, and pushed outwards by the search's inflation."""
     if search.hull is not None and share == 1:  # whose directions are inflated instead
         return posed
@@ -113,7 +123,7 @@ def drawn(search: PosedMembers, posed: Posed, share: float) -> Posed:
     return replace(posed, dynamics=middle + share * (1 + search.inflation) * (posed.dynamics - middle))
 
 
-def adversaries(search: PosedMembers, posed: Posed, P: Array, T: Array) -> Array:
+def adversaries(search: PosedMembers, posed: PosedProgram, P: Array, T: Array) -> Array:
     """Corners of the hull's cells at which the flow condition fails most, found by turns of vector and signs."""
     if search.hull is None:
         return np.zeros((0, *search.members.dynamics.shape[1:]))
@@ -155,13 +165,13 @@ def worst(least: Array, chosen: list[int]) -> list[int]:
     return [int(k) for k in np.argsort(least)[:JOINING] if least[k] < 0 and int(k) not in chosen]
 
 
-def solve_stiff(search: PosedMembers, eta: float, pieces: int, narrow: bool) -> Fitted | None:
+def solve_stiff(search: PosedMembers, eta: float, pieces: int, narrow: bool) -> FittedWeights | None:
     """A P(tau) of large slack, or the narrowest that leaves some."""
 
-    def posing(T: Array) -> tuple[Posed, Array]:
+    def posing(T: Array) -> tuple[PosedProgram, Array]:
         return search.inner(eta, pieces, T)
 
-    best: Fitted | None = None
+    best: FittedWeights | None = None
     for share, join in STAGES:
         before = 0.0
         for _ in range(TURNS):

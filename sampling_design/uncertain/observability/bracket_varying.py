@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.observability.windows.bracket import Bracket
+from sampling_design.observability.windows.bracket import WindowBracket
 from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.uncertain.plants.time_table import MatrixTable, length_of
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
@@ -114,7 +114,7 @@ class VaryingSearch:
         return float(np.exp(min(ends)))
 
 
-def bracket_varying(plant: TimeVaryingPlant, pieces: Pieces, rtol: float, budget: float) -> Bracket:
+def bracket_varying(plant: TimeVaryingPlant, pieces: Pieces, rtol: float, budget: float) -> WindowBracket:
     """Bracket the least sigma; `status` as of `WindowSigma`, and "sampled" of functions, where `lower` is 0."""
     search, began = VaryingSearch(plant, pieces), time.monotonic()
     nodes = [_first(search, g) for g in range(len(pieces))]
@@ -164,11 +164,11 @@ def _first(search: VaryingSearch, g: int) -> list[_Node]:
 
 def _bracket(
     search: VaryingSearch, nodes: list[list[_Node]], g: int, best: _Node, floors: Array, status: str
-) -> Bracket:
+) -> WindowBracket:
     """What was found, as the search of a plant that does not vary tells it."""
     pieces, n = search.pieces, best.rows.shape[1]
     every = [sorted(own, key=lambda node: node.at) for own in nodes]
-    return Bracket(
+    return WindowBracket(
         lower=min(float(floors.min()), best.sigma),
         upper=best.sigma,
         status=status,

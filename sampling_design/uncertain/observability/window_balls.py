@@ -18,9 +18,9 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._ball_flow import Clock
-from sampling_design._balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix
-from sampling_design._linalg import symmetrise
+from sampling_design.numerics.ball_flow import TimeBudget
+from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix
+from sampling_design.numerics.linalg import symmetrise
 from sampling_design.observability.windows.balls import (
     ProvenSigma,
     exact_times,
@@ -30,7 +30,7 @@ from sampling_design.observability.windows.balls import (
     piece_ends,
 )
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-from sampling_design.uncertain.box.balls import BallBox, BallCell, Metric, beyond_first_in_balls
+from sampling_design.uncertain.box.balls import BallBox, BallCell, CellMetric, beyond_first_in_balls
 from sampling_design.uncertain.box.branching import TOGETHER, halved
 from sampling_design.uncertain.box.expansion import BoxCells
 from sampling_design.uncertain.observability.windows_over_box import WindowsOverBox
@@ -72,7 +72,7 @@ def prove_over_box(
     flint()
     exact = exact_times(schedule, asked.pieces)
     slack = needed_slack(schedule, asked.pieces, exact)
-    clock = Clock(seconds)
+    clock = TimeBudget(seconds)
     return nearest_proven(guess, slack, lambda: WindowCells(asked, schedule, exact, clock).proves)
 
 
@@ -80,7 +80,7 @@ class WindowCells:
     """Cells of parameters and window starts; a start is a dyadic share of its piece, so that no cell is rounded."""
 
     def __init__(
-        self, asked: WindowsOverBox, schedule: Schedule | PeriodicSchedule, exact: list[Fraction], clock: Clock
+        self, asked: WindowsOverBox, schedule: Schedule | PeriodicSchedule, exact: list[Fraction], clock: TimeBudget
     ) -> None:
         self.asked, self.clock, self.box = asked, clock, BallBox(asked.model)
         pieces = asked.pieces
@@ -176,7 +176,7 @@ def _beside(blocks: list[Matrix]) -> list[list[Ball]]:
     return [[x for part in row for x in part] for row in zip(*(M.tolist() for M in blocks), strict=True)]
 
 
-def _rest(metric: Metric, after: list[Ball]) -> Ball:
+def _rest(metric: CellMetric, after: list[Ball]) -> Ball:
     """At least |X z|^2 over z'Wz: what the rows of all samples are beyond the first order."""
     total = flint().arb(0)
     for r in after:

@@ -8,15 +8,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._record import Plain, short
-from sampling_design.evidence import Claim
-from sampling_design.observability.meeting import meet
+from sampling_design.observability.alignment import meet
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of
 from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.observability.windows.window_sigma import asked
+from sampling_design.records.evidence import Claim
+from sampling_design.records.record import Plain, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-from sampling_design.uncertain.box.branching import Branched, branch
+from sampling_design.uncertain.box.branching import BoxBounds, branch
 from sampling_design.uncertain.box.model import BoxModel
 from sampling_design.uncertain.box.question import REASONS, at_parameters
 from sampling_design.uncertain.observability.windows_over_box import WindowsOverBox
@@ -180,7 +180,7 @@ def _in_balls(
     return replace(result, lower=proof.lower, status=status, rigorous=True, slack=proof.slack)
 
 
-def _record(found: Branched, model: BoxModel, pieces: Pieces, rtol: float) -> WindowSigmaOverBox:
+def _record(found: BoxBounds, model: BoxModel, pieces: Pieces, rtol: float) -> WindowSigmaOverBox:
     return WindowSigmaOverBox(
         lower=found.lower, upper=found.upper, worst=model.values(found.u), window_start=found.s,
         samples=pieces.samples(found.piece), status=found.status, window=pieces.window, rtol=rtol, cells=found.cells,
@@ -188,13 +188,13 @@ def _record(found: Branched, model: BoxModel, pieces: Pieces, rtol: float) -> Wi
     )  # fmt: skip
 
 
-def _searched(model: BoxModel, pieces: Pieces, rtol: float, seconds: float, progress: Progress | None) -> Branched:
+def _searched(model: BoxModel, pieces: Pieces, rtol: float, seconds: float, progress: Progress | None) -> BoxBounds:
     """The bracket over the box and all pieces."""
     asked = WindowsOverBox(model, pieces)
     if not model.n:
-        return Branched(np.inf, np.inf, model.start, float(pieces.left[0]), 0, "no states", 0)
+        return BoxBounds(np.inf, np.inf, model.start, float(pieces.left[0]), 0, "no states", 0)
     few = asked.too_few()
     if few is not None:
-        return Branched(0.0, 0.0, model.start, float(pieces.left[few]), few, "too few samples", 0)
+        return BoxBounds(0.0, 0.0, model.start, float(pieces.left[few]), few, "too few samples", 0)
     ends = (pieces.left, pieces.right)
     return branch(asked.cells(), asked.judge, asked.value, asked.unseen, rtol, seconds, ends, progress)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sampling_design import _checks
 from sampling_design.errors import ArgumentError
-from sampling_design.observability.meeting import meet
+from sampling_design.observability.alignment import meet
 from sampling_design.observability.sigma_bracket import coordinates_of
 from sampling_design.observability.windows.window_sigma import WindowSigma, asked, record_of
+from sampling_design.records import checks
 from sampling_design.schedules.schedule import Schedule
 from sampling_design.uncertain.observability.bracket_varying import bracket_varying
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
@@ -39,7 +39,7 @@ def window_sigma_varying(
         raise ArgumentError("`rigorous` is for plants that do not vary: of a table all rounding is counted anyway.")
     if not isinstance(schedule, Schedule):
         raise ArgumentError(
-            f"`schedule` must be a Schedule within the plant's horizon, got {_checks.described(schedule)}."
+            f"`schedule` must be a Schedule within the plant's horizon, got {checks.described(schedule)}."
         )
     aligned = meet(plant.at(0.0), schedule)
     outside = [t for t in aligned.times.tolist() if not 0 <= t <= plant.horizon]

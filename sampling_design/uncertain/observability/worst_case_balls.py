@@ -11,13 +11,23 @@ import time
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._ball_flow import Clock, OutOfTime
-from sampling_design._balls import Ball, ball, flint, frobenius, identity, largest, matrix, positive_part, precision
+from sampling_design.numerics.ball_flow import OutOfTime, TimeBudget
+from sampling_design.numerics.balls import (
+    Ball,
+    ball,
+    flint,
+    frobenius,
+    identity,
+    largest,
+    matrix,
+    positive_part,
+    precision,
+)
 from sampling_design.observability.windows.balls import SHAVES, ProvenSigma
 from sampling_design.observability.worst_case.balls import prove_worst_sigma
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.spaced_windows import SpacedWindows
-from sampling_design.uncertain.box.balls import BallBox, Metric, beyond_first_in_balls, largest_over
+from sampling_design.uncertain.box.balls import BallBox, CellMetric, beyond_first_in_balls, largest_over
 from sampling_design.uncertain.box.expansion import BoxCells
 from sampling_design.uncertain.box.model import BoxModel
 from sampling_design.uncertain.observability.worst_case_cells import SigmaOfOne, parts_of, points_of
@@ -70,7 +80,7 @@ def prove_worst_over_box(
     flint()
     if not 0 < guess < np.inf:
         return ProvenSigma(guess, 0.0, "closed")
-    clock, mu = Clock(seconds), guess * (1 - SHAVES[0])
+    clock, mu = TimeBudget(seconds), guess * (1 - SHAVES[0])
     box, pending = BallBox(model), [part.take(np.array([k])) for part in cells for k in range(len(part.s))]
     known = dict[tuple[float, ...], float]()
     try:
@@ -119,7 +129,9 @@ def _needed(box: BallBox, one: BoxCells, judged: tuple[Array, list[Plant]], fami
     return least
 
 
-def _spread(box: BallBox, metric: Metric, off: tuple[Ball, Ball], family: SpacedWindows) -> tuple[Ball, Ball] | None:
+def _spread(
+    box: BallBox, metric: CellMetric, off: tuple[Ball, Ball], family: SpacedWindows
+) -> tuple[Ball, Ball] | None:
     """At least |sum +-O_k| and |X| over a cell, in one metric; `off`: the rounding of the plants that are judged."""
     eye = identity(box.n)
     rounded = largest_over(eye * (largest(metric.W) * off[0] * off[0]), metric.W)

@@ -9,12 +9,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._checks import Seed
-from sampling_design._record import Plain, short
-from sampling_design.evidence import Claim
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of
 from sampling_design.observability.worst_case.worst_case_sigma import LEAST_SEARCH, asked, worst_case_sigma
 from sampling_design.plants.plant import Plant
+from sampling_design.records.checks import Seed
+from sampling_design.records.evidence import Claim
+from sampling_design.records.record import Plain, short
 from sampling_design.schedules.spaced_windows import SpacedWindows
 from sampling_design.uncertain.box.expansion import UP, BoxCells
 from sampling_design.uncertain.box.model import BoxModel

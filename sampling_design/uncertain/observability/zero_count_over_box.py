@@ -9,12 +9,12 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._record import Plain, short
 from sampling_design.errors import ArgumentError, NotObservableError, UndecidedError
-from sampling_design.evidence import Claim
 from sampling_design.observability.count.zero_count import SampleCount
 from sampling_design.plants.plant import Plant
-from sampling_design.uncertain.box.branching import Branched, branch
+from sampling_design.records.evidence import Claim
+from sampling_design.records.record import Plain, short
+from sampling_design.uncertain.box.branching import BoxBounds, branch
 from sampling_design.uncertain.box.expansion import UP, BoxCells, bases
 from sampling_design.uncertain.box.least import least_sigma
 from sampling_design.uncertain.box.model import BoxModel
@@ -120,7 +120,7 @@ def zero_count_over_box(plant: UncertainPlant, duration: float) -> ZeroCountOver
     )
 
 
-def _frequencies(model: BoxModel) -> tuple[Branched, float]:
+def _frequencies(model: BoxModel) -> tuple[BoxBounds, float]:
     """1/(floor + max |Im lambda|) bracketed from below over the box, and that floor.
 
     In any coordinates |Im lambda| is at most the largest eigenvalue of (B - B*)/2i, which is convex in the parameters:

@@ -9,14 +9,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._door import doors
-from sampling_design._record import Plain
 from sampling_design.plants.plant import Plant
+from sampling_design.records.record import Plain
+from sampling_design.records.signatures import checked_methods
 
 Array = npt.NDArray[np.float64]
 
 
-class Members(NamedTuple):
+class InclusionMembers(NamedTuple):
     """Some plants of an inclusion: (A, G) side by side (K, n, n + q), C (L, p, n), and where each (A, G) comes from.
 
     `complete` says that their convex hull is the whole inclusion; otherwise they are samples of it.
@@ -28,7 +28,7 @@ class Members(NamedTuple):
     complete: bool
 
 
-class Columns(NamedTuple):
+class BoxColumns(NamedTuple):
     """A box of many parameters: (A, G) at its middle (n, n + q), changes d_k add[:, k] (x, w)_at[k] with |d_k| <= 1.
 
     In the order in which certificate files hold a multiplier for each: by parameter, then by the column it moves.
@@ -39,7 +39,7 @@ class Columns(NamedTuple):
     at: tuple[int, ...]
 
 
-class Hull(NamedTuple):
+class MemberHull(NamedTuple):
     """Sets that together hold the whole inclusion: (A, G) side by side at the middle of each (K, n, n + q), what may
     be added to it times any numbers in [-1, 1] (D, K, n, n + q); C at the middle of one set (p, n), its moves.
     """
@@ -50,7 +50,7 @@ class Hull(NamedTuple):
     output_moves: Array
 
 
-@doors
+@checked_methods
 class LinearInclusion(ABC):
     """A plant of which certificates know a set: two trajectories with the same parameters and inputs differ by Dx with
 
@@ -71,7 +71,7 @@ class LinearInclusion(ABC):
         """The set as plain data, as certificate files hold it."""
 
     @abstractmethod
-    def members(self, rng: np.random.Generator) -> Members:
+    def members(self, rng: np.random.Generator) -> InclusionMembers:
         """Some of its plants, the extreme ones among them as far as they are known."""
 
     @abstractmethod
@@ -79,11 +79,11 @@ class LinearInclusion(ABC):
         """Linear plants that, each for itself, are possible for all time, the extreme ones first, and their names."""
 
     @property
-    def columns(self) -> Columns | None:
+    def columns(self) -> BoxColumns | None:
         """The changes for which multipliers take the place of members that are too many; None where they are not."""
         return None
 
-    def hull(self, halvings: int, size: Callable[[Array], Array]) -> Hull | None:
+    def hull(self, halvings: int, size: Callable[[Array], Array]) -> MemberHull | None:
         """Sets of few directions that hold the inclusion, proven; None where the members say more.
 
         `size` of moves (D, K, n, n + q) says which sets (K,) are large, and which way to halve them.

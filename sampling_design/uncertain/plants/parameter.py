@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
+from sampling_design.records import checks
+from sampling_design.records.record import Plain, Record, short
 
 Array = npt.NDArray[np.float64]
 _MOVED = ("A", "C", "G")
@@ -60,15 +60,15 @@ class UncertainParameter(Record):
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
-            raise ArgumentError(f"`name` of a parameter must be a text, got {_checks.described(self.name)}.")
-        low, high = _checks.number("low", self.low), _checks.number("high", self.high)
+            raise ArgumentError(f"`name` of a parameter must be a text, got {checks.described(self.name)}.")
+        low, high = checks.number("low", self.low), checks.number("high", self.high)
         if low > high:
             raise ArgumentError(f"`high` of {self.name} must be at least `low` = {low!r}, got {high!r}. Swapped?")
-        middle = low / 2 + high / 2 if self.nominal is None else _checks.number("nominal", self.nominal)
+        middle = low / 2 + high / 2 if self.nominal is None else checks.number("nominal", self.nominal)
         if not low <= middle <= high:
             raise ArgumentError(f"`nominal` of {self.name} must lie in [{low!r}, {high!r}], got {middle!r}.")
         given = {key: value for key in _MOVED if (value := getattr(self, key)) is not None}
-        moved = {key: _checks.matrix(key, value) for key, value in given.items()}
+        moved = {key: checks.matrix(key, value) for key, value in given.items()}
         owned: dict[str, object] = {"low": low, "high": high, "nominal": middle, **moved}
         if not any(M.any() for M in moved.values()):
             raise ArgumentError(f"parameter {self.name!r} must move an entry of A, C or G.")

@@ -9,7 +9,6 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._record import Plain
 from sampling_design.checkers.parts import PLANT_TREE
 from sampling_design.checkers.strict import (
     Reader,
@@ -26,6 +25,7 @@ from sampling_design.checkers.strict import (
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import FORMAT as PLANT_FORMAT
 from sampling_design.plants.plant import Plant
+from sampling_design.records.record import Plain
 from sampling_design.uncertain.plants.parameter import UncertainParameter
 
 Array = npt.NDArray[np.float64]

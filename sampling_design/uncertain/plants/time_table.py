@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design._linalg import symmetrise
 from sampling_design.errors import SolverError
+from sampling_design.numerics.linalg import symmetrise
 
 Array = npt.NDArray[np.float64]
 

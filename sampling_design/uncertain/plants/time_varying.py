@@ -12,12 +12,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
-from sampling_design import _checks
-from sampling_design._linalg import symmetrise
-from sampling_design._record import Record, counted, short
-from sampling_design._units import check_time_unit
 from sampling_design.errors import ArgumentError, SolverError
+from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant, Signals
+from sampling_design.records import checks
+from sampling_design.records.record import Record, counted, short
+from sampling_design.records.units import check_time_unit
 from sampling_design.uncertain.plants.time_table import MatrixTable, table_flow
 
 Array = npt.NDArray[np.float64]
@@ -34,7 +34,7 @@ MOST_EVALUATIONS = 20000
 """Of the right side over one stretch; where an integrator needs more, the solution escapes or is not smooth."""
 
 
-class Spent:
+class IntegrationEffort:
     """Evaluations over one stretch, and where the last one was."""
 
     count, t = 0, 0.0
@@ -118,14 +118,14 @@ class TimeVaryingPlant(Record):
 
     def __post_init__(self) -> None:
         check_time_unit(self.time_unit)
-        object.__setattr__(self, "horizon", _checks.positive("horizon", self.horizon))
-        n = len(_checks.matrix("A(0)", self.A(0.0)))
-        _checks.matrix("A(0)", self.A(0.0), n, n)
-        p = len(_checks.matrix("C(0)", self.C(0.0), None, n))
-        q = 0 if self.G is None else _checks.matrix("G(0)", self.G(0.0), n, None).shape[1]
+        object.__setattr__(self, "horizon", checks.positive("horizon", self.horizon))
+        n = len(checks.matrix("A(0)", self.A(0.0)))
+        checks.matrix("A(0)", self.A(0.0), n, n)
+        p = len(checks.matrix("C(0)", self.C(0.0), None, n))
+        q = 0 if self.G is None else checks.matrix("G(0)", self.G(0.0), n, None).shape[1]
         for key, size, prefix in (("states", n, "x"), ("outputs", p, "y"), ("disturbances", q, "w")):
             given = getattr(self, key)
-            given = Signals(_checks.names(key, None, size, prefix)) if given is None else given
+            given = Signals(checks.names(key, None, size, prefix)) if given is None else given
             if len(given) != size:
                 raise ArgumentError(f"`{key}` must have {size} entries, got {len(given)}.")
             object.__setattr__(self, key, given)
@@ -141,14 +141,14 @@ class TimeVaryingPlant(Record):
         ArgumentError
             If the times do not begin at 0, or a table has another number of matrices.
         """
-        grid = _checks.increasing("times", times)
+        grid = checks.increasing("times", times)
         if grid.size < 2 or grid[0] != 0.0:
             raise ArgumentError("`times` must begin at 0 and go on.")
         tables: dict[str, MatrixOfTime] = {}
         for key, value in (("A", A), ("C", C), ("G", G)):
             if value is None:
                 continue
-            stack = _checks.floats(key, value)
+            stack = checks.floats(key, value)
             if stack.ndim != 3 or len(stack) != grid.size or not np.isfinite(stack).all():
                 raise ArgumentError(f"`{key}` must hold one finite matrix for each of the {grid.size} times.")
             tables[key] = MatrixTable(grid, stack)
@@ -198,10 +198,10 @@ class TimeVaryingPlant(Record):
         *Method.* Phi' = A Phi and W' = A W + W A' + G S G': of tables by Taylor series on each straight piece, of
         functions by LSODA to 1e-9, and once more to 1e-11.
         """
-        grid = _checks.increasing("times", times)
+        grid = checks.increasing("times", times)
         if grid[0] < 0 or grid[-1] > self.horizon * (1 + 1e-12):
             raise ArgumentError(f"`times` must lie in [0, {self.horizon:.6g}].")
-        spread = None if w_spread is None or self.G is None else _checks.vector("w_spread", w_spread, None) ** 2
+        spread = None if w_spread is None or self.G is None else checks.vector("w_spread", w_spread, None) ** 2
         n, unit = self.n_states, self.states.scales
         shown = np.array([np.asarray(self.C(t), dtype=float) for t in grid.tolist()]) * unit
         shown = shown / self.outputs.scales[:, None]
@@ -220,7 +220,7 @@ class TimeVaryingPlant(Record):
         """Phi over W for each gap, scaled, (K-1, 2n, n)."""
         n, unit = self.n_states, self.states.scales
 
-        spent = Spent()
+        spent = IntegrationEffort()
 
         def rate(t: float, flat: Array) -> Array:
             spent.one_more(t)

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design import _checks
-from sampling_design._checks import Seed
-from sampling_design._files import read_tree, usable, write_tree
-from sampling_design._record import Plain, Record, short
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant, Signals
-from sampling_design.uncertain.plants.inclusion import Columns, LinearInclusion, Members
+from sampling_design.records import checks
+from sampling_design.records.checks import Seed
+from sampling_design.records.file_io import read_tree, usable, write_tree
+from sampling_design.records.record import Plain, Record, short
+from sampling_design.uncertain.plants.inclusion import BoxColumns, InclusionMembers, LinearInclusion
 from sampling_design.uncertain.plants.parameter import UncertainParameter
 from sampling_design.uncertain.plants.plant_files import (
     UncertainParts,
@@ -89,17 +89,17 @@ class UncertainPlant(LinearInclusion, Record):
 
     def __post_init__(self) -> None:
         if not isinstance(self.nominal, Plant):
-            raise ArgumentError(f"`nominal` must be a Plant, got {_checks.described(self.nominal)}.")
+            raise ArgumentError(f"`nominal` must be a Plant, got {checks.described(self.nominal)}.")
         for key, kind in (("parameters", UncertainParameter), ("vertices", Plant)):
             value = getattr(self, key)
             if not isinstance(value, Sequence) or not all(isinstance(each, kind) for each in value):
-                raise ArgumentError(f"`{key}` must be a list of {kind.__name__}, got {_checks.described(value)}.")
+                raise ArgumentError(f"`{key}` must be a list of {kind.__name__}, got {checks.described(value)}.")
             object.__setattr__(self, key, tuple(value))
         if bool(self.parameters) == bool(self.vertices):
             raise ArgumentError("`parameters` or `vertices` must be given, one of them and not both.")
         if not isinstance(self.varying, (bool, np.bool_)):
-            raise ArgumentError(f"`varying` must be True or False, got {_checks.described(self.varying)}.")
-        _checks.names("parameters", [each.name for each in self.parameters], len(self.parameters), "")
+            raise ArgumentError(f"`varying` must be True or False, got {checks.described(self.varying)}.")
+        checks.names("parameters", [each.name for each in self.parameters], len(self.parameters), "")
         for each in self.parameters:
             for key in _MOVED:
                 M, wanted = getattr(each, key), getattr(self.nominal, key).shape
@@ -184,9 +184,9 @@ class UncertainPlant(LinearInclusion, Record):
             If a value lies outside its range, or a name is unknown.
         """
         if isinstance(values, Mapping):
-            _checks.known_keys("`values`", values, [each.name for each in self.parameters])
+            checks.known_keys("`values`", values, [each.name for each in self.parameters])
             values = [values.get(each.name, each.nominal) for each in self.parameters]
-        theta = _checks.vector("values", values, len(self.parameters or self.vertices))
+        theta = checks.vector("values", values, len(self.parameters or self.vertices))
         if self.vertices:
             if np.any(theta < 0) or abs(float(theta.sum()) - 1) > 1e-12:
                 raise ArgumentError("`values` of a plant between vertices must be shares that sum to 1.")
@@ -211,7 +211,7 @@ class UncertainPlant(LinearInclusion, Record):
 
     def draw(self, rng: Seed = None) -> Plant:
         """Return a random plant of the set; half of the parameters are at an end of their range."""
-        rng = _checks.generator(rng)
+        rng = checks.generator(rng)
         if self.vertices:
             return self.at(rng.dirichlet(np.ones(len(self.vertices))))
         theta = rng.uniform(self.low, self.high)
@@ -227,7 +227,7 @@ class UncertainPlant(LinearInclusion, Record):
             If it has no parameters, or a range is empty or not inside.
         """
         count = len(self.parameters)
-        a, b = _checks.vector("low", low, count), _checks.vector("high", high, count)
+        a, b = checks.vector("low", low, count), checks.vector("high", high, count)
         if not count or np.any(a > b) or np.any(a < self.low) or np.any(b > self.high):
             raise ArgumentError("`low` and `high` must be ranges inside those of the parameters.")
         middle = a / 2 + b / 2
@@ -238,7 +238,7 @@ class UncertainPlant(LinearInclusion, Record):
         return UncertainPlant(self.at(middle), parts, varying=self.varying)
 
     @property
-    def columns(self) -> Columns | None:
+    def columns(self) -> BoxColumns | None:
         """The columns of (A, G) that parameters move, where there are more than `MOST_LISTED` of them."""
         moving = [
             each for each in self.parameters if each.low < each.high and (each.A is not None or each.G is not None)
@@ -255,7 +255,7 @@ class UncertainPlant(LinearInclusion, Record):
             for k in np.flatnonzero(np.any(M != 0, axis=0)).tolist():
                 add.append((each.high - each.low) / 2 * M[:, k])
                 at.append(k)
-        return Columns(middle, np.array(add).T, tuple(at))
+        return BoxColumns(middle, np.array(add).T, tuple(at))
 
     # --- what certificates need ---------------------------------------------------------------------------------------
 
@@ -290,13 +290,13 @@ class UncertainPlant(LinearInclusion, Record):
         words = [", ".join(f"{n} = {short(v)}" for n, v in zip(names, row, strict=True)) for row in values.tolist()]
         return words, values
 
-    def members(self, rng: np.random.Generator) -> Members:
+    def members(self, rng: np.random.Generator) -> InclusionMembers:
         """Vertices, or corners of the box."""
         listed = self.constant_members(rng)[: None if self.vertices else 2 ** min(len(self.parameters), MOST_CORNERS)]
         dynamics = np.array([np.hstack([plant.A, plant.G]) for _, plant in listed])
         outputs = np.unique(np.array([plant.C for _, plant in listed]), axis=0)
         complete = bool(self.vertices) or len(self.parameters) <= MOST_CORNERS
-        return Members(dynamics, outputs, tuple(name for name, _ in listed), complete)
+        return InclusionMembers(dynamics, outputs, tuple(name for name, _ in listed), complete)
 
     def constant_members(self, rng: np.random.Generator) -> list[tuple[str, Plant]]:
         """Corners or vertices, then plants along each parameter's range."""
@@ -373,8 +373,8 @@ def _sides(key: str, value: object) -> tuple[Array, Array]:
     """Lower and upper matrix; one matrix stands for both."""
     pair = isinstance(value, tuple) and len(value) == 2
     low, high = value if isinstance(value, tuple) and pair else (value, value)
-    a = _checks.matrix(f"{key} lower" if pair else key, low)
-    b = _checks.matrix(f"{key} upper" if pair else key, high, *a.shape)
+    a = checks.matrix(f"{key} lower" if pair else key, low)
+    b = checks.matrix(f"{key} upper" if pair else key, high, *a.shape)
     if np.any(a > b):
         i, j = (int(k) for k in np.argwhere(a > b)[0])
         raise ArgumentError(

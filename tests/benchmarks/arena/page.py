@@ -9,7 +9,7 @@ from datetime import date
 from pathlib import Path
 
 import sampling_design as sd
-from sampling_design._files import write_bytes, write_text
+from sampling_design.records.file_io import write_bytes, write_text
 
 from .table import PINS, Table, named
 

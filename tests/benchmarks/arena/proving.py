@@ -29,7 +29,7 @@ def run(quick: bool = False) -> list[Table]:
         exact = sd.certify(plant, schedule)
         spent = seconds_of(lambda p=plant: sd.certify(p, schedule), least=1, budget=0.1)
         checked = {True: "proven again", False: "refused"}[exact.verify().passed]
-        for row in sd.four_horizons(plant, schedule, exact).rows:
+        for row in sd.certificates.four_horizons(plant, schedule, exact).rows:
             gains = [f"{row.horizon.C_w:.3g}", f"{row.horizon.C_v:.3g}"] if row.horizon else [None, None]
             least = None if row.minimum is None else f"{row.minimum:.4g} s"
             evidence = (checked, duration(spent)) if row.name.startswith("exact") else (None, None)

@@ -53,7 +53,7 @@ def adversarial(name: str, samples: int, seed: int = 0) -> tuple[sd.Plant, np.nd
 def schemes(plant: sd.Plant, gap: float, bounds: Any) -> dict[str, Callable[[], Any]]:
     """Estimators whose weights follow the bounds, at a rate of a tenth of that of the gaps."""
     eta = 0.1 / gap
-    cost = sd.CostFunction(**sd.weights_from_bounds(plant, eta, **bounds), eta=eta)
+    cost = sd.CostFunction(**sd.certificates.weights_from_bounds(plant, eta, **bounds), eta=eta)
     return {
         "moving horizon": lambda: sd.MovingHorizonEstimator(plant, horizon=20 * gap, cost=cost, **bounds),
         "Kalman filter": lambda: sd.KalmanFilter(plant, cost=cost, **bounds),

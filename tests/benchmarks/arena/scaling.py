@@ -49,9 +49,9 @@ def states(quick: bool) -> Table:
     schedule = sd.PeriodicSchedule([0.7, 1.6, 0.9, 2.0])
     for n in (2, 10) if quick else (2, 5, 10, 20, 50, 100, 200):
         plant = large(n)
-        part = sd.split_modes(plant).retained
+        part = sd.plants.split_modes(plant).retained
         work = [
-            lambda p=plant: sd.split_modes(p),
+            lambda p=plant: sd.plants.split_modes(p),
             lambda p=part: sd.window_sigma(p, schedule, 4.0),
             lambda p=part: sd.certify(p, schedule, eta=0.2),
             lambda p=plant: loop_rows(p, np.linspace(0.0, 4.0, 12)),
@@ -77,7 +77,7 @@ def samples(quick: bool) -> Table:
         y = (plant.transition(times) @ [1.0, 0.0])[:, :1]
         record = [(t, v) for t, v in zip(times.tolist(), y, strict=True)]
         work = [
-            lambda t=times: sd.sigma_min(plant, t),
+            lambda t=times: sd.observability.sigma_min(plant, t),
             lambda t=times: loop_rows(plant, t),
             lambda g=gaps: sd.window_sigma(plant, sd.PeriodicSchedule(g), 4.0),
             lambda r=record: sd.KalmanFilter(plant, cost=sd.CostFunction(**weights)).run(r),

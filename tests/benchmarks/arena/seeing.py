@@ -34,10 +34,10 @@ def run(quick: bool = False) -> list[Table]:
     )
     for count in (10, 100) if quick else (10, 100, 1000, 10_000):
         times = np.sort(rng.uniform(0.0, 5554.0, count))
-        ours = seconds_of(lambda t=times: sd.observability_matrix(plant, t), budget=0.3)
+        ours = seconds_of(lambda t=times: sd.observability.observability_matrix(plant, t), budget=0.3)
         slow = seconds_of(lambda t=times: loop_rows(plant, t), least=1 if count > 500 else 3, budget=0.3)
         reference = loop_rows(plant, times)
-        off = np.abs(sd.observability_matrix(plant, times) - reference).max() / np.abs(reference).max()
+        off = np.abs(sd.observability.observability_matrix(plant, times) - reference).max() / np.abs(reference).max()
         matrix.add("sampling_design", count, duration(ours), f"{slow / ours:.1f}", f"{off:.1e}")
         matrix.add(f"loop, {named('scipy')} expm", count, duration(slow), "1", None)
     return [matrix, windows(quick)]

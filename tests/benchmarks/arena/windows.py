@@ -39,7 +39,7 @@ def constrained(n: int, count: int, irregular: bool = True) -> Problem:
     raise RuntimeError(f"no window of {count} samples with an active box")
 
 
-def ours(task: Problem, **options: Any) -> tuple[Callable[[], sd.Estimate], sd.Estimate]:
+def ours(task: Problem, **options: Any) -> tuple[Callable[[], sd.estimators.Estimate], sd.estimators.Estimate]:
     """Return a call that takes in the last sample of the window, and its estimate."""
     box = {} if task.box is None else {"constraints": sd.Constraints(x=(-task.box, task.box))}
     weights = {"P2": task.P2, "Qw": task.Qw, "R": 2 * task.Rt, "Qv": 2 * task.Rt, "eta": ETA}
@@ -51,7 +51,7 @@ def ours(task: Problem, **options: Any) -> tuple[Callable[[], sd.Estimate], sd.E
         state, _ = mhe.step(state, sd.Sample(t, y))
     last = sd.Sample(task.times[-1], task.y[-1])
 
-    def work() -> sd.Estimate:
+    def work() -> sd.estimators.Estimate:
         return mhe.step(state, last)[1]
 
     return work, work()
@@ -181,6 +181,6 @@ def error(x: np.ndarray, truth: np.ndarray) -> str:
     return f"{np.linalg.norm(x - truth):.3f}"
 
 
-def bound(estimate: sd.Estimate) -> str:
+def bound(estimate: sd.estimators.Estimate) -> str:
     """Return the certified radii in words."""
     return f"certain within {max(estimate.radii):.2f}" if estimate.certified else "none"

@@ -1,0 +1,360 @@
+"""The adversary's program over one window of samples, and what its two sides prove without the solver.
+
+    maximise  mu'z_K   over w constant on cells, subject to  z_{k+1} = F z_k + sum Gamma w,  |w| <= 1,  |H z_k| <= 1
+
+It is posed once per window; targets mu change its cost only. Its multipliers are gains, its point is an adversary; both
+are evaluated anew: `upper` for any gains and all real times, `lower` for an adversary scaled until it is admissible.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.gains import ROUNDING, Gains, cleared, evaluated
+from sampling_design.accuracy.sample_chain import SampleChain
+from sampling_design.accuracy.start import StartSet
+from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED, ConeSolver
+from sampling_design.numerics.stage_programs import StageProgram
+
+Array = npt.NDArray[np.float64]
+
+TOLERANCE = 1e-8
+"""Asked of the solver; what it leaves open shows in the bracket, never in a bound."""
+
+EXACTLY = 1e-6
+"""An exact sensor shows zero within this many of its stand-in units: 1e-12 of what w does to it over a period."""
+
+
+SLIGHT = 1e-5
+"""An adversary that is divided by no more than this beyond 1 need not be corrected."""
+
+STAGED, NEAR = 1e-5, 0.02
+"""Shares within which the two sides of a program over stages meet, and where its upper side is low enough."""
+
+STALLED = 5e-3
+"""A program over stages whose two sides differ by more than this share is left to the general solver."""
+
+
+@dataclass(frozen=True, eq=False)
+class _WindowPoint:
+    """Point and multipliers of a window's program, unchecked."""
+
+    z: Array  # (K, n)
+    w: list[Array]  # (m, q) per gap
+    gains: list[Array]  # (p_k,)
+    ahead: Array  # (K-1, n): the costate after each sample but the first
+
+
+@dataclass(frozen=True, eq=False)
+class Adversary:
+    """An admissible w with all y = 0: cells per gap, and the state at the last sample."""
+
+    value: float
+    w: tuple[Array, ...]  # (m, q) per gap, in units of the bound, latest cell first
+    z: Array  # (K, n)
+
+
+class _ConeRows:
+    """Rows of b - A x in a cone, gathered block by block: zero first, then nonnegative, then second order."""
+
+    def __init__(self, columns: int):
+        self.columns, self.rows = columns, 0
+        self._entries: list[tuple[Array, npt.NDArray[np.intp], npt.NDArray[np.intp]]] = []
+        self._b: list[Array] = []
+        self._cones: list[tuple[str, int]] = []
+        self._ended = 0
+
+    def _block(self, row: int, column: int, X: Array) -> None:
+        i, j = np.indices(X.shape)
+        self._entries.append((X.ravel(), (i + row).ravel(), (j + column).ravel()))
+
+    def add(self, kind: str, count: int, parts: list[tuple[int, Array]], b: Array | None = None) -> int:
+        """Append rows made of blocks; where they begin."""
+        at = self.rows
+        for column, X in parts:
+            self._block(at, column, X)
+        self._b.append(np.zeros(count) if b is None else b)
+        self.rows += count
+        if kind == "second order":
+            self._cones.append((kind, count))
+        return at
+
+    def end(self, kind: str) -> None:
+        """Close the rows since the last end as one cone."""
+        if self.rows > self._ended:
+            self._cones.append((kind, self.rows - self._ended))
+        self._ended = self.rows
+
+    def box(self, column: int, X: Array, size: Array | None = None) -> int:
+        """|X x| <= size (default 1), entry by entry: first X x <= size, then -X x <= size."""
+        size = np.ones(len(X)) if size is None else size
+        at = self.add("nonnegative", len(X), [(column, X)], size)
+        self.add("nonnegative", len(X), [(column, -X)], size)
+        return at
+
+    def ball(self, column: int, X: Array) -> int:
+        """|X x| <= 1 in the Euclidean norm."""
+        stacked = np.vstack([np.zeros((1, X.shape[1])), -X])
+        return self.add("second order", len(stacked), [(column, stacked)], np.eye(len(stacked))[0])
+
+    def diagonal_box(self, column: int) -> None:
+        """|x_j| <= 1 for every entry from a column on."""
+        many = np.arange(self.columns - column)
+        for sign in (1.0, -1.0):
+            self._entries.append((np.full(many.size, sign), many + self.rows, many + column))
+            self.add("nonnegative", many.size, [], np.ones(many.size))
+
+    def diagonal_balls(self, column: int, q: int) -> None:
+        """Every q entries from a column on lie in the unit ball."""
+        many = np.arange(self.columns - column)
+        self._entries.append((np.full(many.size, -1.0), self.rows + many // q * (q + 1) + 1 + many % q, many + column))
+        for _ in range(many.size // q if q else 0):
+            self.add("second order", q + 1, [], np.eye(q + 1)[0])
+
+    def solver(self, tolerance: float) -> tuple[Array, ConeSolver]:
+        """b, and the solver with A."""
+        from scipy import sparse
+
+        values, rows, columns = (np.concatenate(part) for part in zip(*self._entries, strict=True))
+        self.A = sparse.csc_matrix((values, (rows, columns)), shape=(self.rows, self.columns))
+        self.A.eliminate_zeros()
+        return np.concatenate(self._b), ConeSolver(self.A, self._cones, tolerance=tolerance)
+
+
+def boxed(chain: SampleChain, nodes: list[int]) -> bool:
+    """Whether everything that bounds w and v at some samples does so entry by entry, and no sensor is exact."""
+    samples = [chain.samples[j] for j in nodes]
+    round_v = chain.bounds.v_ball and any(len(s.H) > 1 for s in samples)
+    return not (chain.bounds.w_ball or round_v or any(s.exact.any() for s in samples))
+
+
+class ConeWindow:
+    """Samples `nodes` of a chain, the target's last; `start`: bounds on |z| before the first, or a set of them.
+
+    `data` are the measurements less what they would be without error, one array for each sample, in units of its noise.
+    """
+
+    def __init__(
+        self,
+        chain: SampleChain,
+        nodes: list[int],
+        start: Array | StartSet,
+        data: list[Array] | None = None,
+        tolerance: float = TOLERANCE,
+    ):
+        self.chain, self.nodes, self.start, self.data = chain, nodes, start, data
+        self._tolerance = tolerance
+        self.infeasible = False
+        self._stages = self._staged()
+        self._built = False
+        if self._stages is None:
+            self._build()
+
+    def _staged(self) -> StageProgram | None:
+        """The window as a program over stages, if all that is bounded is so entry by entry and nothing is exact."""
+        chain, start = self.chain, self.start
+        gaps, samples = [chain.gaps[j] for j in self.nodes[:-1]], [chain.samples[j] for j in self.nodes]
+        if self.data is not None or not boxed(chain, self.nodes) or not gaps:
+            return None
+        if isinstance(start, StartSet):
+            if start.ball or start.S is None or start.S.shape[0] != start.S.shape[1]:
+                return None
+            S: Array | None = start.S
+        elif np.any(start == 0):
+            if np.any(start != 0):
+                return None
+            S = None
+        else:
+            S = np.diag(1 / start)
+        n = chain.D.size
+        B = [np.swapaxes(gap.cells, 0, 1).reshape(n, -1) for gap in gaps]
+        return StageProgram([gap.F for gap in gaps], B, [s.H for s in samples], S)
+
+    def _build(self) -> None:
+        chain, n, q = self.chain, self.chain.D.size, self.chain.G.shape[1]
+        K = len(self.nodes)
+        self._built = True
+        gaps, samples = [chain.gaps[j] for j in self.nodes[:-1]], [chain.samples[j] for j in self.nodes]
+        self._w_at = K * n + q * np.concatenate([[0], np.cumsum([len(g.cells) for g in gaps])]).astype(int)
+        table = _ConeRows(int(self._w_at[-1]))
+        for k, gap in enumerate(gaps):
+            flat = np.swapaxes(gap.cells, 0, 1).reshape(n, -1)
+            parts = [((k + 1) * n, np.eye(n)), (k * n, -gap.F), (int(self._w_at[k]), -flat)]
+            table.add("zero", n, parts)
+        exact = [s.H[s.exact] for s in samples]
+        self._exact_at = [table.add("zero", len(H), [(k * n, H)]) for k, H in enumerate(exact)]
+        table.end("zero")
+        ball = isinstance(self.start, StartSet) and self.start.ball
+        if isinstance(self.start, StartSet) and not ball and self.start.S is not None:
+            table.box(0, self.start.S)
+        elif not isinstance(self.start, StartSet):
+            table.box(0, np.eye(n), self.start)
+        noisy = [s.H[~s.exact] for s in samples]
+        round_v = [chain.bounds.v_ball and len(H) > 1 for H in noisy]
+        self._box_at = [-1 if r else table.box(k * n, H) for k, (H, r) in enumerate(zip(noisy, round_v, strict=True))]
+        if not chain.bounds.w_ball:
+            table.diagonal_box(K * n)
+        table.end("nonnegative")
+        self._ball_at = [table.ball(k * n, H) if r else -1 for k, (H, r) in enumerate(zip(noisy, round_v, strict=True))]
+        if isinstance(self.start, StartSet) and self.start.S is not None and ball:
+            table.ball(0, self.start.S)
+        if chain.bounds.w_ball:
+            table.diagonal_balls(K * n, q)
+        self._b, self._solver = table.solver(self._tolerance)
+        if self.data is not None:
+            self._shift(self.data)
+
+    def _shift(self, data: list[Array]) -> None:
+        """|H z| <= 1 becomes |y - H z| <= 1."""
+        for k, y in enumerate(data):
+            exact = self.chain.samples[self.nodes[k]].exact
+            noisy = y[~exact]
+            self._b[self._exact_at[k] : self._exact_at[k] + int(exact.sum())] = y[exact]
+            if self._ball_at[k] >= 0:
+                self._b[self._ball_at[k] + 1 : self._ball_at[k] + 1 + noisy.size] = -noisy
+            elif noisy.size:
+                at = self._box_at[k]
+                self._b[at : at + 2 * noisy.size] += np.concatenate([noisy, -noisy])
+
+    def _solved(self, mu: Array, enough: float = 0.0) -> _WindowPoint:
+        """Point and multipliers for the target mu'z_K; zeros where the solver brought none."""
+        size = float(np.linalg.norm(mu))
+        if size == 0:
+            return self._nowhere()
+        if self._stages is not None:
+            found = self._stages.solve(mu, self._guess(mu), STAGED, enough, NEAR)
+            if found.gap <= (NEAR if enough > 0 else STALLED):
+                q = self.chain.G.shape[1]
+                w = [u.reshape(-1, q) for u in found.u]
+                return _WindowPoint(found.z, w, list(found.gains), found.costates)
+        if not self._built:
+            self._build()
+        return self._coned(mu / size, size)
+
+    def _coned(self, mu: Array, size: float) -> _WindowPoint:
+        """What the general solver finds."""
+        n, K, q = mu.size, len(self.nodes), self.chain.G.shape[1]
+        cost = np.zeros(int(self._w_at[-1]))
+        cost[(K - 1) * n : K * n] = -mu
+        x, y, status = self._solver.solve(cost, self._b)
+        self.infeasible = status == INFEASIBLE
+        if status in (INFEASIBLE, UNBOUNDED) or not (np.isfinite(x).all() and np.isfinite(y).all()):
+            return self._nowhere()
+        w = [x[i:j].reshape(-1, q) for i, j in pairwise(self._w_at)]
+        return _WindowPoint(
+            x[: K * n].reshape(K, n), w, self._gains(y * size), (y * size)[: (K - 1) * n].reshape(-1, n)
+        )
+
+    def _guess(self, mu: Array) -> list[Array]:
+        """The filter's gains."""
+        gains, g = [np.zeros(0)] * len(self.nodes), mu
+        for k in range(len(self.nodes) - 1, -1, -1):
+            sample = self.chain.samples[self.nodes[k]]
+            gains[k] = sample.K.T @ g
+            if k:
+                g = self.chain.gaps[self.nodes[k - 1]].F.T @ (g - sample.H.T @ gains[k])
+        return gains
+
+    def _nowhere(self) -> _WindowPoint:
+        nothing, K = self._nothing(), len(self.nodes)
+        gains = [np.zeros(len(self.chain.samples[j].H)) for j in self.nodes]
+        return _WindowPoint(nothing.z, list(nothing.w), gains, np.zeros((K - 1, self.chain.D.size)))
+
+    def gains(self, mu: Array, enough: float = 0.0) -> Gains:
+        """Return the best gains for the target mu'z_K, with what they prove; good ones, if that is `enough`."""
+        return self.upper(mu, self._steadied(mu, self._solved(mu, enough)))
+
+    def both(self, mu: Array) -> tuple[Gains, Adversary]:
+        """Return both sides for the target mu'z_K, each evaluated without the solver."""
+        point = self._solved(mu)
+        return self.upper(mu, self._steadied(mu, point)), self._admissible(mu, point)
+
+    def _nothing(self) -> Adversary:
+        chain = self.chain
+        w = tuple(np.zeros(chain.gaps[j].cells.shape[::2]) for j in self.nodes[:-1])
+        return Adversary(0.0, w, np.zeros((len(self.nodes), chain.D.size)))
+
+    def _gains(self, y: Array) -> list[Array]:
+        """Gains from the multipliers of the noise cones."""
+        found = []
+        for k, j in enumerate(self.nodes):
+            sample = self.chain.samples[j]
+            gains, noisy = np.zeros(len(sample.H)), int(np.sum(~sample.exact))
+            if self._exact_at[k] >= 0:
+                gains[sample.exact] = y[self._exact_at[k] : self._exact_at[k] + len(gains) - noisy]
+            if self._box_at[k] >= 0:
+                at = self._box_at[k]
+                gains[~sample.exact] = y[at : at + noisy] - y[at + noisy : at + 2 * noisy]
+            elif self._ball_at[k] >= 0:
+                gains[~sample.exact] = -y[self._ball_at[k] + 1 : self._ball_at[k] + 1 + noisy]
+            found.append(gains)
+        return found
+
+    def _steadied(self, mu: Array, point: _WindowPoint) -> list[Array]:
+        """The solver's gains, corrected by the filter's wherever its costate and the true one part.
+
+        The costate runs backwards through a plant that may grow: without the correction the solver's last digits would.
+        """
+        chain, raw, ahead = self.chain, point.gains, point.ahead
+        gains: list[Array] = [np.zeros(0)] * len(raw)
+        true, meant = mu, mu
+        for k in range(len(raw) - 1, -1, -1):
+            sample = chain.samples[self.nodes[k]]
+            gains[k] = raw[k] + sample.K.T @ (true - meant)
+            if k:
+                F = chain.gaps[self.nodes[k - 1]].F
+                true, meant = F.T @ (true - sample.H.T @ gains[k]), F.T @ ahead[k - 1]
+        if isinstance(self.start, StartSet) and self.start.rows < mu.size:
+            cleared(self.chain, self.nodes, self.start, mu, gains)
+        return gains
+
+    def upper(self, mu: Array, gains: list[Array]) -> Gains:
+        """Return what any gains prove, for all real times."""
+        return evaluated(self.chain, self.nodes, self.start, mu, gains, self.data)
+
+    def _admissible(self, mu: Array, point: _WindowPoint) -> Adversary:
+        """The solver's disturbance, flown from its start (0 unless that is a set) and scaled until admissible."""
+        chain, n, K = self.chain, mu.size, len(self.nodes)
+        best = self._nothing()
+        for corrected in (False, True):
+            z, w = np.zeros((K, n)), []
+            z[0] = chain.opening(point.z[0]) if isinstance(self.start, StartSet) else 0.0
+            for k, j in enumerate(self.nodes[:-1]):
+                gap, q, u = chain.gaps[j], chain.G.shape[1], point.w[k]
+                z[k + 1] = gap.F @ z[k] + np.einsum("mnq,mq->n", gap.cells, u)
+                if corrected:
+                    flat = np.swapaxes(gap.cells, 0, 1).reshape(n, -1)
+                    extra = np.linalg.lstsq(flat, point.z[k + 1] - z[k + 1], rcond=1e-9)[0]
+                    u = u + extra.reshape(-1, q)
+                    z[k + 1] += flat @ extra
+                w.append(u)
+            factor = self._excess(z, w)
+            found = Adversary(float(mu @ z[-1]) / factor, tuple(u / factor for u in w), z / factor)
+            if np.isfinite(factor) and found.value > best.value:
+                best = found
+            if best.value > 0 and factor <= 1 + SLIGHT:
+                break
+        return best
+
+    def _excess(self, z: Array, w: list[Array]) -> float:
+        """Least factor by which bounds must grow for this trajectory, at least 1."""
+        chain, factor = self.chain, 1.0
+        if isinstance(self.start, StartSet):
+            factor = max(factor, self.start.excess(z[0]))
+        for u in w:
+            size = np.linalg.norm(u, axis=1) if chain.bounds.w_ball else np.abs(u)
+            factor = max(factor, float(np.max(size, initial=0.0)))
+        for k, j in enumerate(self.nodes):
+            sample = chain.samples[j]
+            y = np.abs(sample.H @ z[k])
+            noisy = y[~sample.exact]
+            if chain.bounds.v_ball and noisy.size:
+                factor = max(factor, float(np.linalg.norm(noisy)))
+            factor = max(
+                factor, float(np.max(noisy, initial=0.0)), float(np.max(y[sample.exact], initial=0.0)) / EXACTLY
+            )
+        return factor * (1 + ROUNDING)

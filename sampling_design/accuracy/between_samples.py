@@ -1,0 +1,125 @@
+"""Between samples: rho(c; t_i + d) = rho(Phi(d)'c; t_i) + int_0^d h_W(G'Phi(s)'c) ds, for all real d.
+
+rho(.; t_i) is a norm, and Phi(d)'c is bounded on a grid of offsets by atoms. On a panel it lies on the chord of its
+ends but for a rest of at most h^2/8 sup|A'^2 Phi'c|, whose norm atoms bound too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.bounded_directions import BoundedDirections
+from sampling_design.accuracy.sample_chain import SampleChain
+from sampling_design.numerics.linalg import expm_batch
+
+Array = npt.NDArray[np.float64]
+
+GRID = (64, 2048)
+"""Least and largest number of panels of a gap on which the profile stands."""
+
+FINENESS = 0.1
+"""Length of such a panel times |A| in scaled coordinates."""
+
+
+@dataclass(frozen=True, eq=False)
+class RowBetweenSamples:
+    """One wanted row after sample j, on a grid of offsets d.
+
+    Attributes
+    ----------
+    d : (N+1,) array
+    mu, bend : (N+1, n) arrays
+        Phi(d)'c and its second derivative, in the coordinates of z_j.
+    third : (N, n) array
+        On each panel, bounds on the entries of its third derivative.
+    above, below : (N+1,) arrays
+        Bounds on int_0^d h_W(G'Phi(s)'c) ds.
+    slope : (N,) array
+        On each panel, a bound on |d/ds h_W(G'Phi(s)'c)|.
+    """
+
+    d: Array
+    mu: Array
+    bend: Array
+    third: Array
+    above: Array
+    below: Array
+    slope: Array
+
+    def bound(self, atoms: BoundedDirections) -> tuple[Array, Array]:
+        """Return bounds on rho at the nodes (N+1,) and all along the panels (N,)."""
+        h = float(self.d[-1] - self.d[0]) / (self.d.size - 1)
+        nodes = atoms.bound(self.mu) + self.above
+        turn = atoms.bound(self.bend)
+        drift = self.third @ np.abs(atoms.basis) @ atoms.reach
+        if h == 0:  # a schedule that ends with a sample
+            return nodes, np.maximum(nodes[1:], nodes[:-1])
+        sag = h * h / 8 * (np.maximum(turn[1:], turn[:-1]) + h / 2 * drift + self.slope)
+        return nodes, np.maximum(nodes[1:], nodes[:-1]) + sag
+
+    def since(self, offset: float) -> RowBetweenSamples:
+        """The panels that end later than an offset, or the last one."""
+        first = min(int(np.searchsorted(self.d[1:], offset, side="right")), self.d.size - 2)
+        if first <= 0:
+            return self
+        nodes = (self.d, self.mu, self.bend, self.third, self.above, self.below, self.slope)
+        return RowBetweenSamples(*(values[first:] for values in nodes))
+
+
+Integrals: TypeAlias = tuple[Array, Array, Array, Array, Array]
+
+
+def open_row(
+    chain: SampleChain, j: int, row: Array, until: float | None = None, known: dict[float, Integrals] | None = None
+) -> RowBetweenSamples:
+    """Return one row (n,) of x after sample j, over the whole gap or until some time after it.
+
+    `known` keeps what is the same for this row after all samples with gaps of one length.
+    """
+    length, A = chain.length(j) if until is None else until, chain.A
+    size = float(np.linalg.norm(A, 2))
+    number = int(np.clip(np.ceil(size * length / FINENESS), *GRID)) if length else 1
+    d = np.linspace(0.0, length, number + 1)
+    known = {} if known is None else known
+    if length not in known:
+        known[length] = _open_integrals(chain, d, row)
+    above, below, flown, middle, slope = known[length]
+    L = chain.L[j]
+    third = middle[:, None] * np.linalg.norm(L, axis=0)
+    return RowBetweenSamples(d, flown @ L, flown @ (A @ A) @ L, third, above, below, slope)
+
+
+def _open_integrals(chain: SampleChain, d: Array, row: Array) -> Integrals:
+    """Bounds on int_0^d h_W(G'Phi(s)'c) ds from above and below, rows c'Phi(d), and bounds per panel.
+
+    The bounds are those on |c'Phi A^3| and on the slope of h_W.
+    """
+    A, G, n = chain.A, chain.G, chain.D.size
+    step = float(d[-1] - d[0]) / (d.size - 1)
+    flown = (row * chain.D) @ expm_batch(A, d)
+    p, first, bend = flown @ G, flown @ (A @ G), flown @ (A @ A @ G)
+    turned = (row * chain.D) @ expm_batch(A, (d[1:] + d[:-1]) / 2) @ (A @ A @ A)
+    middle = np.linalg.norm(turned, axis=1) * np.exp(float(np.linalg.norm(A, 2)) * step / 2)
+    third = middle * np.linalg.norm(G, 2)
+    joint = np.zeros((n + G.shape[1], n + G.shape[1]))
+    joint[:n, :n], joint[:n, n:] = A, G
+    mean = flown[:-1] @ expm_batch(joint, [step])[0, :n, n:]
+    if chain.bounds.w_ball:
+        value, curve, least = np.linalg.norm(p, axis=1), np.linalg.norm(bend, axis=1), np.linalg.norm(mean, axis=1)
+        curve = np.maximum(curve[1:], curve[:-1]) + step / 2 * third
+        tilt = np.linalg.norm(first, axis=1)
+    else:
+        value, least = np.abs(p).sum(axis=1), np.abs(mean).sum(axis=1)
+        curve = np.maximum(np.abs(bend[1:]), np.abs(bend[:-1])).sum(axis=1) + G.shape[1] * step / 2 * third
+        tilt = np.abs(first).sum(axis=1)
+    most = step / 2 * (value[1:] + value[:-1]) + step**3 / 12 * curve
+    slope = np.maximum(tilt[1:], tilt[:-1]) + step / 2 * curve
+    return _sums(most), _sums(np.asarray(least)), flown, middle, np.asarray(slope)
+
+
+def _sums(x: Array) -> Array:
+    return np.concatenate([[0.0], np.cumsum(x)])

@@ -1,0 +1,184 @@
+"""Directions at one sample that gains have bounded, and what they bound of every other direction.
+
+rho(.; t_j) is a norm: if mu = a mu_1 + b mu_2 + rest, then rho(mu) <= |a| rho(mu_1) + |b| rho(mu_2) + rho(rest), and
+the filter's reach bounds the last. A row turns between samples, and other rows turn through the same directions: atoms
+serve them all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.gains import Gains
+from sampling_design.accuracy.start import NOTHING
+
+Array = npt.NDArray[np.float64]
+Places = npt.NDArray[np.intp]
+
+SAME = 1e-12
+"""Two directions are one if their cosine, in units of the reach, is 1 within this."""
+
+PARTNERS = 4
+"""Atoms tried beside the nearest one."""
+
+NEIGHBOURS = (64, -64, 16, -16, 4, -4, 1, -1)
+"""How far away the neighbours are whose pairs a target tries."""
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionFit:
+    """Targets as combinations of two atoms: mu[t] = sum_k share[t, k] atom[place[t, k]] + rest."""
+
+    place: Places
+    share: Array
+
+
+@dataclass(eq=False)
+class BoundedDirections:
+    """Bounded directions after one sample.
+
+    Attributes
+    ----------
+    basis : (n, r) array
+        Orthonormal; what the samples determine. Other directions are not bounded at all.
+    reach : (r,) array
+        Bounds on rho of the columns of `basis`.
+    mu : (m, n) array
+    gains : list of Gains
+        What bounds them.
+    """
+
+    basis: Array
+    reach: Array
+    mu: Array = field(init=False)
+    gains: list[Gains] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.mu = np.zeros((0, len(self.basis)))
+
+    @classmethod
+    def of(
+        cls, reach: Array, mu: Array, gains: Sequence[tuple[Array, ...]], values: Sequence[float]
+    ) -> BoundedDirections:
+        """Atoms as they were kept, all of them."""
+        found = cls(np.eye(len(reach)), reach)
+        found.mu, found.gains = mu, [Gains(value, lam) for value, lam in zip(values, gains, strict=True)]
+        return found
+
+    @property
+    def whole(self) -> bool:
+        """Whether every direction is bounded."""
+        return bool(self.basis.shape[0] == self.basis.shape[1])
+
+    @property
+    def values(self) -> Array:
+        """Bounds on rho of the atoms."""
+        return np.array([gains.value for gains in self.gains])
+
+    def find(self, mu: Array) -> int | None:
+        """The place of a direction among the atoms."""
+        if not self.gains:
+            return None
+        unit, known = (self._units(x) for x in (mu[None], self.mu))
+        near = np.abs(known @ unit[0])
+        best = int(np.argmax(near))
+        return best if near[best] > 1 - SAME else None
+
+    def add(self, mu: Array, gains: Gains) -> None:
+        """Keep a bounded direction, unless others bound it better."""
+        if gains.value >= self.bound(mu[None])[0]:
+            return
+        place = self.find(mu)
+        if place is None:
+            self.mu = np.vstack([self.mu, mu])
+            self.gains.append(gains)
+        else:
+            self.mu = self.mu.copy()
+            self.mu[place], self.gains[place] = mu, gains
+        self._prune()
+
+    def _prune(self) -> None:
+        """Drop what the last direction bounds better, with others."""
+        if len(self.gains) < 2:
+            return
+        bounds = self.bound(self.mu)
+        keep = np.flatnonzero(bounds >= self.values * (1 - SAME))
+        self.mu, self.gains = self.mu[keep], [self.gains[k] for k in keep]
+
+    def _units(self, mu: Array) -> Array:
+        """Directions in units of the reach, of length one."""
+        scaled = mu @ self.basis * self.reach
+        size = np.linalg.norm(scaled, axis=1, keepdims=True)
+        return np.asarray(scaled / np.where(size > 0, size, 1.0))
+
+    def fit(self, targets: Array) -> DirectionFit:
+        """Return each target as a share of one atom, or of the best pair of near ones on both sides of it.
+
+        Targets come along a curve as a rule: what serves a neighbour may serve a target.
+        """
+        count, atoms = len(targets), len(self.gains)
+        if not atoms:
+            return DirectionFit(np.zeros((count, 0), dtype=np.intp), np.zeros((count, 0)))
+        T, U = self._units(targets), self._units(self.mu)
+        near, rows = T @ U.T, np.arange(count)
+        size, sign = np.abs(near), np.where(near < 0, -1.0, 1.0)
+        lengths = [np.linalg.norm(x @ self.basis * self.reach, axis=1) for x in (targets, self.mu)]
+        unit = np.where(lengths[1] > 0, lengths[1], 1.0)
+        rest = np.sqrt(np.maximum(1 - near**2, 0.0))
+        alone = np.argmin(size * self.values / unit + rest * np.sqrt(U.shape[1]), axis=1)
+        best = DirectionFit(np.stack([alone, alone], axis=1), np.stack([near[rows, alone], np.zeros(count)], axis=1))
+        best = DirectionFit(best.place, best.share * lengths[0][:, None] / unit[best.place])
+        value = self.judged(targets, best)
+
+        def tried(place: Places) -> None:
+            """Take pairs where they bound targets better."""
+            nonlocal best, value
+            gram = np.einsum("ti,ti->t", U[place[:, 0]], U[place[:, 1]])
+            det = np.where(1 - gram**2 < SAME, np.inf, 1 - gram**2)
+            a, b = near[rows, place[:, 0]], near[rows, place[:, 1]]
+            share = np.stack([(a - gram * b) / det, (b - gram * a) / det], axis=1)
+            pair = DirectionFit(place, share * lengths[0][:, None] / unit[place])
+            found = np.where(np.isfinite(det), self.judged(targets, pair), np.inf)
+            better = (found < value)[:, None]
+            best = DirectionFit(np.where(better, place, best.place), np.where(better, pair.share, best.share))
+            value = np.minimum(value, found)
+
+        for first in (alone, np.argmax(size, axis=1)):
+            across = (U @ U.T)[first] * sign * sign[rows, first, None] - size * size[rows, first, None]
+            other = np.argsort(-np.where(across < 0, size, size - 2), axis=1)[:, :PARTNERS]
+            for second in other.T:
+                tried(np.stack([first, second], axis=1))
+        for shift in NEIGHBOURS if count > 1 else ():
+            tried(np.roll(best.place, shift, axis=0))
+        return best
+
+    def bound(self, targets: Array) -> Array:
+        """Return bounds on rho of directions (t, n)."""
+        plain = self.rest(targets, targets)
+        return np.minimum(self.judged(targets, self.fit(targets)), plain) if self.gains else plain
+
+    def judged(self, targets: Array, fit: DirectionFit) -> Array:
+        """Return what a fit bounds."""
+        made = np.einsum("tk,tkn->tn", fit.share, self.mu[fit.place])
+        known = np.einsum("tk,tk->t", np.abs(fit.share), self.values[fit.place])
+        return np.asarray(known + self.rest(targets - made, targets))
+
+    def rest(self, rest: Array, targets: Array) -> Array:
+        """Return what the reach bounds of the rests of targets: nothing of them may lie outside the basis."""
+        seen = rest @ self.basis
+        endless = ~np.isfinite(self.reach)
+        found = np.abs(seen) @ np.where(endless, 0.0, self.reach)
+        if endless.any():
+            found = np.where(np.any(seen[..., endless] != 0, axis=-1), np.inf, found)
+        if self.whole:
+            return np.asarray(found)
+        return np.where(self.determines(rest, targets), found, np.inf)
+
+    def determines(self, rest: Array, targets: Array | None = None) -> npt.NDArray[np.bool_]:
+        """Say whether nothing of the rests of targets (default: of themselves) lies outside the basis."""
+        left = np.linalg.norm(rest - (rest @ self.basis) @ self.basis.T, axis=1)
+        return np.asarray(left <= NOTHING * np.linalg.norm(rest if targets is None else targets, axis=1))

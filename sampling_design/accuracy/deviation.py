@@ -1,0 +1,356 @@
+"""The standard deviation of wanted rows for white noise: the Kalman-Bucy filter with samples, over a whole schedule."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.finite import DIFFUSE
+from sampling_design.accuracy.question import AccuracyQuestion
+from sampling_design.accuracy.riccati import CovarianceMap, RootedPeriod, noise_root, strong
+from sampling_design.accuracy.rows import Wanted, WantedRows, wanted_rows
+from sampling_design.accuracy.start import SEMIDEFINITE
+from sampling_design.errors import ArgumentError, UndecidedError
+from sampling_design.numerics.linalg import discounted_flow, psd_root, symmetrise
+from sampling_design.observability.alignment import meet
+from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.checks import freeze
+from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.signatures import checked
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+Array = npt.NDArray[np.float64]
+Intensity: TypeAlias = npt.ArrayLike | None
+
+POINTS = 64
+"""Offsets in each gap at which the profile stands."""
+
+WALK = 1e-12
+"""Share of a free start's covariance that joins the noise of a period where the filter from P = 0 is unstable."""
+
+WIDER, WIDEST = (1e2, 1e4, 1e6, 1e8, 1e10), (1e8, 1e10)
+"""A start of which nothing is known is taken so many times as wide, until what the samples determine stays as it is;
+between the two widest, what they do not determine must grow as the start does."""
+
+SETTLED = 1e-6
+"""Share by which what the samples determine may still change."""
+
+REFINED = 60
+"""Evaluations that place the worst time within its panels."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StandardDeviation(Record):
+    """The least standard deviation of wanted rows for white noise, over a whole schedule.
+
+    Attributes
+    ----------
+    plant : Plant
+    schedule : PeriodicSchedule or Schedule
+    rows : WantedRows
+    worst : (r,) array
+        Over all times at which the row is known.
+    worst_at : (r,) array
+        Times at which it is reached [the plant's time unit].
+    mean : (r,) array
+        Root of the variance's mean over those times.
+    times : (N,) array
+        Those of the profile; sample times are there twice, before and after the sample.
+    profile : (r, N) array
+    """
+
+    plant: Plant
+    schedule: Schedule | PeriodicSchedule
+    rows: WantedRows
+    worst: Array
+    worst_at: Array
+    mean: Array
+    times: Array
+    profile: Array
+
+    def lines(self) -> list[tuple[str, str]]:
+        """Rows of a table."""
+        unit = self.plant.time_unit
+        return [
+            (
+                f"deviation of {label}",
+                f"{short(self.worst[k])} at {short(self.worst_at[k])} {unit}, {short(self.mean[k])} on average"
+                if np.isfinite(self.worst[k])
+                else "infinite",
+            )
+            for k, label in enumerate(self.rows.labels())
+        ]
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return self.lines()
+
+    def explain(self) -> str:
+        """Say what a filter attains."""
+        parts = [f"{n} {short(x, 4)}" for n, x in zip(self.rows.labels(), self.worst, strict=True)]
+        return (
+            f"For white noise of the given sizes the best filter's standard deviation is at worst: {', '.join(parts)}."
+        )
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data; what is infinite becomes None."""
+        return {
+            "rows": list(self.rows.names),
+            "worst": [float(x) if np.isfinite(x) else None for x in self.worst],
+            "worst_at": self.worst_at.tolist(),
+            "mean": [float(x) if np.isfinite(x) else None for x in self.mean],
+            "times": self.times.tolist(),
+            "profile": [[float(x) if np.isfinite(x) else None for x in row] for row in self.profile],
+        }
+
+
+@checked
+def standard_deviation(
+    plant: Plant,
+    schedule: Schedule | PeriodicSchedule,
+    *,
+    w_intensity: Intensity = None,
+    v_deviation: Intensity = None,
+    of: Wanted = None,
+    start: float | None = None,
+    end: float | None = None,
+) -> StandardDeviation:
+    """Return the standard deviation of wanted rows that a Kalman-Bucy filter with samples attains for white noise.
+
+        P' = AP + PA' + G W G',    P <- P - P C'(C P C' + V_j)^-1 C P at each sample;    sqrt(c'P(t)c)
+
+    Parameters
+    ----------
+    plant : Plant
+    schedule : PeriodicSchedule or Schedule
+        Periodic: in the periodic limit. Finite: from a start of which nothing is known.
+    w_intensity : float, (q,) or (q, q) array
+        Intensity W of the white noise w [unit of w squared times the plant's time unit]: a number for every entry, one
+        for each entry, or a positive semidefinite matrix.
+    v_deviation : float, (p,) or (N, p) array
+        Standard deviation of the noise of a sample [units of the outputs].
+    of : str, sequence of str, or (r, n) array, optional
+        Names of states or outputs, or rows of a matrix. Default all states.
+    start, end : float, optional
+        Of a finite schedule; default its first and its last sample.
+
+    Returns
+    -------
+    StandardDeviation
+
+    Raises
+    ------
+    ArgumentError
+        If a size is missing, negative or of another shape.
+    UndecidedError
+        If the samples show some state so weakly, or modes grow so far between them, that doubles hold no answer.
+
+    Notes
+    -----
+    *Assumptions.* w is white, v independent from sample to sample; for Gaussian noise no estimator does better.
+    *Method.* Structure-preserving doubling to the periodic limit (the strong solution), exact flows of the covariance
+    between samples; the worst time is refined between the points of the profile. Amplitude bounds reward more samples
+    much less: compare `accuracy`.
+
+    References
+    ----------
+    Bittanti, Colaneri and De Nicolao, The periodic Riccati equation (1991).
+
+    Examples
+    --------
+    >>> from sampling_design import PeriodicSchedule, Plant
+    >>> found = standard_deviation(Plant([[0.0]], [[1.0]]), PeriodicSchedule([1.0]), w_intensity=1.0, v_deviation=1.0)
+    >>> bool(abs(found.worst[0] ** 2 - (1 + 5**0.5) / 2) < 1e-9)  # the golden ratio
+    True
+    """
+    schedule = meet(plant, schedule)
+    rows = wanted_rows(plant, of)
+    nothing = np.zeros(plant.n_outputs)
+    if isinstance(schedule, PeriodicSchedule):
+        question = AccuracyQuestion.endless(plant, schedule, 0.0, nothing)
+    else:
+        question = AccuracyQuestion.finite(plant, schedule, 0.0, nothing, None, start, end)
+    return deviations(question, rows, w_intensity, v_deviation)
+
+
+def deviations(
+    question: AccuracyQuestion, rows: WantedRows, w_intensity: Intensity, v_deviation: Intensity
+) -> StandardDeviation:
+    """Return the standard deviations for the schedule of a question."""
+    plant, schedule = question.plant, question.schedule
+    W, v = _intensity(plant, w_intensity), _deviation(plant, len(schedule), v_deviation)
+    amplitude = np.sqrt(np.diag(W))
+    if isinstance(schedule, PeriodicSchedule):
+        question = AccuracyQuestion.endless(plant, schedule, amplitude, v)
+    else:
+        question = AccuracyQuestion.finite(plant, schedule, amplitude, v, None, float(question.nodes[0]), question.end)
+    known = question.known()
+    curves = _Curves(question, known.plant, W, known.moving)
+    lengths = np.diff(question.nodes, append=question.end)
+    offsets = [np.linspace(0.0, h, POINTS + 1) for h in lengths]
+    times = np.concatenate([t + d for t, d in zip(question.nodes, offsets, strict=True)])
+    profile = np.full((len(rows), times.size), np.inf)
+    worst, worst_at, mean = np.full(len(rows), np.inf), np.full(len(rows), times[0]), np.full(len(rows), np.inf)
+    for k, row in enumerate(rows.matrix):
+        if known.touches(row):
+            continue
+        parts = [curves.variance(j, d, row @ known.lift) for j, d in enumerate(offsets)]
+        profile[k] = np.sqrt(np.concatenate(parts))
+        if np.isfinite(profile[k]).any():
+            worst[k], worst_at[k] = curves.worst(parts, offsets, row @ known.lift)
+            mean[k] = _mean(parts, offsets)
+    return StandardDeviation(
+        plant, schedule, rows, freeze(worst), freeze(worst_at), freeze(mean), freeze(times), freeze(profile)
+    )
+
+
+class _Curves:
+    """Roots of the covariances after each node, in scaled coordinates, and variances of rows between nodes."""
+
+    def __init__(self, question: AccuracyQuestion, plant: Plant, W: Array, moving: Array | None):
+        self.question = question
+        chain, atoms = question.chain(plant, moving)
+        self.D, self.A, self._L, self._atoms, self._r = chain.D, chain.A, chain.L, atoms, chain.determined
+        G = plant.G / self.D[:, None]
+        self._noise = symmetrise(G @ W @ G.T)
+        rows = [plant.C[s.outputs] * self.D / s.size[:, None] for s in chain.samples]
+        self._roots = self._endless(rows) if question.initial is None else self._finite(rows)
+
+    def _flows(self, lengths: Array) -> list[tuple[Array, Array]]:
+        return list(zip(*discounted_flow(self.A, self._noise, lengths), strict=True))
+
+    def _endless(self, rows: list[Array]) -> list[Array]:
+        lengths = np.diff(self.question.nodes, append=self.question.end)
+        n, r, count = len(self.A), self._r, len(lengths)
+        bases = [np.eye(n)] * count if r == n else list(self._L)  # the last n - r entries nobody knows, or needs
+        maps = []
+        for j, ((F, W), H) in enumerate(zip(self._flows(lengths), rows, strict=True)):
+            L, following = bases[j], bases[(j + 1) % count]
+            step, noise = np.linalg.solve(following, F @ L), np.linalg.solve(following, W)
+            noise = np.linalg.solve(following, noise.T)
+            maps.append(CovarianceMap(step[:r, :r], ((H @ L).T @ (H @ L))[:r, :r], symmetrise(noise[:r, :r])))
+        period = maps[0]
+        for following_map in maps[1:]:
+            period = period.then(following_map)
+        P = strong(period, np.eye(r) * DIFFUSE, WALK)
+        seen = [H @ L[:, :r] for H, L in zip(rows, bases, strict=True)]
+        rooted = RootedPeriod([m.F for m in maps], seen, [noise_root(m.Q) for m in maps])
+        root = psd_root(P)
+        roots = rooted(root)[0] if rooted.gives_back(root) else rooted.settled(np.eye(r) * np.sqrt(DIFFUSE))
+        return [L[:, :r] @ root for L, root in zip(bases, roots, strict=True)]
+
+    def _finite(self, rows: list[Array]) -> list[Array]:
+        n = len(self.A)
+        flows = self._flows(np.diff(self.question.nodes)) if self.question.nodes.size > 1 else []
+        F, noise = [F for F, _ in flows], [noise_root(W) for _, W in flows]
+        path = RootedPeriod([*F, np.eye(n)], rows, [*noise, np.zeros((n, 0))])
+        start = np.eye(n) * np.sqrt(DIFFUSE)
+        widest = [path(start * size)[0] for size in WIDEST] if not all(a.whole for a in self._atoms) else []
+        free = [self._sizes(roots, False) for roots in widest]
+        roots = path(start)[0]
+        for size in WIDER:
+            before, roots = self._sizes(roots), path(start * size)[0]
+            settled = np.allclose(self._sizes(roots), before, rtol=SETTLED, atol=0.0)
+            if settled and (not free or np.all(free[1] > free[0] * WIDEST[1] / WIDEST[0] / 2)):
+                return roots
+        raise UndecidedError(
+            "undecided: the samples show some state so weakly that doubles cannot tell it from what was "
+            "assumed at the start. Give a shorter schedule."
+        )
+
+    def _sizes(self, roots: list[Array], seen: bool = True) -> Array:
+        """Standard deviations at the nodes of what the samples determine, or of what they do not."""
+        found = []
+        for atoms, L, root in zip(self._atoms, self._L, roots, strict=True):
+            r, whole = atoms.basis.shape[1], np.linalg.svd(atoms.basis)[0]
+            chosen = whole[:, :r] if seen else whole[:, r:]
+            found.append(np.linalg.norm(chosen.T @ np.linalg.solve(L, root), axis=1))
+        return np.concatenate(found)
+
+    def variance(self, j: int, offsets: Array, row: Array) -> Array:
+        """c'P(t_j + d)c for offsets d; infinite where the samples do not determine the row."""
+        F, W = discounted_flow(self.A, self._noise, offsets)
+        flown = (row * self.D) @ F
+        found = np.sum((flown @ self._roots[j]) ** 2, axis=1) + np.maximum(
+            np.einsum("i,kij,j->k", row * self.D, W, row * self.D), 0
+        )
+        mu = flown @ self._L[j]
+        atoms = self._atoms[j]
+        if self.question.initial is None:
+            return np.where(np.isfinite(atoms.rest(mu, mu)), found, np.inf)
+        return np.where(atoms.determines(mu), found, np.inf)
+
+    def worst(self, parts: list[Array], offsets: list[Array], row: Array) -> tuple[float, float]:
+        """The largest standard deviation and its time, refined between the points of the profile."""
+        from scipy.optimize import minimize_scalar
+
+        finite = [np.where(np.isfinite(part), part, -1.0) for part in parts]
+        j = int(np.argmax([part.max() for part in finite]))
+        k, d = int(np.argmax(finite[j])), offsets[j]
+        best, at = float(finite[j][k]), float(d[k])
+        low, high = float(d[max(k - 1, 0)]), float(d[min(k + 1, d.size - 1)])
+        if 0 < k < d.size - 1 and high > low:
+            found = minimize_scalar(
+                lambda x: -float(self.variance(j, np.array([x]), row)[0]),
+                bounds=(low, high),
+                method="bounded",
+                options={"maxiter": REFINED, "xatol": 1e-9 * (high - low)},
+            )
+            if -found.fun > best:
+                best, at = -float(found.fun), float(found.x)
+        return float(np.sqrt(best)), float(self.question.nodes[j] + at)
+
+
+def _mean(parts: list[Array], offsets: list[Array]) -> float:
+    """Root of the mean variance over the times at which it is finite, by Simpson's rule on pairs of panels."""
+    total, length = 0.0, 0.0
+    for part, d in zip(parts, offsets, strict=True):
+        for k in range(0, d.size - 2, 2):
+            piece = part[k : k + 3]
+            if np.isfinite(piece).all():
+                total += float(d[k + 2] - d[k]) / 6 * float(piece[0] + 4 * piece[1] + piece[2])
+                length += float(d[k + 2] - d[k])
+    return float(np.sqrt(total / length)) if length else np.inf
+
+
+def _intensity(plant: Plant, value: Intensity) -> Array:
+    q = plant.n_disturbances
+    if value is None:
+        raise ArgumentError(
+            "`w_intensity` is missing: give the intensity of the white noise w [its unit squared times "
+            f"{plant.time_unit}], 0 where there is none."
+        )
+    if checks.dimensions(value) == 0:
+        return np.eye(q) * checks.nonnegative("w_intensity", value)
+    if checks.dimensions(value) == 1:
+        entries = checks.vector("w_intensity", value, q)
+        if np.any(entries < 0):
+            raise ArgumentError(f"`w_intensity` must not be negative, got {float(entries.min())!r}.")
+        return np.diag(entries)
+    matrix = checks.symmetric("w_intensity", value, q)
+    sizes = np.sqrt(np.abs(np.diag(matrix)))
+    unit = matrix / np.outer(np.where(sizes > 0, sizes, 1.0), np.where(sizes > 0, sizes, 1.0))
+    if np.linalg.eigvalsh(unit)[0] < -SEMIDEFINITE * q:
+        raise ArgumentError("`w_intensity` must be positive semidefinite, got a matrix with a negative eigenvalue.")
+    return np.array(matrix)
+
+
+def _deviation(plant: Plant, samples: int, value: Intensity) -> Array:
+    p = plant.n_outputs
+    if value is None:
+        raise ArgumentError(
+            f"`v_deviation` is missing: give the standard deviation of the noise of {', '.join(plant.outputs.names)}."
+        )
+    if checks.dimensions(value) == 0:
+        return np.full((samples, p), checks.nonnegative("v_deviation", value))
+    array = (
+        np.array(checks.matrix("v_deviation", value, samples, p))
+        if checks.dimensions(value) == 2
+        else np.broadcast_to(checks.vector("v_deviation", value, p), (samples, p)).copy()
+    )
+    if np.any(array < 0):
+        raise ArgumentError(f"`v_deviation` must not be negative, got {float(array.min())!r}.")
+    return array

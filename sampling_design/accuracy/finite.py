@@ -1,0 +1,202 @@
+"""A finite schedule as a chain of samples that begins with a set of errors, and what its samples determine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.bounded_directions import BoundedDirections
+from sampling_design.accuracy.bounds import SignalBounds
+from sampling_design.accuracy.gains import filtered_bounds
+from sampling_design.accuracy.riccati import updated
+from sampling_design.accuracy.sample_chain import (
+    ChainSample,
+    LengthFlow,
+    SampleChain,
+    make_gap,
+    noise_units,
+    refuse_growth,
+    state_scales,
+    too_far,
+)
+from sampling_design.accuracy.start import InitialSet
+from sampling_design.errors import UndecidedError
+from sampling_design.numerics.linalg import discounted_flow
+from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.float64]
+
+DIFFUSE = 1e6
+"""Covariance of what is free at the start, in scaled coordinates: for the choice of coordinates and gains only."""
+
+NO_ERROR = 1e-9
+"""Half-width given to an entry that is known exactly at the start, in scaled coordinates."""
+
+UNSEEN = 1e-9
+"""A free direction counts as unseen if its samples are below this share of what the strongest one shows."""
+
+BLURRED = 1e-7
+"""Share of its way to which an unseen direction may shrink: what rounding makes of it is then below `UNSEEN` of it."""
+
+LITTLE = (1e-13, 1e-11, 1e-9, 1e-7)
+"""Shares of its diagonal that are added to a covariance that rounding has made indefinite, the first that helps."""
+
+BEYOND = 1e3
+"""A state's scale is at most so many times what is known of it at the start."""
+
+
+def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, initial: InitialSet) -> SampleChain:
+    """Return the chain of nodes `times`, the first of which is the start; rows of `bounds.v` say what each measures."""
+    lengths, last = np.diff(times), float(end - times[-1])
+    refuse_growth(plant, lengths, last)
+    balance = balanced_schur(plant.A).d
+    A = plant.A * balance / balance[:, None]
+    G = plant.G * bounds.w / balance[:, None]
+    steps = np.append(lengths, last) if last or not lengths.size else lengths
+    F, W = discounted_flow(A, G @ G.T, steps)
+    W = W * float(np.mean(steps))
+    rows, sizes, exact = noise_units(plant.C * balance, bounds, W)
+    D = _scales(F, W, rows, initial, balance)
+    A, G = A * D / D[:, None], G / D[:, None]
+    F, W = F * D / D[:, None], W / np.outer(D, D)
+    rows = [H * D for H in rows]
+    D = balance * D
+    P = _opening(initial, D)
+    before, after = [], []
+    for j, H in enumerate(rows):
+        before.append(P)
+        after.append(updated(P, H.T @ H))
+        if j < len(lengths):
+            P = F[j] @ after[j] @ F[j].T + W[j]
+    L = np.array([covariance_root(X) for X in after])
+    samples = []
+    for j, H in enumerate(rows):
+        gain = np.linalg.solve(H @ before[j] @ H.T + np.eye(len(H)), H @ before[j]).T
+        K = np.asarray(np.linalg.solve(L[j], gain), dtype=np.float64)
+        samples.append(ChainSample(bounds.measured(j), sizes[j], H @ L[j], exact[j], K))
+    known: dict[float, LengthFlow] = {}
+    gaps = tuple(make_gap(A, G, float(h), L[j], L[j + 1], F[j], known) for j, h in enumerate(lengths))
+    start = initial.scaled(D[:, None] * L[0], D, NO_ERROR)
+    return SampleChain(
+        plant=plant,
+        bounds=bounds,
+        D=D,
+        L=L,
+        A=A,
+        G=G,
+        samples=tuple(samples),
+        gaps=gaps,
+        start=start,
+        last=last,
+        known=initial.exact,
+    )
+
+
+def covariance_root(P: Array) -> Array:
+    """A root of a covariance, for coordinates only: where rounding has made it indefinite, a little is added."""
+    if not np.all(np.diag(P) > 0):
+        raise too_far()
+    d = np.sqrt(np.diag(P))
+    R = P / np.outer(d, d)
+    for share in LITTLE:
+        try:
+            return np.asarray(d[:, None] * np.linalg.cholesky((R + R.T) / 2 + share * np.eye(d.size)))
+        except np.linalg.LinAlgError:
+            continue
+    return np.diag(d)
+
+
+def _scales(F: Array, W: Array, rows: list[Array], initial: InitialSet, balance: Array) -> Array:
+    """Diagonal D: between what w reaches and what samples see, else what is known at the start."""
+    pairs = min(len(F), len(rows))
+    D = state_scales(F[:pairs], W[:pairs], rows[:pairs])
+    if not len(initial.S):
+        return D
+    known = np.linalg.norm(initial.S * balance, axis=0)
+    driven = np.any(W != 0, axis=(0, 2))
+    size = 1 / np.where(known > 0, known, 1.0)
+    # what a sample shows only after it has decayed is known far better from the start and from w
+    return np.where(known == 0, D, np.where(driven, np.minimum(D, BEYOND * size), size))
+
+
+def _opening(initial: InitialSet, D: Array) -> Array:
+    """Covariance at the start."""
+    known = initial.S * D
+    information = known.T @ known + np.eye(D.size) / DIFFUSE
+    information[initial.exact, initial.exact] += 1 / NO_ERROR
+    return np.asarray(np.linalg.inv(information))
+
+
+def finite_atoms(chain: SampleChain, given: Sequence[Array] = ()) -> list[BoundedDirections]:
+    """What the samples up to each node determine, with bounds from the filter's gains.
+
+    `given` are bounds on |z| after the first samples, where something else bounds all of it there.
+    """
+    start = chain.start
+    assert start is not None
+    n = chain.D.size
+    free = start.free(n)
+    seen: list[Array] = []
+    found: list[BoundedDirections] = []
+    known: list[Array | None] = []
+    for j in range(len(chain)):
+        free = chain.gaps[j - 1].F @ free if j else free
+        seen.append(chain.samples[j].H @ free)
+        basis = _determined(free, seen)
+        reach = given[j] if j < len(given) else filtered_bounds(chain, j, start, known, basis)
+        found.append(BoundedDirections(basis, reach))
+        known.append(found[j].reach if j and basis.shape[1] == n else None)
+    return found
+
+
+def _determined(free: Array, seen: list[Array]) -> Array:
+    """Orthonormal columns that span what nothing free and unseen touches.
+
+    Raises
+    ------
+    UndecidedError
+        If something free has decayed so far that rounding hides whether it is seen, or where it points.
+    """
+    n = len(free)
+    if not free.shape[1]:
+        return np.eye(n)
+    rows = np.vstack(seen)
+    rows = rows / np.maximum(1.0, np.linalg.norm(rows, axis=1, keepdims=True))
+    shown = np.linalg.norm(rows, axis=0)
+    sizes, right = _strengths(rows)
+    open_ = sizes <= UNSEEN * max(1.0, float(sizes[0]))
+    # a free start may be as large where it decays fast as anywhere: it is no less seen for what little arrives
+    alike = _strengths(rows / np.where(shown > 0, shown, 1.0))[0]
+    if np.count_nonzero(alike <= UNSEEN * max(1.0, float(alike[0]))) < np.count_nonzero(open_):
+        raise _faded()
+    if not open_.any():
+        return np.eye(n)
+    unseen = right[open_].T
+    open_ends = free @ unseen
+    length, reach = np.linalg.norm(open_ends, axis=0), [float(np.linalg.norm(free[:, v != 0])) for v in unseen.T]
+    if np.any(length <= BLURRED * np.array(reach)):
+        raise _faded()
+    left, strength, _ = np.linalg.svd(open_ends / length)
+    if strength[-1] <= UNSEEN * strength[0]:
+        raise _faded()
+    return np.asarray(left[:, len(strength) :])
+
+
+def _strengths(rows: Array) -> tuple[Array, Array]:
+    """How much of each direction rows show, and the directions (as rows)."""
+    width = rows.shape[1]
+    sizes, right = np.zeros(width), np.eye(width)
+    if len(rows):
+        _, found, right = np.linalg.svd(rows)
+        sizes[: found.size] = found
+    return sizes, right
+
+
+def _faded() -> UndecidedError:
+    return UndecidedError(
+        "undecided: of a start of which nothing is known, something becomes so small beside the rest, before samples "
+        "show it or until now, that doubles cannot tell what is left of it. Bound it by `initial_error`."
+    )

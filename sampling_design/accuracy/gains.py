@@ -1,0 +1,162 @@
+"""What any gains of the samples of a window prove, without a solver: the guarantee, for all real times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.sample_chain import ChainGap, SampleChain, noise_cost
+from sampling_design.accuracy.start import StartSet
+from sampling_design.numerics.linalg import expm_batch
+
+Array = npt.NDArray[np.float64]
+
+CarriedColumns: TypeAlias = dict[int, tuple[ChainGap, list[Array]]]
+"""Columns that each gap carries: one integral for all of them, since a chain may hold a gap many times."""
+
+ROUNDING = 1e-11
+"""Relative allowance for rounding in every sum that bounds from above."""
+
+
+LEFT = 0.01
+"""What may be left of a direction, in units of what a filter knows, where its past counts as bounded already."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """Gains of the samples of a window and what they prove."""
+
+    value: float
+    gains: tuple[Array, ...]  # (p_k,) in units of the noise
+
+
+def evaluated(
+    chain: SampleChain,
+    nodes: list[int],
+    start: Array | StartSet,
+    mu: Array,
+    gains: list[Array],
+    data: list[Array] | None = None,
+) -> Gains:
+    """Return what gains prove of mu'z_K: h_start(rest) + int h_W(G'g) + sum h_V(gains), plus their data."""
+    total, g, scale = 0.0, mu[:, None], float(np.linalg.norm(mu))
+    flown: CarriedColumns = {}
+    for k in range(len(nodes) - 1, -1, -1):
+        sample, lam = chain.samples[nodes[k]], gains[k][:, None]
+        total += float(noise_cost(lam, sample.exact, chain.bounds.v_ball)[0])
+        step = sample.H.T @ lam
+        scale += float(np.linalg.norm(step))
+        g = g - step
+        if k:
+            gap = chain.gaps[nodes[k - 1]]
+            flown.setdefault(id(gap), (gap, []))[1].append(g)
+            g = gap.F.T @ g
+    total += float(_pushed(flown, chain.bounds.w_ball).sum())
+    if isinstance(start, StartSet):
+        total += start.support(g[:, 0], scale)
+    else:
+        total += float(np.abs(g[:, 0]) @ start)
+    if data is not None:
+        shown = [float(lam @ y) for lam, y in zip(gains, data, strict=True)]
+        return Gains(sum(shown) + total * (1 + ROUNDING) + ROUNDING * float(np.abs(shown).sum()), tuple(gains))
+    return Gains(total * (1 + ROUNDING), tuple(gains))
+
+
+def _pushed(flown: CarriedColumns, ball: bool) -> Array:
+    """What w costs columns that were carried over gaps, added up column by column."""
+    total = np.zeros(1)
+    for gap, columns in flown.values():
+        every = gap.panels.integral(np.hstack(columns), ball)
+        total = total + every.reshape(len(columns), -1).sum(axis=0)
+    return total
+
+
+def filtered(chain: SampleChain, nodes: list[int], start: Array | StartSet, mu: Array) -> Gains:
+    """Return the filter's gains for mu'z_K, corrected where the start is free, with what they prove."""
+    gains, g = [np.zeros(0)] * len(nodes), mu
+    for k in range(len(nodes) - 1, -1, -1):
+        sample = chain.samples[nodes[k]]
+        gains[k] = sample.K.T @ g
+        g = g - sample.H.T @ gains[k]
+        g = chain.gaps[nodes[k - 1]].F.T @ g if k else g
+    if isinstance(start, StartSet) and start.rows < mu.size:
+        cleared(chain, nodes, start, mu, gains)
+    return evaluated(chain, nodes, start, mu, gains)
+
+
+def filtered_bounds(chain: SampleChain, j: int, start: StartSet, known: list[Array | None], mu: Array) -> Array:
+    """Return what the filter's gains prove of every column of mu'z_j, mu (n, k), in a chain with a start.
+
+    `known` are bounds on |z| after the samples before: one serves as a start where little is left of the columns.
+    """
+    total, g, scale = np.zeros(mu.shape[1]), mu, np.linalg.norm(mu, axis=0)
+    flown: CarriedColumns = {}
+    for k in range(j, -1, -1):
+        sample = chain.samples[k]
+        gains = sample.K.T @ g
+        total += noise_cost(gains, sample.exact, chain.bounds.v_ball)
+        step = sample.H.T @ gains
+        scale += np.linalg.norm(step, axis=0)
+        g = g - step
+        if k:
+            gap = chain.gaps[k - 1]
+            flown.setdefault(id(gap), (gap, []))[1].append(g)
+            g = gap.F.T @ g
+            reach = known[k - 1]
+            if reach is not None and np.abs(g).sum(axis=0).max() <= LEFT:
+                return np.asarray((total + _pushed(flown, chain.bounds.w_ball) + reach @ np.abs(g)) * (1 + ROUNDING))
+    if start.rows < len(mu):  # what is free at the start must not be touched: gains are corrected
+        return np.array([filtered(chain, list(range(j + 1)), start, column).value for column in mu.T])
+    total = total + _pushed(flown, chain.bounds.w_ball)
+    total += [start.support(rest, float(size)) for rest, size in zip(g.T, scale, strict=True)]
+    return np.asarray(total * (1 + ROUNDING))
+
+
+def cleared(chain: SampleChain, nodes: list[int], start: StartSet, mu: Array, gains: list[Array]) -> None:
+    """Change gains as little as can be so that nothing is left of what is free at the start."""
+    free = start.free(mu.size)
+    seen, flow = [], free
+    for k, j in enumerate(nodes):
+        flow = chain.gaps[nodes[k - 1]].F @ flow if k else flow
+        seen.append(chain.samples[j].H @ flow)
+    rows, ends = np.vstack(seen), np.cumsum([len(H) for H in seen])[:-1]
+    for _ in range(2):
+        rest = mu
+        for k in range(len(gains) - 1, -1, -1):
+            rest = rest - chain.samples[nodes[k]].H.T @ gains[k]
+            rest = chain.gaps[nodes[k - 1]].F.T @ rest if k else rest
+        change = np.linalg.lstsq(rows.T, free.T @ rest)[0]
+        gains[:] = [lam + more for lam, more in zip(gains, np.split(change, ends), strict=True)]
+
+
+def centre_offset(chain: SampleChain, row: Array, j: int, d: float, gains: tuple[Array, ...]) -> float:
+    """Return what an estimate of row'x at d after sample j adds to its data since bounds are not centred at 0.
+
+    The nominal state under the centres of the bounds, less the gains' share of what it would show, from gains and flow
+    backwards: int g'G w_c - sum lambda'v_c.
+    """
+    bounds, n = chain.bounds, chain.D.size
+    if bounds.w_centre is None and bounds.v_centre is None:
+        return 0.0
+    joint = np.zeros((n + 1, n + 1))
+    joint[:n, :n] = chain.A
+    if bounds.w_centre is not None:
+        joint[:n, n] = chain.plant.G @ bounds.w_centre / chain.D
+    lengths = [d, *(gap.length for gap in chain.gaps)]
+    flows = expm_batch(joint, lengths)[:, :n]
+    total = float(row * chain.D @ flows[0, :, n])
+    g = row * chain.D @ flows[0, :, :n]
+    nodes = chain.nodes(j, len(gains))
+    for k in range(len(nodes) - 1, -1, -1):
+        sample, lam = chain.samples[nodes[k]], gains[k - len(nodes)]
+        if bounds.v_centre is not None:
+            total -= float(lam @ (bounds.v_centre[nodes[k], sample.outputs] / sample.size))
+        g = g - np.linalg.solve(chain.L[nodes[k]].T, sample.H.T @ lam)
+        if k:
+            flow = flows[1 + nodes[k - 1]]
+            total += float(g @ flow[:, n])
+            g = g @ flow[:, :n]
+    return total

@@ -1,0 +1,215 @@
+"""Gaps of a record in fixed coordinates, remembered by length: transition, disturbance on panels, disturbance on cells.
+
+A gap that was met once costs nothing again, and gaps that are new are made together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.sample_chain import state_scales
+from sampling_design.numerics.linalg import discounted_flow, expm_batch
+from sampling_design.plants.grouping import balanced_schur
+
+Array = npt.NDArray[np.float64]
+
+PANEL = 0.03125
+"""Length of a panel of the quadrature times |A|: its bound is then loose by less than one in ten thousand."""
+
+PANELS = (16, 4096)
+"""Least and largest number of panels of a gap, powers of two."""
+
+FINER = 4
+"""Panels after the last sample are so many times shorter: there is one gap only, and nothing hides what it loses."""
+
+LOSS = 2e-2
+"""Share of the curvature that coarse cells may lose: gains are second order in it, and more cells cost time."""
+
+CELLS = 2
+"""Least number of coarse cells of a gap."""
+
+FINER_CELLS = (1, 2, 4, 16)
+"""So many times more cells on each level than on the first."""
+
+REMEMBERED = 1024
+"""Gaps that are kept."""
+
+
+@dataclass(frozen=True, eq=False)
+class FlownGap:
+    """One gap; s runs back from its end.
+
+    Attributes
+    ----------
+    F : (n, n) array
+    step : float
+        Length of a panel.
+    flown, bend : (N+1, n, q) arrays
+        e^{As}G and e^{As}A^2G at the ends of the panels.
+    third : (N,) array
+        On each panel a bound on |e^{As}A^3G|.
+    pieces : (N, n, q) array
+        int e^{As}G ds over the panels.
+    marks : (N,) array
+        Where each panel lies among coarse cells of one size.
+    """
+
+    F: Array
+    step: float
+    flown: Array
+    bend: Array
+    third: Array
+    pieces: Array
+    marks: Array
+    _cells: dict[int, Array] = field(default_factory=dict, repr=False)
+
+    def cells(self, level: int) -> Array:
+        """Return int e^{As}G ds (m, n, q) over cells on which an adversary's w is constant, finer with the level."""
+        if level not in self._cells:
+            self._cells[level] = self._cut(level)
+        return self._cells[level]
+
+    def _cut(self, level: int) -> Array:
+        count = min(max(CELLS, float(np.ceil(self.marks[-1]))) * FINER_CELLS[level], float(self.marks.size))
+        cell = np.minimum(self.marks / max(self.marks[-1], 1e-300) * count, count - 1).astype(int)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.asarray(np.add.reduceat(self.pieces, np.flatnonzero(np.diff(cell, prepend=-1)), axis=0))
+
+
+class GapTable:
+    """Gaps in coordinates x = D x~, for the disturbance G w with w in the unit ball or box."""
+
+    def __init__(self, A: Array, G: Array, D: Array):
+        self.D, self.A, self.G = D, A * D / D[:, None], G / D[:, None]
+        n, q = self.G.shape
+        self._size = float(np.linalg.norm(self.A, 2)) if n else 0.0
+        self._second = self.A @ (self.A @ self.G)
+        self._third = self.A @ self._second
+        self._joint = np.zeros((n + q, n + q))
+        self._joint[:n, :n], self._joint[:n, n:] = self.A, self.G
+        self._known: dict[float, FlownGap] = {}
+        self._open: tuple[float, FlownGap] | None = None
+
+    @classmethod
+    def suited(cls, A: Array, G: Array, lengths: Array, rows: list[Array]) -> GapTable:
+        """Return a table whose coordinates even out the units of a record: its gaps, and the rows measured after each.
+
+        `rows` are in units of their noise.
+        """
+        balance = balanced_schur(A).d
+        moved, pushed = A * balance / balance[:, None], G / balance[:, None]
+        if not lengths.size:
+            return cls(A, G, balance)
+        with np.errstate(over="ignore", invalid="ignore"):
+            F, W = discounted_flow(moved, pushed @ pushed.T, lengths)
+        D = state_scales(F, W * float(np.mean(lengths)), [H * balance for H in rows])
+        return cls(A, G, balance * D)
+
+    def open(self, length: float) -> FlownGap:
+        """Return the gap after the last sample."""
+        if self._open is None or self._open[0] != length:
+            number = min(int(self._number(np.array([length]))[0]) * FINER, PANELS[1])
+            with np.errstate(over="ignore", invalid="ignore"):
+                self._open = length, self._make_alike(np.array([length]), number)[length]
+        return self._open[1]
+
+    def get(self, lengths: Sequence[float]) -> list[FlownGap]:
+        """Return the gaps of these lengths."""
+        missing = [h for h in dict.fromkeys(lengths) if h not in self._known]
+        if missing:
+            if len(self._known) + len(missing) > REMEMBERED:
+                self._known.clear()
+                missing = list(dict.fromkeys(lengths))
+            with np.errstate(over="ignore", invalid="ignore"):
+                self._make(np.array(missing))
+        return [self._known[h] for h in lengths]
+
+    def _make(self, lengths: Array) -> None:
+        numbers = self._number(lengths)
+        for number in np.unique(numbers):
+            self._known.update(self._make_alike(lengths[numbers == number], int(number)))
+
+    def _number(self, lengths: Array) -> npt.NDArray[np.intp]:
+        """Panels of each gap, a power of two."""
+        wanted = np.clip(np.ceil(self._size * lengths / PANEL), *PANELS)
+        return np.asarray(np.exp2(np.ceil(np.log2(wanted))), dtype=np.intp)
+
+    def _make_alike(self, lengths: Array, number: int) -> dict[float, FlownGap]:
+        """Gaps with equally many panels."""
+        n, step = len(self.A), lengths / number
+        first = expm_batch(self._joint, step)
+        E = np.empty((lengths.size, number + 1, n, n))
+        E[:, 0], E[:, 1] = np.eye(n), first[:, :n, :n]
+        known = 1
+        while known < number:
+            np.matmul(E[:, known, None], E[:, 1 : known + 1], out=E[:, known + 1 : 2 * known + 1])
+            known *= 2
+        flown, bend = E @ self.G, E @ self._second
+        grown = np.exp(self._size * step)[:, None]
+        third = np.linalg.norm(E[:, :-1] @ self._third, axis=(2, 3)) * grown
+        inner = E[:, :-1] @ first[:, None, :n, n:]
+        marks = self._marks(flown, bend, step)
+        return {
+            h: FlownGap(E[k, -1].copy(), float(step[k]), flown[k], bend[k], third[k], inner[k], marks[k])
+            for k, h in enumerate(lengths.tolist())
+        }
+
+    def _marks(self, flown: Array, bend: Array, step: Array) -> Array:
+        """Middles of panels, counted in cells so short that delta^2/24 |M''|/|M| <= LOSS."""
+        size, curve = np.linalg.norm(flown, axis=(2, 3)), np.linalg.norm(bend, axis=(2, 3))
+        rate = np.sqrt(np.divide(curve, size, out=np.zeros_like(size), where=size > 0) / (24 * LOSS))
+        panels = (rate[:, 1:] + rate[:, :-1]) / 2 * step[:, None]
+        total = panels.sum(axis=1, keepdims=True)
+        fine = (total > 0) & np.isfinite(total)
+        panels = np.where(fine, panels, 1 / panels.shape[1])
+        return np.asarray(np.cumsum(panels, axis=1) - panels / 2)
+
+
+class DisturbanceQuadrature:
+    """Integrals of h_W(G'e^{A's}g) over many gaps at once: gaps with equally many panels are stacked."""
+
+    def __init__(self, gaps: Sequence[FlownGap]):
+        counts = [gap.third.size for gap in gaps]
+        self._groups = []
+        for count in sorted(set(counts)):
+            at = [k for k, own in enumerate(counts) if own == count]
+            self._groups.append((at, _Stacked([gaps[k] for k in at])))
+
+    def integral(self, g: Array, ball: bool) -> float:
+        """Return a bound on the sum over gaps j of int h_W(G'e^{A's} g_j) ds for g (J, n), for all real times.
+
+        On a panel |p| lies below its chord plus (s-a)(b-s)/2 sup|p''|; sup|p''| is at most that at the ends plus half
+        a panel times sup|p'''|. Infinite where a flow overflows.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            total = sum(stacked.integral(g[at], ball) for at, stacked in self._groups)
+        return float(total) if np.isfinite(total) else np.inf
+
+
+class _Stacked:
+    """Gaps with equally many panels."""
+
+    def __init__(self, gaps: list[FlownGap]):
+        both = np.array([[gap.flown, gap.bend] for gap in gaps])  # (J, 2, panels + 1, n, q)
+        self._shape = (len(gaps), 2, both.shape[2], both.shape[4])
+        self._rows = np.ascontiguousarray(np.swapaxes(both, 3, 4)).reshape(len(gaps), -1, both.shape[3])
+        self.third, self.step = np.array([gap.third for gap in gaps]), np.array([gap.step for gap in gaps])[:, None]
+
+    def integral(self, g: Array, ball: bool) -> float:
+        """As `DisturbanceQuadrature.integral`, of these gaps."""
+        d = self.step
+        both = np.matmul(self._rows, g[:, :, None]).reshape(self._shape)
+        p, curved = both[:, 0], both[:, 1]
+        size = np.linalg.norm(g, axis=1)[:, None]
+        steep = np.where(size > 0, self.third * size, 0.0)  # the bound may be infinite
+        if ball:
+            value, curve = np.sqrt((p * p).sum(axis=2)), np.sqrt((curved * curved).sum(axis=2))
+        else:
+            value, curve = np.abs(p).sum(axis=2), np.abs(curved).sum(axis=2)
+            steep = steep * np.sqrt(p.shape[2])
+        sup = np.maximum(curve[:, 1:], curve[:, :-1]) + d / 2 * steep
+        return float((d / 2 * (value[:, 1:] + value[:, :-1]) + d**3 / 12 * sup).sum())

@@ -1,0 +1,459 @@
+"""What the data at hand prove: the values that a wanted row may still have, with the gains that prove it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy import interval_file
+from sampling_design.accuracy.bounds import Bound
+from sampling_design.accuracy.gap_table import GapTable
+from sampling_design.accuracy.readings import (
+    Arrived,
+    Readings,
+)
+from sampling_design.accuracy.record_program import DISPROVED, SPREADS, RecordProgram, RowEnd
+from sampling_design.accuracy.record_readings import read_record
+from sampling_design.accuracy.rows import Wanted, WantedRows, wanted_rows
+from sampling_design.accuracy.undetectable import unseen_modes
+from sampling_design.checkers.check import verdict
+from sampling_design.errors import ArgumentError
+from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.checks import freeze
+from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.signatures import checked
+
+Array = npt.NDArray[np.float64]
+
+KEPT = 1e-9
+"""Share of its width within which an end is that of its gains when it is evaluated anew."""
+
+MOSTLY = 0.9
+"""Share of a contradiction that the samples named with it make."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Disproof(Record):
+    """Why the data contradict the bounds: gains for the row 0, whose bound would have to be negative.
+
+        0 <= sum lambda'(y - ybar) + theta b(lambda)
+
+    Attributes
+    ----------
+    readings : Readings
+    factors : dict of str to float
+        The least factor by which all bounds together ("all"), that on w alone ("w") or those on v alone ("v") would
+        have to grow; infinity where no factor suffices. Each is proven by its gains.
+    gains : dict of str to (R,) arrays
+        One number for each row that was read.
+    scales : (n,) array
+        Sizes of the states in which the proof's integrals are evaluated; any will do.
+    """
+
+    readings: Readings
+    factors: dict[str, float]
+    gains: dict[str, Array]
+    scales: Array = field(repr=False)
+
+    @property
+    def times(self) -> Array:
+        """Times of the samples that make nine tenths of it, the strongest first."""
+        return freeze(self.readings.times[self.strongest])
+
+    @property
+    def samples(self) -> npt.NDArray[np.intp]:
+        """The same samples, counted from 0 among all times at which something was read."""
+        sampled = np.cumsum(np.diff(self.readings.offsets) > 0) - 1
+        return np.asarray(sampled[self.strongest])
+
+    @property
+    def strongest(self) -> npt.NDArray[np.intp]:
+        """Places of those times among all of the readings."""
+        shares = np.zeros(len(self.readings.times))
+        np.add.at(shares, self.readings.nodes, np.abs(self.gains["all"]) * self.readings.size)
+        if not shares.any():
+            np.add.at(shares, self.readings.nodes, np.abs(self.gains["all"] * self.readings.shown))
+        order = np.argsort(-shares, kind="stable")
+        count = int(np.searchsorted(np.cumsum(shares[order]), MOSTLY * shares.sum())) + 1
+        return np.asarray(order[:count])
+
+    def verify(self) -> bool:
+        """Whether the gains prove the factors, evaluated without a solver."""
+        program = _program(self.readings, self.scales)
+        return all(
+            factor <= 0 or program.growth(which, self.gains[which]) >= factor * (1 - KEPT)
+            for which, factor in self.factors.items()
+        )
+
+    def _rows(self) -> list[tuple[str, str]]:
+        unit = self.readings.plant.time_unit
+        return [
+            ("samples at", f"{short(self.times)} {unit}"),
+            ("all bounds", f"{short(self.factors['all'], 3)} times as large at least"),
+            *((f"that on {k} alone", _grown(self.factors[k])) for k in ("w", "v")),
+        ]
+
+    def explain(self) -> str:
+        """Say what contradicts what, and by how much."""
+        when = ", ".join(short(t) for t in self.times[:4])
+        alone = ", ".join(f"that on {k} alone {_grown(self.factors[k])}" for k in ("w", "v"))
+        return (
+            f"The data contradict the bounds, most of all the samples at {when}: all bounds together would have to be "
+            f"{short(self.factors['all'], 3)} times as large; {alone}."
+        )
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data; a factor that is infinite becomes None."""
+        return {
+            "times": self.times.tolist(),
+            "factors": {k: float(x) if np.isfinite(x) else None for k, x in self.factors.items()},
+            "gains": {k: x.tolist() for k, x in self.gains.items()},
+        }
+
+
+def _program(readings: Readings, scales: Array) -> RecordProgram:
+    return RecordProgram(readings, GapTable(readings.A, readings.G, scales))
+
+
+def _grown(factor: float) -> str:
+    return f"{short(factor, 3)} times" if np.isfinite(factor) else "never suffices"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Interval(Record):
+    """The values that the data leave possible, for each wanted row.
+
+        lower <= z <= upper,    upper = c'xbar + min over gains of sum lambda'y + b(lambda),   lower = -upper(-c)
+
+    Attributes
+    ----------
+    readings : Readings
+        All that it was made from.
+    t : float
+    rows : WantedRows
+    lower, upper : (r,) arrays
+    gains : (r, 2, R) array
+        Proof of the upper and of the lower end: one number for each row that was read, in plain units.
+    scales : (n,) array
+        Sizes of the states in which the proof's integrals are evaluated; any will do.
+    outer : (r, 2) array or None
+        Lower and upper ends that are proven elsewhere (an estimator's ellipsoid); where one is the tighter, it is
+        the end.
+    disproof : Disproof or None
+        Where the data contradict the bounds; the ends are NaN then.
+    """
+
+    readings: Readings
+    t: float
+    rows: WantedRows
+    lower: Array
+    upper: Array
+    gains: Array = field(repr=False)
+    scales: Array = field(repr=False)
+    outer: Array | None = None
+    disproof: Disproof | None = None
+
+    @property
+    def plant(self) -> Plant:
+        """The plant."""
+        return self.readings.plant
+
+    @property
+    def contradiction(self) -> float:
+        """0 where the data agree with the bounds, else the least factor by which all of them would have to grow."""
+        return 0.0 if self.disproof is None else self.disproof.factors["all"]
+
+    @property
+    def samples(self) -> npt.NDArray[np.intp]:
+        """Samples that make nine tenths of a contradiction, the strongest first."""
+        return np.zeros(0, dtype=np.intp) if self.disproof is None else self.disproof.samples
+
+    @property
+    def centre(self) -> Array:
+        """The best point: no other estimate has a smaller largest error. NaN where a row is unbounded both ways."""
+        with np.errstate(invalid="ignore"):
+            return freeze((self.lower + self.upper) / 2)
+
+    @property
+    def radii(self) -> Array:
+        """Half-widths."""
+        return freeze((self.upper - self.lower) / 2)
+
+    def radii_from(self, z: npt.ArrayLike) -> Array:
+        """Return the distance from an estimate z (r,) of the rows to the far ends: what its error is at most."""
+        z = checks.vector("z", z, len(self.rows))
+        return freeze(np.maximum(self.upper - z, z - self.lower))
+
+    def holds(self, truth: npt.ArrayLike) -> bool:
+        """Whether rows of the state `truth` lie in their intervals."""
+        z = self.rows.matrix @ checks.vector("truth", truth, self.plant.n_states)
+        return bool(np.all((self.lower <= z) & (z <= self.upper)))
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write what was read, the bounds and the gains as JSON, with the ends that the gains alone prove.
+
+        Parameters
+        ----------
+        path : path
+            Ends in .json. `Interval.load` reads it, `sampling-design verify` and the standalone checkers prove it.
+
+        Returns
+        -------
+        Path
+            The file, written whole or not at all.
+
+        Raises
+        ------
+        ArgumentError
+            If the ending is another one.
+        """
+        return interval_file.write_tree(self._sealed(), path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Interval:
+        """Read an interval from the file that `save` wrote.
+
+        Parameters
+        ----------
+        path : path
+
+        Returns
+        -------
+        Interval
+            Not yet proven again: call `verify()`.
+
+        Raises
+        ------
+        FileFormatError
+            If the file is missing, cut off, altered, or holds something else.
+        """
+        found, plant = interval_file.read_tree(path)
+        readings, rows = interval_file.readings_of(found, plant)
+        lower, upper = _ends(found.ends)
+        disproof, scales = None, freeze(found.scales)
+        if found.factors is not None:
+            nothing = np.inf, np.zeros(found.gains.shape[2])
+            stated = {which: found.factors.get(which, nothing) for which in SPREADS}
+            factors = {which: factor for which, (factor, _) in stated.items()}
+            disproof = Disproof(readings, factors, {which: freeze(own) for which, (_, own) in stated.items()}, scales)
+            lower = upper = freeze(np.full(len(rows), np.nan))
+        return cls(readings, found.t, rows, lower, upper, freeze(found.gains), scales, disproof=disproof)
+
+    def _sealed(self) -> dict[str, Plain]:
+        readings, found = self.readings, self.disproof
+        lower, upper = np.full(len(self.rows), -np.inf), np.full(len(self.rows), np.inf)
+        if found is None:
+            program = _program(readings, self.scales)
+            for k, row in enumerate(self.rows.matrix):
+                up, down = program.upper(self.t, row, self.gains[k, 0]), program.upper(self.t, -row, self.gains[k, 1])
+                upper[k] = up.value + interval_file.STATED * up.width
+                lower[k] = -down.value - interval_file.STATED * down.width
+        proof = None if found is None else (found.factors, found.gains)
+        return interval_file.tree_of(readings, self.t, self.rows, (lower, upper), self.gains, self.scales, proof)
+
+    def verify(self, rigorous: bool = False) -> bool:
+        """Whether the gains prove both ends (or the contradiction), evaluated without a solver.
+
+        Parameters
+        ----------
+        rigorous : bool
+            With every rounding bounded, as the standalone checkers do it, for the ends that `save` writes (wider by a
+            millionth; those of the gains alone where an ellipsoid is tighter).
+        """
+        if rigorous:
+            return verdict(self._sealed()).passed
+        if self.disproof is not None:
+            return bool(np.isnan(self.upper).all()) and self.disproof.verify()
+        program = _program(self.readings, self.scales)
+        ends = np.array([self.lower, self.upper]).T
+        for k, row in enumerate(self.rows.matrix):
+            for side, sign in enumerate((1.0, -1.0)):
+                own = program.upper(self.t, sign * row, self.gains[k, side])
+                proven = own.value
+                if self.outer is not None:
+                    proven = min(proven, sign * self.outer[k, 1 - side])
+                if not proven <= sign * ends[k, 1 - side] + KEPT * (self.upper[k] - self.lower[k]):
+                    return False
+        return True
+
+    def _rows(self) -> list[tuple[str, str]]:
+        count = int(np.sum(np.diff(self.readings.offsets) > 0))
+        lines = [("t", f"{short(self.t)} {self.plant.time_unit}"), ("samples", str(count))]
+        if self.disproof is not None:
+            return [*lines, *self.disproof._rows()]
+        ends = zip(self.rows.labels(), self.lower, self.upper, strict=True)
+        return [*lines, *((label, f"{short(a)} to {short(b)}") for label, a, b in ends)]
+
+    def explain(self) -> str:
+        """Say what the data prove."""
+        if self.disproof is not None:
+            return self.disproof.explain()
+        labels, bounded = self.rows.labels(), np.isfinite(self.lower) | np.isfinite(self.upper)
+        ends = list(zip(labels, self.lower, self.upper, bounded, strict=True))
+        said = [f"{n} from {short(a, 4)} to {short(b, 4)}" for n, a, b, known in ends if known]
+        sentences = [f"The data prove {', '.join(said)}."] if said else []
+        if not bounded.all():
+            names = ", ".join(n for n, *_, known in ends if not known)
+            modes = self.unseen_modes
+            why = f": nothing that was read shows {', '.join(modes)}" if modes else ""
+            sentences.append(f"They leave {names} unbounded{why}.")
+        return " ".join([*sentences, *([self.notice] if self.notice else [])])
+
+    @property
+    def notice(self) -> str:
+        """Say where the program is degenerate: readings that count as exact leave a set without interior."""
+        rows = [row for rows in self.readings.rows for row in rows if row.size == 0 and not row.below]
+        exact = {row.H.tobytes() for row in rows}
+        outputs = zip(self.plant.outputs.names, self.plant.C, strict=True)
+        names = [name for name, row in outputs if row.tobytes() in exact]
+        if not names:
+            return ""
+        return (
+            f"Readings of {', '.join(names)} count as exact (noise bound 0): what is possible has no interior, the "
+            "ends are proven but need not be attained, and rounding alone may contradict such data."
+        )
+
+    @property
+    def unseen_modes(self) -> tuple[str, ...]:
+        """Eigenvalues that no output that was read shows, in words."""
+        measured = {row.H.tobytes(): row.H for rows in self.readings.rows for row in rows if not row.below}
+        return unseen_modes(self.plant.A, np.array(list(measured.values())).reshape(-1, self.plant.n_states))
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data; what is unbounded becomes None."""
+        return {
+            "t": self.t,
+            "rows": {"names": list(self.rows.names), "matrix": self.rows.matrix.tolist()},
+            "lower": [float(x) if np.isfinite(x) else None for x in self.lower],
+            "upper": [float(x) if np.isfinite(x) else None for x in self.upper],
+            "contradiction": self.contradiction,
+            "gains": self.gains.tolist(),
+            "disproof": None if self.disproof is None else self.disproof.to_dict(),
+        }
+
+
+@checked
+def state_interval(
+    plant: Plant,
+    record: Iterable[Arrived],
+    t: float | None = None,
+    *,
+    w_bound: Bound = None,
+    v_bound: Bound = None,
+    initial_error: npt.ArrayLike | None = None,
+    prior: npt.ArrayLike | None = None,
+    prior_time: float | None = None,
+    of: Wanted = None,
+) -> Interval:
+    """Return the values of wanted rows that the data leave possible, with gains that prove them.
+
+    Parameters
+    ----------
+    plant : Plant
+    record : Measurements or iterable of (t, y, u)
+        In order of time; y is NaN where not measured, u holds from t on. An entry of y may be `Below(0.5)` or
+        `Above(8)` (a limit of detection) or `Mean(3.1, since=0.0)` (a composite sample).
+    t : float, optional
+        At or after the last sample; default the last sample.
+    w_bound, v_bound : float, array, mapping, or for v a function of time
+        As for `accuracy`: a number bounds the norm, entries bound each, a mapping names them and may hold pairs
+        (lower, upper); `v_bound` may have a row for each sample.
+    initial_error : float or (n,) array, optional
+        Bound on |x - prior| at `prior_time`, Euclidean or entry by entry. Default: nothing is known.
+    prior : (n,) array, optional
+        Default 0.
+    prior_time : float, optional
+        Not after the first sample; default the first sample.
+    of : str, sequence of str, or (r, n) array, optional
+        As for `accuracy`.
+
+    Returns
+    -------
+    Interval
+
+    Raises
+    ------
+    ArgumentError
+        If a bound is missing or of another shape, the record is empty or not in order, or `t` lies before its end.
+
+    Notes
+    -----
+    *Assumptions.* w, v and the initial error keep their bounds. *Claim.* Each row lies in its interval, and every value
+    in it is possible up to the width of the cells on which w is constant. If the data contradict the bounds, the gains
+    prove it. *Method.* The adversary's program with the data in place of zeros; its multipliers are gains, evaluated
+    without the solver.
+
+    References
+    ----------
+    Milanese and Tempo, Optimal algorithms theory for robust estimation and prediction (1985).
+
+    Examples
+    --------
+    >>> from sampling_design import Plant
+    >>> visits = [(0.0, [1.0], None), (1.0, [1.5], None)]
+    >>> found = state_interval(Plant([[0.0]], [[1.0]]), visits, w_bound=0.1, v_bound=0.3)
+    >>> found.lower.round(6), found.upper.round(6)
+    (array([1.2]), array([1.4]))
+    """
+    readings = read_record(plant, record, w_bound, v_bound, initial_error, prior, prior_time)
+    last = float(readings.times[-1])
+    at = last if t is None else checks.number("t", t)
+    if at < last:
+        raise ArgumentError(f"`t` must not lie before the last sample {last!r}, got {at!r}.")
+    return prove(RecordProgram(readings), at, wanted_rows(plant, of))
+
+
+def _ends(pairs: Sequence[tuple[float | None, float | None]]) -> tuple[Array, Array]:
+    """Ends of a file, infinite where there is none."""
+    lower = [-np.inf if low is None else low for low, _ in pairs]
+    return freeze(lower), freeze([np.inf if high is None else high for _, high in pairs])
+
+
+def prove(program: RecordProgram, t: float, rows: WantedRows, outer: Array | None = None) -> Interval:
+    """Return the interval of each row at t, or the proof that the data contradict the bounds."""
+    ends, readings = [], program.readings
+    for row in rows.matrix:
+        ends.append(program.solve(t, row))
+        if program.infeasible and program.contradicted:  # of data that contradict the bounds nothing else is asked
+            break
+    if program.infeasible or any(_crossed(up, down) for up, down in ends):
+        found = disprove(program)
+        if found is not None:
+            nothing = freeze(np.full(len(rows), np.nan))
+            gains = freeze(np.zeros((len(rows), 2, len(readings.y))))
+            return Interval(
+                readings=readings,
+                t=t,
+                rows=rows,
+                lower=nothing,
+                upper=nothing,
+                gains=gains,
+                scales=program.table.D,
+                outer=None,
+                disproof=found,
+            )
+    lower, upper = np.array([-down.value for _, down in ends]), np.array([up.value for up, _ in ends])
+    if outer is not None:
+        lower, upper = np.fmax(lower, outer[:, 0]), np.fmin(upper, outer[:, 1])
+    gains = freeze(np.array([(up.gains, down.gains) for up, down in ends]))
+    return Interval(readings, t, rows, freeze(lower), freeze(upper), gains, program.table.D, outer)
+
+
+def _crossed(up: RowEnd, down: RowEnd) -> bool:
+    return up.value + down.value < -DISPROVED * (up.width + down.width)
+
+
+def disprove(program: RecordProgram) -> Disproof | None:
+    """Return the proof that the readings of a program contradict the bounds; None where there is none."""
+    if not program.contradicted:
+        return None
+    gains = {which: program.least_growth(which) for which in SPREADS}
+    factors = {which: program.growth(which, gains[which]) for which in SPREADS}
+    kept = {which: freeze(found) for which, found in gains.items()}
+    return Disproof(program.readings, factors, kept, program.table.D)

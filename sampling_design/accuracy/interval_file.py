@@ -1,0 +1,141 @@
+"""Intervals as files: what was read, the bounds and the gains, closed by a digest; the checkers prove them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import __version__
+from sampling_design.accuracy.readings import DisturbanceSet, Readings, RowReading, StartError
+from sampling_design.accuracy.rows import WantedRows
+from sampling_design.checkers import claims
+from sampling_design.checkers.interval_file import OfInterval
+from sampling_design.checkers.parts import FORMAT, digest
+from sampling_design.checkers.strict import Altered, BadFile
+from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.plants.files import plant_from_dict
+from sampling_design.plants.plant import Plant
+from sampling_design.records import file_io
+from sampling_design.records.checks import freeze
+from sampling_design.records.record import Plain
+
+Array = npt.NDArray[np.float64]
+
+CLAIM = "interval"
+
+STATED = 1e-6
+"""Share of its width by which an end that is written lies further out than its gains prove: room for rounding."""
+
+
+def tree_of(
+    readings: Readings,
+    t: float,
+    rows: WantedRows,
+    ends: tuple[Array, Array],
+    gains: Array,
+    scales: Array,
+    disproof: tuple[dict[str, float], dict[str, Array]] | None,
+) -> dict[str, Plain]:
+    """Return the plain data of an interval's file, digest included; the ends are those that the gains prove."""
+    root = readings.start.root
+    data: dict[str, Plain] = {
+        "format": FORMAT,
+        "claim": CLAIM,
+        "plant": readings.plant.to_dict(),
+        "t": t,
+        "rows": {"names": list(rows.names), "units": list(rows.units), "matrix": rows.matrix.tolist()},
+        "lower": _or_nothing(ends[0]),
+        "upper": _or_nothing(ends[1]),
+        "gains": gains.tolist(),
+        "scales": scales.tolist(),
+        "start": {
+            "time": float(readings.times[0]),
+            "centre": readings.centre.tolist(),
+            "root": None if root is None else root.tolist(),
+            "ball": bool(readings.start.ball),
+        },
+        "w": {
+            "centre": readings.push.centre.tolist(),
+            "root": readings.push.root.tolist(),
+            "ball": bool(readings.push.ball),
+        },
+        "noise_together": bool(readings.ball),
+        "inputs": [{"t": float(at), "u": u.tolist()} for at, u in readings.inputs] if readings.plant.n_inputs else [],
+        "readings": [
+            {"t": float(at), "rows": [_row(row) for row in rows]}
+            for at, rows in zip(readings.times, readings.rows, strict=True)
+        ],
+        "disproof": None,
+        "tool": {"name": "sampling_design", "version": __version__},
+    }
+    if disproof is not None:
+        factors, proofs = disproof
+        stated = {key: x * (1 - STATED) if np.isfinite(x) else None for key, x in factors.items()}
+        data["disproof"] = {"factors": stated, "gains": {key: x.tolist() for key, x in proofs.items()}}
+    data["digest"] = digest(data)
+    return data
+
+
+def _row(row: RowReading) -> dict[str, Plain]:
+    since = None if row.since is None else float(row.since)
+    return {"row": row.H.tolist(), "y": float(row.y), "size": float(row.size), "below": bool(row.below), "since": since}
+
+
+def _or_nothing(values: Array) -> list[float | None]:
+    return [float(x) if np.isfinite(x) else None for x in values]
+
+
+def write_tree(data: dict[str, Plain], path: str | os.PathLike[str]) -> Path:
+    """Write such data as JSON, whole or not at all.
+
+    Raises
+    ------
+    ArgumentError
+        If the ending is not .json.
+    """
+    if Path(path).suffix.lower() != ".json":
+        raise ArgumentError(f"`path` of an interval must end in .json, got {os.fspath(path)!r}.")
+    return file_io.write_text(path, file_io.to_json(data))
+
+
+def read_tree(path: str | os.PathLike[str]) -> tuple[OfInterval, Plant]:
+    """Return what a file claims and the plant, every size compared.
+
+    Raises
+    ------
+    FileFormatError
+        If it is missing, cut off, altered, or holds something else.
+    """
+    where = os.fspath(path)
+    data = file_io.from_json(file_io.read_text(where), where)
+    try:
+        found = claims.certificate(data)
+    except BadFile as error:
+        sentence = f"{error}" if f"{error}".endswith(("?", ".")) else f"{error}."
+        said = f"{where}: {'' if isinstance(error, Altered) else 'is no interval: '}{sentence}"
+        raise FileFormatError(said, where) from None
+    if not isinstance(found, OfInterval):
+        raise FileFormatError(
+            f"{where}: claims {data['claim']!r}, expected 'interval'. Use load_certificate for a certificate.", where
+        )
+    return found, plant_from_dict(data["plant"], where)
+
+
+def readings_of(found: OfInterval, plant: Plant) -> tuple[Readings, WantedRows]:
+    """Return readings and rows of a file that was read."""
+    readings = Readings(
+        plant=plant,
+        push=DisturbanceSet(freeze(found.push_centre), freeze(found.push_root), found.push_ball),
+        start=StartError(None if found.root is None else freeze(found.root), found.start_ball),
+        centre=freeze(found.centre),
+        times=freeze(found.times),
+        rows=tuple(
+            tuple(RowReading(freeze(r.row), r.y, r.size, r.below, r.since) for r in some) for some in found.readings
+        ),
+        ball=found.together,
+        inputs=tuple((at, freeze(u)) for at, u in found.inputs),
+    )
+    return readings, WantedRows(freeze(found.rows), found.names, found.units)

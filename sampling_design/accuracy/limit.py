@@ -1,0 +1,384 @@
+"""What no schedule beats: an adversary whom even continuous measurement at every allowed time would not show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.bounds import Bound, SignalBounds
+from sampling_design.accuracy.question import AccuracyQuestion
+from sampling_design.accuracy.rows import Wanted, WantedRows, wanted_rows
+from sampling_design.accuracy.search import ChainSearch
+from sampling_design.accuracy.undetectable import GOLDEN, DetectablePart, known_part
+from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains, physical
+from sampling_design.errors import ArgumentError
+from sampling_design.numerics.linalg import expm_batch
+from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.checks import freeze
+from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.signatures import checked
+from sampling_design.schedules.schedule import PeriodicSchedule
+
+Array = npt.NDArray[np.float64]
+Zones = Sequence[tuple[float, float]] | None
+
+SETTLING = (0.6, 0.9)
+"""By how much the filter's fastest error shrinks from one node to the next, when nodes are first spread."""
+
+HALVINGS = 6
+"""Halvings of the step between nodes, until the trajectory keeps its bounds between them too."""
+
+NODES = 512
+"""Nodes that an adversary may last."""
+
+CROWDED = 160
+"""Nodes of one period, all zones together."""
+
+SCALINGS = 80
+
+SHALLOW = 32
+"""Nodes of the first attack."""
+
+OFFSETS = 5
+"""Offsets of the longest gap between zones that are attacked first."""
+
+ON_EDGE = 1e-9
+"""Share of the times at hand within which the end of a gap and that of a zone are one."""
+
+
+@dataclass(frozen=True, eq=False)
+class LimitWitness:
+    """An attack, and where in the period of the zones its last node stands; None where nothing is needed."""
+
+    attack: AccuracyWitness | None
+    phase: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AccuracyLimit(Record):
+    """A lower bound on the least guaranteed error of each row that holds for every schedule of the allowed times.
+
+    Attributes
+    ----------
+    plant : Plant
+    rows : WantedRows
+    bounds : SignalBounds
+    zones : (m, 2) array or None
+        Allowed times of each period; None: all times.
+    period : float
+        Of the zones; 0 without them.
+    lower : (r,) array
+        Attained by `witnesses`: infinite where not even continuous measurement shows a mode.
+    witnesses : tuple of LimitWitness
+        From rest, with |C x(t)| within v_bound at every allowed real time.
+    unknown : tuple of str
+        Eigenvalues of modes that no measurement shows.
+    """
+
+    plant: Plant
+    rows: WantedRows
+    bounds: SignalBounds
+    zones: Array | None
+    period: float
+    lower: Array
+    witnesses: tuple[LimitWitness, ...]
+    unknown: tuple[str, ...]
+
+    def verify(self) -> bool:
+        """Whether every witness keeps its bounds at all allowed real times and reaches its value."""
+        known = _known(self.plant)
+        for row, lower, witness in zip(self.rows.matrix, self.lower, self.witnesses, strict=True):
+            attack, lost = witness.attack, known.touches(row)
+            if attack is None:
+                if not (lost or lower == 0):
+                    return False
+                continue
+            same = np.array_equal(attack.plant.A, known.plant.A) and np.array_equal(attack.row, row @ known.lift)
+            value, excess = _kept(witness, self.bounds, self.zones, self.period)
+            if lost or not same or excess > 1 + KEPT or value < lower * (1 - KEPT):
+                return False
+        return True
+
+    def _rows(self) -> list[tuple[str, str]]:
+        where = "all times" if self.zones is None else f"{len(self.zones)} zones in {short(self.period)}"
+        lines = [("measured at", f"{where} {self.plant.time_unit}" if self.zones is not None else where)]
+        return lines + [
+            (label, f"never below {short(x)}") for label, x in zip(self.rows.labels(), self.lower, strict=True)
+        ]
+
+    def explain(self) -> str:
+        """Say what nobody can know better."""
+        when = "Even measured at all times" if self.zones is None else "Even measured at all allowed times"
+        parts = [f"{n} is uncertain by {short(x, 4)}" for n, x in zip(self.rows.labels(), self.lower, strict=True)]
+        return f"{when}, {', '.join(parts)} at the worst moment: no schedule and no estimator knows more."
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data; what is infinite becomes None."""
+        return {
+            "rows": list(self.rows.names),
+            "lower": [float(x) if np.isfinite(x) else None for x in self.lower],
+            "zones": None if self.zones is None else self.zones.tolist(),
+            "period": self.period,
+            "unknown": list(self.unknown),
+            "witnesses": [None if one.attack is None else one.attack.to_dict() for one in self.witnesses],
+        }
+
+
+@checked
+def accuracy_limit(
+    plant: Plant,
+    *,
+    w_bound: Bound = None,
+    v_bound: Bound = None,
+    of: Wanted = None,
+    zones: Zones = None,
+    period: float | None = None,
+    rtol: float = 0.02,
+) -> AccuracyLimit:
+    """Return a lower bound on the guaranteed error of wanted rows that no schedule of the allowed times beats.
+
+        sup { c'x(t) : x(0) = 0, w within its bound, |C x(tau)| within v_bound at every allowed real time tau }
+
+    Parameters
+    ----------
+    plant : Plant
+    w_bound, v_bound : float, array or mapping
+        As for `accuracy`; the noise of all sensors at any allowed time.
+    of : str, sequence of str, or (r, n) array, optional
+        Names of states or outputs, or rows of a matrix. Default all states.
+    zones : sequence of (begin, end), optional
+        Allowed times of each period, in order and apart, 0 <= begin <= end <= period. Default all times.
+    period : float, optional
+        Of the zones.
+    rtol : float
+        What the search may lose; the bound holds whatever it is.
+
+    Returns
+    -------
+    AccuracyLimit
+
+    Raises
+    ------
+    ArgumentError
+        If a bound is missing or of another shape, zones are not in order, or one of `zones` and `period` is missing.
+
+    Notes
+    -----
+    *Assumptions.* Every schedule takes its samples at allowed times, noise and disturbance keep their bounds. *Claim.*
+    `lower` is attained: the adversary reads zero whenever it may be looked at. An exact sensor gives 0. *Method.* The
+    adversary's program with nodes at steps that are halved; then the trajectory is flown exactly, |C x| bounded between
+    nodes by chords and the second derivative, and everything divided by the largest ratio to its bound. The exact limit
+    is at most `accuracy` of any one schedule.
+
+    References
+    ----------
+    Micchelli and Rivlin, A survey of optimal recovery (1977).
+
+    Examples
+    --------
+    >>> plant = Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
+    >>> found = accuracy_limit(plant, w_bound=0.02, v_bound=0.1, of=[[1.0, 0.0]])
+    >>> bool(0.098 <= found.lower[0] <= 0.1)
+    True
+    """
+    rows, tolerance = wanted_rows(plant, of), checks.positive("rtol", rtol)
+    allowed = _zones(zones, period)
+    span = 0.0 if period is None else float(period)
+    known = _known(plant)
+    one = SignalBounds.of(plant, 1, None, w_bound, v_bound, np.zeros(1))
+    one = replace(one, w_centre=None, v_centre=None)
+    lower, found = np.full(len(rows), np.inf), [LimitWitness(None, 0.0)] * len(rows)
+    safe = [k for k, row in enumerate(rows.matrix) if not known.touches(row)]
+    exact = bool(np.any(one.v == 0))
+    for k in safe:
+        if not exact:
+            found[k] = _strongest(known.plant, rows.matrix[k] @ known.lift, one, allowed, span, tolerance)
+        witness = found[k].attack
+        lower[k] = 0.0 if witness is None else witness.value
+    return AccuracyLimit(plant, rows, one, allowed, span, freeze(lower), tuple(found), known.modes)
+
+
+def _zones(zones: Zones, period: float | None) -> Array | None:
+    if zones is None:
+        if period is not None:
+            raise ArgumentError("`period` is that of `zones`, which are missing.")
+        return None
+    if period is None:
+        raise ArgumentError("`zones` need their `period`.")
+    span = checks.positive("period", period)
+    table = np.array(checks.matrix("zones", np.asarray(list(zones), dtype=np.float64).reshape(-1, 2), None, 2))
+    if not len(table):
+        raise ArgumentError("`zones` must hold at least one (begin, end), got none.")
+    flat = table.ravel()
+    if np.any(np.diff(flat) < 0) or np.any(table[1:, 0] <= table[:-1, 1]) or flat[0] < 0 or flat[-1] > span:
+        raise ArgumentError(f"`zones` must be in order, apart and within [0, {span!r}], got {table.tolist()!r:.80}.")
+    return freeze(table)
+
+
+def _known(plant: Plant) -> DetectablePart:
+    """The plant without what not even continuous measurement shows."""
+    size = float(np.linalg.norm(plant.A * (d := balanced_schur(plant.A).d) / d[:, None], 2))
+    length = 0.1 / size if size > 0 else 1.0
+    count = 3 * plant.n_states
+    times = length * (np.arange(count) / count) ** GOLDEN
+    return known_part(plant, times, length, [np.arange(plant.n_outputs)] * count)
+
+
+def _nodes(allowed: Array | None, period: float, step: float) -> tuple[Array, float]:
+    """Nodes at most `step` apart in every zone, ends included, and the period."""
+    if allowed is None:
+        return np.zeros(1), step
+    parts = [np.linspace(a, b, int(np.ceil((b - a) / step)) + 1) if b > a else np.array([a]) for a, b in allowed]
+    nodes = np.concatenate(parts)
+    return (nodes[:-1] if nodes[-1] - nodes[0] >= period else nodes), period
+
+
+def _question(plant: Plant, bounds: SignalBounds, nodes: Array, period: float) -> AccuracyQuestion:
+    schedule = PeriodicSchedule.from_times(nodes, period)
+    v = np.broadcast_to(bounds.v, (nodes.size, plant.n_outputs))
+    return AccuracyQuestion(
+        plant, schedule, replace(bounds, v=freeze(v), v_centre=None), None, nodes, float(nodes[0] + period)
+    )
+
+
+def _step(plant: Plant, bounds: SignalBounds, allowed: Array | None, period: float) -> float:
+    """A step over which the filter's fastest error shrinks by about a quarter."""
+    size = float(np.linalg.norm(plant.A * (d := balanced_schur(plant.A).d) / d[:, None], 2))
+    step = 1 / size if size > 0 else 1.0
+    for _ in range(SCALINGS):
+        chain, _ = _question(plant, bounds, np.zeros(1), step).chain(plant)
+        sample, F = chain.samples[0], chain.gaps[0].F
+        passed = F @ (np.eye(len(F)) - sample.K @ sample.H)
+        fastest = float(np.min(np.abs(np.linalg.eigvals(passed))))
+        if fastest < SETTLING[0]:
+            step /= 2
+        elif fastest > SETTLING[1]:
+            step *= 1.5
+        else:
+            break
+    if allowed is None:
+        return step
+    crowd = float(np.sum(allowed[:, 1] - allowed[:, 0])) / CROWDED
+    return max(step, crowd, period * 1e-9)
+
+
+def _strongest(
+    plant: Plant, row: Array, bounds: SignalBounds, allowed: Array | None, period: float, rtol: float
+) -> LimitWitness:
+    """The strongest witness over finer and finer nodes."""
+    best, step = LimitWitness(None, 0.0), _step(plant, bounds, allowed, period)
+    for halving in range(HALVINGS):
+        nodes, span = _nodes(allowed, period, step)
+        if nodes.size > 2 * CROWDED and halving:
+            break
+        question = _question(plant, bounds, nodes, span)
+        found, factor = _attack(ChainSearch(*question.chain(plant)), question, row, allowed, period, rtol)
+        if found.attack is not None and (best.attack is None or found.attack.value > best.attack.value):
+            best = found
+        if factor <= 1 + rtol / 2:
+            break
+        step /= 2
+    return best
+
+
+def _attack(
+    search: ChainSearch, question: AccuracyQuestion, row: Array, allowed: Array | None, period: float, rtol: float
+) -> tuple[LimitWitness, float]:
+    """A witness that is admissible at all allowed real times, and by how much it had to shrink for it."""
+    found = search.opened(row)
+    j = int(np.argmax([search.chain.length(k) for k in range(len(search.chain))]))
+    at, search.deep, before = 0, SHALLOW, 0.0
+    if allowed is not None:
+        last = found.opened[j].d.size - 1
+        tries = [last * k // OFFSETS for k in range(1, OFFSETS + 1)]
+        for offset in tries:
+            search.attack(j, found.opened[j].mu[offset], rough=True)
+        at = int(np.argmax(search.attained(found, j)))
+    while True:
+        search.attack(j, found.opened[j].mu[at])
+        now = float(search.attained(found, j)[at])
+        if now <= before * (1 + rtol / 4) or 2 * search.deep > NODES:
+            break
+        before = now
+        search.deep *= 2
+    choices = []
+    for k, opened in enumerate(found.opened):
+        for strike in search.strikes[k]:
+            values = np.abs(opened.mu @ strike.end) + opened.below
+            place = 0 if allowed is None else int(np.argmax(values))
+            choices.append((float(values[place]), place, strike))
+    _, place, strike = max(choices, key=lambda choice: choice[0])
+    attack = physical(row, found.opened[strike.sample], strike, place)
+    witness = LimitWitness(replace(attack, last=0), float(question.nodes[strike.sample]))
+    value, excess = _kept(witness, question.bounds, allowed, period)
+    if not value > 0 or not np.isfinite(excess):
+        return LimitWitness(None, 0.0), np.inf if value > 0 else 1.0
+    factor = max(excess, 1.0)
+    w, states = freeze(attack.w / factor), freeze(attack.states / factor)
+    smaller = replace(attack, w=w, states=states, value=value / factor, last=0)
+    return replace(witness, attack=smaller), factor
+
+
+def _kept(witness: LimitWitness, bounds: SignalBounds, zones: Array | None, period: float) -> tuple[float, float]:
+    """What a witness attains, and the factor by which it exceeds its bounds at all allowed times."""
+    assert witness.attack is not None
+    value, excess = attains(witness.attack, replace(bounds, v=bounds.v[:1]))
+    if not np.isfinite(excess):
+        return value, excess
+    return value, max(excess, _between(witness.attack, bounds, _looked_into(witness, zones, period)))
+
+
+def _looked_into(witness: LimitWitness, zones: Array | None, period: float) -> npt.NDArray[np.bool_]:
+    """Which gaps of a witness hold an allowed time; the last one is what follows its last node."""
+    assert witness.attack is not None
+    samples = witness.attack.samples
+    marks = np.append(samples, witness.attack.edges[-1]) - samples[-1] + witness.phase
+    if zones is None:
+        return np.ones(samples.size, dtype=bool)
+    slack = ON_EDGE * max(period, float(np.abs(marks).max()))
+    found = np.zeros(samples.size, dtype=bool)
+    for k, (a, b) in enumerate(pairwise(marks)):
+        for shift in range(int(np.floor(a / period)) - 1, int(np.floor(b / period)) + 2):
+            begin, end = (zones + shift * period).T
+            found[k] |= bool(np.any((begin < b - slack) & (end > a + slack)))
+    return found
+
+
+def _between(witness: AccuracyWitness, bounds: SignalBounds, looked: npt.NDArray[np.bool_]) -> float:
+    """The largest ratio of |C x| to its bound within some gaps, for all real times.
+
+    On a cell w is constant: y'' = C A e^{As} q with q = A x + G w, and |y| lies below its chord plus d^2/8 sup|y''|.
+    """
+    plant, scale = witness.plant, witness.scales()
+    A, G = plant.A * scale / scale[:, None], plant.G / scale[:, None]
+    measured = np.isfinite(bounds.v[0])
+    C = plant.C[measured] * scale / bounds.v[0, measured, None]
+    n, q = G.shape
+    joint = np.zeros((n + q, n + q))
+    joint[:n] = np.hstack([A, G])
+    lengths = np.diff(witness.edges)
+    flows = expm_batch(joint, lengths)[:, :n]
+    ends = np.searchsorted(witness.edges, [*witness.samples, witness.edges[-1]])
+    size, bend, third = np.linalg.norm(A, 2), C @ A, np.linalg.norm(C @ A @ A, axis=1)
+    largest = 0.0
+    for k in np.flatnonzero(looked):
+        x = witness.states[k] / scale
+        for cell in range(ends[k], ends[k + 1]):
+            h, following = lengths[cell], flows[cell] @ np.concatenate([x, witness.w[cell]])
+            start, end = A @ x + G @ witness.w[cell], A @ following + G @ witness.w[cell]
+            drift = h / 2 * third * np.exp(size * h) * max(np.linalg.norm(start), np.linalg.norm(end))
+            turn = np.maximum(np.abs(bend @ start), np.abs(bend @ end)) + drift
+            y = np.maximum(np.abs(C @ x), np.abs(C @ following)) + h * h / 8 * turn
+            if bounds.v_ball:
+                ends_norm = max(np.linalg.norm(C @ x), np.linalg.norm(C @ following))
+                largest = max(largest, float(ends_norm + h * h / 8 * np.linalg.norm(turn)))
+            else:
+                largest = max(largest, float(np.max(y, initial=0.0)))
+            x = following
+    return largest

@@ -1,0 +1,116 @@
+"""What is asked: a plant, a schedule with or without an end, bounds, and what is known at the start."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.bounded_directions import BoundedDirections
+from sampling_design.accuracy.bounds import Bound, SignalBounds
+from sampling_design.accuracy.finite import finite_atoms, finite_chain
+from sampling_design.accuracy.sample_chain import SampleChain, endless_chain
+from sampling_design.accuracy.start import InitialError, InitialSet
+from sampling_design.accuracy.undetectable import DetectablePart, known_part
+from sampling_design.errors import ArgumentError
+from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.checks import freeze
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class AccuracyQuestion:
+    """A plant, a schedule and bounds.
+
+    Attributes
+    ----------
+    bounds : SignalBounds
+        One row of v for each node.
+    initial : InitialSet or None
+        None: the schedule is endless.
+    nodes : (N,) array
+        Sample times of the period; of a finite schedule its start, which may be a sample, and its samples.
+    end : float
+        Of the period that begins at the first node, or of the finite schedule.
+    """
+
+    plant: Plant
+    schedule: Schedule | PeriodicSchedule
+    bounds: SignalBounds
+    initial: InitialSet | None
+    nodes: Array
+    end: float
+
+    @classmethod
+    def endless(cls, plant: Plant, schedule: PeriodicSchedule, w_bound: Bound, v_bound: Bound) -> AccuracyQuestion:
+        """Ask about a periodic schedule, so long under way that its start no longer matters."""
+        times = schedule.times
+        bounds = SignalBounds.of(plant, len(schedule), schedule.outputs, w_bound, v_bound, times)
+        return cls(plant, schedule, bounds, None, times, float(times[0] + schedule.period))
+
+    @classmethod
+    def finite(
+        cls,
+        plant: Plant,
+        schedule: Schedule,
+        w_bound: Bound,
+        v_bound: Bound,
+        initial_error: InitialError,
+        start: float | None,
+        end: float | None,
+    ) -> AccuracyQuestion:
+        """Ask about a finite schedule between `start` (default: its first sample) and `end` (default: its last).
+
+        Raises
+        ------
+        ArgumentError
+            If a sample lies outside, or a bound is missing or of another shape.
+        """
+        times = schedule.times
+        if not times.size:
+            raise ArgumentError("`schedule` must have at least one sample, got none.")
+        first = float(times[0]) if start is None else checks.number("start", start)
+        last = float(times[-1]) if end is None else checks.number("end", end)
+        if first > times[0]:
+            raise ArgumentError(f"`start` must not lie after the first sample {float(times[0])!r}, got {first!r}.")
+        if last < times[-1]:
+            raise ArgumentError(
+                f"`end` must not lie before the last sample {float(times[-1])!r}, got {last!r}. "
+                "Cut the schedule: schedule.between(start, end)."
+            )
+        bounds = SignalBounds.of(plant, times.size, schedule.outputs, w_bound, v_bound, times)
+        if first < times[0]:
+            v = np.vstack([np.full((1, plant.n_outputs), np.inf), bounds.v])
+            middle = None if bounds.v_centre is None else np.vstack([np.zeros((1, plant.n_outputs)), bounds.v_centre])
+            bounds = replace(bounds, v=freeze(v), v_centre=None if middle is None else freeze(middle))
+            times = np.append(first, times)
+        return cls(plant, schedule, bounds, InitialSet.of(plant, initial_error), times, last)
+
+    @property
+    def samples(self) -> npt.NDArray[np.intp]:
+        """Nodes that are samples."""
+        return np.arange(self.nodes.size - len(self.schedule), self.nodes.size)
+
+    def known(self) -> DetectablePart:
+        """The plant without what an endless schedule can never show."""
+        if not isinstance(self.schedule, PeriodicSchedule):
+            n = self.plant.n_states
+            return DetectablePart(self.plant, np.eye(n), np.zeros((n, 0)), ())
+        outputs = [self.bounds.measured(j) for j in range(self.nodes.size)]
+        return known_part(self.plant, self.nodes, self.schedule.period, outputs)
+
+    def chain(self, plant: Plant, moving: Array | None = None) -> tuple[SampleChain, list[BoundedDirections]]:
+        """The chain whose gap j lies behind node j, and what its filter bounds; `plant` is the known part.
+
+        `moving` (n, m) is what no sample of an endless schedule shows, as it is at the first one.
+        """
+        if self.initial is not None:
+            chain = finite_chain(plant, self.nodes, self.end, self.bounds, self.initial)
+            return chain, finite_atoms(chain)
+        chain = endless_chain(plant, np.diff(self.nodes, append=self.end), self.bounds, moving)
+        r = chain.determined
+        return chain, [BoundedDirections(np.eye(plant.n_states)[:, :r], reach[:r]) for reach in chain.reach]

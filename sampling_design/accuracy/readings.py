@@ -1,0 +1,441 @@
+"""What came: rows of the state that were read at given times, what was known at the start, and bounds; in plain units.
+
+A mean over an interval is a row of a longer state: x and, for each output that is read so, its integral since the
+interval began, which is set to zero there.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from itertools import pairwise
+from operator import itemgetter
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.errors import ArgumentError
+from sampling_design.numerics.linalg import expm_batch
+from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.checks import freeze
+
+Array = npt.NDArray[np.float64]
+Arrived = tuple[float, object, npt.ArrayLike | None]
+
+
+@dataclass(frozen=True, eq=False)
+class StartError:
+    """What is known of the error at the start: e = root a, |a| <= 1 in the Euclidean norm (`ball`) or entry by entry.
+
+    Without a root nothing is known.
+    """
+
+    root: Array | None = None
+    ball: bool = False
+
+    @classmethod
+    def of(cls, plant: Plant, bound: npt.ArrayLike | None) -> StartError:
+        """Return a bound as typed by a user: None, a number (Euclidean), or one for each entry.
+
+        Raises
+        ------
+        ArgumentError
+            If it is negative or of another shape.
+        """
+        if bound is None:
+            return cls()
+        n = plant.n_states
+        if checks.dimensions(bound) == 0:
+            return cls(freeze(np.eye(n) * checks.nonnegative("initial_error", bound)), n > 1)
+        size = checks.vector("initial_error", bound, n)
+        if np.any(size < 0):
+            raise ArgumentError(f"`initial_error` must not be negative, got {float(size.min())!r}.")
+        return cls(freeze(np.diag(size)), False)
+
+    def support(self, rest: Array) -> float:
+        """Return h(rest), a root given."""
+        assert self.root is not None
+        weights = self.root.T @ rest[: len(self.root)]
+        return float(np.linalg.norm(weights) if self.ball else np.abs(weights).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class DisturbanceSet:
+    """The disturbances that may be: w = centre + root a, |a| <= 1 in the Euclidean norm (`ball`) or entry by entry."""
+
+    centre: Array
+    root: Array
+    ball: bool
+
+
+class RowReading(NamedTuple):
+    """Something read at a time: |H x - y| <= size, one-sided H x <= y + size where `below`.
+
+    `since`: a mean of H x from that time on.
+    """
+
+    H: Array
+    y: float
+    size: float
+    below: bool = False
+    since: float | None = None
+
+
+@dataclass(frozen=True)
+class BelowDetection:
+    """A reading under the limit of detection: "<0.5"."""
+
+    limit: float
+
+
+@dataclass(frozen=True)
+class AboveRange:
+    """A reading beyond the instrument's range: ">8"."""
+
+    limit: float
+
+
+@dataclass(frozen=True)
+class CompositeReading:
+    """A composite sample: the mean of the output from `since` until now, a number or itself a limit."""
+
+    value: float | BelowDetection | AboveRange
+    since: float
+
+
+class CensoredReading(NamedTuple):
+    """What an output is known to lie between, now or (`since`) in the mean from that time on."""
+
+    output: int
+    lower: float
+    upper: float
+    since: float | None = None
+
+    def shifted(self, by: float) -> CensoredReading:
+        """Return the same of a clock that shows `by` more."""
+        return self if self.since is None else self._replace(since=self.since + by)
+
+
+def told(y: object, p: int) -> tuple[object, tuple[CensoredReading, ...]]:
+    """Return measurements with NaN in place of limits and means, and those.
+
+    Raises
+    ------
+    ArgumentError
+        If a limit or the mean is not a finite number.
+    """
+    if isinstance(y, (BelowDetection, AboveRange, CompositeReading)):
+        y = [y]
+    if not isinstance(y, (list, tuple)) or not any(
+        isinstance(value, (BelowDetection, AboveRange, CompositeReading)) for value in y
+    ):
+        return y, ()
+    plain: list[object] = []
+    found = []
+    for output, value in enumerate(y):
+        if isinstance(value, (BelowDetection, AboveRange, CompositeReading)):
+            found.append(_told(output, value))
+            plain.append(np.nan)
+        else:
+            plain.append(value)
+    return plain, tuple(found)
+
+
+def _told(output: int, value: BelowDetection | AboveRange | CompositeReading) -> CensoredReading:
+    since, held = (
+        (checks.number("since", value.since), value.value) if isinstance(value, CompositeReading) else (None, value)
+    )
+    if isinstance(held, BelowDetection):
+        return CensoredReading(output, -np.inf, checks.number("limit", held.limit), since)
+    if isinstance(held, AboveRange):
+        return CensoredReading(output, checks.number("limit", held.limit), np.inf, since)
+    mean = checks.number("value", held)
+    return CensoredReading(output, mean, mean, since)
+
+
+def as_typed(found: CensoredReading) -> BelowDetection | AboveRange | CompositeReading:
+    """Return what is told of an output as a user gives it."""
+    if np.isinf(found.lower):
+        value: float | BelowDetection | AboveRange = BelowDetection(found.upper)
+    else:
+        value = AboveRange(found.lower) if np.isinf(found.upper) else found.lower
+    if found.since is not None:
+        return CompositeReading(value, found.since)
+    assert isinstance(value, (BelowDetection, AboveRange))
+    return value
+
+
+def rows_told(
+    plant: Plant, t: float, found: CensoredReading, size: float, centre: float, inputs: Sequence[tuple[float, Array]]
+) -> tuple[RowReading, ...]:
+    """Return what is told of an output as rows of the state: less D u and the centre of the noise."""
+    i, n = found.output, plant.n_states
+    fed = float(plant.D[i] @ _mean_input(inputs, found.since, t, plant.n_inputs)) + centre
+    H = plant.C[i]
+    if found.lower == found.upper:
+        return (RowReading(H, found.lower - fed, size, since=found.since),)
+    assert H.shape == (n,)
+    if np.isfinite(found.upper):
+        return (RowReading(H, found.upper - fed, size, True, found.since),)
+    return (RowReading(-H, fed - found.lower, size, True, found.since),)
+
+
+def _mean_input(inputs: Sequence[tuple[float, Array]], since: float | None, t: float, count: int) -> Array:
+    """The input at t, or its mean from `since` until t; 0 before the first."""
+    times = [given for given, _ in inputs]
+    if since is None or since >= t:
+        at = bisect_right(times, t)
+        return inputs[at - 1][1] if at else np.zeros(count)
+    marks = [since, *(given for given in times if since < given < t), t]
+    held = [_mean_input(inputs, None, a, count) for a in marks[:-1]]
+    return np.asarray(np.diff(marks) @ np.array(held).reshape(len(held), count) / (t - since))
+
+
+@lru_cache(maxsize=64)
+def _even_sizes(A: bytes, n: int) -> Array:
+    """Sizes of the states in which A is even; the same plant is asked for with every sample."""
+    return freeze(balanced_schur(np.frombuffer(A).reshape(n, n)).d)
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """All that is known of a plant up to some time.
+
+    Attributes
+    ----------
+    plant : Plant
+    push : DisturbanceSet
+    start : StartError
+        Of x(times[0]) - centre.
+    centre : (n,) array
+    times : (K,) array
+        Increasing; at each some rows (or none) were read.
+    rows : tuple of tuples of Row
+        Those of each time; y less D u.
+    ball : bool
+        The sizes of the two-sided rows of one time bound a Euclidean norm together.
+    inputs : tuple of (t, u)
+        In order of time; u holds from t on, 0 before the first.
+    """
+
+    plant: Plant
+    push: DisturbanceSet
+    start: StartError
+    centre: Array
+    times: Array
+    rows: tuple[tuple[RowReading, ...], ...]
+    ball: bool
+    inputs: tuple[tuple[float, Array], ...] = ()
+
+    @cached_property
+    def means(self) -> tuple[bytes, ...]:
+        """Rows that are read as means, by their bytes: each has an integral of its own."""
+        return tuple(dict.fromkeys(row.H.tobytes() for rows in self.rows for row in rows if row.since is not None))
+
+    @cached_property
+    def A(self) -> Array:
+        """A of x and of the integrals."""
+        n, A = self.plant.n_states, self.plant.A
+        if not self.means:
+            return A
+        longer = np.zeros((n + len(self.means),) * 2)
+        longer[:n, :n] = A
+        longer[n:, :n] = [np.frombuffer(key) for key in self.means]
+        return longer
+
+    @cached_property
+    def G(self) -> Array:
+        """Effect of a where w = centre + root a."""
+        G = self.plant.G @ self.push.root
+        return np.asarray(np.vstack([G, np.zeros((len(self.means), G.shape[1]))]))
+
+    @cached_property
+    def H(self) -> Array:
+        """(R, n) all rows, one time after the other."""
+        n = self.plant.n_states
+        stacked = np.zeros((self.offsets[-1], len(self.A)))
+        flat = [(t, row) for t, rows in zip(self.times, self.rows, strict=True) for row in rows]
+        for k, (t, row) in enumerate(flat):
+            if row.since is None:
+                stacked[k, :n] = row.H
+            else:
+                stacked[k, n + self.means.index(row.H.tobytes())] = 1 / (t - row.since)
+        return stacked
+
+    @cached_property
+    def offsets(self) -> npt.NDArray[np.intp]:
+        """(K+1,) where the rows of each time begin."""
+        return np.concatenate([[0], np.cumsum([len(rows) for rows in self.rows])]).astype(np.intp)
+
+    @cached_property
+    def nodes(self) -> npt.NDArray[np.intp]:
+        """(R,) the time of each row."""
+        return np.repeat(np.arange(len(self.times)), np.diff(self.offsets))
+
+    @cached_property
+    def y(self) -> Array:
+        """(R,) values."""
+        return np.array([row.y for rows in self.rows for row in rows], dtype=np.float64)
+
+    @cached_property
+    def size(self) -> Array:
+        """(R,) bounds on the noise."""
+        return np.array([row.size for rows in self.rows for row in rows], dtype=np.float64)
+
+    @cached_property
+    def below(self) -> npt.NDArray[np.bool_]:
+        """(R,) one-sided rows."""
+        return np.array([row.below for rows in self.rows for row in rows], dtype=bool)
+
+    @cached_property
+    def kept(self) -> Array | None:
+        """(K, n) 0 for an integral that is set to zero at that time, else 1; None where there is none."""
+        if not self.means:
+            return None
+        n, found = self.plant.n_states, np.ones((len(self.times), len(self.A)))
+        for rows in self.rows:
+            for row in rows:
+                if row.since is not None:
+                    k = int(np.searchsorted(self.times, row.since))
+                    found[k, n + self.means.index(row.H.tobytes())] = 0.0
+        return found
+
+    @cached_property
+    def nominal(self) -> Array:
+        """(K, n) the state that flows from the centre with the inputs and the centre of w, integrals reset."""
+        x, pieces = np.zeros(len(self.A)), []
+        x[: self.plant.n_states] = self.centre
+        if not (self.inputs or np.any(self.centre) or np.any(self.push.centre)):
+            return np.zeros((len(self.times), len(x)))
+        marks = self.times.tolist()
+        for a, b in pairwise(marks):
+            pieces.append(self._pieces(a, b))
+        flows = iter(self._flows([length for gap in pieces for length, _ in gap]))
+        found = [x]
+        for k, gap in enumerate(pieces):
+            x = x if self.kept is None else x * self.kept[k]
+            for _, force in gap:
+                x = next(flows) @ np.concatenate([x, force])
+            found.append(x)
+        return np.array(found)
+
+    def nominal_at(self, t: float) -> Array:
+        """Return that state at t, at or after the last time."""
+        if t == self.times[-1]:
+            return np.asarray(self.nominal[-1][: self.plant.n_states])
+        x, gap = self.nominal[-1], self._pieces(float(self.times[-1]), t)
+        for flow, (_, force) in zip(self._flows([length for length, _ in gap]), gap, strict=True):
+            x = flow @ np.concatenate([x, force])
+        return np.asarray(x[: self.plant.n_states])
+
+    @cached_property
+    def shown(self) -> Array:
+        """(R,) what was read less what the nominal state would show."""
+        return np.asarray(self.y - np.einsum("rn,rn->r", self.H, self.nominal[self.nodes]))
+
+    def _pieces(self, a: float, b: float) -> list[tuple[float, Array]]:
+        """Lengths and B u + G centre of the pieces of [a, b] on which u is constant."""
+        plant, push = self.plant, self.plant.G @ self.push.centre
+        first = bisect_right(self.inputs, a, key=itemgetter(0))
+        last = bisect_left(self.inputs, b, key=itemgetter(0))
+        edges = [a, *(t for t, _ in self.inputs[first:last]), b]
+        held = [self.inputs[k - 1][1] if k else np.zeros(plant.n_inputs) for k in range(first, max(first, last) + 1)]
+        return [(d - c, plant.B @ u + push) for (c, d), u in zip(pairwise(edges), held, strict=True) if d > c]
+
+    def _flows(self, lengths: Sequence[float]) -> Array:
+        """(N, n, n + n_states) transitions, and what a constant force on the state does meanwhile."""
+        n, m, d = len(self.A), self.plant.n_states, self._balance
+        A = self.A * d / d[:, None]
+        rate = float(np.max(np.abs(A).sum(axis=0), initial=0.0)) or 1.0  # forces weigh what the states do
+        joint = np.zeros((n + m, n + m))
+        joint[:n, :n], joint[:m, n:] = A, rate * np.eye(m)
+        different, at = np.unique(np.asarray(lengths, dtype=np.float64), return_inverse=True)
+        with np.errstate(over="ignore", invalid="ignore"):
+            flow = expm_batch(joint, different)[:, :n] * d[:, None]
+            return np.asarray(flow / np.concatenate([d, rate * d[:m]]))[at]
+
+    @cached_property
+    def _balance(self) -> Array:
+        """Sizes of the states in which A is even."""
+        return _even_sizes(self.A.tobytes(), len(self.A))
+
+    def cut(self, count: int) -> Readings:
+        """Return the first `count` times alone."""
+        return replace(self, times=self.times[:count], rows=self.rows[:count])
+
+
+def gathered(
+    plant: Plant,
+    push: DisturbanceSet,
+    start: StartError,
+    centre: Array,
+    begin: float,
+    rows: Sequence[tuple[float, tuple[RowReading, ...]]],
+    *,
+    ball: bool,
+    inputs: tuple[tuple[float, Array], ...] = (),
+) -> Readings:
+    """Return the readings of rows in order of time; the start, and where a mean began, become times of their own.
+
+    Raises
+    ------
+    ArgumentError
+        If a mean began before the start, or two means of one row overlap.
+    """
+    at: dict[float, tuple[RowReading, ...]] = dict(rows)
+    spans: dict[bytes, float] = {}
+    for t, found in rows:
+        for row in found:
+            if row.since is None:
+                continue
+            if row.since < begin or row.since < spans.get(row.H.tobytes(), begin):
+                raise ArgumentError(
+                    f"`since` = {row.since!r} of the mean read at {t!r} lies before the start or in the mean before it."
+                )
+            spans[row.H.tobytes()] = t
+            at.setdefault(row.since, ())
+    if start.root is not None or not at:  # nothing is known of a state: neither of what it was before the first row
+        at.setdefault(begin, ())
+    times = sorted(at)
+    return Readings(plant, push, start, centre, freeze(times), tuple(at[t] for t in times), ball, inputs)
+
+
+class RecordRow(NamedTuple):
+    """One row of a record."""
+
+    t: float
+    y: Array | None
+    u: npt.ArrayLike | None
+    told: tuple[CensoredReading, ...] = ()
+
+
+def arrived(items: Iterable[object], p: int) -> list[RecordRow]:
+    """Return the rows (t, y, u) of a record, checked one by one.
+
+    Raises
+    ------
+    ArgumentError
+        If a row has another form or number of outputs, or an output is infinite.
+    """
+    return [_arrived(item, p) for item in items]
+
+
+def _arrived(item: object, p: int) -> RecordRow:
+    if not isinstance(item, (tuple, list)) or len(item) not in (2, 3):
+        raise ArgumentError(f"`record` must hold rows (t, y, u), got {checks.described(item)}.")
+    t, u = checks.number("t", item[0]), item[2] if len(item) == 3 else None
+    if item[1] is None:
+        return RecordRow(t, None, u)
+    plain, limits = told(item[1], p)
+    try:
+        y = np.asarray(plain, dtype=np.float64).reshape(-1)
+    except (TypeError, ValueError):
+        y = np.full(p + 1, np.nan)
+    if y.size != p or np.isinf(y).any():
+        raise ArgumentError(f"`record` must hold {p} outputs a sample, finite or NaN, got {item[1]!r:.60} at {t!r}.")
+    return RecordRow(t, y, u, limits)

@@ -1,0 +1,500 @@
+"""The cone program of one record: the largest value of a row over everything that the readings and bounds allow.
+
+    maximise  c'x(t)   over starts and w constant on cells, subject to  the bounds and every reading
+
+Its multipliers are gains; what gains prove is evaluated without the solver and for all real times (`upper`). Gains are
+kept in plain units: one number for each row that was read.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.gap_table import DisturbanceQuadrature, GapTable
+from sampling_design.accuracy.readings import Readings
+from sampling_design.accuracy.record_cones import RecordCones
+from sampling_design.accuracy.undetectable import told_of_start
+from sampling_design.accuracy.unknown_start import FreeStart
+from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED
+
+Array = npt.NDArray[np.float64]
+
+TOLERANCE = (1e-6, 3e-8, 3e-8, 1e-9)
+"""Asked of the solver at each level of cells; what it leaves open widens an interval, never breaks it."""
+
+DIFFUSE = 1e6
+"""Covariance of a free start, in scaled coordinates: for the choice of coordinates only."""
+
+BEYOND = 1e150
+"""A covariance that grows beyond it is as good as infinite: what it is made of would overflow."""
+
+EXACT = 1e-6
+"""Size given to an exact reading, in units of what w does to it over a gap: for scaling only."""
+
+ROUNDING = 1e-11
+"""Relative allowance for rounding in sums that bound from above."""
+
+HELD = 1e-13
+"""Relative error with which nominal states and readings are held."""
+
+NOTHING = 1e-10
+"""A rest below this share of the gains' terms counts as none where the start is free: rounding."""
+
+LEAST = 1e-12
+"""Eigenvalues of a correlation matrix count as so large at least, in the choice of coordinates."""
+
+CLOSED = 1e-2
+"""Share of the half-width by which the adversary may fall short of it before cells are made finer."""
+
+HALVED = 3.0
+"""Multiple of that share up to which cells of half the size are tried first: what they lose falls with their square."""
+
+COARSE = 1.1
+"""Multiple of the bounds up to which cells on which w is constant may be too coarse to explain what bounds allow."""
+
+ROOM = 1e-3
+"""How much larger than that multiple the bounds are taken where gains are sought nevertheless."""
+
+PLAIN = 12
+"""Digits after the point to which gains of the last readings alone are rounded: 1 where a row is what was read."""
+
+ALIKE = 1e-6
+"""Share of the width by which plainer gains may prove less."""
+
+DISPROVED = 1e-9
+"""A contradiction must exceed this share of its terms before the bounds count as disproved."""
+
+LEVELS = len(TOLERANCE)
+"""Levels of cells."""
+
+GROWN = 1e3
+"""Growth over a gap from which on the solver's last digits decide: its gains are then fed back, others tried."""
+
+SPREADS = ("all", "w", "v")
+"""Which bounds may grow: all of them, that on w alone, those on v alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class RowEnd:
+    """What gains prove: `value`, the upper end of a row.
+
+    `bound` is that beyond the nominal state, `width` the part of it that comes from bounds, `short` by how much the
+    adversary of the program falls short of it.
+    """
+
+    value: float
+    bound: float
+    width: float
+    gains: Array
+    short: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class GainCost:
+    """What gains cost: 0 <= shown + start + w + v for the row 0; `fixed` is in units of no bound."""
+
+    shown: float
+    start: float
+    w: float
+    v: float
+
+
+class RecordProgram:
+    """The program of one record, posed once; every row and both its ends are solves of it.
+
+    `table` keeps gaps between records that grow or slide.
+    """
+
+    def __init__(self, readings: Readings, table: GapTable | None = None):
+        self.readings = readings
+        lengths = np.diff(readings.times)
+        unit = np.where((readings.size > 0) & ~readings.below, readings.size, 1.0)
+        if table is None:
+            told = np.where(readings.below[:, None], 0.0, readings.H / unit[:, None])
+            rows = np.split(told, readings.offsets[1:-1])[:-1]
+            table = GapTable.suited(readings.A, readings.G, lengths, rows)
+        self.table = table
+        self.gaps = table.get(lengths.tolist())
+        n = len(table.D)
+        self.F = np.array([gap.F for gap in self.gaps]).reshape(-1, n, n)
+        if readings.kept is not None:
+            self.F = self.F * readings.kept[:-1, None, :]
+        self.H = readings.H * table.D
+        self.infeasible = False
+        self._multiples: dict[int, float] = {}
+        self._run_back: tuple[bytes, Array] | None = None
+
+    @cached_property
+    def _quadrature(self) -> DisturbanceQuadrature:
+        return DisturbanceQuadrature(self.gaps)
+
+    @cached_property
+    def _spread(self) -> Array:
+        """(K-1, n, n) sum over the cells of a gap of their squares: its noise, for scaling only."""
+        n = len(self.table.D)
+        cells = [gap.cells(0) for gap in self.gaps]
+        return np.array([np.einsum("mnq,mkq->nk", own, own) for own in cells]).reshape(-1, n, n)
+
+    @cached_property
+    def unit(self) -> Array:
+        """(R,) the size of the noise of each row, or what stands for it: for scaling only."""
+        read, driven = self.readings, np.zeros(len(self.H))
+        if len(self._spread):
+            driven = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", self.H, self._spread.mean(axis=0), self.H), 0.0))
+        size = np.linalg.norm(self.H, axis=1)
+        stand_in = np.where(driven > 0, driven, np.where(size > 0, size, 1.0))
+        stand_in = np.where(read.below, stand_in, EXACT * stand_in)
+        return np.where((read.size > 0) & ~read.below, read.size, stand_in)
+
+    @cached_property
+    def _filter(self) -> tuple[Array, Array]:
+        """Gains (R, n) of the filter with the same bounds as deviations, and its covariance at the end, for scaling."""
+        read, n, D = self.readings, len(self.table.D), self.table.D
+        P = np.eye(n) * DIFFUSE
+        if read.start.root is not None:
+            root = np.zeros((n, n))
+            root[: len(read.start.root), : read.start.root.shape[1]] = read.start.root
+            root = root / D[:, None]
+            known = np.sqrt(np.einsum("ij,ij->i", root, root))
+            P = root @ root.T + np.diag(np.where(known > 0, 0.0, 1e-6))
+        H = np.where(read.below[:, None], 0.0, self.H / self.unit[:, None])
+        gains, identity = np.zeros((len(H), n)), np.eye(n)
+        for k, (a, b) in enumerate(zip(read.offsets[:-1], read.offsets[1:], strict=True)):
+            if k:
+                with np.errstate(over="ignore", invalid="ignore"):
+                    P = self.F[k - 1] @ P @ self.F[k - 1].T + self._spread[k - 1]
+                if not np.abs(P).max(initial=0.0) < BEYOND:  # as good as nothing is known of what was before
+                    P = np.eye(n) * BEYOND
+            if b > a:
+                own = H[a:b]
+                seen = own @ P
+                K = np.linalg.solve(seen @ own.T + np.eye(b - a), seen).T
+                left = identity - K @ own
+                P = left @ P @ left.T + K @ K.T
+                gains[a:b] = K.T
+        return gains, (P + P.T) / 2
+
+    @cached_property
+    def L(self) -> Array:
+        """Coordinates x = D L z in which states that are possible are of size one: a root of its covariance."""
+        P = self._filter[1]
+        size = np.sqrt(np.maximum(np.diag(P), np.finfo(float).tiny))
+        with np.errstate(over="ignore"):
+            alike = np.clip(P / size[:, None] / size, -1.0, 1.0)
+        values, vectors = np.linalg.eigh(alike)
+        return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, LEAST * len(P))))
+
+    @cached_property
+    def _levels(self) -> dict[int, RecordCones]:
+        return {}
+
+    def posed(self, level: int = 0) -> RecordCones:
+        """Return the program with the cells of a level."""
+        if level not in self._levels:
+            cells = [gap.cells(level) for gap in self.gaps]
+            self._levels[level] = RecordCones(
+                self.readings,
+                self._near,
+                self.F,
+                cells,
+                self.table.D,
+                self.L,
+                self.H,
+                self.unit,
+                tolerance=TOLERANCE[min(level, LEVELS - 1)],
+            )
+        return self._levels[level]
+
+    def solve(self, t: float, row: Array) -> tuple[RowEnd, RowEnd]:
+        """Return the ends of a row of x at t, the upper one of c and that of -c, and the gains that prove them.
+
+        BoxCells become finer until the adversary comes as far as the gains allow, but for `CLOSED` of the half-width.
+        """
+        ends, level = [self._end(t, sign * row, 0) for sign in (1.0, -1.0)], 0
+        while level < LEVELS - 1:
+            half = max((ends[0].value + ends[1].value) / 2, 0.0)
+            open_ = [k for k in (0, 1) if ends[k].short > CLOSED * half]
+            if not open_ or (self.infeasible and (self._multiple(level) > COARSE or self.contradicted)):
+                break
+            level += 2 if level == 0 and max(end.short for end in ends) > HALVED * CLOSED * half else 1
+            for k in open_:
+                finer = self._end(t, row if k == 0 else -row, level)
+                ends[k] = finer if finer.value < ends[k].value else replace(ends[k], short=finer.short)
+        return ends[0], ends[1]
+
+    def after(self, t: float, row: Array) -> float:
+        """Return what w adds to a row between the last time and t at most."""
+        return self._ahead(t, row)[1]
+
+    def end(self, t: float, row: Array) -> RowEnd:
+        """Return the upper end of a row from coarse cells."""
+        return self._end(t, row, 0)
+
+    def _end(self, t: float, row: Array, level: int) -> RowEnd:
+        """The upper end of a row, from the program of one level."""
+        c, added = self._ahead(t, row)
+        attained, gains, ahead = self._solved(c, level)
+        found = self._plainest(t, row, self.upper(t, row, self._steadied(c, gains, ahead)))
+        if self._grown and not found.bound - added - attained <= CLOSED * found.width:
+            for other in self._fed_back(c, gains, ahead):
+                found = min(found, self.upper(t, row, other), key=lambda end: end.value)
+        short = found.bound - added - attained
+        return replace(found, short=short if np.isfinite(found.bound) and attained < np.inf else 0.0)
+
+    def _plainest(self, t: float, row: Array, found: RowEnd) -> RowEnd:
+        """Gains of the last readings alone, where they leave exactly nothing of a free start and prove as much.
+
+        With fewer readings than states no change of gains takes away the rest that rounding leaves; where gaps let it
+        grow, nothing else is worth much.
+        """
+        read = self.readings
+        last = np.flatnonzero((read.nodes == len(read.times) - 1) & ~read.below)
+        few = np.count_nonzero(~read.below) < len(row)
+        asked = self._grown or (few and read.start.root is None)
+        if t > read.times[-1] or not (asked and last.size):
+            return found
+        own, gains = read.H[last, : row.size], np.zeros(len(read.H))
+        gains[last] = np.round(np.linalg.lstsq(own.T, row, rcond=None)[0], PLAIN)
+        if read.H[last, row.size :].any() or np.any(gains[last] @ own != row):
+            return found
+        plain = self.upper(t, row, gains)
+        return plain if plain.value <= found.value + ALIKE * plain.width else found
+
+    def _ahead(self, t: float, row: Array) -> tuple[Array, float]:
+        """The row in the coordinates of the last time, and a bound on what w adds until t."""
+        longer = np.zeros(len(self.table.D))
+        longer[: row.size] = row
+        c, last = longer * self.table.D, float(self.readings.times[-1])
+        if t <= last:
+            return c, 0.0
+        with np.errstate(over="ignore", invalid="ignore"):
+            gap = self.table.open(t - last)
+            return np.asarray(gap.F.T @ c), DisturbanceQuadrature([gap]).integral(c[None], self.readings.push.ball)
+
+    def _solved(self, c: Array, level: int) -> tuple[float, Array, Array]:
+        """What the adversary attains, and multipliers of rows and gaps, for a target at the last time, unchecked."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            posed, mu = self.posed(level), self.L.T @ c
+        size = math.hypot(*mu.tolist())  # its square may overflow
+        nothing = np.inf, np.zeros(len(self.H)), np.zeros_like(self.F[:, 0])
+        if size == 0 or not np.isfinite(size):
+            return nothing
+        cost = np.zeros(posed.columns)
+        cost[posed.last] = -mu / size
+        x, y, status = posed.solver.solve(cost, posed.b)
+        self.infeasible = status == INFEASIBLE
+        if self.infeasible and self._multiple(level) <= COARSE:  # gains of larger bounds prove these, too
+            x, y, status = posed.solver.solve(cost, posed.loosened(self._multiple(level) * (1 + ROOM)))
+        if status in (INFEASIBLE, UNBOUNDED) or not np.isfinite(y).all():
+            return nothing
+        if self.infeasible:  # nobody knows what is attained
+            return -np.inf, *posed.read(np.asarray(y * size, dtype=np.float64))
+        return -float(cost @ x) * size + float(c @ self._near[-1]), *posed.read(np.asarray(y * size, dtype=np.float64))
+
+    def _multiple(self, level: int) -> float:
+        """The least multiple of all bounds under which the program of a level has a solution."""
+        if level not in self._multiples:
+            self._multiples[level] = self.posed(level).grown("all")[1]
+        return self._multiples[level]
+
+    @cached_property
+    def contradicted(self) -> bool:
+        """Whether gains prove that the readings contradict the bounds."""
+        return self.growth("all", self.least_growth("all")) > 1 + DISPROVED
+
+    def _steadied(self, c: Array, gains: Array, ahead: Array) -> Array:
+        """The solver's gains, corrected by the filter's wherever its costate and the true one part.
+
+        The costate runs backwards through a plant that may grow: without the correction the solver's last digits would.
+        What is left of a free start then is taken away by the least change of the gains.
+        """
+        unit, read = self.unit, self.readings
+        gains = np.where(read.below, np.maximum(gains, 0.0), gains)
+        meant, begun = self._meant(c, ahead)
+        open_ = begun - self._per_time(self.H * gains[:, None])
+        open_[1:] -= meant
+        e, errors = np.zeros(len(c)), np.zeros_like(begun)
+        for k in range(len(begun) - 1, 0, -1):
+            errors[k] = e
+            e = self._offset(k, open_[k], e)
+        errors[0] = e
+        return self._left_nothing(c, gains + np.einsum("rn,rn->r", self._filter[0], errors[read.nodes]) / unit)
+
+    def _meant(self, c: Array, ahead: Array) -> tuple[Array, Array]:
+        """The costates (K-1, n) that multipliers stand for just after each gap, and those (K, n) before each time."""
+        meant = np.asarray(np.linalg.solve(self.L.T, ahead.T).T) if len(ahead) else ahead
+        return meant, np.concatenate([np.matmul(np.swapaxes(self.F, 1, 2), meant[:, :, None])[:, :, 0], c[None]])
+
+    @cached_property
+    def _grown(self) -> bool:
+        """Whether a gap lets the state grow so much that rounding matters."""
+        return bool(np.abs(self.F).max(initial=0.0) > GROWN)
+
+    def _fed_back(self, c: Array, gains: Array, ahead: Array) -> list[Array]:
+        """The solver's gains, and the filter's alone, corrected where the *computed* costate parts from what was meant.
+
+        So rounding that one gap makes grow is met at the next sample.
+        """
+        read, found = self.readings, []
+        filter_ = np.where(read.below[:, None], 0.0, self._filter[0] / self.unit[:, None])
+        solved = np.where(read.below, np.maximum(gains, 0.0), gains), self._meant(c, ahead)[1]
+        nothing = np.zeros_like(gains), np.zeros_like(solved[1])
+        for start, meant in (solved, nothing):
+            own, g = start.copy(), c
+            for k in range(len(meant) - 1, -1, -1):
+                rows = slice(*read.offsets[k : k + 2])
+                own[rows] += filter_[rows] @ (g - meant[k])
+                g = g - (self.H[rows] * own[rows, None]).sum(axis=0)
+                g = g.dot(self.F[k - 1]) if k else g
+            found.append(self._left_nothing(c, own))
+        return found
+
+    def _left_nothing(self, c: Array, gains: Array) -> Array:
+        """Gains after the least change that takes away what they leave of a free start."""
+        if self.readings.start.root is not None:
+            return gains
+        return self._free.without(gains, self._begun(c), lambda own: self._costates(c, own)[1])
+
+    def _begun(self, c: Array) -> Array:
+        """A target, run back to the start; what was asked for last is kept."""
+        key = c.tobytes()
+        if self._run_back is None or self._run_back[0] != key:
+            self._run_back = key, self._costates(c, np.zeros(len(self.H)))[1]
+        return self._run_back[1]
+
+    @cached_property
+    def _free(self) -> FreeStart:
+        read = self.readings
+        told = told_of_start(self.H, self.F, read.offsets, np.eye(len(self.table.D)))
+        return FreeStart(told, read.below, self.unit)
+
+    def _closed(self, c: Array, gains: Array, rest: Array) -> bool:
+        """Whether what gains leave of a free start is rounding."""
+        if not np.linalg.norm(self.L.T @ rest) <= NOTHING * self._terms(c, gains):
+            return False
+        begun = self._begun(c)
+        return self._free.closes(gains, begun, rest) and not self._free.hides(begun)
+
+    def _offset(self, k: int, open_: Array, e: Array) -> Array:
+        """The costates' difference one time earlier."""
+        return np.asarray(self._through[k - 1].dot(e) + open_.dot(self.F[k - 1]))
+
+    @cached_property
+    def _through(self) -> Array:
+        """(K-1, n, n) how a difference of costates passes a time with the filter's gains, and the gap before."""
+        H = np.where(self.readings.below[:, None], 0.0, self.H / self.unit[:, None])
+        n = len(self.table.D)
+        squares = self._per_time((H[:, :, None] * self._filter[0][:, None, :]).reshape(len(H), n**2))
+        return np.asarray(np.matmul(np.swapaxes(self.F, 1, 2), np.eye(n) - squares.reshape(-1, n, n)[1:]))
+
+    def _per_time(self, values: Array) -> Array:
+        """Sums (K, ...) of values (R, ...) over the rows of each time."""
+        found = np.zeros((len(self.readings.times), values.shape[1]))
+        np.add.at(found, self.readings.nodes, values)
+        return found
+
+    @cached_property
+    def _near(self) -> Array:
+        """(K, n) a trajectory without w near the readings: states count from it in a program.
+
+        Where states have grown to a million times of what is known of them, a solver's last digits would be seen.
+        """
+        path = np.zeros((len(self.readings.times), len(self.table.D)))
+        with np.errstate(over="ignore", invalid="ignore"):
+            path[0] = self._free.start(self.readings.shown)
+            for k, F in enumerate(self.F):
+                path[k + 1] = F @ path[k]
+        return path if np.isfinite(path).all() else np.zeros_like(path)
+
+    def _costates(self, c: Array, gains: Array) -> tuple[Array, Array]:
+        """(K-1, n) costates just after each gap, and the rest at the start."""
+        steps = self._per_time(self.H * gains[:, None])
+        found, g = np.empty_like(self.F[:, 0]), c
+        for step, costate, F in zip(steps[:0:-1], found[::-1], self.F[::-1], strict=True):
+            np.subtract(g, step, costate)
+            g = costate.dot(F)
+        return found, g - steps[0]
+
+    def _terms(self, c: Array, gains: Array) -> float:
+        """The size of the terms that what is left of the start is a difference of."""
+        terms = np.abs(gains) @ self._shown_sizes if gains.size else 0.0
+        return float(np.linalg.norm(self.L.T @ c) + terms)
+
+    @cached_property
+    def _shown_sizes(self) -> Array:
+        return np.asarray(np.linalg.norm(self.H @ self.L, axis=1))
+
+    def upper(self, t: float, row: Array, gains: Array) -> RowEnd:
+        """Return what any gains prove of a row at t, without a solver: for all real times, rounded outwards."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self._upper(t, row, gains)
+
+    def _upper(self, t: float, row: Array, gains: Array) -> RowEnd:
+        c, added = self._ahead(t, row)
+        spent = self.budget(c, gains)
+        nominal = self.readings.nominal_at(t)
+        value = float(row @ nominal) + spent.shown
+        width = (added + spent.start + spent.w + spent.v) * (1 + ROUNDING)
+        read = self.readings
+        terms = np.abs(row) @ np.abs(nominal) + np.abs(gains) @ (np.abs(read.y) + np.abs(read.shown))
+        end = value + width + HELD * float(terms)
+        return RowEnd(end if np.isfinite(end) else np.inf, spent.shown + width, width, gains)
+
+    def budget(self, c: Array, gains: Array) -> GainCost:
+        """Return what gains cost for a target (n,) in D coordinates at the last time."""
+        read = self.readings
+        costates, rest = self._costates(c, gains)
+        w = self._quadrature.integral(costates, read.push.ball) if len(costates) else 0.0
+        if np.any(gains[read.below] < 0):
+            return GainCost(0.0, np.inf, w, 0.0)
+        if read.start.root is not None:
+            start = read.start.support((rest / self.table.D)[: read.plant.n_states])
+        else:
+            start = 0.0 if self._closed(c, gains, rest) else np.inf
+        return GainCost(float(gains @ read.shown), start, w, self._noise(gains))
+
+    def _noise(self, gains: Array) -> float:
+        read = self.readings
+        cost = np.abs(gains) * read.size
+        if not read.ball:
+            return float(cost.sum())
+        square = self._per_time((np.where(read.below, 0.0, cost) ** 2)[:, None])
+        return float(np.sqrt(square).sum() + cost[read.below].sum())
+
+    def least_growth(self, which: str) -> Array:
+        """Return gains for the row 0 that prove best by how much bounds (`SPREADS`) would have to grow."""
+        return self.least_multiple(which)[2]
+
+    def least_multiple(self, which: str) -> tuple[float, float, Array]:
+        """Return what gains prove to be the least multiple of some bounds, one that suffices, and those gains.
+
+        BoxCells become finer until both are equal but for `CLOSED`.
+        """
+        best, enough, zero = (0.0, np.zeros(len(self.H))), np.inf, np.zeros(len(self.table.D))
+        for level in range(LEVELS):
+            posed = self.posed(level)
+            y, multiple = posed.grown(which)
+            if y is not None:
+                enough = min(enough, multiple)
+                gains = self._steadied(zero, *posed.read(y))
+                best = max(best, (self.growth(which, gains), gains), key=lambda pair: pair[0])
+            if y is None or best[0] >= (1 - CLOSED) * enough:
+                break
+        return best[0], enough, best[1]
+
+    def growth(self, which: str, gains: Array) -> float:
+        """Return the factor by which bounds must grow for the data, as gains for the row 0 prove it."""
+        spent = self.budget(np.zeros(len(self.table.D)), gains)
+        fixed = {"all": 0.0, "w": spent.start + spent.v, "v": spent.start + spent.w}[which]
+        grown = {"all": spent.start + spent.w + spent.v, "w": spent.w, "v": spent.v}[which]
+        read = self.readings
+        error = HELD * float(np.abs(gains) @ (np.abs(read.y) + np.abs(read.shown)))
+        needed = -spent.shown - fixed * (1 + ROUNDING) - error
+        if needed <= 0:
+            return 0.0
+        return needed / (grown * (1 + ROUNDING)) if grown > 0 else np.inf

@@ -1,0 +1,96 @@
+"""What a record says of a plant under bounds as typed by a user."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.bounds import Bound, SignalBounds
+from sampling_design.accuracy.readings import (
+    Arrived,
+    DisturbanceSet,
+    Readings,
+    RecordRow,
+    RowReading,
+    StartError,
+    arrived,
+    gathered,
+    rows_told,
+)
+from sampling_design.errors import ArgumentError
+from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.checks import freeze
+
+Array = npt.NDArray[np.float64]
+
+
+def read_record(
+    plant: Plant,
+    record: Iterable[Arrived],
+    w_bound: Bound,
+    v_bound: Bound,
+    initial_error: npt.ArrayLike | None,
+    prior: npt.ArrayLike | None,
+    prior_time: float | None,
+) -> Readings:
+    """Return what a record says of a plant under bounds as typed by a user.
+
+    Raises
+    ------
+    ArgumentError
+        If the record is empty or not in order, or a bound is missing or of another shape.
+    """
+    centre = checks.vector("prior", np.zeros(plant.n_states) if prior is None else prior, plant.n_states)
+    items = arrived(record, plant.n_outputs)
+    start = items[0][0] if prior_time is None and items else checks.number("prior_time", prior_time or 0.0)
+    samples, inputs = _in_order(plant, items, start)
+    if not samples:
+        raise ArgumentError("`record` must hold at least one measurement, got none.")
+    y, times = np.array([come.y for come in samples]), np.array([come.t for come in samples])
+    measured = np.isfinite(y)
+    for k, come in enumerate(samples):
+        measured[k, [each.output for each in come.told]] = True
+    bounds = SignalBounds.of(plant, len(y), measured, w_bound, v_bound, times)
+    centre_w = np.zeros(plant.n_disturbances) if bounds.w_centre is None else bounds.w_centre
+    push = DisturbanceSet(freeze(centre_w), freeze(np.diag(bounds.w)), bounds.w_ball)
+    centre_v = np.zeros(y.shape) if bounds.v_centre is None else bounds.v_centre
+    rows = []
+    for come, values, size, middle in zip(samples, y - centre_v, bounds.v, centre_v, strict=True):
+        seen = np.flatnonzero(np.isfinite(size) & np.isfinite(values))
+        own = [RowReading(plant.C[i], values[i], size[i]) for i in seen]
+        for each in come.told:
+            i = each.output
+            own += rows_told(plant, come.t, each, float(size[i]), float(middle[i]), inputs)
+        rows.append((come.t, tuple(row for row in own if np.isfinite(row.size))))
+    error = StartError.of(plant, initial_error)
+    return gathered(plant, push, error, centre, start, rows, ball=bounds.v_ball, inputs=inputs)
+
+
+def _in_order(
+    plant: Plant, items: Sequence[RecordRow], start: float
+) -> tuple[list[RecordRow], tuple[tuple[float, Array], ...]]:
+    """Samples less D u, and inputs."""
+    now, u = start, np.zeros(plant.n_inputs)
+    samples: list[RecordRow] = []
+    inputs: list[tuple[float, Array]] = []
+    for come in items:
+        t = come.t
+        if t < now:
+            raise ArgumentError(
+                f"`record` must be in order of time and not begin before `prior_time`, got {t!r} after {now!r}."
+            )
+        now = t
+        if come.u is not None and plant.n_inputs:
+            u = np.array(checks.vector("u", come.u, plant.n_inputs))
+            if inputs and inputs[-1][0] == t:
+                inputs.pop()
+            inputs.append((t, u))
+        if come.y is None or not (come.told or np.isfinite(come.y).any()):
+            continue
+        if samples and t == samples[-1].t:
+            raise ArgumentError(f"`record` measures twice at {t!r}. Put both into one row.")
+        samples.append(come._replace(y=come.y - plant.D @ u))
+    return samples, tuple(inputs)

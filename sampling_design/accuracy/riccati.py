@@ -1,0 +1,183 @@
+"""The filter's covariance on an endless schedule, by doubling: maps P -> Q + F P (I + G P)^-1 F' and their products.
+
+Every map is three matrices (F, G, Q), G and Q positive semidefinite; two of them make a third without a difference
+(structure-preserving doubling), so that nothing cancels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.errors import UndecidedError
+from sampling_design.numerics.linalg import psd_root, symmetrise
+from sampling_design.records.checks import unit_diagonal
+
+Array = npt.NDArray[np.float64]
+
+SETTLED = 1e-14
+"""Relative change of a doubled covariance at which it counts as the limit."""
+
+DOUBLINGS = 60
+
+UNSTABLE = 1e-9
+"""A filter whose error grows by more than this share over a period from P = 0 has to be started elsewhere."""
+
+
+REPRODUCED = 1e-5
+"""Relative change over a period, and growth of an error, below which what doubling found is the limit; above what a
+small random walk leaves of motions that neither grow nor fade and that no noise reaches."""
+
+STEADY = 1e-9
+"""Relative change over a period at which roots have settled; after `MOST_PERIODS` what is left is no more than this."""
+
+MOST_PERIODS = 64
+"""Periods of roots, where doubling has failed: the error of a mode that grows by e^k falls by as much each period."""
+
+
+@dataclass(frozen=True, eq=False)
+class CovarianceMap:
+    """P -> Q + F P (I + G P)^-1 F'."""
+
+    F: Array
+    G: Array
+    Q: Array
+
+    def __call__(self, P: Array) -> Array:
+        """Return the image of a covariance."""
+        return symmetrise(self.Q + self.F @ updated(P, self.G) @ self.F.T)
+
+    def then(self, later: CovarianceMap) -> CovarianceMap:
+        """Return the map that applies this one first."""
+        root = psd_root(self.Q)
+        inner = np.eye(root.shape[1]) + root.T @ later.G @ root
+        # (I + Q G)^-1 = I - root inner^-1 root' G
+        solved = np.linalg.solve(inner, root.T)
+        passed = np.eye(len(self.F)) - root @ solved @ later.G
+        F = later.F @ passed @ self.F
+        Q = later.Q + later.F @ (root @ solved) @ later.F.T
+        mid = later.G - later.G @ root @ solved @ later.G
+        return CovarianceMap(F, symmetrise(self.G + self.F.T @ mid @ self.F), symmetrise(Q))
+
+
+def strong(period: CovarianceMap, start: Array, share: float) -> Array:
+    """Return the limit of repeated periods from any P > 0: that from 0 unless it lets an error grow.
+
+    A mode that grows and that no noise reaches stays unseen from P = 0; a random walk of so small a `share` of what
+    periods from `start` leave wakes it.
+    """
+    P = limit(period)
+    closed = period.F @ np.linalg.inv(np.eye(len(P)) + P @ period.G)
+    if np.max(np.abs(np.linalg.eigvals(closed)), initial=0.0) <= 1 + UNSTABLE:
+        return P
+    several = period
+    for _ in range(int(np.ceil(np.log2(len(P) + 1)))):
+        several = several.then(several)
+    return limit(CovarianceMap(period.F, period.G, period.Q + share * several(start)))
+
+
+def updated(P: Array, G: Array) -> Array:
+    """Return P (I + G P)^-1 = root (I + root' G root)^-1 root', the covariance after information G."""
+    root = psd_root(P)
+    inner = np.eye(root.shape[1]) + root.T @ G @ root
+    return symmetrise(root @ np.linalg.solve(inner, root.T))
+
+
+def limit(period: CovarianceMap) -> Array:
+    """Return the limit of repeated periods from P = 0, the least covariance that reproduces itself.
+
+    Where a motion grows so far that doubling loses it, what is returned does not reproduce itself (`RootedPeriod`).
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(DOUBLINGS):
+            twice = period.then(period)
+            if not all(np.isfinite(M).all() for M in (twice.F, twice.G, twice.Q)):
+                break
+            size = np.sqrt(np.diag(twice.Q))
+            settled = np.all(np.abs(twice.Q - period.Q) <= SETTLED * np.outer(size, size))
+            period = twice
+            if settled:
+                break
+    return period.Q
+
+
+@dataclass(frozen=True, eq=False)
+class RootedPeriod:
+    """A period of a filter by roots of its covariances: steps F between samples, rows in units of their noise, and
+    roots of the noise that joins behind each sample.
+
+    Between samples that e^k parts, a covariance has a condition of e^2k, a root has e^k: roots tell where doubling
+    went wrong, and find what it has lost.
+    """
+
+    F: list[Array]
+    rows: list[Array]
+    noise: list[Array]
+
+    def __call__(self, root: Array) -> tuple[list[Array], Array, Array]:
+        """Return roots after each sample, that at the period's end from one at its beginning, and what becomes of an
+        error that was made there."""
+        after, error = [], np.eye(len(root))
+        for F, H, noise in zip(self.F, self.rows, self.noise, strict=True):
+            p = len(H)
+            array = np.zeros((p + len(root), p + root.shape[1]))
+            array[:p, :p], array[:p, p:], array[p:, p:] = np.eye(p), H @ root, root
+            found = triangle(array)
+            error = F @ (error - found[p:, :p] @ np.linalg.solve(found[:p, :p], H @ error))
+            after.append(found[p:, p:])
+            root = triangle(np.hstack([F @ after[-1], noise]))
+        return after, root, error
+
+    def walking(self, noise: Array) -> RootedPeriod:
+        """The period with this noise, a root, joining at its end."""
+        return replace(self, noise=[*self.noise[:-1], np.hstack([self.noise[-1], noise])])
+
+    def gives_back(self, root: Array) -> bool:
+        """Whether a period ends with the covariance that it began with, and lets no error grow: of all that give back
+        themselves, that is the one."""
+        _, end, error = self(root)
+        grown = float(np.max(np.abs(np.linalg.eigvals(error)), initial=0.0))
+        return _differ(end, root) <= REPRODUCED and grown <= 1 + REPRODUCED
+
+    def settled(self, root: Array) -> list[Array]:
+        """Return roots after each sample of the period that all come to, begun from a `root` of full rank.
+
+        Raises
+        ------
+        UndecidedError
+            If they do not settle in doubles.
+        """
+        for _ in range(MOST_PERIODS):
+            before = root
+            after, root, _ = self(before)
+            if _differ(root, before) <= STEADY:
+                return after
+        raise UndecidedError(
+            "undecided: the covariance of the filter on this schedule does not settle in doubles. Do modes grow far "
+            "between two samples, or do outputs differ in almost nothing?"
+        )
+
+
+def triangle(root: Array) -> Array:
+    """The lower triangle T with T T' = `root` `root`'; the largest columns first, or the small ones would drown."""
+    order = np.argsort(-np.abs(root).max(axis=0, initial=0.0), kind="stable")
+    return np.asarray(np.linalg.qr(root[:, order].T)[1].T, dtype=np.float64)
+
+
+def noise_root(W: Array) -> Array:
+    """A root of a noise covariance, to the digits of each entry where it is definite."""
+    d, unit = unit_diagonal(W)
+    try:
+        return np.asarray(d[:, None] * np.linalg.cholesky(unit))
+    except np.linalg.LinAlgError:
+        return psd_root(W)
+
+
+def _differ(one: Array, two: Array) -> float:
+    """The largest difference of two covariances beside their diagonals."""
+    first, second = one @ one.T, two @ two.T
+    size = np.sqrt(np.maximum(np.diag(first), np.diag(second)))
+    size = np.where(size > 0, size, 1.0)
+    return float(np.max(np.abs(first - second) / np.outer(size, size), initial=0.0))

@@ -1,0 +1,347 @@
+"""Both sides of an accuracy again in ball arithmetic: what holds here is a theorem about the doubles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.between_samples import FINENESS, GRID
+from sampling_design.accuracy.bounded_directions import BoundedDirections
+from sampling_design.accuracy.bounds import SignalBounds
+from sampling_design.accuracy.sample_chain import SampleChain
+from sampling_design.numerics.balls import Ball, Matrix, ball, flint, matrix, precision
+
+if TYPE_CHECKING:
+    from sampling_design.accuracy.accuracy_profile import GapProof
+    from sampling_design.accuracy.witness import AccuracyWitness
+
+Array = npt.NDArray[np.float64]
+
+BITS = 192
+"""Working precision: 53 bits of the doubles, the rest against growth."""
+
+RAISED = 1e-4
+"""By how much the filter's reach is raised before it is proven."""
+
+MOST_STEPS = 20_000
+
+
+@dataclass(frozen=True, eq=False)
+class _Panels:
+    """What turns a costate at the start of a stretch into p = G'e^{A's}g, p'' and e^{A's}g at panel ends.
+
+    On a panel the third derivative is at most `third` times |e^{A's}g| at its start.
+    """
+
+    step: Ball
+    count: int
+    every: Matrix
+    third: Ball
+
+
+def _column(x: npt.ArrayLike) -> Matrix:
+    return matrix(np.asarray(x, dtype=np.float64)[:, None])
+
+
+def _entries(M: Matrix) -> list[Ball]:
+    return list(M.entries())
+
+
+def _total(parts: list[Ball]) -> Ball:
+    return sum(parts, ball(0.0)).upper()
+
+
+def _norm(parts: list[Ball]) -> Ball:
+    """An exact number that is at least the Euclidean norm."""
+    square = _total([x * x for x in parts])
+    return square.sqrt().upper() if square > 0 else ball(0.0)
+
+
+def _larger(a: Ball, b: Ball) -> Ball:
+    return a.max(b).upper()
+
+
+def _table(rows: list[list[Ball]], columns: int) -> Matrix:
+    return flint().arb_mat(rows) if rows and columns else matrix(np.zeros((len(rows), columns)))
+
+
+class BallChain:
+    """An endless chain in balls, in units of D: flows, panels, and the filter's reach, proven anew."""
+
+    def __init__(self, chain: SampleChain):
+        self.chain = chain
+        plant, n = chain.plant, chain.D.size
+        self.n, self.q = n, plant.n_disturbances
+        D, w = [ball(d) for d in chain.D], [ball(x) for x in chain.bounds.w]
+        self.A = _table([[ball(plant.A[i, j]) * D[j] / D[i] for j in range(n)] for i in range(n)], n)
+        self.G = _table([[ball(plant.G[i, j]) * w[j] / D[i] for j in range(self.q)] for i in range(n)], self.q)
+        self.D, self.size = D, _norm(_entries(self.A))
+        self.Lt = [matrix(L).transpose() for L in chain.L]
+        self.Ct = [
+            _table([[ball(plant.C[i, k]) * D[k] / ball(z) for k in range(n)] for i, z in pairs], n).transpose()
+            for pairs in ([*zip(s.outputs, s.size, strict=True)] for s in chain.samples)
+        ]
+        self._flows: dict[tuple[float, int], tuple[Matrix, _Panels]] = {}
+        self.reach: list[list[Ball]] = []
+
+    def over(self, length: float, count: int) -> tuple[Matrix, _Panels]:
+        """(e^{A length})' and its panels."""
+        if (length, count) not in self._flows:
+            step, square = ball(length) / count, self.A * self.A
+            E = (self.A * step).exp()
+            first, second, flow = self.G, square * self.G, matrix(np.eye(self.n))
+            rows, bends, flows = [], [], []
+            for _ in range(count + 1):
+                rows += first.transpose().tolist()
+                bends += second.transpose().tolist()
+                flows += flow.transpose().tolist()
+                first, second, flow = E * first, E * second, E * flow
+            third = (_norm(_entries(square * self.A * self.G)) * (self.size * step).exp()).upper()
+            panels = _Panels(step, count, _table(rows + bends + flows, self.n), third)
+            self._flows[length, count] = (self.A * ball(length)).exp().transpose(), panels
+        return self._flows[length, count]
+
+    def gap(self, j: int) -> tuple[Matrix, _Panels]:
+        """Flow and panels of gap j, as fine as those of the chain."""
+        gap = self.chain.gaps[j]
+        return self.over(gap.length, gap.panels.s.size - 1)
+
+    def measure(self, entries: list[Ball]) -> Ball:
+        """h_W in units of the bounds."""
+        return _norm(entries) if self.chain.bounds.w_ball else _total([abs(x) for x in entries])
+
+    def integrals(self, g: Matrix, panels: _Panels) -> tuple[list[Ball], list[Ball]]:
+        """Upper bounds on int h_W(G'e^{A's}g) ds up to every panel end, and on sup |p''| per panel."""
+        values, n, q, half = _entries(panels.every * g), self.n, self.q, (panels.count + 1) * self.q
+        sizes = [self.measure(values[k : k + q]) for k in range(0, half, q or 1)] if q else []
+        bends = [self.measure(values[half + k : half + k + q]) for k in range(0, half, q or 1)] if q else []
+        drift = panels.third * panels.step / 2 * (1 if self.chain.bounds.w_ball else max(q, 1))
+        sums, sups = [ball(0.0)], []
+        for k in range(panels.count):
+            size = _norm(values[2 * half + k * n : 2 * half + (k + 1) * n])
+            sup = (_larger(bends[k], bends[k + 1]) + drift * size).upper() if q else ball(0.0)
+            more = panels.step / 2 * (sizes[k] + sizes[k + 1]) + panels.step**3 / 12 * sup if q else ball(0.0)
+            sums.append((sums[-1] + more).upper())
+            sups.append(sup)
+        return sums, sups
+
+    def noise(self, j: int, gains: list[Ball]) -> Ball:
+        """h_V of gains in units of the noise; an exact sensor costs nothing."""
+        sample, v = self.chain.samples[j], self.chain.bounds.v[j]
+        pairs = zip(gains, sample.outputs, sample.size, strict=True)
+        costs = [abs(x) * ball(v[i]) / ball(z) for x, i, z in pairs]
+        return _norm(costs) if self.chain.bounds.v_ball else _total(costs)
+
+    def passed(self, j: int, g: Matrix, gains: list[Ball]) -> tuple[Matrix, Ball]:
+        """The costate before sample j and what its gains cost."""
+        if not gains:
+            return g, ball(0.0)
+        return g - self.Ct[j] * _table([[x] for x in gains], 1), self.noise(j, gains)
+
+    def prove_reach(self) -> bool:
+        """Whether R_j >= cost_j + |rest_j|'R_k with contracting rests holds for reaches hardly raised."""
+        chain = self.chain
+        if chain.forgetting.max(initial=0) > MOST_STEPS:
+            return False
+        self.reach = [[ball(float(x) * (1 + RAISED)) for x in R] for R in chain.reach]
+        for j, back in enumerate(chain.forgetting):
+            R = self.reach[(j - back) % len(chain)]
+            for cost, rest, most in zip(*self._filtered(j, int(back)), self.reach[j], strict=True):
+                if not _total(rest) < 1 or not cost + _total([a * b for a, b in zip(rest, R, strict=True)]) <= most:
+                    return False
+        return True
+
+    def _filtered(self, j: int, back: int) -> tuple[list[Ball], list[list[Ball]]]:
+        """Costs and rests of the filter's gains for the entries of z_j, over as many samples as the chain's reach."""
+        chain, at = self.chain, j
+        costs, columns = [ball(0.0)] * self.n, [self.Lt[j].solve(_column(unit)) for unit in np.eye(self.n)]
+        for step in range(back + 1):
+            K = chain.samples[at].K
+            for k, g in enumerate(columns):
+                gains = _entries(matrix(K.T) * (self.Lt[at] * g)) if K.shape[1] else []
+                columns[k], paid = self.passed(at, g, gains)
+                costs[k] = (costs[k] + paid).upper()
+            if step == back:
+                break
+            at = (at - 1) % len(chain)
+            flow, panels = self.gap(at)
+            for k, g in enumerate(columns):
+                costs[k] = (costs[k] + self.integrals(g, panels)[0][-1]).upper()
+                columns[k] = flow * g
+        return costs, [[abs(x).upper() for x in _entries(self.Lt[at] * g)] for g in columns]
+
+    def evaluated(self, j: int, mu: Array, gains: tuple[Array, ...]) -> Ball:
+        """What gains prove of mu'z_j."""
+        nodes = self.chain.nodes(j, len(gains))
+        total, g = ball(0.0), self.Lt[j].solve(_column(mu))
+        for k in range(len(nodes) - 1, -1, -1):
+            g, paid = self.passed(nodes[k], g, [ball(x) for x in gains[k]])
+            total = (total + paid).upper()
+            if k:
+                flow, panels = self.gap(nodes[k - 1])
+                total = (total + self.integrals(g, panels)[0][-1]).upper()
+                g = flow * g
+        return (total + self.rest(nodes[0], _entries(self.Lt[nodes[0]] * g))).upper()
+
+    def rest(self, j: int, entries: list[Ball]) -> Ball:
+        """What the reach bounds."""
+        return _total([abs(x) * r for x, r in zip(entries, self.reach[j], strict=True)])
+
+    def bounds(self, j: int, mus: list[list[Ball]], atoms: BoundedDirections, values: list[Ball]) -> list[Ball]:
+        """Bounds on rho of directions by the fits of floats, whose rests are balls."""
+        fit = atoms.fit(np.array([[float(x) for x in mu] for mu in mus]))
+        found = []
+        for mu, places, shares in zip(mus, fit.place, fit.share, strict=True):
+            total, left = ball(0.0), mu
+            for place, share in zip(places, shares, strict=True):
+                if share:
+                    a = ball(share)
+                    total += abs(a) * values[place]
+                    left = [x - a * ball(y) for x, y in zip(left, atoms.mu[place], strict=True)]
+            fitted, plain = (total + self.rest(j, left)).upper(), self.rest(j, mu)
+            found.append(fitted if fitted < plain else plain)
+        return found
+
+    def top(self, j: int, row: Array, atoms: BoundedDirections, values: list[Ball]) -> Ball:
+        """An upper bound on rho of a row over all real times of gap j."""
+        length = self.chain.length(j)
+        count = int(np.clip(np.ceil(float(np.linalg.norm(self.chain.A, 2)) * length / FINENESS), *GRID))
+        _, panels = self.over(length, count)
+        c = _table([[ball(x) * d] for x, d in zip(row, self.D, strict=True)], 1)
+        above, sups = self.integrals(c, panels)
+        E, At = (self.A * panels.step).exp().transpose(), self.A.transpose()
+        g, mus, bends, slopes, thirds = c, [], [], [], []
+        for _ in range(count + 1):
+            first = At * g
+            second = At * first
+            mus.append(_entries(self.Lt[j] * g))
+            bends.append(_entries(self.Lt[j] * second))
+            slopes.append(self.measure(_entries(self.G.transpose() * first)) if self.q else ball(0.0))
+            thirds.append(_norm(_entries(At * second)))
+            g = E * g
+        nodes = [x + y for x, y in zip(self.bounds(j, mus, atoms, values), above, strict=True)]
+        turns = self.bounds(j, bends, atoms, values)
+        widths = [_norm(_entries(self.Lt[j])[k * self.n : (k + 1) * self.n]) for k in range(self.n)]
+        reached = _total([a * r for a, r in zip(widths, self.reach[j], strict=True)]) * (self.size * panels.step).exp()
+        best, h = ball(0.0), panels.step
+        for k in range(count):
+            slope = _larger(slopes[k], slopes[k + 1]) + h / 2 * sups[k]
+            turn = _larger(turns[k], turns[k + 1]) + h / 2 * thirds[k] * reached
+            best = _larger(best, _larger(nodes[k], nodes[k + 1]) + h * h / 8 * (turn + slope))
+        return best
+
+
+def proven_above(chain: SampleChain, rows: Array, uppers: Array, proof: tuple[GapProof, ...]) -> bool:
+    """Whether gains prove upper bounds on rows (r, n) at all real times of an endless schedule, in ball arithmetic."""
+    with precision(BITS):
+        balls = BallChain(chain)
+        if not balls.prove_reach():
+            return False
+        kept: dict[int, tuple[BoundedDirections, list[Ball]]] = {}
+        for part in proof:
+            values = [balls.evaluated(part.sample, mu, g) for mu, g in zip(part.directions, part.gains, strict=True)]
+            atoms = BoundedDirections.of(
+                chain.reach[part.sample], part.directions, part.gains, [float(x) for x in values]
+            )
+            kept[part.sample] = atoms, values
+        if sorted(kept) != list(range(len(chain))):
+            return False
+        return all(
+            balls.top(j, row, atoms, values) <= ball(upper)
+            for row, upper in zip(rows, uppers, strict=True)
+            for j, (atoms, values) in kept.items()
+        )
+
+
+def proven_below(witness: AccuracyWitness, bounds: SignalBounds, lower: float) -> bool:
+    """Whether a witness attains `lower` within its bounds, in ball arithmetic.
+
+    The states at the samples are taken as they stand; the least change of w that leads from one to the next is added,
+    and the whole divided by what it exceeds its bounds.
+    """
+    with precision(BITS):
+        flight, most, value = _Flight(witness, bounds), ball(1.0), ball(0.0)
+        for k in range(len(witness.states)):
+            found = flight.gap(k)
+            if found is None:
+                return False
+            most, value = _larger(most, found[0]), found[1]
+        return bool(value / most >= ball(lower))
+
+
+class _Flight:
+    """A witness in balls, in units of its bounds and of the sizes of its states."""
+
+    def __init__(self, witness: AccuracyWitness, bounds: SignalBounds):
+        self.witness, self.bounds = witness, bounds
+        plant, self.n, self.q = witness.plant, witness.plant.n_states, witness.plant.n_disturbances
+        n, q = self.n, self.q
+        self.D = D = [ball(d) for d in witness.scales()]
+        A = [[ball(plant.A[i, j]) * D[j] / D[i] for j in range(n)] for i in range(n)]
+        G = [[ball(plant.G[i, j]) * ball(bounds.w[j]) / D[i] for j in range(q)] for i in range(n)]
+        rows = [[*row, *more] for row, more in zip(A, G, strict=True)]
+        self.joint = _table(rows + [[ball(0.0)] * (n + q)] * q, n + q)
+        self.ends = np.searchsorted(witness.edges, [*witness.samples, witness.edges[-1]])
+        self.flows: dict[float, list[list[Ball]]] = {}
+
+    def state(self, k: int) -> Matrix:
+        """z at sample k."""
+        return _table([[ball(z) / d] for z, d in zip(self.witness.states[k], self.D, strict=True)], 1)
+
+    def gap(self, k: int) -> tuple[Ball, Ball] | None:
+        """By how much sample k and the gap behind it exceed their bounds, and the row at its end; None: not decided."""
+        witness, a, b = self.witness, self.ends[k], self.ends[k + 1]
+        most, blocks, ahead = self._shown(k), [], matrix(np.eye(self.n))
+        if most is None:
+            return None
+        for cell in range(b - 1, a - 1, -1):
+            begin, end = float(witness.edges[cell]), float(witness.edges[cell + 1])
+            if end - begin not in self.flows:
+                self.flows[end - begin] = (self.joint * ball(end - begin)).exp().tolist()[: self.n]
+            rows = self.flows[end - begin]
+            blocks.append(ahead * _table([row[self.n :] for row in rows], self.q))
+            ahead = ahead * _table([row[: self.n] for row in rows], self.n)
+        blocks.reverse()
+        cells = [[_over(u, size) for u, size in zip(row, self.bounds.w, strict=True)] for row in witness.w[a:b]]
+        state = ahead * self.state(k)
+        for block, u in zip(blocks, cells, strict=True):
+            state = state + block * _table([[one] for one in u], 1)
+        if k + 1 < len(witness.states):
+            gram = matrix(np.zeros((self.n, self.n)))
+            for block in blocks:
+                gram = gram + block * block.transpose()
+            try:
+                change = gram.solve(self.state(k + 1) - state)
+            except ZeroDivisionError:
+                return None
+            more = [_entries(block.transpose() * change) for block in blocks]
+            cells = [[x + y for x, y in zip(u, extra, strict=True)] for u, extra in zip(cells, more, strict=True)]
+        for u in cells:
+            largest = max((abs(one).upper() for one in u), key=float, default=ball(0.0))
+            most = _larger(most, _norm(u) if self.bounds.w_ball else largest)
+        reached = zip(witness.row, _entries(state), self.D, strict=True)
+        return most, sum((ball(c) * z * d for c, z, d in reached), ball(0.0))
+
+    def _shown(self, k: int) -> Ball | None:
+        """The largest ratio of C x to its bound at sample k; None if an exact sensor shows anything."""
+        witness, v = self.witness, self.bounds.v
+        ratios = [ball(0.0)]
+        sizes = v[(witness.last - (len(witness.states) - 1 - k)) % len(v)]
+        for c, size in zip(witness.plant.C, sizes, strict=True):
+            if np.isinf(size):
+                continue
+            y = abs(sum((ball(p) * ball(z) for p, z in zip(c, witness.states[k], strict=True)), ball(0.0))).upper()
+            if size == 0 and y > 0:
+                return None
+            ratios.append((y / ball(size)).upper() if size else ball(0.0))
+        return _norm(ratios) if self.bounds.v_ball else max(ratios, key=float)
+
+
+def _over(u: float, size: float) -> Ball:
+    """u over its bound; only 0 is allowed where the bound is 0."""
+    if size == 0:
+        return ball(0.0) if u == 0 else ball(np.inf)
+    return ball(u) / ball(size)

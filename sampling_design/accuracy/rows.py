@@ -1,0 +1,85 @@
+"""The rows that a user wants to know: names of states and outputs, or a matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.checkers.strict import likely
+from sampling_design.errors import ArgumentError
+from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.checks import freeze
+
+Array = npt.NDArray[np.float64]
+Wanted: TypeAlias = str | Sequence[str] | npt.ArrayLike | None
+
+
+@dataclass(frozen=True, eq=False)
+class WantedRows:
+    """z = matrix x with a name and a unit for each entry."""
+
+    matrix: Array
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def labels(self) -> tuple[str, ...]:
+        """Names with their units in brackets."""
+        return tuple(f"{n} [{u}]" if u else n for n, u in zip(self.names, self.units, strict=True))
+
+
+def wanted_rows(plant: Plant, of: Wanted = None) -> WantedRows:
+    """Return the rows named by `of`: None (all states), names of states or outputs, or an (r, n) matrix.
+
+    Parameters
+    ----------
+    plant : Plant
+    of : str, sequence of str, or (r, n) array, optional
+        The row of an output is C (without D u and v).
+
+    Returns
+    -------
+    WantedRows
+
+    Raises
+    ------
+    ArgumentError
+        If a name is unknown (the nearest is offered) or is that of a state and of another output, if there is no row,
+        or a matrix has another shape.
+    """
+    if of is None:
+        return WantedRows(freeze(np.eye(plant.n_states)), plant.states.names, plant.states.units)
+    names = (of,) if isinstance(of, str) else tuple(of) if isinstance(of, Sequence) else ()
+    if names and all(isinstance(name, str) for name in names):
+        texts = tuple(str(name) for name in names)
+        found = [_named(plant, name) for name in texts]
+        return WantedRows(freeze([row for row, _ in found]), texts, tuple(unit for _, unit in found))
+    matrix = checks.matrix("of", of, None, plant.n_states)
+    if not matrix.shape[0]:
+        raise ArgumentError("`of` must name at least one row, got none.")
+    count = matrix.shape[0]
+    return WantedRows(matrix, tuple(f"z{i + 1}" for i in range(count)), ("",) * count)
+
+
+def _named(plant: Plant, name: str) -> tuple[Array, str]:
+    """Row and unit of a state, else of an output."""
+    states, outputs = plant.states, plant.outputs
+    state = np.eye(plant.n_states)[states.names.index(name)] if name in states.names else None
+    output = plant.C[outputs.names.index(name)] if name in outputs.names else None
+    if state is not None and output is not None and np.any(output[state == 0]):
+        raise ArgumentError(
+            f"`of` names {name!r}, a state and an output that is not that state alone. Give the row as a matrix."
+        )
+    if state is not None:
+        return state, states.units[states.names.index(name)]
+    if output is not None:
+        return output, outputs.units[outputs.names.index(name)]
+    known = [*states.names, *outputs.names]
+    raise ArgumentError(f"`of` must name states or outputs, got {name!r}. {likely(name, known)}")

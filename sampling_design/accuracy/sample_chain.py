@@ -1,0 +1,500 @@
+"""A schedule as a chain of samples in coordinates in which every program is well scaled, whatever the units.
+
+    x(t_j) = D L_j z_j,   z_{j+1} = F_j z_j + int (e^{A_z s} G_z) w ds,   |H_j z_j| <= 1
+
+D evens out units, L_j is a root of a filter's covariance at that sample: z_j is of size one. The filter only scales;
+its gains also bound the error once and for all (`reach`), which is what an endless past costs at its far end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.bounds import SignalBounds
+from sampling_design.accuracy.riccati import CovarianceMap, RootedPeriod, limit, noise_root, updated
+from sampling_design.accuracy.start import StartSet
+from sampling_design.errors import UndecidedError
+from sampling_design.numerics.linalg import discounted_flow, expm_batch, psd_root
+from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.float64]
+
+EXACT = 1e-6
+"""Size given to an exact sensor, in units of what w does to its output over a period: for scaling only."""
+
+RANDOM_WALK = 1e-3
+"""Share of a free start's covariance that joins the filter's noise at each period, so that it never goes to sleep."""
+
+PANELS = (16, 4096)
+"""Least and largest number of panels of the quadrature over a gap."""
+
+PANEL = 0.125
+"""Length of a panel times |A| in scaled coordinates."""
+
+CELL_LOSS = 8e-3
+"""What a disturbance that is constant on cells may lose, as a share, by the curvature of e^{As}G alone."""
+
+BETWEEN = (0.2360, 0.6180)
+"""Shares of a gap at which the outputs are looked at for the sizes of what its samples hide."""
+
+CONTRACTED = 1e-3
+"""Samples are added until the filter's error forgets all but this share of its past."""
+
+FORGOTTEN = 0.01
+"""The share of the past that may be left after the filter's memory."""
+
+PERIODS = 4000
+
+REFINED = 6
+"""Times that a bound on all samples' errors is put in anew: each leaves CONTRACTED of what is too much."""
+
+FOLLOWED = 40.0
+"""Growth over a gap, as an exponent, beyond which a root of a covariance has no digit left."""
+
+AHEAD = 150.0
+"""Growth after the last sample, as an exponent, whose square is a number still, in any units."""
+
+GROWN = 1e70
+"""Growth over a period beyond which sizes are not followed: its square is a number still, in any units."""
+
+
+@dataclass(frozen=True, eq=False)
+class GapPanels:
+    """M(s) = (e^{A_z s} G_z)' at panel ends s back from the end of a gap; errors of the trapezoidal rule."""
+
+    s: Array  # (Q+1,)
+    M: Array  # (Q+1, q, n)
+    bend: Array  # (Q+1, q, n): M''
+    third: Array  # (Q,): bound on |M''' g| for |g| = 1 in D coordinates
+    back: Array  # (n, n): g = back mu
+
+    @cached_property
+    def _rows(self) -> tuple[Array, Array]:
+        """M and its second derivative, all panels' rows below each other."""
+        n = self.M.shape[2]
+        return np.ascontiguousarray(self.M.reshape(-1, n)), np.ascontiguousarray(self.bend.reshape(-1, n))
+
+    @cached_property
+    def _weights(self) -> tuple[Array, Array, float]:
+        """Of the values at panel ends, of the largest |p''| on each panel, and what the third derivative adds."""
+        d = np.diff(self.s)
+        ends = (np.append(d, 0.0) + np.append(0.0, d)) / 2
+        return ends, d**3 / 12, float(d**4 / 24 @ self.third)
+
+    def integral(self, mu: Array, ball: bool) -> Array:
+        """Return an upper bound on int h_W(M(s) mu) ds for each column of mu (n, k), for all real s.
+
+        On a panel |p| lies below its chord plus (s-a)(b-s)/2 sup|p''|; sup|p''| is at most that at the ends plus half
+        a panel times sup|p'''|.
+        """
+        (count, q, _), k = self.M.shape, mu.shape[1]
+        ends, inner, rest = self._weights
+        p, bend = (rows @ mu for rows in self._rows)
+        more = rest * np.linalg.norm(self.back @ mu, axis=0)
+        if ball:
+            size, curve = (np.linalg.norm(X.reshape(count, q, k), axis=1) for X in (p, bend))
+            return np.asarray(ends @ size + inner @ np.maximum(curve[1:], curve[:-1]) + more)
+        size, curve = (np.abs(X, out=X).reshape(count, q * k) for X in (p, bend))
+        total = ends @ size + inner @ np.maximum(curve[1:], curve[:-1])
+        return np.asarray(total.reshape(q, k).sum(axis=0) + q * more)
+
+
+@dataclass(frozen=True, eq=False)
+class ChainGap:
+    """From one sample to the next, in the coordinates of both."""
+
+    length: float
+    F: Array
+    panels: GapPanels
+    edges: Array
+    """Ends of the cells on which the adversary's w is constant, back from the end of the gap."""
+    cells: Array
+    """(m, n, q): int over a cell of e^{A_z s} G_z ds."""
+
+
+@dataclass(frozen=True, eq=False)
+class ChainSample:
+    """One sample: rows in units of the noise bound, which of them are exact, and the filter's gain."""
+
+    outputs: npt.NDArray[np.intp]
+    size: Array
+    H: Array
+    exact: npt.NDArray[np.bool_]
+    K: Array
+
+
+@dataclass(frozen=True, eq=False)
+class SampleChain:
+    """Samples j = 0..N-1 and the gaps behind them; endless (without `start`): after the last comes the first.
+
+    Attributes
+    ----------
+    start : StartSet or None
+        Of z_0 in a finite chain.
+    last : float
+        How long a finite chain goes on after its last sample.
+    known : (n,) array of bool or None
+        Entries of x that are exactly their centre at the start.
+    hidden : int
+        How many of the last entries of every z no sample of an endless chain shows: they move on by themselves, and the
+        others are free of them.
+    """
+
+    plant: Plant
+    bounds: SignalBounds
+    D: Array
+    L: Array
+    A: Array
+    G: Array
+    samples: tuple[ChainSample, ...]
+    gaps: tuple[ChainGap, ...]
+    start: StartSet | None = None
+    last: float = 0.0
+    known: npt.NDArray[np.bool_] | None = None
+    hidden: int = 0
+
+    @property
+    def determined(self) -> int:
+        """How many entries of z samples determine."""
+        return self.D.size - self.hidden
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+    def length(self, j: int) -> float:
+        """How long it is from sample j to the next one, or to the end."""
+        return self.gaps[j].length if j < len(self.gaps) else self.last
+
+    def opening(self, z: Array) -> Array:
+        """z_0 with what is known exactly of it put right."""
+        if self.known is None or not self.known.any():
+            return z
+        return np.asarray(np.linalg.solve(self.L[0], np.where(self.known, 0.0, self.L[0] @ z)))
+
+    def mu(self, j: int, rows: Array) -> Array:
+        """Return rows (k, n) of x at sample j as columns (n, k) that multiply z."""
+        return np.asarray((rows * self.D @ self.L[j]).T)
+
+    def nodes(self, j: int, count: int) -> list[int]:
+        """Indices of the `count` samples up to and with j, the latest last, or as many as there are."""
+        if self.start is not None:
+            return list(range(max(0, j + 1 - count), j + 1))
+        return [(j - k) % len(self) for k in range(count - 1, -1, -1)]
+
+    def refined(self, loss: float) -> SampleChain:
+        """Return the chain with cells so fine that their curvature loses no more than `loss`."""
+        after = [self.L[(j + 1) % len(self)] for j in range(len(self.gaps))]
+        fresh = [_cells(self.A, self.G, L, gap.panels, loss) for L, gap in zip(after, self.gaps, strict=True)]
+        gaps = tuple(replace(g, edges=e, cells=c) for g, (e, c) in zip(self.gaps, fresh, strict=True))
+        finer = replace(self, gaps=gaps)
+        if self.start is None:
+            finer.__dict__["reach"] = self.reach
+        return finer
+
+    @cached_property
+    def memory(self) -> int:
+        """Samples after which a filter's error forgets all but a small share of its past; endless."""
+        mu, j = np.eye(self.D.size)[:, : self.determined], 0
+        for count in range(PERIODS * len(self)):
+            sample, gap = self.samples[j], self.gaps[(j - 1) % len(self)]
+            mu = gap.F.T @ (mu - sample.H.T @ (sample.K.T @ mu))
+            j = (j - 1) % len(self)
+            left = np.linalg.norm(mu, 2)
+            if left < FORGOTTEN:
+                return count + 1
+            if left > GROWN:
+                raise too_far()
+        return PERIODS * len(self)
+
+    @cached_property
+    def reach(self) -> Array:
+        """(N, n): bounds on |z_j - estimate|, proven from the filter's gains, whatever the error once was; endless.
+
+            R_j >= cost_j + |rest_j|'R_k   for all j at once,   k the sample `forgetting[j]` before j,
+
+        is a bound, since |rest| contracts; put in on the right, it gives another one, which is no larger. 1 where
+        nothing is known, of which nothing is asked.
+        """
+        count, n, r = len(self), self.D.size, self.determined
+        at = (np.arange(count) - self.forgetting) % count
+        costs, rests = (np.array([past[i] for past in self._filtered]) for i in (1, 2))
+        found = np.full((count, r), float(costs.max(initial=0.0)) / (1 - CONTRACTED))
+        for _ in range(REFINED):
+            found = costs + np.einsum("jik,ji->jk", rests, found[at])
+        return np.hstack([found, np.ones((count, n - r))])
+
+    @property
+    def forgetting(self) -> npt.NDArray[np.intp]:
+        """How many samples before each the filter's error is forgotten but for a share `CONTRACTED`; endless."""
+        return np.array([steps for steps, _, _ in self._filtered])
+
+    @cached_property
+    def _filtered(self) -> list[tuple[int, Array, Array]]:
+        """Of each sample: samples back until the error contracts, what noise and w cost till then, |rest| (r, r).
+
+        Raises
+        ------
+        UndecidedError
+            If it does not contract.
+        """
+        count, r, found = len(self), self.determined, []
+        for j in range(count):
+            mu, cost, at = np.eye(self.D.size)[:, :r], np.zeros(r), j
+            flown: dict[int, list[Array]] = {}  # one integral a gap: the samples may go round many times
+            for steps in range(PERIODS * count):
+                sample = self.samples[at]
+                gains = sample.K.T @ mu
+                mu = mu - sample.H.T @ gains
+                cost += noise_cost(gains, sample.exact, self.bounds.v_ball)
+                left = np.abs(mu).sum(axis=0).max(initial=0.0)
+                if left > GROWN:
+                    raise too_far()
+                if steps and left < CONTRACTED:
+                    for gap, columns in flown.items():
+                        every = self.gaps[gap].panels.integral(np.hstack(columns), self.bounds.w_ball)
+                        cost += every.reshape(len(columns), r).sum(axis=0)
+                    found.append((steps, cost, np.abs(mu[:r])))
+                    break
+                at = (at - 1) % count
+                flown.setdefault(at, []).append(mu)
+                mu = self.gaps[at].F.T @ mu
+            else:
+                raise UndecidedError(
+                    f"Nothing bounds the error on this schedule: its filter forgets no past within {PERIODS} periods."
+                )
+        return found
+
+
+def refuse_growth(plant: Plant, gaps: Array, last: float = 0.0) -> None:
+    """Refuse gaps over which a mode grows so far that no double tells what samples show of it; `last` comes after all.
+
+    Raises
+    ------
+    UndecidedError
+        If there is one.
+    """
+    rate = float(np.max(np.linalg.eigvals(plant.A).real, initial=0.0))
+    if rate * float(np.max(gaps, initial=0.0)) > FOLLOWED or rate * last > AHEAD:
+        raise too_far()
+
+
+def too_far() -> UndecidedError:
+    """What is said where growth has left nothing of what samples show."""
+    return UndecidedError(
+        "undecided: what is not measured grows so far between the samples of this schedule that no filter's error can "
+        "be followed in doubles. Measure more often."
+    )
+
+
+def noise_cost(gains: Array, exact: npt.NDArray[np.bool_], ball: bool) -> Array:
+    """h_V of scaled gains (p, k): exact sensors cost nothing."""
+    noisy = gains[~exact]
+    return np.asarray(np.linalg.norm(noisy, axis=0) if ball else np.abs(noisy).sum(axis=0))
+
+
+def endless_chain(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Array | None = None) -> SampleChain:
+    """Return the chain of a periodic schedule; gaps[j] lies behind sample j.
+
+    `moving` (n, m) is what no sample shows, as it is at the first one; nobody knows it.
+    """
+    refuse_growth(plant, gaps)
+    balance = balanced_schur(plant.A).d
+    A = plant.A * balance / balance[:, None]
+    G = plant.G * bounds.w / balance[:, None]
+    F, W = discounted_flow(A, G @ G.T, gaps)
+    W = W * float(np.mean(gaps))
+    rows, sizes, exact = noise_units(plant.C * balance, bounds, W)
+    D = state_scales(F, W, rows if moving is None else _seen_between(A, gaps, rows))
+    A, G = A * D / D[:, None], G / D[:, None]
+    F, W = F * D / D[:, None], W / np.outer(D, D)
+    rows = [H * D for H in rows]
+    U = np.zeros((len(A), 0)) if moving is None else moving / (balance * D)[:, None]
+    bases = _bases(F, U)
+    r, count = len(A) - U.shape[1], len(rows)
+    # what samples determine moves by itself, whatever the rest does
+    N = [basis[:, :r] for basis in bases]
+    inner = np.array([N[(j + 1) % count].T @ F[j] @ N[j] for j in range(count)])
+    spread = np.array([N[(j + 1) % count].T @ W[j] @ N[(j + 1) % count] for j in range(count)])
+    P, roots = _covariances(inner, spread, [H @ X for H, X in zip(rows, N, strict=True)])
+    L, samples = np.zeros_like(F), []
+    for j, H in enumerate(rows):
+        seen = H @ N[j]
+        root = roots[j]
+        L[j, :, :r], L[j, :, r:] = N[j] @ root, bases[j][:, r:]
+        gain = np.linalg.solve(seen @ P[j] @ seen.T + np.eye(len(H)), seen @ P[j]).T
+        K = np.vstack([np.linalg.solve(root, gain), np.zeros((len(A) - r, len(H)))])
+        shown = H @ L[j]
+        shown[:, r:] = 0.0
+        samples.append(ChainSample(bounds.measured(j), sizes[j], shown, exact[j], K))
+    steps, known = [], dict[float, LengthFlow]()
+    for j, h in enumerate(gaps):
+        following = L[(j + 1) % len(rows)]
+        gap = make_gap(A, G, float(h), L[j], following, F[j], known)
+        gap.F[:r, r:] = 0.0
+        steps.append(gap)
+    return SampleChain(plant, bounds, balance * D, L, A, G, tuple(samples), tuple(steps), hidden=len(A) - r)
+
+
+def _seen_between(A: Array, gaps: Array, rows: list[Array]) -> list[Array]:
+    """Rows of the samples and of times between them, for sizes: what samples alone hide must not look small."""
+    flows = [expm_batch(A, h * np.array(BETWEEN)) for h in gaps]
+    return [np.vstack([H, *(H @ E)]) for H, E in zip(rows, flows, strict=True)]
+
+
+def _bases(F: Array, U: Array) -> list[Array]:
+    """Orthonormal [N_j, U_j] at every sample, U_j what U has become; plain axes where it is nothing."""
+    if not U.shape[1]:
+        return [np.eye(len(U))] * len(F)
+    found = []
+    for step in F:
+        Q = np.linalg.qr(U, mode="complete")[0]
+        m = U.shape[1]
+        found.append(np.hstack([Q[:, m:], Q[:, :m]]))
+        U = step @ Q[:, :m]
+    return found
+
+
+def noise_units(
+    C: Array, bounds: SignalBounds, W: Array
+) -> tuple[list[Array], list[Array], list[npt.NDArray[np.bool_]]]:
+    """Rows of each sample over the size of its noise, those sizes, and which sensors are exact."""
+    driven = np.sqrt(np.maximum(np.einsum("pi,kij,pj->p", C, W, C), 0.0))
+    stand_in = np.where(driven > 0, EXACT * driven, np.linalg.norm(C, axis=1))
+    stand_in = np.where(stand_in > 0, stand_in, 1.0)
+    rows, sizes, exact = [], [], []
+    for j in range(bounds.v.shape[0]):
+        outputs = bounds.measured(j)
+        v = bounds.v[j, outputs]
+        size = np.where(v > 0, v, stand_in[outputs])
+        rows.append(C[outputs] / size[:, None])
+        sizes.append(size)
+        exact.append(v == 0)
+    return rows, sizes, exact
+
+
+def state_scales(F: Array, W: Array, rows: list[Array]) -> Array:
+    """Diagonal D: between what w reaches and what samples see of each state over a period."""
+    n = F.shape[1]
+    flow, seen, spread = np.eye(n), np.zeros(n), np.zeros((n, n))
+    for H, step, reached in zip(rows, F, W, strict=True):
+        seen += np.sum((H @ flow) ** 2, axis=0)
+        if max(np.abs(flow).max(), np.sqrt(np.abs(spread).max())) * max(np.abs(step).max(), 1.0) > GROWN:
+            break  # what has grown so far says nothing more of sizes, and would overflow
+        flow = step @ flow
+        spread = step @ spread @ step.T + reached
+    reach, seen = np.sqrt(np.diag(spread)), np.sqrt(seen)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        both = np.sqrt(reach / seen)
+    D = np.where((reach > 0) & (seen > 0), both, np.where(seen > 0, 1 / np.where(seen > 0, seen, 1), reach))
+    return np.asarray(np.where(D > 0, D, 1.0))
+
+
+def _covariances(F: Array, W: Array, rows: list[Array]) -> tuple[list[Array], list[Array]]:
+    """The filter's covariance before each sample, in its periodic limit, and a root of that after it."""
+    maps = [CovarianceMap(f, H.T @ H, w) for f, H, w in zip(F, rows, W, strict=True)]
+    rooted = RootedPeriod(list(F), rows, [noise_root(w) for w in W])
+    start = np.eye(F.shape[1])
+    try:
+        period = maps[0]
+        for following in maps[1:]:
+            period = period.then(following)
+        several = period
+        for _ in range(int(np.ceil(np.log2(F.shape[1] + 1)))):
+            several = several.then(several)
+        known = np.diag(several.G)
+        start = np.diag(1 / np.where(known > 0, 1e-9 * known, 1.0))
+        walk = RANDOM_WALK * several(start)
+        P = [limit(CovarianceMap(period.F, period.G, period.Q + walk))]
+        followed = rooted.walking(psd_root(walk)).gives_back(psd_root(P[0]))
+    except np.linalg.LinAlgError:  # of a condition beyond doubles: on which side of singular it falls is rounding's
+        followed = False
+    if not followed:
+        return _by_roots(rooted, np.sqrt(np.diag(start)))
+    for following in maps[:-1]:
+        P.append(following(P[-1]))
+    after = [updated(X, H.T @ H) for X, H in zip(P, rows, strict=True)]
+    return P, [np.asarray(np.linalg.cholesky(X + 1e-15 * np.diag(np.diag(X))), dtype=np.float64) for X in after]
+
+
+def _by_roots(rooted: RootedPeriod, start: Array) -> tuple[list[Array], list[Array]]:
+    """The same where a covariance in doubles has lost what modes that grow leave of it."""
+    root = np.diag(start)
+    for _ in range(len(start) + 1):
+        _, root, _ = rooted(root)
+    rooted = rooted.walking(np.sqrt(RANDOM_WALK) * root)
+    after = rooted.settled(root)
+    flown = [np.hstack([F @ X, own]) for F, X, own in zip(rooted.F, after, rooted.noise, strict=True)]
+    return [X @ X.T for X in [flown[-1], *flown[:-1]]], after
+
+
+@dataclass(frozen=True, eq=False)
+class LengthFlow:
+    """What all gaps of one length share: e^{As}G, e^{As}A^2 G at panel ends s, and bounds on |e^{As}A^3 G| between."""
+
+    s: Array  # (Q+1,)
+    pushed: Array  # (Q+1, n, q)
+    bent: Array  # (Q+1, n, q)
+    third: Array  # (Q,)
+
+    @classmethod
+    def of(cls, A: Array, G: Array, h: float) -> LengthFlow:
+        """Of one length."""
+        number = int(np.clip(np.ceil(np.linalg.norm(A, 2) * h / PANEL), *PANELS))
+        s = np.linspace(0.0, h, number + 1)
+        E = expm_batch(A, s)
+        middle = expm_batch(A, (s[1:] + s[:-1]) / 2) @ (A @ A @ A @ G)
+        with np.errstate(over="ignore"):
+            grown = np.exp(np.linalg.norm(A, 2) * h / number / 2)
+        if not np.isfinite(grown):
+            raise too_far()
+        third = np.asarray(np.linalg.norm(middle, 2, axis=(1, 2)) * grown, dtype=np.float64)
+        return cls(s, E @ G, E @ (A @ A @ G), third)
+
+
+def make_gap(
+    A: Array,
+    G: Array,
+    h: float,
+    L: Array,
+    following: Array,
+    F: Array,
+    known: dict[float, LengthFlow],
+    loss: float = CELL_LOSS,
+) -> ChainGap:
+    """Return one gap from coordinates L to those of `following`, with cells that lose at most `loss`.
+
+    `known` keeps what gaps of one length share.
+    """
+    if h not in known:
+        known[h] = LengthFlow.of(A, G, h)
+    flow = known[h]
+    M = np.swapaxes(np.linalg.solve(following, flow.pushed), 1, 2)
+    bend = np.swapaxes(np.linalg.solve(following, flow.bent), 1, 2)
+    panels = GapPanels(flow.s, M, bend, flow.third, np.asarray(np.linalg.inv(following).T, dtype=np.float64))
+    return ChainGap(
+        h,
+        np.asarray(np.linalg.solve(following, F @ L), dtype=np.float64),
+        panels,
+        *_cells(A, G, following, panels, loss),
+    )
+
+
+def _cells(A: Array, G: Array, following: Array, panels: GapPanels, loss: float) -> tuple[Array, Array]:
+    """Edges and integrals of cells short enough for the curvature of M: delta^2/24 |M''|/|M| <= loss."""
+    s, n, q = panels.s, len(A), G.shape[1]
+    size, curve = (np.linalg.norm(X, axis=(1, 2)) for X in (panels.M, panels.bend))
+    rate = np.sqrt(np.divide(curve, size, out=np.zeros_like(size), where=size > 0) / (24 * loss))
+    marks = np.concatenate([[0.0], np.cumsum(np.diff(s) * (rate[1:] + rate[:-1]) / 2)])
+    number = max(2, int(np.ceil(marks[-1])))
+    even = np.linspace(0.0, s[-1], number + 1)
+    edges = np.unique(np.interp(np.linspace(0.0, marks[-1], number + 1), marks, s)) if marks[-1] > 0 else even
+    edges[0], edges[-1] = 0.0, s[-1]
+    joint = np.zeros((n + q, n + q))
+    joint[:n, :n], joint[:n, n:] = A, G
+    inner = expm_batch(joint, np.diff(edges))[:, :n, n:]
+    return edges, np.asarray(np.linalg.solve(following, expm_batch(A, edges[:-1]) @ inner), dtype=np.float64)

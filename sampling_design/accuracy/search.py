@@ -1,0 +1,416 @@
+"""The worst time of each row over the schedule: where the highest bound stands, the program is solved or attacked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.adversary_program import Adversary, ConeWindow, boxed
+from sampling_design.accuracy.between_samples import Integrals, RowBetweenSamples, open_row
+from sampling_design.accuracy.bounded_directions import BoundedDirections
+from sampling_design.accuracy.gains import Gains, centre_offset, evaluated
+from sampling_design.accuracy.sample_chain import CELL_LOSS, SampleChain
+from sampling_design.accuracy.start import StartSet
+
+Array = npt.NDArray[np.float64]
+
+FINEST = 1e-5
+"""Least share that a disturbance constant on cells may lose by the curvature of e^{As}G."""
+
+COARSE = 2e-2
+"""That share where only gains are wanted: what they prove is second order in it, and does not depend on cells."""
+
+SHARE = 0.75
+"""Share of the tolerance within which both sides of one target must meet; the rest is for the time between targets."""
+
+PROFILE = 1.05
+"""Ratio of the two bounds at which a gap's profile counts as known."""
+
+FILLED = 24
+"""Offsets solved for the profile of one row, though two for each gap at least."""
+
+ATTACKS = (8, 32)
+"""Attacks for the profile of one row, where one of them is a large program and where it is a small one."""
+
+ATTACKS_LONG = 3
+"""Attacks, and targets solved, where windows are as long as the filter's memory."""
+
+SMALL = 5000
+"""BoxCells times entries of w in a small program."""
+
+TOLERANCE = 1e-7
+"""Asked of the solver: what both sides prove is second order in it."""
+
+LASTING = 32
+"""A filter's memory, in samples, from which on the search begins with windows as long as it."""
+
+LONGEST = 4096
+"""Samples back beyond which the past is not followed."""
+
+
+@dataclass(frozen=True, eq=False)
+class RowAdversary:
+    """An adversary against some row after sample j; its last state serves against every other row, too."""
+
+    sample: int
+    adversary: Adversary
+    chain: SampleChain
+    """With the cells on which its w is constant."""
+
+    @property
+    def end(self) -> Array:
+        """z at the sample."""
+        return np.asarray(self.adversary.z[-1])
+
+
+@dataclass(eq=False)
+class RowSearch:
+    """One row over the whole schedule: where it was solved and attacked, and the bracket."""
+
+    row: Array
+    opened: list[RowBetweenSamples]
+    nodes: list[Array]
+    """Bounds at the offsets of each gap."""
+    panels: list[Array]
+    """Bounds all along its panels."""
+    solved: list[dict[int, int]]
+    """Offsets at which the program was solved, with the samples back that it took."""
+    tried: set[tuple[int, int]] = field(default_factory=set)
+    """Where it was attacked."""
+    combined: set[tuple[int, int]] = field(default_factory=set)
+    """Where gains of atoms were put together."""
+    lower: float = 0.0
+    upper: float = np.inf
+    worst: tuple[int, int] = (0, 0)
+    closed: bool = False
+
+
+class ChainSearch:
+    """Windows of a chain, made once for each phase, and what was found after each sample: atoms and strikes."""
+
+    def __init__(self, chain: SampleChain, atoms: list[BoundedDirections], solved: Callable[[], None] = lambda: None):
+        self.chain, self._tell = chain, solved
+        self._windows: dict[tuple[int, int, bool, bool], ConeWindow] = {}
+        self.back = self.deep = 8
+        self.cell_loss = CELL_LOSS
+        self.solves = 0
+        self._enough: set[int] = set()
+        """Depths that twice as many samples did not improve on."""
+        self.atoms = atoms
+        self.strikes: list[list[RowAdversary]] = [[] for _ in range(len(chain))]
+        self._long = chain.start is None and chain.memory > LASTING and boxed(chain, list(range(len(chain))))
+        if self._long:
+            self.deep, self.back = chain.memory, chain.memory // 2
+
+    @cached_property
+    def _coarse(self) -> SampleChain:
+        return self.chain.refined(COARSE)
+
+    def idle(self, j: int) -> RowAdversary:
+        """An adversary that does nothing up to sample j."""
+        return RowAdversary(j, Adversary(0.0, (), np.zeros((1, self.chain.D.size))), self.chain)
+
+    def offset(self, found: RowSearch, j: int, place: int) -> float:
+        """What the estimate of a row at an offset adds since bounds are not centred at 0."""
+        return centre_offset(self.chain, found.row, j, float(found.opened[j].d[place]), self._gains_at(found, j, place))
+
+    def _gains_at(self, found: RowSearch, j: int, place: int) -> tuple[Array, ...]:
+        bounds, mu = self.chain.bounds, found.opened[j].mu[place]
+        if bounds.w_centre is None and bounds.v_centre is None:
+            return ()
+        at = self.atoms[j].find(mu)
+        gains = self.atoms[j].gains[at] if at is not None else self.window(j, self.back, False).gains(mu)
+        size = 1.0 if at is None else float(mu @ self.atoms[j].mu[at] / (self.atoms[j].mu[at] @ self.atoms[j].mu[at]))
+        return tuple(size * lam for lam in gains.gains)
+
+    def past(self, j: int, count: int, from_zero: bool) -> tuple[list[int], Array | StartSet]:
+        """The last samples up to j, and what is known before the first of them."""
+        nodes = self.chain.nodes(j, count)
+        if self.chain.start is not None:
+            if nodes[0] and not from_zero and not self.atoms[nodes[0]].whole:
+                nodes = self.chain.nodes(j, len(self.chain))
+            if not nodes[0]:
+                return nodes, self.chain.start
+        if from_zero:
+            return nodes, np.zeros(self.chain.D.size)
+        return nodes, self.chain.reach[nodes[0]] if self.chain.start is None else self.atoms[nodes[0]].reach
+
+    def window(self, j: int, count: int, from_zero: bool, rough: bool = True) -> ConeWindow:
+        """The window of `count` samples that ends with sample j."""
+        key = (j, count, from_zero, rough)
+        if key not in self._windows:
+            self._windows[key] = ConeWindow(
+                self._coarse if rough else self.chain, *self.past(j, count, from_zero), tolerance=TOLERANCE
+            )
+        return self._windows[key]
+
+    def gains(self, j: int, mu: Array, enough: float = 0.0) -> Gains:
+        """Gains for mu'z_j over `back` samples, kept among the atoms; good ones, if what they prove is `enough`."""
+        self.solves += 1
+        self._tell()
+        found = self.window(j, self.back, False).gains(mu, enough)
+        self.atoms[j].add(mu, found)
+        return found
+
+    def attack(self, j: int, mu: Array, rough: bool = False) -> tuple[Gains, Adversary]:
+        """An adversary from rest against mu'z_j over `deep` samples, and the gains that come with it; both are kept."""
+        self.solves += 1
+        self._tell()
+        gains, adversary = self.window(j, self.deep, True, rough).both(mu)
+        self._keep(j, adversary, self._coarse if rough else self.chain)
+        gains = self.proven(j, mu, gains)
+        self.atoms[j].add(mu, gains)
+        return gains, adversary
+
+    def _keep(self, j: int, adversary: Adversary, chain: SampleChain) -> None:
+        """Keep a strike, and what it is at the samples of the last period on its way."""
+        count = len(adversary.z)
+        for k in range(max(int(self.chain.start is None), count - len(self.chain)), count):
+            part = Adversary(0.0, adversary.w[:k], adversary.z[: k + 1])
+            at = (j - (count - 1 - k)) % len(self.chain)
+            self.strikes[at].append(RowAdversary(at, part, chain))
+
+    def proven(self, j: int, mu: Array, gains: Gains) -> Gains:
+        """What the gains of a start at rest prove when the past is endless."""
+        return self.evaluate(j, mu, gains.gains)
+
+    def evaluate(self, j: int, mu: Array, gains: tuple[Array, ...]) -> Gains:
+        """What any gains prove of mu'z_j; no solver."""
+        nodes, start = self.past(j, len(gains), False)
+        missing = [np.zeros(len(self.chain.samples[node].H)) for node in nodes[: len(nodes) - len(gains)]]
+        return evaluated(self.chain, nodes, start, mu, [*missing, *gains])
+
+    def improve(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
+        """Whether longer windows, or finer cells, bring the two sides of one target closer; if so they stay."""
+        steps = [self._deeper, self._longer, self._finer]
+        if self._long:  # windows are as long as the filter's memory already
+            steps.reverse()
+        return any(step(j, mu, best, below, rtol) for step in steps)
+
+    def _deeper(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
+        """Whether adversaries that start earlier do."""
+        if 2 * self.deep > LONGEST or self.deep in self._enough:
+            return False
+        self.deep *= 2
+        gains, adversary = self.attack(j, mu)
+        if adversary.value > below * (1 + rtol / 8) or gains.value < best * (1 - rtol / 8):
+            return True
+        self.deep //= 2
+        self._enough.add(self.deep)
+        return False
+
+    def _longer(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
+        """Whether gains of more samples do."""
+        if 2 * self.back > self.deep:
+            return False
+        self.back *= 2
+        if self.gains(j, mu).value < best * (1 - rtol / 8):
+            return True
+        self.back //= 2
+        return False
+
+    def _finer(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
+        """Whether finer cells do."""
+        if self.cell_loss <= FINEST:
+            return False
+        self.cell_loss /= 4
+        self.chain = self.chain.refined(self.cell_loss)
+        self._windows.clear()
+        gains, adversary = self.attack(j, mu)
+        target = min(best * (1 - rtol), below * (1 + rtol / 8))
+        return adversary.value >= target or gains.value < best * (1 - rtol / 8)
+
+    def opened(self, row: Array) -> RowSearch:
+        """A row over the schedule, as far as atoms and strikes against other rows tell."""
+        known: dict[float, Integrals] = {}
+        gaps = [open_row(self.chain, j, row, known=known) for j in range(len(self.chain))]
+        bounds = [gap.bound(atoms) for gap, atoms in zip(gaps, self.atoms, strict=True)]
+        found = RowSearch(
+            row, gaps, [nodes for nodes, _ in bounds], [panels for _, panels in bounds], [{} for _ in gaps]
+        )
+        found.lower = max(self._reached(found, j) for j in range(len(gaps)))
+        return found
+
+    def below(self, found: RowSearch, j: int) -> Array:
+        """The same, infinite where the row is not known."""
+        return np.where(np.isfinite(found.nodes[j]), self.attained(found, j), np.inf)
+
+    def _reached(self, found: RowSearch, j: int) -> float:
+        return float(np.max(self.attained(found, j)[np.isfinite(found.nodes[j])], initial=0.0))
+
+    def open_until(self, j: int, row: Array, d: float) -> RowBetweenSamples:
+        """One row from sample j to d after it."""
+        return open_row(self.chain, j, row, d)
+
+    def attained(self, found: RowSearch, j: int) -> Array:
+        """What strikes attain against a row at the offsets of gap j."""
+        opened = found.opened[j]
+        ends = np.array([strike.end for strike in self.strikes[j]]).reshape(-1, self.chain.D.size)
+        return np.asarray(opened.below + np.max(np.abs(ends @ opened.mu.T), axis=0, initial=0.0))
+
+    def restore(self, j: int, mu: Array, gains: tuple[Array, ...]) -> None:
+        """Evaluate given gains for a direction after sample j; no solver."""
+        self.atoms[j].add(mu, self.evaluate(j, mu, gains))
+
+    def row(self, row: Array, rtol: float, most: int) -> RowSearch:
+        """Bracket the worst time of one row to `rtol`, with at most so many solves."""
+        found = self.opened(row)
+        limit = self.solves + most
+        while True:
+            top, j, panel = self.top(found)
+            found.upper, found.worst = top, (j, panel)
+            if top <= found.lower * (1 + rtol):
+                found.closed = True
+                return found
+            if self.solves >= limit:
+                return found
+            ends = np.where(np.isfinite(found.nodes[j]), found.nodes[j], 0.0)[panel : panel + 2]
+            offset = panel + int(ends[1] > ends[0])
+            high, at, peak = self._highest(found)
+            if high > 0 and found.solved[at][peak] < self.back:
+                self._node(found, at, peak)
+            elif top > high * (1 + 0.9 * rtol * (1 - SHARE)) and offset not in found.solved[j]:
+                enough = max(high, found.lower * (1 + rtol * SHARE))
+                if self._combined(found, j, offset) > enough:
+                    self._node(found, j, offset, enough)
+            elif not self._close(found, *((high, at, peak) if high > 0 else (top, j, offset)), rtol):
+                return found
+
+    def top(self, found: RowSearch) -> tuple[float, int, int]:
+        """The highest bound, its gap and panel; what is not known at all does not count."""
+        best = (0.0, 0, 0)
+        for j, (nodes, panels) in enumerate(zip(found.nodes, found.panels, strict=True)):
+            ends = np.where(np.isfinite(nodes), nodes, 0.0)
+            high = np.where(np.isfinite(panels), panels, np.maximum(ends[1:], ends[:-1]))
+            k = int(np.argmax(high))
+            best = max(best, (float(high[k]), j, k))
+        return best
+
+    def _highest(self, found: RowSearch) -> tuple[float, int, int]:
+        """The largest bound at a solved offset, its sample and the offset."""
+        return max(
+            ((float(found.nodes[j][offset]), j, offset) for j, solved in enumerate(found.solved) for offset in solved),
+            default=(0.0, 0, 0),
+        )
+
+    def _close(self, found: RowSearch, high: float, j: int, offset: int, rtol: float) -> bool:
+        """Whether an attack at an offset, or better windows, brought its two sides closer.
+
+        Where they are close already and the offset has been attacked before, what is left is the panels' own width.
+        """
+        again, lower = (j, offset) in found.tried, found.lower
+        below, above = self._attack(found, j, offset)
+        if below * (1 + rtol * SHARE) >= high:
+            return not again or found.lower > lower
+        if above < high * (1 - rtol / 8):  # a longer past says more
+            self.back = min(2 * self.back, self.deep)
+            return True
+        rest = float(found.opened[j].below[offset])
+        best = above - float(found.opened[j].above[offset])
+        done = self.improve(j, found.opened[j].mu[offset], best, below - rest, rtol)
+        self._refresh(found, j)
+        return done
+
+    def _combined(self, found: RowSearch, j: int, offset: int) -> float:
+        """What the gains of the nearest atoms prove together at an offset; no solver."""
+        mu, atoms = found.opened[j].mu[offset], self.atoms[j]
+        if (j, offset) not in found.combined and atoms.gains:
+            found.combined.add((j, offset))
+            fit = atoms.fit(mu[None])
+            parts = [[a * g for g in atoms.gains[k].gains] for k, a in zip(fit.place[0], fit.share[0], strict=True)]
+            count = max(map(len, parts))
+            empty = [np.zeros(len(self.chain.samples[k].H)) for k in self.chain.nodes(j, count)]
+            both = [[*empty[: len(empty) - len(part)], *part] for part in parts]
+            put = self.evaluate(j, mu, tuple(a + b for a, b in zip(*both, strict=True)))
+            atoms.add(mu, put)
+            self._refresh(found, j)
+        return float(found.nodes[j][offset])
+
+    def _node(self, found: RowSearch, j: int, offset: int, enough: float = 0.0) -> None:
+        opened = found.opened[j]
+        self.gains(j, opened.mu[offset], enough - float(opened.above[offset]))
+        found.solved[j][offset] = self.back
+        self._refresh(found, j)
+
+    def _refresh(self, found: RowSearch, j: int) -> None:
+        found.nodes[j], found.panels[j] = found.opened[j].bound(self.atoms[j])
+        found.lower = max(found.lower, self._reached(found, j))
+
+    def _attack(self, found: RowSearch, j: int, offset: int, rough: bool = False) -> tuple[float, float]:
+        """Strike at an offset; what is attained there, and what gains prove there now."""
+        self.attack(j, found.opened[j].mu[offset], rough)
+        found.tried.add((j, offset))
+        found.solved[j].setdefault(offset, self.back)
+        self._refresh(found, j)
+        return float(self.attained(found, j)[offset]), float(found.nodes[j][offset])
+
+    def profile(self, found: RowSearch) -> None:
+        """Smooth the upper curve, then attack every gap where the two bounds are furthest apart."""
+        gaps = range(len(found.opened))
+        for j in gaps:
+            known = PROFILE * float(self.attained(found, j)[0]) if self._long else 0.0
+            if 0 not in found.solved[j] and known < found.nodes[j][0] < np.inf:
+                self._node(found, j, 0, known)
+        if self._long:
+            self._rough_profile(found)
+            return
+        slack = [self._slack(found, j) for j in gaps]  # a solve on one gap changes that of no other
+        for _ in range(max(FILLED, 2 * len(gaps))):
+            ratio, j, offset = max((r, j, o) for j, (r, o) in enumerate(slack))
+            if ratio <= PROFILE:
+                break
+            if (j, offset) in found.combined or not self.atoms[j].gains:
+                self._node(found, j, offset)
+            else:
+                self._combined(found, j, offset)
+            slack[j] = self._slack(found, j)
+        small = (
+            self.deep * float(np.mean([g.cells.shape[0] * g.cells.shape[2] for g in self._coarse.gaps] or [0])) < SMALL
+        )
+        for _ in range(ATTACKS[small]):
+            ratio, j, offset = max((r, j, o) for j, (r, o) in enumerate(self._apart(found, j) for j in gaps))
+            if ratio <= PROFILE:
+                break
+            deep = self.deep
+            self.deep = deep if small else min(deep, 2 * self.back)
+            self._attack(found, j, offset, rough=True)
+            self.deep = deep
+
+    def _rough_profile(self, found: RowSearch) -> None:
+        """Attack and solve where the two bounds are furthest apart, a few times each."""
+        deep, self.deep = self.deep, self.back
+        for attacked in [True] * ATTACKS_LONG + [False] * ATTACKS_LONG:
+            apart = [self._apart(found, k) for k in range(len(found.opened))]
+            ratio, j, offset = max((r, k, o) for k, (r, o) in enumerate(apart))
+            if ratio <= PROFILE:
+                break
+            found.tried.add((j, offset))
+            if attacked:
+                self._attack(found, j, offset, rough=True)
+            elif self._combined(found, j, offset) > PROFILE * float(self.attained(found, j)[offset]):
+                self._node(found, j, offset, PROFILE * float(self.attained(found, j)[offset]))
+        self.deep = deep
+
+    def _apart(self, found: RowSearch, j: int) -> tuple[float, int]:
+        """The largest ratio of the two bounds on gap j where no attack has been tried, and its offset."""
+        best, top = self.attained(found, j), np.where(np.isfinite(found.nodes[j]), found.nodes[j], 0.0)
+        ratio = np.divide(top, best, out=np.full_like(top, np.inf), where=best > 0)
+        ratio[top == 0] = 0.0
+        ratio[[o for at, o in found.tried if at == j]] = 0.0
+        offset = int(np.argmax(ratio))
+        return float(ratio[offset]), offset
+
+    def _slack(self, found: RowSearch, j: int) -> tuple[float, int]:
+        """By how much the bound on gap j may be loose at an offset not solved: its ratio to what the nearest say."""
+        top, solved = np.where(np.isfinite(found.nodes[j]), found.nodes[j], 0.0), sorted(found.solved[j])
+        left = np.setdiff1d(np.arange(top.size), solved)
+        if not left.size or not top.any():
+            return 1.0, 0
+        sure = np.interp(left, solved, top[solved]) if solved else np.zeros(left.size)
+        ratio = np.divide(top[left], sure, out=np.full(left.size, np.inf), where=sure > 0)
+        best = int(np.argmax(np.where(top[left] > 0, ratio, 0.0)))
+        return float(ratio[best]), int(left[best])

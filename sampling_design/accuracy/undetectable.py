@@ -1,0 +1,241 @@
+"""What no sample of a schedule ever shows and what does not decay: rows that it touches can never be known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.plants.clusters import eigenvalue_clusters, format_eigenvalue
+from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.plant import Plant, Signals
+
+Array = npt.NDArray[np.float64]
+Complex = npt.NDArray[np.complex128]
+
+DECAYS = 1e-9
+"""A mode counts as decaying if it loses more than this share over a period."""
+
+ALIAS = 1e-7
+"""Two modes look alike at the samples if e^{(mu - nu) period} is 1 within this."""
+
+UNSEEN = 1e-9
+"""A direction counts as unseen if its samples are below this share of what the strongest direction shows."""
+
+HIDDEN = 1e-11
+"""A direction of a free start is hidden if rows, each of length one, show less than this of it: what rounding makes of
+a mode that no output sees. An end that is infinite for it is no false claim."""
+
+GROWN = 200.0
+"""Logarithm of the growth up to which outputs are looked at: what grows more says nothing more of sizes."""
+
+GOLDEN = 1.618
+"""Exponent that spreads times so that no mode is missed by its period."""
+
+ROUNDED = 1e-12
+"""An entry of orthonormal columns below this is none."""
+
+TOUCHED = 1e-9
+"""A row counts as free of the unknown part if it is below this share of the row, in balanced coordinates."""
+
+
+@dataclass(frozen=True, eq=False)
+class DetectablePart:
+    """The plant without its unknown part: x = lift z + unknown.
+
+    Attributes
+    ----------
+    plant : Plant
+        The plant itself where nothing is unknown.
+    lift : (n, r) array
+        x = lift z + unknown part: a row of x that the unknown part does not touch is row lift of z.
+    unknown : (n, n - r) array
+        What spans the unknown part.
+    modes : tuple of str
+        Its eigenvalues, in words.
+    moving : (n, m) array or None
+        What no sample shows, as it is at the first one, where that moves on (the samples come at a period of a mode
+        that the outputs see at other times): `plant` is then whole, and `unknown` all that it passes through.
+    """
+
+    plant: Plant
+    lift: Array
+    unknown: Array
+    modes: tuple[str, ...]
+    moving: Array | None = None
+
+    def touches(self, row: Array) -> bool:
+        """Whether the unknown part changes row'x."""
+        shown = np.abs(row @ self.unknown)
+        return bool(np.any(shown > TOUCHED * (np.abs(row) @ np.abs(self.unknown))))
+
+
+def known_part(plant: Plant, times: Array, period: float, outputs: list[npt.NDArray[np.intp]]) -> DetectablePart:
+    """Return what an endless schedule lets anybody know of a plant."""
+    d = _scales(plant, period)
+    A, C = plant.A * d / d[:, None], plant.C * d
+    size = np.linalg.norm(C, axis=1, keepdims=True)
+    C = C / np.where(size > 0, size, 1.0)
+    found = []
+    values = [complex(c.value) for c in eigenvalue_clusters(plant.A)]
+    for group in _alike(values, period):
+        if group[0].real * period < -DECAYS:
+            continue
+        X = _invariant(A, group, values)
+        hidden = _hidden(A, C, X, group[0], times, period, outputs)
+        if hidden.shape[1]:
+            found.append(X @ hidden)
+    if not found:
+        return DetectablePart(plant, np.eye(plant.n_states), np.zeros((plant.n_states, 0)), ())
+    joined = np.hstack(found)
+    real = np.hstack([joined.real, joined.imag])
+    left, sizes, _ = np.linalg.svd(real, full_matrices=True)
+    rank = int(np.sum(sizes > 1e-7 * sizes[0]))
+    U, N = _cleaned(left[:, :rank]), left[:, rank:]
+    if np.linalg.norm(N.T @ A @ U) > 1e-7 * np.linalg.norm(A):
+        passed = d[:, None] * _cleaned(_invariant_hull(A, U))
+        return DetectablePart(
+            plant, np.eye(plant.n_states), passed, open_modes(plant.A, d[:, None] * U), d[:, None] * U
+        )
+    reduced = Plant(
+        N.T @ A @ N,
+        plant.C * d @ N,
+        G=(N.T / d) @ plant.G,
+        time_unit=plant.time_unit,
+        name=plant.name,
+        outputs=plant.outputs,
+        disturbances=plant.disturbances,
+        states=Signals([f"known{i + 1}" for i in range(N.shape[1])]),
+    )
+    return DetectablePart(reduced, d[:, None] * N, d[:, None] * U, open_modes(plant.A, d[:, None] * U))
+
+
+def _cleaned(U: Array) -> Array:
+    """Orthonormal columns without entries that are rounding."""
+    return np.where(np.abs(U) > ROUNDED, U, 0.0)
+
+
+def _invariant_hull(A: Array, U: Array) -> Array:
+    """Orthonormal columns that span the least invariant subspace of A with the columns of U in it."""
+    size = max(float(np.linalg.norm(A, 2)), np.finfo(float).tiny)
+    for _ in range(len(A)):
+        left, sizes, _ = np.linalg.svd(np.hstack([U, A @ U / size]), full_matrices=False)
+        wider = left[:, sizes > 1e-7 * sizes[0]]
+        if wider.shape[1] == U.shape[1]:
+            break
+        U = wider
+    return U
+
+
+def open_modes(A: Array, U: Array) -> tuple[str, ...]:
+    """Return the eigenvalues of A, in words, of which the columns of U have a share."""
+    d = balanced_schur(A).d
+    A, U = A * d / d[:, None], U / d[:, None]
+    U = U / np.linalg.norm(U, axis=0)
+    values = [complex(cluster.value) for cluster in eigenvalue_clusters(A)]
+    found = []
+    for value in values:
+        left = _invariant(A.T, [value], values)
+        if np.linalg.norm(left.T @ U) > UNSEEN:
+            found.append(format_eigenvalue(value))
+    return tuple(found)
+
+
+def unseen_modes(A: Array, C: Array) -> tuple[str, ...]:
+    """Return the eigenvalues of A, in words, that some direction has which no row of C shows (Hautus)."""
+    d = balanced_schur(A).d
+    A, C = A * d / d[:, None], C * d
+    size = np.linalg.norm(C, axis=1, keepdims=True)
+    C = C / np.where(size > 0, size, 1.0) * max(float(np.linalg.norm(A, 2)), np.finfo(float).tiny)
+    found = []
+    for cluster in eigenvalue_clusters(A):
+        shown = np.linalg.svd(np.vstack([A - complex(cluster.value) * np.eye(len(A)), C]), compute_uv=False)
+        if not shown[-1] > UNSEEN * shown[0]:
+            found.append(format_eigenvalue(complex(cluster.value)))
+    return tuple(found)
+
+
+def _scales(plant: Plant, period: float) -> Array:
+    """One over what the outputs show of each state over as many periods as there are states: units play no part.
+
+    At any time, since what the samples alone hide must not look small.
+    """
+    balance = balanced_schur(plant.A).d
+    rate = float(np.max(np.linalg.eigvals(plant.A).real, initial=0.0))
+    span = min(period * plant.n_states, GROWN / rate if rate > 0 else np.inf)
+    times = span * (np.arange(8 * plant.n_states + 1) / (8 * plant.n_states)) ** GOLDEN
+    size = np.linalg.norm(plant.C * balance, axis=1, keepdims=True)
+    C = plant.C * balance / np.where(size > 0, size, 1.0)
+    seen = C @ (plant.transition(times) * balance / balance[:, None])
+    shown = np.linalg.norm(seen.reshape(-1, plant.n_states), axis=0)
+    return np.asarray(balance / np.where((shown > 0) & np.isfinite(shown), shown, 1.0))
+
+
+def _alike(values: list[complex], period: float) -> list[list[complex]]:
+    """Eigenvalues that no sample of a periodic schedule can tell apart."""
+    groups: list[list[complex]] = []
+    for value in values:
+        for group in groups:
+            near = (value - group[0]) * period
+            if abs(near.real) < ALIAS and abs(np.exp(1j * near.imag) - 1) < ALIAS:
+                group.append(value)
+                break
+        else:
+            groups.append([value])
+    return groups
+
+
+def _invariant(A: Array, group: list[complex], others: list[complex]) -> Complex:
+    """Orthonormal basis of the invariant subspace of some eigenvalues."""
+    from scipy.linalg import schur
+
+    def chosen(z: complex) -> bool:
+        return min(others, key=lambda value: abs(z - value)) in group
+
+    _, Z, count = schur(A, output="complex", sort=chosen)
+    return np.asarray(Z[:, :count], dtype=np.complex128)
+
+
+def _hidden(
+    A: Array,
+    C: Array,
+    X: Complex,
+    value: complex,
+    times: Array,
+    period: float,
+    outputs: list[npt.NDArray[np.intp]],
+) -> Complex:
+    """Combinations of the columns of X that no sample shows."""
+    from scipy.linalg import expm
+
+    within = X.conj().T @ A @ X - value.real * np.eye(X.shape[1])  # of X alone, its growth taken out: never overflows
+    flows = [expm(within * t) for t in np.append(times - times[0], period)]
+    cycle = np.vstack([C[seen] @ X @ flow for seen, flow in zip(outputs, flows[:-1], strict=True)])
+    M = flows[-1]
+    rows = [cycle]
+    for _ in range(X.shape[1] - 1):
+        rows.append(rows[-1] @ M)
+    _, sizes, right = np.linalg.svd(np.vstack(rows), full_matrices=True)
+    sizes = np.pad(sizes, (0, X.shape[1] - sizes.size)) if sizes.size < X.shape[1] else sizes
+    return np.asarray(right.conj().T[:, sizes < UNSEEN * max(1.0, float(sizes[0]))], dtype=np.complex128)
+
+
+def told_of_start(H: Array, F: Array, offsets: npt.NDArray[np.intp], flow: Array) -> Array:
+    """What rows H (R, n), read at the ends of gaps F (K-1, n, n), say of the start, in the columns of `flow`."""
+    told = []
+    with np.errstate(over="ignore", invalid="ignore"):  # who asks looks whether it is finite
+        for k, (a, b) in enumerate(pairwise(offsets.tolist())):
+            flow = F[k - 1] @ flow if k else flow
+            told.append(H[a:b] @ flow)
+    return np.vstack(told) if told else np.zeros((0, flow.shape[1]))
+
+
+def unseen(told: Array) -> Array:
+    """Directions (n, m) of the start that no row (R, n) shows; none where they grow beyond all numbers."""
+    size = np.linalg.norm(told, axis=1)
+    if not np.isfinite(size).all():
+        return np.zeros((told.shape[1], 0))
+    values, right = np.linalg.svd(told[size > 0] / size[size > 0, None])[1:]
+    return np.asarray(right[np.count_nonzero(values > HIDDEN) :].T)

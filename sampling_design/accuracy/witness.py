@@ -1,0 +1,265 @@
+"""An adversary in the plant's own units: from rest, every sample zero, the row as far off as it gets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.between_samples import RowBetweenSamples
+from sampling_design.accuracy.bounds import SignalBounds
+from sampling_design.accuracy.search import RowAdversary
+from sampling_design.accuracy.start import InitialSet
+from sampling_design.numerics.linalg import discounted_flow, expm_batch
+from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.plant import Plant
+from sampling_design.records.checks import freeze
+from sampling_design.records.record import Plain, Record, short
+
+KEPT = 1e-9
+"""Relative rounding within which a witness keeps its bounds and reaches its value when it is flown anew."""
+
+SHOWN = 1e-9
+"""What an exact sensor may show, as a share of what w does to it within a cell: rounding and last digits."""
+
+CLOSED = 1e-13
+"""What may be left open at the end of a gap, as a share of the terms that make the state there: rounding alone."""
+
+LAST_DIGIT = float(np.finfo(float).eps)
+"""So much of what w can move a state by may be left open of it, too: the last digit of w does that."""
+
+Array = npt.NDArray[np.float64]
+
+
+class WitnessRun(NamedTuple):
+    """v (K, p) = -C x at the samples (NaN where not measured), x (n,) at the end, and w (M, q)."""
+
+    v: Array
+    x: Array
+    w: Array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AccuracyWitness(Record):
+    """A disturbance and a noise that keep their bounds and that no estimator can tell from nothing at all.
+
+    The state starts at 0 (or within what is known at the start); every sample shows y = C x + v = 0,
+    so that +x and -x look alike, and any estimator errs by `value` on one of them.
+
+    Attributes
+    ----------
+    plant : Plant
+    row : (n,) array
+    edges : (M+1,) array
+        Ends of the cells on which w is constant, from 0 on [the plant's time unit].
+    w : (M, q) array
+    samples : (K,) array
+        Sample times after the start; the last at most a gap before the end.
+    last : int
+        Place of the last sample in the schedule's period.
+    states : (K, n) array
+        x at those samples; the first is 0, or lies within what is known at the start.
+    outputs : (K, p) array of bool
+        What each sample measures.
+    value : float
+        row'x at the end.
+    """
+
+    plant: Plant
+    row: Array
+    edges: Array
+    w: Array
+    samples: Array
+    last: int
+    states: Array
+    outputs: npt.NDArray[np.bool_]
+    value: float
+
+    def simulate(self, units: Array | None = None) -> WitnessRun:
+        """Return what happens: the noise that hides the state at the samples, its end, and the disturbance.
+
+        Every gap is flown anew from the state at its first sample. What rounding leaves open at its end is closed by a
+        change of w within that gap, so that what is returned is one trajectory even where the plant grows: its state at
+        the samples is exactly `states`, its w is `w` but for that change. NaN in w says that no change closes it.
+
+        Parameters
+        ----------
+        units : (q,) array, optional
+            In which the change is least, such as the bounds on w; an entry of 0 does not change. Default: the largest
+            of each entry of `w`.
+        """
+        plant, scale = self.plant, self.scales()
+        size = np.max(np.abs(self.w), axis=0, initial=0.0) if units is None else units
+        A, G = plant.A * scale / scale[:, None], plant.G * size / scale[:, None]  # what is 0 cannot close a gap
+        size = np.where(size > 0, size, 1.0)
+        n, q = G.shape
+        joint = np.zeros((n + q, n + q))
+        joint[:n] = np.hstack([A, G])
+        flows = expm_batch(joint, np.diff(self.edges))[:, :n]
+        ends = np.searchsorted(self.edges, [*self.samples, self.edges[-1]])
+        z, w = self.states / scale, self.w / size
+        cells = np.diff(ends)
+        for count in np.unique(cells[:-1]):  # gaps of equally many cells at once: each is flown from its own state
+            at = np.flatnonzero(cells[:-1] == count)
+            inside = ends[at][:, None] + np.arange(count)
+            ahead, flat = _flown(flows[inside])
+            moved = np.einsum("kij,kj->ki", ahead, z[at]) + np.einsum(
+                "kij,kj->ki", flat, w[inside].reshape(len(at), -1)
+            )
+            terms = np.einsum("kij,kj->ki", np.abs(ahead), np.abs(z[at]))
+            terms += np.einsum("kij,kj->ki", np.abs(flat), np.abs(w[inside]).reshape(len(at), -1))
+            terms = np.maximum(terms, LAST_DIGIT / CLOSED * np.abs(flat).sum(axis=2))
+            unit, left = terms.clip(1e-300), z[at + 1] - moved
+            change = _least_change(flat / unit[:, :, None], left / unit)
+            open_still = np.abs(left - _times(flat, change))
+            change[~np.all(open_still <= CLOSED * terms, axis=1)] = np.nan
+            w[inside] += change.reshape(len(at), count, q)
+        ahead, flat = _flown(flows[None, ends[-2] :])
+        x = ahead[0] @ z[-1] + flat[0] @ w[ends[-2] :].ravel()
+        return WitnessRun(np.where(self.outputs, -self.states @ plant.C.T, np.nan), scale * x, w * size)
+
+    def scales(self) -> Array:
+        """How far w carries each state over the longest cell, so that units play no part in the flow."""
+        balance = balanced_schur(self.plant.A).d
+        G = self.plant.G * np.max(np.abs(self.w), axis=0, initial=0.0) / balance[:, None]
+        longest = np.max(np.diff(self.edges), initial=0.0)
+        _, W = discounted_flow(self.plant.A * balance / balance[:, None], G @ G.T, [longest])
+        spread = np.sqrt(np.diag(W[0]))
+        return np.asarray(balance * np.where(spread > 0, spread, 1.0))
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [
+            ("value", short(self.value)),
+            ("samples", str(self.samples.size)),
+            ("duration", f"{short(self.edges[-1])} {self.plant.time_unit}"),
+        ]
+
+    def explain(self) -> str:
+        """Say what the witness does."""
+        start = "an admissible start" if self.states[0].any() else "rest"
+        return (
+            f"From {start}, a disturbance within its bound moves the row to {short(self.value)} in "
+            f"{short(self.edges[-1])} {self.plant.time_unit} while noise within its bound makes all "
+            f"{self.samples.size} samples read zero."
+        )
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data."""
+        return {
+            "row": self.row.tolist(),
+            "edges": self.edges.tolist(),
+            "w": self.w.tolist(),
+            "samples": self.samples.tolist(),
+            "last": self.last,
+            "states": self.states.tolist(),
+            "outputs": self.outputs.astype(int).tolist(),
+            "value": self.value,
+        }
+
+
+def _flown(flows: Array) -> tuple[Array, Array]:
+    """Flow over whole gaps (K, n, n), and what a constant w in each of their cells adds (K, n, m q); m cells each.
+
+    `flows` (K, m, n, n + q) are those of the cells.
+    """
+    count, m, n = flows.shape[:3]
+    ahead, blocks = np.tile(np.eye(n), (count, 1, 1)), np.zeros((count, n, m, flows.shape[3] - n))
+    for cell in range(m - 1, -1, -1):
+        blocks[:, :, cell] = ahead @ flows[:, cell, :, n:]
+        ahead = ahead @ flows[:, cell, :, :n]
+    return ahead, blocks.reshape(count, n, -1)
+
+
+def _least_change(rows: Array, wanted: Array) -> Array:
+    """The shortest solutions (K, m) of rows (K, n, m) x = wanted (K, n), in the sense of least squares."""
+    if not rows.size:
+        return np.zeros((len(rows), rows.shape[2]))
+    U, s, V = np.linalg.svd(rows, full_matrices=False)
+    shown = s > np.finfo(float).eps * max(rows.shape[1:]) * s[:, :1]
+    part = np.divide(_times(np.swapaxes(U, 1, 2), wanted), s, out=np.zeros_like(s), where=shown)
+    return _times(np.swapaxes(V, 1, 2), part)
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    """One product (K, n) of each matrix (K, n, m) and its vector (K, m)."""
+    return np.asarray(np.einsum("kij,kj->ki", matrices, vectors))
+
+
+def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet | None = None) -> tuple[float, float]:
+    """Return row'x at the end of a witness flown anew, and the factor by which w, v and start exceed their bounds.
+
+    Without `initial` the schedule is endless and the witness starts from rest; with it, one that starts at the first
+    node may start anywhere in that set.
+    """
+    v, x, moved = witness.simulate(bounds.w)  # an entry that the witness hardly uses may close a gap, too
+    period = [(witness.last - k) % len(bounds.v) for k in range(len(v))][::-1]
+    legal = np.array_equal(witness.outputs, np.isfinite(bounds.v[period]))
+    begun = 0.0
+    if initial is not None and witness.last + 1 == len(v):
+        begun = initial.excess(witness.states[0])
+    elif witness.states[0].any() or (initial is not None and witness.last + 1 < len(v)):
+        legal = False
+    if not legal or np.isnan(moved).any():
+        return 0.0, np.inf
+    w = np.linalg.norm(moved, axis=1, keepdims=True) if bounds.w_ball else np.abs(moved)
+    noise, limit = np.where(witness.outputs, np.abs(v), 0.0), np.where(witness.outputs, bounds.v[period], np.inf)
+    rounding = SHOWN * np.abs(witness.plant.C) @ witness.scales()
+    noise = np.where((limit == 0) & (noise <= rounding), 0.0, noise)
+    if bounds.v_ball:
+        noise, limit = np.linalg.norm(noise, axis=1), limit.min(axis=1)
+    return float(witness.row @ x), max(_excess(w, bounds.w), _excess(noise, limit), begun)
+
+
+def _excess(size: Array, limit: Array) -> float:
+    """The largest ratio; an exact sensor is kept within rounding of what it would show without its neighbours."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(size > 0, size / limit, 0.0)
+    return float(np.max(ratio, initial=0.0))
+
+
+def physical(row: Array, opened: RowBetweenSamples, strike: RowAdversary, offset: int) -> AccuracyWitness:
+    """Return a strike with its best end after the last sample, in the plant's units."""
+    chain, count = strike.chain, len(strike.adversary.w) + 1
+    reached = float(opened.mu[offset] @ strike.end)
+    sign = -1.0 if reached < 0 else 1.0
+    nodes = chain.nodes(strike.sample, count)
+    scale = chain.bounds.w
+    edges, w, samples, now = [np.zeros(1)], [], [0.0], 0.0
+    for j, u in zip(nodes[:-1], strike.adversary.w, strict=True):
+        gap = chain.gaps[j]
+        edges.append(now + (gap.length - gap.edges[::-1])[1:])
+        w.append(sign * u[::-1] * scale)
+        now += gap.length
+        samples.append(now)
+    if offset:
+        d = opened.d[: offset + 1]
+        step = d[1] - d[0]
+        n = chain.D.size
+        joint = np.zeros((n + chain.G.shape[1],) * 2)
+        joint[:n] = np.hstack([chain.A, chain.G])
+        mean = (row * chain.D) @ expm_batch(chain.A, d[:-1]) @ expm_batch(joint, [step])[0, :n, n:]
+        if chain.bounds.w_ball:
+            size = np.linalg.norm(mean, axis=1, keepdims=True)
+            u = np.divide(mean, size, out=np.zeros_like(mean), where=size > 0)
+        else:
+            u = np.sign(mean)
+        edges.append(now + d[1:])
+        w.append(u[::-1] * scale)
+    measured = np.zeros((len(chain), chain.plant.n_outputs), dtype=bool)
+    for j in set(nodes):
+        measured[j, chain.samples[j].outputs] = True
+    return AccuracyWitness(
+        plant=chain.plant,
+        row=freeze(row),
+        edges=freeze(np.concatenate(edges)),
+        w=freeze(np.concatenate(w) if w else np.zeros((0, scale.size))),
+        samples=freeze(samples),
+        last=strike.sample,
+        states=freeze(
+            sign * np.array([chain.D * (chain.L[j] @ z) for j, z in zip(nodes, strike.adversary.z, strict=True)])
+        ),
+        outputs=measured[nodes],
+        value=float(abs(reached) + opened.below[offset]),
+    )

@@ -1,0 +1,55 @@
+"""What a finished search says: the strongest strike as a witness, and what a finite schedule leaves open."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.question import AccuracyQuestion
+from sampling_design.accuracy.search import ChainSearch, RowSearch
+from sampling_design.accuracy.undetectable import open_modes
+from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains, physical
+from sampling_design.records.checks import freeze
+
+Array = npt.NDArray[np.float64]
+
+
+def left_open(question: AccuracyQuestion, finder: ChainSearch | None, upper: Array) -> tuple[str, ...]:
+    """Return the eigenvalues that the samples of a finite schedule leave open, if a wanted row is infinite."""
+    if finder is None or np.isfinite(upper).all():
+        return ()
+    chain, basis = finder.chain, finder.atoms[-1].basis
+    free = np.linalg.svd(basis, full_matrices=True)[0][:, basis.shape[1] :]
+    return open_modes(question.plant.A, chain.D[:, None] * chain.L[-1] @ free)
+
+
+def strongest_witness(
+    finder: ChainSearch, row: Array, question: AccuracyQuestion, found: RowSearch
+) -> tuple[AccuracyWitness, int, int]:
+    """Return the strongest strike as a witness that is flown anew and made admissible, its sample and its offset."""
+    best: tuple[AccuracyWitness, int, int] | None = None
+    strikes = []
+    for j, opened in enumerate(found.opened):
+        sure = np.isfinite(found.nodes[j])
+        if not sure.any():
+            continue
+        for strike in finder.strikes[j] or [finder.idle(j)]:
+            values = np.where(sure, np.abs(opened.mu @ strike.end) + opened.below, -1.0)
+            strikes.append((float(np.max(values)), int(np.argmax(values)), strike))
+    top = (1 - KEPT) * max(value for value, *_ in strikes)
+    for value, offset, strike in sorted(strikes, key=lambda a: (-min(a[0], top), a[2].sample)):  # of equals the first
+        if best is not None and best[0].value >= (1 - KEPT) * value:
+            break
+        witness = physical(row, found.opened[strike.sample], strike, offset)
+        closed = witness.simulate(question.bounds.w).w
+        witness = replace(witness, w=closed) if np.isfinite(closed).all() else witness
+        value, excess = attains(witness, question.bounds, question.initial)
+        factor = max(excess, 1.0)
+        w, states = freeze(witness.w / factor), freeze(witness.states / factor)
+        witness = replace(witness, w=w, states=states, value=value / factor)
+        if best is None or witness.value > best[0].value * (1 + KEPT):
+            best = witness, strike.sample, offset
+    assert best is not None
+    return best

@@ -1,0 +1,403 @@
+"""From a plant and a schedule to a proven certificate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import __version__
+from sampling_design.certificates.exact.canonical import NoiseWeights, ScaledProblem, canonical, evened, followed, slip
+from sampling_design.certificates.exact.certificate import Certificate, SampledCertificate
+from sampling_design.certificates.exact.efforts import ALL_WORK, BEYOND, LOOK_WORK, SearchEffort, TimeLimit
+from sampling_design.certificates.exact.given_weights import met, weights_of
+from sampling_design.certificates.exact.own_decay import own_decay
+from sampling_design.certificates.exact.precise import precisely_chosen
+from sampling_design.certificates.exact.proof import ScheduleProof
+from sampling_design.certificates.exact.weight_choice import (
+    COMPARED,
+    SEARCH_WORK,
+    ChosenWeights,
+    choose_rate,
+    choose_weights,
+    rate_range,
+    round_choices,
+    settled_sizes,
+)
+from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
+from sampling_design.checkers.work import Work
+from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
+from sampling_design.numerics.linalg import symmetrise
+from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.dispatch import OpenPlant, registered
+from sampling_design.records.evidence import SolverRecord
+from sampling_design.records.signatures import checked
+from sampling_design.schedules.family import AnySchedule, SamplingFamily
+from sampling_design.schedules.schedule import PeriodicSchedule
+
+if TYPE_CHECKING:  # the families' programs are loaded when one is asked for
+    from sampling_design.certificates.families.family_certificate import FamilyCertificate
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+
+def certify_given(
+    plant: Plant,
+    schedule: AnySchedule,
+    P2: Array,
+    Qw: Array,
+    R: Array,
+    Qv: Array,
+    eta: float,
+    solver: SolverRecord,
+    exists: bool = False,
+    limit: TimeLimit | None = None,
+) -> Certificate:
+    """Return the certificate with the best P1 for given weights and rate, proven.
+
+    `exists` says that one with this rate, or a larger one, is known to exist: then that is not asked again. `limit` is
+    the time that it may take.
+
+    Raises
+    ------
+    CertificateError
+        If no certificate with that rate exists.
+    UndecidedError
+        If the proof does not close, or the information is lost in rounding.
+    """
+    weights = (P2, Qw, R, Qv)
+    if not plant.n_states:
+        return Certificate(
+            plant, schedule, P1=P2, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=eta, lam=1.0, lam_samples=1.0, solver=solver
+        )
+    with np.errstate(all="ignore"):  # what overflows is not finite, and then undecided
+        stop = None if limit is None else limit.over
+        proof = ScheduleProof(plant, schedule, weights, eta, SearchEffort(Work(ALL_WORK, stop=stop), alone=True))
+        followed(proof.canon, eta * proof.canon.time)
+        if not exists:
+            _require(plant, schedule, eta, proof.canon)
+        return proof.closed(solver)
+
+
+def _require(plant: Plant, schedule: AnySchedule, eta: float, canon: ScaledProblem) -> None:
+    """Refuse where no certificate exists, in the internal units and, for the words, in those of the caller."""
+    if not certificate_exists(canon.plant, canon.schedule, eta * canon.time).exists:
+        require_certificate(plant, schedule, eta)
+
+
+def _bounds(plant: Plant, schedule: AnySchedule, canon: ScaledProblem) -> tuple[float, float]:
+    """The rates to be searched, in internal units; refused as in `_require`."""
+    try:
+        return rate_range(canon.plant, canon.schedule)
+    except CertificateError:
+        low, high = rate_range(plant, schedule)
+        return low * canon.time, high * canon.time
+
+
+@overload
+def certify(
+    plant: Plant, schedule: AnySchedule | None, *, eta: float | None = ..., P2: npt.ArrayLike | None = ...,
+    Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
+    noise_gain: float = ..., budget: float | None = ..., progress: Progress | None = ...,
+) -> Certificate: ...  # fmt: skip
+@overload
+def certify(
+    plant: Plant, schedule: SamplingFamily, *, eta: float | None = ..., P2: npt.ArrayLike | None = ...,
+    Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
+    noise_gain: float = ..., budget: float | None = ..., memory: int | None = ..., progress: Progress | None = ...,
+) -> FamilyCertificate: ...  # fmt: skip
+@overload
+def certify(
+    plant: OpenPlant, schedule: SamplingFamily | PeriodicSchedule, *, eta: float | None = ...,
+    Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
+    noise_gain: float = ..., budget: float | None = ..., progress: Progress | None = ...,
+) -> SampledCertificate: ...  # fmt: skip
+@checked
+def certify(
+    plant: Plant | OpenPlant,
+    schedule: AnySchedule | SamplingFamily | None,
+    *,
+    eta: float | None = None,
+    P2: npt.ArrayLike | None = None,
+    Qw: npt.ArrayLike | None = None,
+    R: npt.ArrayLike | None = None,
+    Qv: npt.ArrayLike | None = None,
+    noise_gain: float = 3.0,
+    budget: float | None = None,
+    memory: int | None = None,
+    progress: Progress | None = None,
+) -> SampledCertificate:
+    """Certify that a schedule makes a plant sample-based exponentially i-iIOSS (Assumption 7), with the best lambda.
+
+        lam = sup over real window starts and all later t of lambda_max(P2, Pi(t)),    P1 = (1 - 1e-3) P2/lam
+
+    Parameters
+    ----------
+    plant : Plant, or an UncertainPlant or a NonlinearPlant with a region
+        For the last two see `certify_inclusion`: they take a periodic schedule or a family, and no P2.
+    schedule : PeriodicSchedule, Schedule or a family of schedules
+        A finite schedule is certified to its last time. For a family see `certify_family`. None, the schedule of a
+        design that needs no samples, is refused.
+    eta : float, optional [1/time]
+        Discount rate of the squared error. Default: chosen in [0.05, 3]/(mean gap) for the least horizon; slower where
+        nothing in this range can be followed in doubles, or proven.
+    P2 : (n, n) array, optional
+        Weight of the prior. Default: shape and scale chosen for the least horizon under the noise budget.
+    Qw : (q, q) array, optional
+        Default diag(1/s_w^2): a disturbance of typical size counts one per unit of time, whatever that unit is.
+    R, Qv : (p, p) arrays, optional
+        Default 2 diag(1/s_y^2), so that R~ = (R^-1 + Qv^-1)^-1 = diag(1/s_y^2). One stands for both.
+    noise_gain : float
+        C_w and C_v may be at most this many times their least at the eta in question (above 1), states counted in
+        their scales. Only used where P2 is chosen.
+    budget : float, optional [seconds]
+        Of the whole call. What is best by then is proven and returned; without a budget the work is counted, and the
+        result is the same on every machine.
+    memory : int, optional
+        For a family alone: how much of the past its graph remembers; see `certify_family`.
+    progress : callable, optional
+        Called with (fraction, message).
+
+    Returns
+    -------
+    Certificate; FamilyCertificate for a family; InclusionCertificate for a plant that is not exactly known
+        Proven: its `verify()` has passed.
+
+    Raises
+    ------
+    ArgumentError
+        If a weight is not symmetric positive definite, eta or the noise gain is out of range, or plant and schedule do
+        not fit.
+    CertificateError
+        If no certificate exists (details: eigenvalue, partners it is aliased with, period, repair); for a family, if
+        some schedule of it has none.
+    UndecidedError
+        If no proof closes, not within the budget, or the information cannot be followed in doubles; the reason says
+        which.
+
+    Notes
+    -----
+    *Assumptions.* Linear plant, unconstrained noise (with convex constraints the certificate still holds).
+    *Claim.* The inequality holds iff the discounted information Pi, started at P2, stays above P1 for every start and
+    all t; for given weights lam is exact to 1e-3, unless the checker's rounding left no proof that near (then lam is
+    stated up to 3 times larger) or windows come near the long run too slowly to be followed (then it is that of the
+    long run); `solver.details` says so. *Method.* Windows side by side find lam; `checkers` proves it
+    over the continuum of starts and times and over all periods, and whatever window it finds raises lam. Weights are
+    chosen by sequential quadratic programming on the exact lambda: a local optimum. *Numerical aspects.* Y = Pi^-1 is
+    propagated in coordinates where P2 = I, samples in Joseph's form, gaps by doubling.
+
+    References
+    ----------
+    The paper, Assumption 7 and Theorem 9.
+
+    Examples
+    --------
+    >>> from sampling_design.schedules.schedule import PeriodicSchedule
+    >>> oscillator = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    >>> certificate = certify(oscillator, PeriodicSchedule([1.0]), eta=0.4, P2=[[1.0, 0.0], [0.0, 1.0]])
+    >>> print(f"{certificate.lam:.3f}, M > {certificate.horizon().minimum:.3f}")
+    5.528, M > 4.277
+    >>> certificate.verify().passed
+    True
+    """
+    if not isinstance(plant, Plant):
+        return registered("certify", plant, SampledCertificate)(  # type: ignore[type-abstract]
+            plant, schedule, eta=eta, P2=P2, Qw=Qw, R=R, Qv=Qv, noise_gain=noise_gain, budget=budget, memory=memory,
+            progress=progress,
+        )  # fmt: skip
+    if isinstance(schedule, SamplingFamily):
+        from sampling_design.certificates.families.certify_family import certify_family
+
+        return certify_family(
+            plant, schedule, eta=eta, P2=P2, Qw=Qw, R=R, Qv=Qv, noise_gain=noise_gain, budget=budget, memory=memory,
+            progress=progress,
+        )  # fmt: skip
+    if schedule is None:
+        raise ArgumentError(
+            "`schedule` is None, as in a design with nothing to observe: "
+            "`certify_detectability(plant)` certifies such a plant without samples."
+        )
+    if memory is not None:
+        raise ArgumentError(f"`memory` is for families of schedules, got {memory!r} with a {type(schedule).__name__}.")
+    if not checks.number("noise_gain", noise_gain) > 1:
+        raise ArgumentError(f"`noise_gain` must be above 1, got {noise_gain!r}: no P2 attains the least noise gain.")
+    limit = TimeLimit(None if budget is None else checks.positive("budget", budget))
+    try:
+        return _of_schedule(plant, met(plant, schedule), (Qw, R, Qv), P2, eta, noise_gain, progress, limit)
+    except UndecidedError as error:
+        if not limit.over():
+            raise
+        raise UndecidedError(
+            f"undecided: no certificate was proven within `budget` = {limit.budget:g} s. Give it more time, or a rate "
+            "`eta`.", **{**error.details, "status": "budget"},
+        ) from None  # fmt: skip
+
+
+def _of_schedule(
+    plant: Plant,
+    schedule: AnySchedule,
+    given: tuple[object, object, object],
+    P2: object,
+    eta: float | None,
+    noise_gain: float,
+    progress: Progress | None,
+    limit: TimeLimit,
+) -> Certificate:
+    """The certificate of one schedule: for the weights that are given, others chosen."""
+    weights = weights_of(plant, *given)
+    prior = None if P2 is None else checks.definite("P2", P2, plant.n_states)
+    rate = None if eta is None else checks.positive("eta", eta)
+    if not plant.n_states:
+        prior, rate = np.zeros((0, 0)), 1.0 if rate is None else rate
+    if prior is None:
+        return chosen(plant, schedule, weights, rate, [float(noise_gain)], progress, limit)[0]
+    how, searched = "given weights", rate is None
+    if rate is None:
+        canon = canonical(plant, schedule, weights, prior)
+        with np.errstate(all="ignore"):
+            bounds = _bounds(plant, schedule, canon)
+            rate = choose_rate(canon, canon.inside(prior), bounds, progress, limit.half) / canon.time
+        how = "least horizon for given P2"
+    solver, known = SolverRecord("sampling_design", __version__, "given", 0, {"weights": how}), bool(plant.n_states)
+    return certify_given(plant, schedule, prior, *weights, rate, solver, exists=searched and known, limit=limit)
+
+
+def chosen(
+    plant: Plant,
+    schedule: AnySchedule,
+    weights: NoiseWeights,
+    eta: float | None,
+    gains: list[float],
+    progress: Progress | None = None,
+    limit: TimeLimit | None = None,
+) -> list[Certificate]:
+    """Return a certificate for each noise gain, P2 (and eta where it is None) chosen for the least horizon.
+
+    A larger gain has no longer horizon. `schedule` is in the plant's terms.
+
+    Raises
+    ------
+    CertificateError
+        If no certificate exists.
+    UndecidedError
+        If the proof closes for none of the weights that were tried.
+    """
+    if not plant.n_states:
+        empty = np.zeros((0, 0))
+        return [certify_given(plant, schedule, empty, *weights, eta or 1.0, SolverRecord("given")) for _ in gains]
+    canon = canonical(plant, schedule, weights)
+    with np.errstate(all="ignore"):  # what overflows is not finite, and then undecided
+        followed(canon, 0.0 if eta is None else eta * canon.time)
+        if eta is None:
+            bounds = _bounds(plant, schedule, canon)
+        else:
+            _require(plant, schedule, eta, canon)
+            bounds = (eta * canon.time, eta * canon.time)
+        plain, between = canon, bounds
+        sizes = settled_sizes(canon, bounds[0])
+        if sizes is None:  # the disturbance is so weak or strong that no balance with it can be followed
+            canon = canonical(plant, schedule, weights, driven=False)
+            sizes = settled_sizes(canon, bounds[0])
+        canon = canon if sizes is None else canonical(plant, schedule, weights, log_sizes=sizes)
+        longer, canon = canon.time, evened(canon)
+        bounds = (bounds[0] * canon.time / longer, bounds[1] * canon.time / longer)
+        limit = TimeLimit(None) if limit is None else limit
+        problem = (plant, schedule, weights)
+        asked = [(gain, SearchEffort(Work(ALL_WORK, stop=limit.over))) for gain in gains]
+        alone = own_decay(canon, bounds, gains, Work(SEARCH_WORK, stop=limit.half))
+        try:  # lambda is one: no search finds a shorter horizon
+            proven = [
+                _first_proven(problem, canon, [choice], eta, *each)
+                for choice, each in zip(alone, asked, strict=True)
+                if choice is not None
+            ]
+            if len(proven) == len(gains):
+                return proven
+        except UndecidedError:
+            pass
+        try:
+            found = zip(choose_weights(canon, bounds, gains, progress, limit.half), asked, strict=True)
+            return [_best_proven(problem, canon, choices, eta, *each) for choices, each in found]
+        except UndecidedError as error:
+            if slip(plain):  # dates are asked for their origin, and not followed from time 0
+                raise
+            try:  # nearly equal modes behind few outputs leave conditions that doubles lose, and more digits hold
+                return [precisely_chosen(problem, plain, between, eta, gain, first.total) for gain, first in asked]
+            except UndecidedError:
+                raise error from None
+
+
+def _best_proven(
+    problem: tuple[Plant, AnySchedule, NoiseWeights],
+    canon: ScaledProblem,
+    choices: list[ChosenWeights],
+    eta: float | None,
+    gain: float,
+    first: SearchEffort,
+) -> Certificate:
+    """The choice of the least exact horizon whose proof closes; a spare one where none does, and then a round one."""
+    failed: list[UndecidedError] = []
+    choices = [choice for choice in choices if choice.value * choice.eta < BEYOND] or choices
+    stages: list[Iterable[list[ChosenWeights]]] = [
+        [[some for some in choices if some.spare == k]] for k in (False, True)
+    ]
+    if choices:
+        low = min(choice.eta for choice in choices)
+        stages.append(round_choices(canon, [low, low / 10] if eta is None else [low], gain, first.total))
+    efforts = first
+    for groups in stages:
+        for some in groups:
+            try:
+                if some:
+                    return _first_proven(problem, canon, some, eta, gain, efforts)
+            except UndecidedError as error:
+                failed.append(error)
+            if efforts.over:
+                break
+        efforts = efforts.later()
+    if failed:
+        raise failed[0]
+    raise UndecidedError(f"undecided: no weights of noise gain {gain:g} could be followed in doubles.{slip(canon)}")
+
+
+def _first_proven(
+    problem: tuple[Plant, AnySchedule, NoiseWeights],
+    canon: ScaledProblem,
+    choices: list[ChosenWeights],
+    eta: float | None,
+    gain: float,
+    efforts: SearchEffort,
+) -> Certificate:
+    """The first of these choices whose proof closes, the nearest ones in the order of their exact horizons."""
+    plant, schedule, weights = problem
+    failed: list[UndecidedError] = []
+    proofs: list[tuple[float, int, ScheduleProof, ChosenWeights]] = []
+    for choice in choices:
+        rate = choice.eta / canon.time if eta is None else eta
+        prior = symmetrise(canon.outside(choice.P2))
+        try:
+            proof = ScheduleProof(
+                plant, schedule, (prior, *weights), rate, efforts, float(np.exp(choice.value * choice.eta))
+            )
+            near = choice.value <= COMPARED * choices[0].value and efforts.looks.left > LOOK_WORK
+            proofs.append((proof.horizon if not proofs or near else np.inf, len(proofs), proof, choice))
+        except UndecidedError as error:
+            failed.append(error)
+    proofs = sorted(proofs, key=lambda item: item[:2])
+    order = [(True, item) for item in proofs] + [(False, item) for item in proofs[:1]]  # room for the best one
+    for plainly, (_, _, proof, choice) in order:
+        how = {"weights": f"least horizon with noise gain {gain:g}"}
+        if choice.spare:
+            how = {"weights": f"a first guess with noise gain {gain:g}: at the best rate no proof closed"}
+        solver = SolverRecord("sampling_design", __version__, choice.status, choice.iterations, how)
+        try:
+            return proof.closed(solver, plainly)
+        except UndecidedError as error:
+            failed.append(error)
+        if efforts.over:
+            break
+    raise failed[0]

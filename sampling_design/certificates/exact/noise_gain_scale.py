@@ -1,0 +1,61 @@
+"""The least scale of a shape of P2 at which the noise budget is kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import solve_triangular
+from scipy.optimize import brentq
+
+from sampling_design.certificates.exact.window_gains import WindowConditions
+
+Array = npt.NDArray[np.float64]
+
+EXACT, COARSE = 1e-8, 0.05
+"""Width to which the scale of a shape is found, at the end and while rates are compared."""
+PAST, LEAST_SLOPE = 1.2, 0.02
+"""How far past the scale that the slope so far promises the next one is tried, and how small that slope may be."""
+WIDEST = 200.0
+"""Scales of a shape are looked for between e^-200 and e^200 times the first guess."""
+
+
+@dataclass(frozen=True, eq=False)
+class RateWindows:
+    """The windows of one rate, and what the noise budget asks of P1 there: P1 >= B/budget, B = b b'."""
+
+    windows: WindowConditions
+    b: Array
+    mean: Array
+
+    def least(self, P: Array) -> float:
+        """ln of the least eigenvalue of (P, B)."""
+        half = solve_triangular(self.b, np.linalg.cholesky(P), lower=True)
+        return 2 * float(np.log(np.linalg.svd(half, compute_uv=False)[-1]))
+
+    def scaled(self, shape: Array, budget: float, width: float = EXACT) -> tuple[Array, float] | None:
+        """The shape at the least scale that the budget allows, and ln lam there; None where none does.
+
+        lam(c)/c falls with the scale c and lam(c) rises, so the least scale is the one on the budget. It is met to
+        within the factor e^`width`, from above. ln lam rises at most as fast as ln c, so what is left of the budget is
+        the least step towards it, and its slope so far tells the next.
+        """
+        least, allowed = self.least(shape), float(np.log(budget))
+
+        @cache
+        def excess(log_scale: float) -> float:
+            return self.windows.value(np.exp(log_scale) * shape) - log_scale - least - allowed
+
+        left, near = excess(0.0), 0.0
+        direction, step = (1.0 if left > 0 else -1.0), PAST * abs(left) + width
+        while (excess(far := direction * min(abs(near) + step, WIDEST)) > 0) == (direction > 0):
+            if not abs(near) + step < WIDEST:  # neither where nothing is a number
+                return None
+            slope = max((abs(left) - abs(excess(far))) / step, LEAST_SLOPE)
+            near, left = far, excess(far)
+            step = max(PAST * abs(left) / slope, 2 * step)  # where lam rises as fast as c, no slope tells how far
+        low, high = sorted((near, far))
+        P = np.exp(float(brentq(excess, low, high, xtol=width, rtol=1e-12)) + 2 * width) * shape
+        return P, self.windows.value(P)

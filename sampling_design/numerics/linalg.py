@@ -1,0 +1,239 @@
+"""Small dense linear algebra in batches: e^{At}, discounted Gramians, roots, singular values.
+
+Everything works on stacks (N, n, n) so that no caller loops over times.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.numerics.balancing import balance
+
+Array = npt.NDArray[np.float64]
+
+_TAYLOR_DEGREE = 18
+_TAYLOR_RADIUS = 1.0  # |A t / 2^s|_1 at which 18 terms leave a remainder below eps/4
+
+SHORT = 0.25
+"""|A_eta h|_1 up to which the terms of `gramian_terms` leave a remainder far below eps."""
+
+_REFINEMENTS = 20  # of a solve, at most: each brings what the condition number leaves of 16 digits
+
+_GRAMIAN_DEGREE = 16
+_BALANCED_FROM = 2.0**20  # |A_eta h|_1 from which the states are balanced first
+
+
+def expm_batch(A: Array, times: npt.ArrayLike) -> Array:
+    """Return e^{A t} for every t in `times`, shape (N, n, n); A real or complex.
+
+    Taylor polynomials of one matrix are one matrix product: the powers of A are shared by all times, so
+    that only the scalar coefficients differ; then repeated squaring. Many times share their squarings:
+    e^{A t} = e^{A k h} e^{A r} with few different k and |r| <= h/2.
+    """
+    t = np.atleast_1d(np.asarray(times, dtype=np.float64))
+    n = A.shape[0]
+    if n == 0 or t.size == 0:
+        return np.zeros((t.size, n, n), dtype=A.dtype)
+    norm = float(np.linalg.norm(A, 1))
+    if norm == 0.0:
+        return np.broadcast_to(np.eye(n, dtype=A.dtype), (t.size, n, n)).copy()
+    h = np.exp2(np.floor(np.log2(1 / norm)))  # a power of two: k h is exact
+    if np.abs(t).max() * norm > _TAYLOR_RADIUS:
+        k, place = np.unique(np.rint(t / h), return_inverse=True)
+        if 4 * k.size <= t.size:
+            return _squared(A, norm, k * h)[place] @ _squared(A, norm, t - k[place] * h)
+    return _squared(A, norm, t)
+
+
+def _squared(A: Array, norm: float, t: Array) -> Array:
+    """e^{A t}: a Taylor polynomial at t/2^s, squared s times; `norm` = |A|_1 > 0."""
+    n = A.shape[0]
+    size = np.maximum(np.abs(t) * norm / _TAYLOR_RADIUS, 1e-300)
+    squarings = np.maximum(0, np.ceil(np.log2(size))).astype(int)
+    terms = exponential_terms(A, norm, _TAYLOR_DEGREE + 1)
+    coefficients = np.ones((len(terms), t.size))
+    scaled = np.ldexp(t * norm, -squarings)
+    for k in range(1, len(terms)):
+        np.multiply(coefficients[k - 1], scaled, out=coefficients[k])
+    result = (coefficients.T @ terms.reshape(len(terms), -1)).reshape(-1, n, n)
+    for s in range(int(squarings.max())):
+        todo = np.flatnonzero(squarings > s)
+        if todo.size == t.size:
+            result = result @ result
+        else:
+            part = result[todo]
+            result[todo] = part @ part
+    return np.asarray(result)
+
+
+def rows_ahead(C: Array, A: Array, times: Array) -> Array:
+    """Return C e^{A t} (N, p, n) for many times t >= 0; short ones cost no exponential of their own."""
+    norm = float(np.linalg.norm(A, 1))
+    if norm * float(np.max(times, initial=0.0)) > _TAYLOR_RADIUS:
+        return np.asarray(C @ expm_batch(A, times))
+    terms = C @ exponential_terms(A, norm or 1.0, _TAYLOR_DEGREE + 1)
+    powers = np.vander(times * (norm or 1.0), _TAYLOR_DEGREE + 1, increasing=True)
+    return np.asarray((powers @ terms.reshape(_TAYLOR_DEGREE + 1, -1)).reshape(-1, *C.shape))
+
+
+def exponential_terms(A: Array, norm: float, count: int = _GRAMIAN_DEGREE) -> Array:
+    """Return (A/norm)^k / k! for k < `count`: e^{A h} is their sum with factors (norm h)^k."""
+    terms = np.empty((count, *A.shape), dtype=A.dtype)
+    terms[0], unit = np.eye(A.shape[0]), A / norm
+    for k in range(1, count):
+        terms[k] = terms[k - 1] @ unit / k
+    return terms
+
+
+def gramian_terms(shifted: Array, noise: Array, norm: float) -> Array:
+    """Return N_k/(k+1)! with N_0 = N = `noise`, N_{k+1} = (A_eta N_k + N_k A_eta')/norm, A_eta = `shifted`.
+
+    Their sum with factors h (norm h)^k is int_0^h F_s N F_s' ds, F_s = e^{A_eta s}, as long as |A_eta h| <= SHORT.
+    """
+    terms = np.empty((_GRAMIAN_DEGREE, *noise.shape))
+    current = np.array(noise, dtype=np.float64)
+    for k in range(_GRAMIAN_DEGREE):
+        terms[k] = current = current / (k + 1)
+        current = (shifted @ current + current @ shifted.T) / norm
+    return terms
+
+
+def discounted_flow(A: Array, noise: Array, gaps: npt.ArrayLike, eta: float = 0.0) -> tuple[Array, Array]:
+    """Return e^{A h} and W_h for every gap h, both (N, n, n).
+
+    W_h = int_0^h e^{eta s} e^{A s} N e^{A' s} ds with N = `noise` (n, n) symmetric psd, eta >= 0.
+
+    Notes
+    -----
+    *Method.* With A_eta = A + (eta/2) I the integrand is F_s N F_s', F_s = e^{A_eta s}. A short
+    Taylor step gives W over h/2^s, and doubling W_{2h} = W_h + F_h W_h F_h' brings it to h: every
+    term is psd and nothing overflows before F itself does, which Van Loan's block exponential
+    cannot say for stiff plants.
+    """
+    h = np.atleast_1d(np.asarray(gaps, dtype=np.float64))
+    n = A.shape[0]
+    if n == 0 or h.size == 0:
+        return expm_batch(A, h), np.zeros((h.size, n, n))
+    if np.linalg.norm(A, 1) * float(np.abs(h).max()) > _BALANCED_FROM:
+        d = balance(A).d  # each doubling doubles the rounding: in balanced coordinates there are fewest
+        plain, W = _flow_and_gramian(A * d / d[:, None], noise / d / d[:, None], h, eta)
+        return plain / d * d[:, None], W * d * d[:, None]
+    return _flow_and_gramian(A, noise, h, eta)
+
+
+def _flow_and_gramian(A: Array, noise: Array, h: Array, eta: float) -> tuple[Array, Array]:
+    """What `discounted_flow` returns, in the coordinates given."""
+    n, plain = len(A), expm_batch(A, h)
+    shifted = A + (eta / 2) * np.eye(n)
+    norm = max(float(np.linalg.norm(shifted, 1)), 1e-300)
+    doublings = np.maximum(0, np.ceil(np.log2(np.maximum(h * norm / SHORT, 1e-300)))).astype(int)
+    step = np.ldexp(h, -doublings)
+    terms = gramian_terms(shifted, noise, norm)
+    coefficients = np.vander(step * norm, len(terms), increasing=True) * step[:, None]
+    W = (coefficients @ terms.reshape(len(terms), -1)).reshape(-1, n, n)
+    F = expm_batch(shifted, step)
+    for s in range(int(doublings.max())):
+        todo = np.flatnonzero(doublings > s)
+        W[todo] = W[todo] + F[todo] @ W[todo] @ np.swapaxes(F[todo], 1, 2)
+        F[todo] = F[todo] @ F[todo]
+    return plain, (W + np.swapaxes(W, 1, 2)) / 2
+
+
+def product_quotient(P: Array, Q: Array, R: Array) -> Array:
+    """Return X with X R = P Q, R upper triangular: each row to a few units in the last place of its largest entry.
+
+    A solve alone loses as many digits as the condition number of R has; residuals in doubled precision bring them
+    back as long as that number stays below 1/eps (iterative refinement, Higham 2002, chapter 12).
+    """
+    X = _divided(P @ Q, R)
+    scale, last = np.linalg.norm(X, axis=1), np.inf
+    for _ in range(_REFINEMENTS):
+        step = _divided(product(np.hstack([P, -X]), np.vstack([Q, R])), R)
+        size = float(np.max(np.linalg.norm(step, axis=1) / positive_or_one(scale), initial=0.0))
+        if not size < last / 2:  # a step that brings nothing more, or no number
+            break
+        X, last = X + step, size
+    return np.asarray(X)
+
+
+def _divided(B: Array, R: Array) -> Array:
+    from scipy.linalg import solve_triangular
+
+    return np.asarray(solve_triangular(R, B.T, trans=1, check_finite=False).T)
+
+
+def product(P: Array, Q: Array) -> Array:
+    """Return P Q as if worked out in doubled precision and rounded once, (m, k) times (k, n).
+
+    Compensated sums of exact products (Dot2; Ogita, Rump and Oishi 2005): an entry is wrong by eps/2 of itself and
+    (k eps)^2 of what |P| |Q| holds there.
+    """
+    total, rest = np.zeros((2, len(P), Q.shape[1]))
+    (a, b), (c, d) = _halves(P), _halves(Q)
+    for k in range(len(Q)):
+        p, q = P[:, k, None], Q[None, k]
+        term, high, low = p * q, a[:, k, None], b[:, k, None]
+        lost = low * d[k] - (((term - high * c[k]) - low * c[k]) - high * d[k])
+        larger = total + term
+        back = larger - total
+        rest += (total - (larger - back)) + (term - back) + lost
+        total = larger
+    return np.asarray(total + rest)
+
+
+def _halves(matrix: Array) -> tuple[Array, Array]:
+    """Two parts of 26 bits whose sum is the matrix: their products are exact (Veltkamp)."""
+    _, exponent = np.frexp(matrix)
+    high = np.ldexp(np.rint(np.ldexp(matrix, 26 - exponent)), exponent - 26)
+    return high, matrix - high
+
+
+def psd_root(matrix: Array, rtol: float | None = None) -> Array:
+    """Return L (..., n, r) with L L' = `matrix`, r its numerical rank over the whole stack.
+
+    Eigenvalues below `rtol` (default n eps) times the largest count as zero; works where a Cholesky
+    factor does not exist.
+    """
+    n = matrix.shape[-1]
+    values, vectors = np.linalg.eigh(matrix)
+    top = np.max(np.abs(values), axis=-1, initial=0.0, keepdims=True)
+    tolerance = (n * np.finfo(float).eps if rtol is None else rtol) * top
+    kept = np.where(values > tolerance, values, 0.0)
+    rank = int(np.max(np.sum(kept > 0, axis=-1), initial=0))
+    return (vectors * np.sqrt(kept)[..., None, :])[..., n - rank :]
+
+
+def smallest_singular(matrix: Array) -> Array:
+    """Return the n-th singular value of (..., N, n) matrices: 0 where N < n (never numpy's min for wide ones)."""
+    n = matrix.shape[-1]
+    if n == 0:
+        return np.full(matrix.shape[:-2], np.inf)
+    if matrix.shape[-2] < n:
+        return np.zeros(matrix.shape[:-2])
+    return np.asarray(np.linalg.svd(matrix, compute_uv=False)[..., n - 1], dtype=np.float64)
+
+
+def generalised_max(P: Array, Q: Array) -> float:
+    """Return lambda_max(P, Q), the least c with P <= c Q; Q positive definite.
+
+    Solved through the Cholesky factor of Q, so that neither matrix is inverted. -inf for n = 0.
+    """
+    if P.shape[-1] == 0:
+        return -np.inf
+    L = np.linalg.cholesky(Q)
+    half = np.linalg.solve(L, P)
+    full = np.linalg.solve(L, np.swapaxes(half, -1, -2))
+    return float(np.max(np.linalg.eigvalsh((full + np.swapaxes(full, -1, -2)) / 2)))
+
+
+def symmetrise(matrix: Array) -> Array:
+    """Return (M + M')/2 for a stack of matrices."""
+    total: Array = matrix + matrix.swapaxes(-1, -2)
+    total /= 2
+    return total
+
+
+def positive_or_one(values: Array) -> Array:
+    """Return the values, 1 in place of those that are not positive: what a row is divided by."""
+    return np.where(values > 0, values, 1.0)

@@ -1,0 +1,352 @@
+"""How well a choice of samples does: the worst ratio of accuracy to tolerance, and the attacks that show it."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.planning.adversary_program import DisturbedTrajectory, RasterWindow, in_stages, opened
+from sampling_design.planning.discrete_plant import DiscretePlant, UndetectedModes, hidden_at
+from sampling_design.planning.filter_deviation import RasterFilter
+from sampling_design.planning.hidden_trajectories import HiddenTrajectory, peaks_of
+from sampling_design.planning.problem import PlanProblem, RowGoal
+from sampling_design.planning.work_budget import FAINT, WorkBudget
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+SETTLED = 2e-3
+"""A longer past is looked at until it adds less than this share."""
+
+LONGEST = 8
+"""Gaps that are looked at where only the longest are."""
+
+QUARTERS, LOOKS = 4, 8
+"""Parts of a gap at whose ends it is judged at first, and offsets, at most."""
+
+FAR = 0.5
+"""What is below this share of a level at every quarter of a gap is not looked at elsewhere."""
+
+MOST_KNOTS = 400
+
+FEW = 60
+"""Measurements that may be taken, up to which each of them can be looked at by itself."""
+
+REMEMBERED = 8
+"""Choices of which it is remembered what they came to."""
+
+SHALLOW = (16, 4)
+"""Shares of the past that refute a choice first, where all of it makes a large program."""
+
+FARTHEST = 200
+"""Periods beyond which the past is not followed."""
+
+SCALED = 1 + 1e-9
+"""An attack is divided by the largest ratio of its w to the bound times this."""
+
+
+class AccuracyOracle:
+    """Judges choices of samples of one problem; how far back it looks is found once and kept."""
+
+    def __init__(self, problem: PlanProblem, motion: DiscretePlant):
+        self.problem, self.motion = problem, motion
+        self.back = 0
+        self.work = WorkBudget()
+        self.rows = motion.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(motion.T)))
+        self.few = int(problem.allowed.sum()) <= FEW
+        """Whether so little may be measured that it can be gone through one by one."""
+        spread = any(goal.spread for goal in problem.goals)
+        self.spread = RasterFilter(problem, motion, self.work) if spread else None
+        self._kept: dict[object, tuple[float, list[HiddenTrajectory]]] = {}
+        """What the last choices that were judged came to."""
+        self._feared = 0
+        """The goal that was broken last."""
+        self._open: list[list[tuple[Array, float]]] = [[(row, 0.0)] for row in self.rows]
+
+    def count(self, work: WorkBudget) -> None:
+        """Count what was done and what is done from now on as part of some other work."""
+        work.add((self.work.spent, 0.0), 0.0)
+        self.work = work
+        if self.spread is not None:
+            self.spread.work = work
+
+    def judge(
+        self, chosen: Mask, above: float = np.inf, *, longest: bool = False
+    ) -> tuple[float, list[HiddenTrajectory]]:
+        """Worst ratio and the strongest attack of each goal and gap; stops once a gap is worse than `above`.
+
+        `longest`: only the longest gaps are looked at, where the worst is found as a rule, unless goals name times.
+        Infinite, without an attack, where the choice hides a motion that never fades.
+        """
+        key = chosen.tobytes(), self.back, above, longest
+        if key not in self._kept:
+            hidden = self.hidden(chosen) is not None
+            self._kept[key] = (np.inf, []) if hidden else self._judged(chosen, above, longest)
+            while len(self._kept) > REMEMBERED:
+                del self._kept[next(iter(self._kept))]
+        return self._kept[key]
+
+    def _judged(self, chosen: Mask, above: float, longest: bool) -> tuple[float, list[HiddenTrajectory]]:
+        """The same, worked out."""
+        goals = [g for g, goal in enumerate(self.problem.goals) if not goal.spread]
+        turns = all(goal.at != "given times" for goal in self.problem.goals)
+        worst, found = self._deviations(chosen)
+        at = np.flatnonzero(chosen.any(axis=1))
+        gaps = np.diff(np.append(at, at[0] + self.problem.steps))
+        order = np.argsort(-gaps, kind="stable")[: LONGEST if longest and turns else None].tolist() if goals else []
+        depths = self._depths(chosen, int(at[order[0]]), above) if order else []
+        for back in depths:
+            known: set[bytes] = set()
+            for k in order:
+                if turns:  # a gap like another one, and all that came before it: its attacks are the same, turned
+                    like = np.roll(chosen, -int(at[k]), axis=0).tobytes()
+                    if like in known:
+                        continue
+                    known.add(like)
+                attacks = self._gap(chosen, int(at[k]), int(gaps[k]), goals, above, back)
+                found += [attack for attack in attacks if back == depths[-1] or attack.reach > above]
+                worst = max([worst, *(attack.reach for attack in attacks)])
+                if worst > above:
+                    return worst, found
+        return worst, found
+
+    def elsewhere(self, chosen: Mask, attack: HiddenTrajectory, level: float) -> list[HiddenTrajectory]:
+        """The strongest attack of a goal that is broken in a gap, for every gap but that in which a known one ends."""
+        at = np.flatnonzero(chosen.any(axis=1))
+        gaps = np.diff(np.append(at, at[0] + self.problem.steps))
+        goals = [g for g, goal in enumerate(self.problem.goals) if not goal.spread]
+        found = list[HiddenTrajectory]()
+        for last, length in zip(at.tolist(), gaps.tolist(), strict=True):
+            if (attack.end - last) % self.problem.steps > length:
+                found += self._gap(chosen, last, length, goals, level, self.back)
+        return [other for other in found if other.reach > level]
+
+    def _depths(self, chosen: Mask, last: int, above: float) -> list[int]:
+        """How far back a choice is judged: a shorter past refutes it, too, and is all that most choices need."""
+        if above == np.inf or not self.back or not in_stages(self.motion, self._knots(chosen, last, self.back)):
+            return [self.back]
+        return [self.back // share for share in SHALLOW] + [self.back]
+
+    def _deviations(self, chosen: Mask) -> tuple[float, list[HiddenTrajectory]]:
+        """Worst ratio of the goals that are standard deviations, and tangents there."""
+        worst, found = 0.0, []
+        for g, ratio in enumerate(self.spread.worst(chosen[None])[0] if self.spread else []):
+            if ratio > 0:
+                worst = max(worst, float(ratio))
+                attack = self.tangent(chosen.astype(float), g)
+                found += [attack] if attack is not None else []
+        return worst, found
+
+    def tangent(self, z: Array, g: int) -> HiddenTrajectory | None:
+        """A tangent of a goal's variance at a point (M, p), fractions of measurements too."""
+        return None if self.spread is None else self.spread.tangent(z, g)
+
+    def hidden(self, chosen: Mask) -> UndetectedModes | None:
+        """What a choice does not see and what never fades; None if it sees all of that."""
+        goals = self.problem.goals
+        for kind, outputs in ((False, self.motion.H), (True, self.motion.S)):
+            mine = np.array([goal.spread == kind for goal in goals], dtype=bool)
+            if mine.any():
+                always = np.array([goal.at == "all times" for goal in goals], dtype=bool)[mine]
+                found = hidden_at(self.motion, chosen, self.problem.allowed, self.rows[mine], always, outputs)
+                if found is not None:
+                    return found
+        return None
+
+    def _gap(
+        self, chosen: Mask, last: int, length: int, goals: list[int], above: float, back: int
+    ) -> list[HiddenTrajectory]:
+        """The strongest attacks that end in the gap after a sample; of few measurements, up to one beyond `above`."""
+        if not self.back:
+            self._look_back(chosen, last, length, goals)
+        window = self._window(chosen, last, back or self.back)
+        best: list[HiddenTrajectory] = []
+        for g in sorted(goals, key=lambda g: g != self._feared):
+            looks = self.looked(window, g, last, length, above)
+            attack = self._attack(window, last, max(looks, key=lambda o: (looks[o], o)), g) if looks else None
+            best += [attack] if attack is not None else []
+            if self.few and attack is not None and attack.reach > above:
+                self._feared = g
+                break
+        return best
+
+    def ending(self, chosen: Mask, attack: HiddenTrajectory, level: float) -> HiddenTrajectory | None:
+        """The strongest attack that ends where another one does and that a choice hides; None up to a level."""
+        at = np.flatnonzero(chosen.any(axis=1))
+        since = (attack.end - at - (not attack.at_sample)) % self.problem.steps + (not attack.at_sample)
+        length = int(since.min(initial=self.problem.steps + 1))
+        if length > (0 if attack.at_sample else self.motion.longest):
+            return None
+        last = int(at[np.argmin(since)])
+        window = self._window(chosen, last, self.back)
+        if self.reach(window, length, attack.goal) <= level:
+            return None
+        return self._attack(window, last, length, attack.goal)
+
+    def drifting(self, blindness: UndetectedModes, level: float) -> HiddenTrajectory | None:
+        """A motion that reaches a level since nothing outside `blindness.where` shows it, however long it drifts.
+
+        None where w does not drive it, or only slowly.
+        """
+        hidden = self.problem.allowed & ~blindness.where
+        at = np.flatnonzero(hidden.any(axis=1))
+        gaps = np.diff(np.append(at, at[:1] + self.problem.steps))
+        goals = [g for g, goal in enumerate(self.problem.goals) if not goal.spread]
+        if not goals or not at.size:
+            return None
+        last, length = int(at[np.argmax(gaps)]), int(gaps.max())
+        back, knots = self.back or 2 * length, 0
+        while back <= FARTHEST * self.problem.steps and knots < MOST_KNOTS:
+            window = self._window(hidden, last, back)
+            for g in goals:
+                looks = self.looked(window, g, last, length, level)
+                if max(looks.values(), default=0.0) > level:
+                    attack = self._attack(window, last, max(looks, key=lambda o: (looks[o], o)), g)
+                    if attack is not None and attack.reach > level:
+                        return attack
+            if len(window.knots) == knots:
+                break
+            back, knots = 2 * back, len(window.knots)
+        return None
+
+    def looked(
+        self,
+        window: RasterWindow,
+        g: int,
+        last: int,
+        length: int,
+        above: float = np.inf,
+        *,
+        begin: int = 0,
+        closely: bool = True,
+    ) -> dict[int, float]:
+        """How far a goal can be driven in the gap after a sample, by offsets: the worst is found among them, as a rule.
+
+        Where it holds at all times: at every quarter, then wherever the flights found so far, each of which can end at
+        any offset, go farthest, until that is an offset that was looked at; not if all is far below `above`. Unless
+        `closely`, only at the end. Offsets below `begin` are left out.
+        """
+        goal, length = self.problem.goals[g], min(length, self.motion.longest)
+        begin = min(begin, length)
+        if goal.at == "after each sample":
+            return {} if begin else {0: self.reach(window, 0, g)}
+        if goal.at == "given times":
+            within = {int(o) for o in (goal.steps - last) % self.problem.steps if begin <= o <= length}
+            return {offset: self.reach(window, offset, g) for offset in sorted(within)}
+        if not closely:
+            return {length: self.reach(window, length, g)}
+        found = {
+            offset: self.reach(window, offset, g)
+            for offset in {begin + round((length - begin) * i / QUARTERS) for i in range(QUARTERS + 1)}
+        }
+        while len(found) < LOOKS and not (above < np.inf and max(found.values()) < FAR * above):
+            rows = np.array([self._opened(offset, g)[0] for offset in range(begin, length + 1)])
+            added = np.array([more for _, more in self._open[g][begin : length + 1]])
+            farthest = begin + int(np.argmax(np.abs(rows @ window.ends().T).max(axis=1, initial=0.0) + added))
+            if farthest in found:
+                break
+            found[farthest] = self.reach(window, farthest, g)
+        return found
+
+    def _window(self, chosen: Mask, last: int, back: int) -> RasterWindow:
+        """The window of samples of an endless schedule up to a step."""
+        knots = self._knots(chosen, last, back)
+        return RasterWindow(self.motion, knots, chosen[knots % self.problem.steps])
+
+    def _knots(self, chosen: Mask, last: int, back: int) -> npt.NDArray[np.intp]:
+        """The steps of its samples."""
+        steps = self.problem.steps
+        at = np.flatnonzero(chosen.any(axis=1))
+        periods = back // steps + 1
+        knots = np.concatenate([at + period * steps for period in range(-periods, 1)])
+        knots = knots[(knots <= last) & (knots >= last - back)][-MOST_KNOTS:]
+        long = np.flatnonzero(np.diff(knots) > self.motion.longest)
+        return knots[long[-1] + 1 :] if long.size else knots
+
+    def _look_back(self, chosen: Mask, last: int, length: int, goals: list[int]) -> None:
+        """Find how far back matters."""
+        before, back = np.zeros(len(goals)), 2 * length
+        while True:
+            window = self._window(chosen, last, back)
+            now = np.array([self.reach(window, length, g) for g in goals])
+            if np.all((now <= before * (1 + SETTLED)) & (now > 0)) or len(window.knots) >= MOST_KNOTS:
+                break
+            before, back = now, 2 * back
+        self.back = back
+
+    def farther(self, chosen: Mask) -> bool:
+        """Look twice as far back, and over two gaps of a choice at least, unless that is as far as can be."""
+        if not self.back or self.back >= FARTHEST * self.problem.steps:
+            return False
+        at = np.flatnonzero(chosen.any(axis=1))
+        self.back = max(2 * self.back, 2 * int(np.max(np.diff(np.append(at, at[0] + self.problem.steps)))))
+        return True
+
+    def _opened(self, offset: int, g: int) -> tuple[Array, float]:
+        """The goal's row, so many steps after a sample, as a row there, and what the disturbance adds since."""
+        known = self._open[g]
+        while len(known) <= offset:
+            row, total = known[-1]
+            push = row @ self.motion.Gamma
+            size = float(np.linalg.norm(push) if self.motion.ball else np.abs(push).sum())
+            known.append((row @ self.motion.F, total + size))
+        return known[offset]
+
+    def reach(self, window: RasterWindow, offset: int, g: int) -> float:
+        """About how far a goal can be driven so many steps after the last sample, over its tolerance."""
+        self.work.add(window.price, window.entries)
+        row, added = self._opened(offset, g)
+        value = window.reach(row) + added
+        return value / self.problem.goals[g].tolerance
+
+    def _attack(self, window: RasterWindow, last: int, offset: int, g: int) -> HiddenTrajectory | None:
+        """The strongest attack against a goal, so many steps after the last sample of a window."""
+        flight = window.strongest(self._opened(offset, g)[0])
+        if flight is None:
+            return None
+        flight = opened(self.motion, flight, self.rows[g], offset)
+        return self.scaled(flight, g, last + offset, offset == 0, window)
+
+    def scaled(
+        self, flight: DisturbedTrajectory, g: int, end: int, at_sample: bool, window: RasterWindow | None = None
+    ) -> HiddenTrajectory | None:
+        """An attack made admissible, with what would be seen of it."""
+        goal: RowGoal = self.problem.goals[g]
+        outputs = flight.path @ self.motion.H.T
+        factor = flight.size(self.motion.ball)
+        if window is not None:
+            measured = np.abs(outputs[window.knots - window.knots[0]])[window.seen]
+            factor = max(factor, float(np.max(measured, initial=0.0)))
+        factor *= SCALED
+        if factor <= 0:
+            return None
+        flight = DisturbedTrajectory(flight.w / factor, flight.knots, flight.states / factor, flight.path / factor)
+        reach = float(self.rows[g] @ flight.path[-1]) / goal.tolerance
+        if reach <= 0:
+            return None
+        steps = self.problem.steps
+        return HiddenTrajectory(g, reach, end, at_sample, peaks_of(outputs / factor, steps, at_sample), flight)
+
+    def faint(
+        self, g: int, end: int, level: float, weights: Array, known: Mask, every: int, back: int
+    ) -> HiddenTrajectory | None:
+        """An attack that reaches `level` at `end` and is seen as little as can be; hidden where `known` measures.
+
+        Looks at every so many steps, and at those of `known`; `weights` (M, p) are the prices of being seen.
+        """
+        steps = self.problem.steps
+        measured = np.flatnonzero(known.any(axis=1))
+        grid = np.arange(end - back, end + 1)
+        keep = (np.arange(back, -1, -1) % every == 0) | np.isin(grid % steps, measured)
+        keep[0] = True
+        knots = grid[keep]
+        seen = known[knots % steps].copy()
+        seen[-1] = False
+        faint = np.where(seen, 0.0, weights[knots % steps])
+        faint[-1] = 0.0
+        window = RasterWindow(self.motion, knots, seen, faint)
+        self.work.add(FAINT, window.entries)
+        flight = window.faintest(self.rows[g], level * self.problem.goals[g].tolerance)
+        if flight is None:
+            return None
+        return self.scaled(flight, g, end, False, window)

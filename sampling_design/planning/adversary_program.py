@@ -1,0 +1,266 @@
+"""The strongest motion that a choice of samples does not show: the adversary's program on the raster.
+
+    maximise  c'z_e   over |w| <= 1, z_0 = 0, |H_j z_i| <= 1 wherever (i, j) is measured
+
+and the faintest one, which reaches a level with as little to be seen anywhere as can be. Either is flown anew and
+scaled until it is admissible: what comes of it never depends on the solver.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.numerics.conic_programs import INFEASIBLE, SOLVED, UNBOUNDED, ConeSolver
+from sampling_design.numerics.stage_programs import StageProgram
+from sampling_design.planning.discrete_plant import DiscretePlant
+from sampling_design.planning.work_budget import CONE, STAGES
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+TOLERANCE = 1e-7
+"""Asked of the solver: attacks are scaled until they are admissible, so it only costs strength."""
+
+STAGED, STALLED, MANY = 1e-4, 2e-3, 2000
+"""Share within which the two sides of a program over stages meet, beyond which it is left to the general solver, and
+entries of w from which on stages are quicker."""
+
+SAME = 1 - 1e-12
+"""Two directions are one if their cosine is beyond this."""
+
+BEYOND = 1 + 1e-4
+"""A faintest motion reaches this much more than asked, so that scaling leaves it above."""
+
+
+@dataclass(frozen=True, eq=False)
+class DisturbedTrajectory:
+    """A motion from rest, with w constant over each step.
+
+    Attributes
+    ----------
+    w : (T, q) array
+        In units of the bound.
+    knots : (K,) int array
+        Steps at which the state is given, the first 0.
+    states : (K, n) array
+        z there.
+    path : (T+1, n) array
+        z at every step, flown from the knots.
+    """
+
+    w: Array
+    knots: npt.NDArray[np.intp]
+    states: Array
+    path: Array
+
+    def size(self, ball: bool) -> float:
+        """The largest |w|."""
+        sizes = np.linalg.norm(self.w, axis=1) if ball else np.abs(self.w)
+        return float(np.max(sizes, initial=0.0))
+
+
+class _RowGatherer:
+    """Sparse rows gathered block by block."""
+
+    def __init__(self) -> None:
+        self.parts: list[tuple[Array, npt.NDArray[np.intp], npt.NDArray[np.intp]]] = []
+        self.b: list[Array] = []
+        self.count = 0
+
+    def add(self, b: Array, *blocks: tuple[int, Array]) -> None:
+        for column, X in blocks:
+            i, j = np.nonzero(X)
+            self.parts.append((X[i, j], i + self.count, j + column))
+        self.b.append(b)
+        self.count += b.size
+
+    def add_entries(self, b: Array, values: Array, rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]) -> None:
+        """Rows of many columns with few entries: never written out."""
+        self.parts.append((values, rows + self.count, columns))
+        self.b.append(b)
+        self.count += b.size
+
+    def matrix(self, columns: int) -> object:
+        from scipy import sparse
+
+        values, rows, at = (np.concatenate(part) for part in zip(*self.parts, strict=True))
+        return sparse.csc_matrix((values, (rows, at)), shape=(self.count, columns))
+
+
+def in_stages(motion: DiscretePlant, knots: npt.NDArray[np.intp]) -> bool:
+    """Whether a window of samples at `knots` is so large that it is solved stage by stage."""
+    many = sum(len(motion.gap(int(d))[2]) for d in np.diff(knots)) * motion.G.shape[1]
+    return not motion.ball and many > MANY
+
+
+class RasterWindow:
+    """Samples at `knots` (steps, increasing), each measuring `seen` (K, p); the motion starts at rest at knots[0].
+
+    `faint`: (K, p) weights; where not zero, an output may exceed its bound, and its excess is what is minimised.
+    """
+
+    def __init__(self, motion: DiscretePlant, knots: npt.NDArray[np.intp], seen: Mask, faint: Array | None = None):
+        self.motion, self.knots, self.seen, self.faint = motion, knots, seen, faint
+        n, q = motion.n, motion.G.shape[1]
+        self._gaps = [motion.gap(int(d)) for d in np.diff(knots)]
+        self._w_at = np.concatenate([[0], np.cumsum([len(cells) * q for _, _, cells in self._gaps])]).astype(int)
+        self._w_at += n * len(knots)
+        self._slack_at = int(self._w_at[-1])
+        soft = [] if faint is None else [int(np.count_nonzero(f)) for f in faint]
+        self._columns = self._slack_at + sum(soft)
+        self._soft, self._built = soft, False
+        self._known: list[tuple[Array, tuple[Array, Array, str]]] = []
+        self._stages: StageProgram | None = None
+        if faint is None and in_stages(motion, knots):
+            seen_rows = [motion.H[chosen] for chosen in seen]
+            self._stages = StageProgram([F for F, _, _ in self._gaps], [B for _, B, _ in self._gaps], seen_rows)
+            self.price, self.entries = STAGES, int(len(knots) * n**1.5)
+        else:
+            self._build(soft)
+
+    def _build(self, soft: list[int]) -> None:
+        self._built = True
+        motion, n, q = self.motion, self.motion.n, self.motion.G.shape[1]
+        rows = _RowGatherer()
+        rows.add(np.zeros(n), (0, np.eye(n)))
+        for k, (F, blocks, _) in enumerate(self._gaps):
+            rows.add(np.zeros(n), ((k + 1) * n, np.eye(n)), (k * n, -F), (int(self._w_at[k]), -blocks))
+        cones = [("zero", rows.count)]
+        start, slack = rows.count, self._slack_at
+        for k in range(len(self.knots)):
+            hard = motion.H[self.seen[k]]
+            if len(hard):
+                rows.add(np.ones(2 * len(hard)), (k * n, np.vstack([hard, -hard])))
+            if soft and soft[k] and self.faint is not None:
+                loose, m = motion.H[self.faint[k] > 0], soft[k]
+                both = np.vstack([-np.eye(m), -np.eye(m)])
+                rows.add(np.ones(2 * m), (k * n, np.vstack([loose, -loose])), (slack, both))
+                rows.add(np.zeros(m), (slack, -np.eye(m)))
+                slack += m
+        self._reach_at = rows.count if self.faint is not None else -1
+        if self.faint is not None:
+            rows.add(np.zeros(1), ((len(self.knots) - 1) * n, np.ones((1, n))))  # the row is set when solved
+        many = int(self._w_at[-1] - self._w_at[0])
+        if not motion.ball and many:
+            spots = np.arange(many)
+            columns = np.concatenate([spots, spots]) + int(self._w_at[0])
+            signs = np.repeat([1.0, -1.0], many)
+            rows.add_entries(np.ones(2 * many), signs, np.arange(2 * many), columns)
+        cones.append(("nonnegative", rows.count - start))
+        if motion.ball and many:
+            spots = np.arange(many)
+            top = np.zeros(many // q * (q + 1))
+            top[:: q + 1] = 1.0
+            rows.add_entries(top, -np.ones(many), spots // q * (q + 1) + 1 + spots % q, spots + int(self._w_at[0]))
+            cones += [("second order", q + 1)] * (many // q)
+        self._b = np.concatenate(rows.b)
+        self._A = rows.matrix(self._columns)
+        self._cones = cones
+        self.price, self.entries = CONE, sum(part[0].size for part in rows.parts)
+        self._solver: ConeSolver | None = None
+
+    def _solved(self, mu: Array) -> tuple[Array, Array, str]:
+        """What the solver says of a target; a direction is solved once, whatever its length and sign."""
+        unit = mu / (float(np.linalg.norm(mu)) or 1.0)
+        for known, (x, y, status) in self._known:
+            near = float(known @ unit)
+            if abs(near) > SAME:
+                return float(np.sign(near)) * x, y, status
+        self._known.append((unit, self._freshly(mu)))
+        return self._known[-1][1]
+
+    def _freshly(self, mu: Array) -> tuple[Array, Array, str]:
+        cost = np.zeros(self._columns)
+        size = float(np.linalg.norm(mu))
+        n, K = self.motion.n, len(self.knots)
+        if self._stages is not None and size:
+            found = self._stages.solve(mu, [np.zeros(np.count_nonzero(seen)) for seen in self.seen], STAGED)
+            if found.gap <= STALLED:
+                return np.concatenate([found.z.ravel(), *found.u]), np.zeros(0), SOLVED
+        if not self._built:
+            self._build(self._soft)
+        cost[(K - 1) * n : K * n] = -mu / (size or 1.0)
+        if self._solver is None:
+            self._solver = ConeSolver(self._A, self._cones, tolerance=TOLERANCE)
+        x, y, status = self._solver.solve(cost, self._b)
+        return np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64), status
+
+    def reach(self, mu: Array) -> float:
+        """About the largest mu'z at the last knot, as the solver says."""
+        x, _, status = self._solved(mu)
+        n, K = self.motion.n, len(self.knots)
+        usable = status not in (INFEASIBLE, UNBOUNDED) and np.isfinite(x).all()
+        return float(mu @ x[(K - 1) * n : K * n]) if usable else 0.0
+
+    def ends(self) -> Array:
+        """Where the flights solved so far are at the last knot (m, n)."""
+        n, K = self.motion.n, len(self.knots)
+        usable = [x for _, (x, _, status) in self._known if status not in (INFEASIBLE, UNBOUNDED)]
+        ends = np.array([x[(K - 1) * n : K * n] for x in usable]).reshape(-1, n)
+        return np.asarray(ends[np.isfinite(ends).all(axis=1)], dtype=np.float64)
+
+    def strongest(self, mu: Array) -> DisturbedTrajectory | None:
+        """The motion with the largest mu'z at the last knot."""
+        return self._flight(self._solved(mu))
+
+    def faintest(self, mu: Array, level: float) -> DisturbedTrajectory | None:
+        """The motion that reaches mu'z >= level at the last knot with the least excess."""
+        n, K = self.motion.n, len(self.knots)
+        assert self.faint is not None
+        A = self._A.tolil()  # type: ignore[attr-defined]
+        A[self._reach_at, (K - 1) * n : K * n] = -mu / level
+        b = self._b.copy()
+        b[self._reach_at] = -BEYOND
+        cost = np.zeros(self._columns)
+        cost[self._slack_at :] = self.faint[self.faint > 0]
+        x, y, status = ConeSolver(A.tocsc(), self._cones, tolerance=TOLERANCE).solve(cost, b)
+        return self._flight((np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64), status))
+
+    def _flight(self, solved: tuple[Array, Array, str]) -> DisturbedTrajectory | None:
+        """The solver's disturbance flown from the solver's states, gap by gap, every gap closed by a change of w."""
+        x, _, status = solved
+        if status in (INFEASIBLE, UNBOUNDED) or not np.isfinite(x).all():
+            return None
+        motion, n, q, K = self.motion, self.motion.n, self.motion.G.shape[1], len(self.knots)
+        states = x[: n * K].reshape(K, n).copy()
+        states[0] = 0.0
+        w = []
+        for k, (_, blocks, cells) in enumerate(self._gaps):
+            u = x[self._w_at[k] : self._w_at[k + 1]]
+            left = states[k + 1] - self._gaps[k][0] @ states[k] - blocks @ u
+            u = u + np.linalg.lstsq(blocks, left, rcond=1e-10)[0]
+            states[k + 1] = self._gaps[k][0] @ states[k] + blocks @ u
+            w.append(np.repeat(u.reshape(len(cells), q), cells, axis=0))
+        steps = np.concatenate(w) if w else np.zeros((0, q))
+        return fly(motion, self.knots - self.knots[0], states, steps)
+
+
+def fly(motion: DiscretePlant, knots: npt.NDArray[np.intp], states: Array, w: Array) -> DisturbedTrajectory:
+    """Return the path over every step, flown from each knot to the next."""
+    path = np.empty((len(w) + 1, motion.n))
+    F, Gamma = motion.F, motion.Gamma
+    driven = w @ Gamma.T
+    ends = [*knots[1:].tolist(), len(w)]
+    path[0] = states[0]
+    for k, (a, b) in enumerate(zip(knots.tolist(), ends, strict=True)):
+        path[a] = states[k]
+        for i in range(a, b):
+            path[i + 1] = F @ path[i] + driven[i]
+    return DisturbedTrajectory(w, knots, states, path)
+
+
+def opened(motion: DiscretePlant, flight: DisturbedTrajectory, mu: Array, steps: int) -> DisturbedTrajectory:
+    """Continue a flight over an open end of so many steps with the w that moves mu'z furthest at its end."""
+    if steps == 0:
+        return flight
+    q = motion.G.shape[1]
+    w, row = np.zeros((steps, q)), mu
+    for i in range(steps - 1, -1, -1):
+        push = row @ motion.Gamma
+        size = float(np.linalg.norm(push))
+        w[i] = (push / size if size > 0 else 0.0) if motion.ball else np.sign(push)
+        row = row @ motion.F
+    return fly(motion, flight.knots, flight.states, np.concatenate([flight.w, w]))

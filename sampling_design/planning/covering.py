@@ -1,0 +1,317 @@
+"""Every attack must be seen: the cheapest choice of samples that sees a set of attacks, and bounds on its price.
+
+    minimise  price'z + visit'n   subject to  sum of z over what sees attack a >= 1 (or >= n at its own sample),
+              spacings, uses, limits,  z <= n <= sum of z,  entries 0 or 1
+
+Whatever a solver says, y >= 0 prove  cost >= b'y + sum over k of min((c - A'y)_k x_k over what x_k may be).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+
+from sampling_design.planning.hidden_trajectories import HiddenTrajectory
+from sampling_design.planning.problem import PlanProblem
+from sampling_design.planning.work_budget import COVER, NODE, WorkBudget
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Key: TypeAlias = tuple[int, int]
+
+NODES = 400
+"""Nodes of the solver's tree when a choice is sought."""
+
+ENTRIES, FEWEST = 4_000_000, 40
+"""Entries that a tree goes through: nodes of a large program are fewer, but so many at least."""
+
+ROUNDING = 1e-9
+"""Relative allowance for rounding in what multipliers prove."""
+
+NEAR = 5e-4
+"""A choice is cheap enough within this share; how many attacks it sees decides no finer."""
+
+GRAIN = 1e-6
+"""Costs are whole multiples of a grain within this share of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class CoverModel:
+    """Variables: the samples n_i of every allowed step, then its measurements z_ij (left out if they are whole).
+
+    Attributes
+    ----------
+    c : (k,) array
+    A : sparse (m, k)
+        All rows as A x >= b.
+    b : (m,) array
+    """
+
+    c: Array
+    A: sparse.csr_matrix
+    b: Array
+
+
+class CoveringRows:
+    """The rows that hold for every choice of a problem, and those of attacks."""
+
+    def __init__(self, problem: PlanProblem, *, fixed: bool = False):
+        self.problem, self.fixed = problem, fixed
+        self.at = np.flatnonzero(problem.allowed.any(axis=1))
+        self.used = np.flatnonzero(problem.allowed.any(axis=0))
+        self.whole = _is_whole(problem)
+        place = -np.ones(problem.allowed.shape, dtype=int)
+        if self.whole:
+            place[np.ix_(self.at, self.used)] = np.arange(self.at.size)[:, None]
+        else:
+            place[problem.allowed] = self.at.size + np.arange(int(problem.allowed.sum()))
+        self.place = place
+        self.sample_of = -np.ones(problem.steps, dtype=int)
+        self.sample_of[self.at] = np.arange(self.at.size)
+        self.columns = self.at.size + (0 if self.whole else int(problem.allowed.sum()))
+
+    @cached_property
+    def cost(self) -> Array:
+        """Price of every variable; the number of samples where nothing has a price."""
+        problem, c = self.problem, np.zeros(self.columns)
+        c[: self.at.size] = 1.0 if problem.counts else problem.visit
+        if self.whole:
+            c[: self.at.size] += problem.price[self.used].sum()
+        else:
+            _, sensor = np.nonzero(problem.allowed)
+            c[self.at.size :] = problem.price[sensor]
+        return c
+
+    @cached_property
+    def counts(self) -> Array:
+        """One for every sample."""
+        return np.concatenate([np.ones(self.at.size), np.zeros(self.columns - self.at.size)])
+
+    @cached_property
+    def grain(self) -> float:
+        """Every cost is a whole multiple of this; 0 where there is no such number."""
+        prices = self.cost[self.cost > 0]
+        if not prices.size:
+            return 0.0
+        unit = float(prices.min())
+        for divisor in range(1, 101):
+            ratio = prices * divisor / unit
+            if np.all(np.abs(ratio - np.round(ratio)) <= GRAIN):
+                return unit / divisor
+        return 0.0
+
+    def ceiling(self, below: float) -> Array:
+        """What each variable may be where a choice costs less than this, and may be turned so that it suits us.
+
+        So few samples leave a gap that is as long as their mean at least: turned, it follows the sample at step 0.
+        """
+        high, problem = np.ones(self.columns), self.problem
+        each = 1.0 if problem.counts else problem.visit + float(problem.price.min())
+        if not self.fixed or each <= 0:
+            return high
+        most = min(np.ceil(below / each * (1 - 1e-9)) - 1, problem.most_samples, problem.steps)
+        if most >= 1:
+            high[1 : -int(-problem.steps // most)] = 0.0
+        return high
+
+    def lifted(self, bound: float) -> float:
+        """A bound on the cost, raised to the next cost that there can be."""
+        if self.grain <= 0 or not np.isfinite(bound):
+            return bound
+        return float(np.ceil(bound / self.grain - GRAIN) * self.grain)
+
+    @property
+    def dearest(self) -> float:
+        """Every admissible choice costs less than this."""
+        limit = min(self.problem.most_cost, float(self.cost.sum()))
+        return limit + (self.grain or 1e-6 * max(limit, 1.0))
+
+    @cached_property
+    def frame(self) -> tuple[sparse.csr_matrix, Array]:
+        """Rows of every admissible choice: A x >= b."""
+        problem = self.problem
+        rows: list[tuple[npt.NDArray[np.intp], Array, float]] = []
+        if not self.whole:
+            for i, step in enumerate(self.at.tolist()):
+                mine = self.place[step][problem.allowed[step]]
+                rows.append((np.append(mine, i), np.append(np.ones(mine.size), -1.0), 0.0))
+                rows += [(np.array([i, z]), np.array([1.0, -1.0]), 0.0) for z in mine]
+        rows += self._spaced(self.sample_of, problem.spacing)
+        for j, (least, most) in enumerate(zip(problem.sensor_spacing, problem.longest_use, strict=True)):
+            rows += self._spaced(self.place[:, j], int(least))
+            mine = self.place[:, j][self.place[:, j] >= 0]
+            if most < mine.size:
+                rows.append((mine, -np.ones(mine.size), -float(most)))
+        if np.isfinite(problem.most_samples):
+            rows.append((np.arange(self.at.size), -np.ones(self.at.size), -problem.most_samples))
+        if np.isfinite(problem.most_cost):
+            rows.append((np.arange(self.columns), -self.cost, -problem.most_cost))
+        if self.fixed:
+            rows.append((np.array([0]), np.ones(1), 1.0))
+        else:  # a plan has a sample, even where no motion asks for one
+            rows.append((np.arange(self.at.size), np.ones(self.at.size), 1.0))
+        return _stacked(rows, self.columns)
+
+    @property
+    def limits(self) -> list[int]:
+        """Rows of the frame that limit the number of samples and the cost: behind all others but the last."""
+        count = sum(map(np.isfinite, (self.problem.most_samples, self.problem.most_cost)))
+        last = int(self.frame[0].shape[0]) - 1
+        return list(range(last - count, last))
+
+    def _spaced(self, place: npt.NDArray[np.intp], least: int) -> list[tuple[npt.NDArray[np.intp], Array, float]]:
+        """At most one in every stretch of so many steps."""
+        steps, rows = self.problem.steps, []
+        if least <= 1:
+            return []
+        before: tuple[int, ...] = ()
+        for start in range(steps):
+            mine = place[(start + np.arange(min(least, steps))) % steps]
+            mine = mine[mine >= 0]
+            if mine.size > 1 and not set(mine.tolist()) <= set(before):
+                rows.append((mine, -np.ones(mine.size), -1.0))
+                before = tuple(mine.tolist())
+        return rows
+
+    @property
+    def places(self) -> npt.NDArray[np.intp]:
+        """The variable of each step and sensor, or of each step's sample (M, 1) where samples are whole; -1: none."""
+        return self.place[:, self.used[:1]] if self.whole else self.place
+
+    def seen(self, x: Array) -> Array:
+        """How much of each step and sensor, or of each step's sample, a point of the program measures."""
+        return np.where(self.places >= 0, x[self.places], 0.0)
+
+    def measured(self, x: Array) -> Array:
+        """The fractions (M, p) of measurements of a point of the program."""
+        return np.clip(np.where(self.place >= 0, x[self.place], 0.0), 0.0, 1.0)
+
+    def view(self, attack: HiddenTrajectory, level: float) -> Array:
+        """What measuring at each step back from the end adds, by sensors or, where samples are whole, by samples."""
+        weights = attack.weights(level)
+        return np.minimum(weights[:, self.used].sum(axis=1, keepdims=True), 1.0) if self.whole else weights
+
+    def sizes(self, attack: HiddenTrajectory, ends: npt.NDArray[np.intp], level: float) -> npt.NDArray[np.intp]:
+        """How many of the measurements that may be taken see an attack turned to each of these ends."""
+        seen = self.view(attack, level) > 0
+        there = self.places[self.at] >= 0
+        return np.asarray(np.sum(seen[(ends[:, None] - self.at) % self.problem.steps] & there, axis=(1, 2)))
+
+    def row(self, attack: HiddenTrajectory, end: int, level: float) -> tuple[npt.NDArray[np.intp], Array, float]:
+        """The row that asks for an attack, turned to `end` and scaled to `level`, to be seen."""
+        weights = self.view(attack, level)
+        back, column = np.nonzero(weights)
+        mine, values = self.places[(end - back) % self.problem.steps, column], weights[back, column]
+        mine, values = mine[mine >= 0], values[mine >= 0]
+        if attack.at_sample:  # only asked for where it is a sample's own
+            own = int(self.sample_of[end])
+            values = np.append(values[mine != own], values[mine == own].sum() - 1.0)
+            mine = np.append(mine[mine != own], own)
+            asked = own >= 0 and values[-1] < 0
+            return (mine, values, 0.0) if asked else (np.zeros(0, dtype=np.intp), np.zeros(0), 0.0)
+        return mine, values, 1.0
+
+    def model(
+        self, attacks: list[HiddenTrajectory], keys: list[Key], level: float, blind: Sequence[Mask] = ()
+    ) -> CoverModel:
+        """The program of these attacks at a level, and of what must be measured once wherever it shows."""
+        A, b = self.frame
+        rows = [self.row(attacks[a], end, level) for a, end in keys]
+        places = [np.unique(self.place[where]) for where in blind]
+        rows += [(mine[mine >= 0], np.ones(int(np.sum(mine >= 0))), 1.0) for mine in places]
+        more, right = _stacked(rows, self.columns)
+        return CoverModel(self.cost, sparse.vstack([A, more], format="csr"), np.concatenate([b, right]))
+
+    def longer(self, model: CoverModel, attacks: list[HiddenTrajectory], keys: list[Key], level: float) -> CoverModel:
+        """A program with more rows, behind those that there are."""
+        more, right = _stacked([self.row(attacks[a], end, level) for a, end in keys], self.columns)
+        A = sparse.vstack([model.A, more], format="csr")
+        return CoverModel(model.c, A, np.concatenate([model.b, right]))
+
+    def choice(self, x: Array) -> Mask:
+        """What a point of the program measures."""
+        chosen = np.zeros(self.problem.allowed.shape, dtype=bool)
+        at, sensor = np.nonzero(self.place >= 0)
+        chosen[at, sensor] = x[self.place[at, sensor]] > 0.5
+        return chosen
+
+    def point(self, chosen: Mask) -> Array:
+        """A choice as a point of the program."""
+        x = np.zeros(self.columns)
+        at, sensor = np.nonzero(chosen)
+        x[self.place[at, sensor]] = 1.0
+        x[self.sample_of[at]] = 1.0
+        return x
+
+
+def _is_whole(problem: PlanProblem) -> bool:
+    """Whether a sample may as well read every sensor that there is: more of them cost nothing and break nothing."""
+    used = np.flatnonzero(problem.allowed.any(axis=0))
+    if used.size <= 1:
+        return True
+    alike = bool(np.all(problem.allowed[:, used] == problem.allowed[:, used[:1]]))
+    free = not np.any(problem.price[used]) and bool(np.all(problem.longest_use[used] >= problem.steps))
+    return alike and free and bool(np.all(problem.sensor_spacing[used] <= max(problem.spacing, 1)))
+
+
+def cheapest(
+    cover: CoveringRows, model: CoverModel, tie: Array, work: WorkBudget, below: float = np.inf, nodes: int = NODES
+) -> tuple[Mask | None, bool]:
+    """Return a cheap choice that keeps every row, and whether the solver says that there is none.
+
+    `tie` is a small cost that decides among choices of equal price; only those `below` a cost are of use.
+    """
+    from scipy.optimize import Bounds, LinearConstraint, milp
+
+    found = milp(
+        model.c + tie,
+        constraints=LinearConstraint(model.A, model.b, np.inf),
+        integrality=np.ones(cover.columns),
+        bounds=Bounds(0, cover.ceiling(min(below, cover.dearest))),
+        options={"node_limit": max(FEWEST, min(nodes, ENTRIES // max(1, model.A.nnz))), "mip_rel_gap": NEAR},
+    )
+    work.add(COVER, model.A.nnz * (cover.columns + NODE * max(1, found.mip_node_count or 1)))
+    if found.x is None:
+        return None, found.status == 2
+    return cover.choice(found.x), False
+
+
+def relaxed(model: CoverModel, low: Array, high: Array, price: float) -> tuple[Array, Array, float]:
+    """Solve the relaxation where a row may be left open at a price; return x, multipliers, and what these prove."""
+    from scipy.optimize import linprog
+
+    m, k = model.A.shape
+    A = sparse.hstack([model.A, sparse.identity(m)], format="csr")
+    bounds = np.vstack([np.column_stack([low, high]), np.column_stack([np.zeros(m), np.full(m, np.inf)])])
+    cost = np.concatenate([model.c, np.full(m, price)])
+    found = linprog(cost, A_ub=-A, b_ub=-model.b, bounds=bounds, method="highs")
+    if found.x is None:
+        return np.zeros(k), np.zeros(m), -np.inf
+    y = np.maximum(-np.asarray(found.ineqlin.marginals), 0.0)
+    y[y < price * 1e-12] = 0.0
+    return np.asarray(found.x[:k]), y, proven(model, y, low, high)
+
+
+def proven(model: CoverModel, y: Array, low: Array, high: Array) -> float:
+    """Return what multipliers y >= 0 prove of the least cost with low <= x <= high; no solver."""
+    rest = model.c - model.A.T @ y
+    terms = np.where(rest > 0, rest * low, rest * high)
+    size = float(np.abs(model.b * y).sum() + np.abs(terms).sum())
+    return float(model.b @ y + terms.sum()) - ROUNDING * size
+
+
+def _stacked(rows: list[tuple[npt.NDArray[np.intp], Array, float]], columns: int) -> tuple[sparse.csr_matrix, Array]:
+    """Sparse rows and their right sides."""
+    if not rows:
+        return sparse.csr_matrix((0, columns)), np.zeros(0)
+    at = np.concatenate([np.full(place.size, i) for i, (place, _, _) in enumerate(rows)])
+    places = np.concatenate([place for place, _, _ in rows])
+    values = np.concatenate([value for _, value, _ in rows])
+    matrix = sparse.csr_matrix((values, (at, places)), shape=(len(rows), columns))
+    return matrix, np.array([right for _, _, right in rows])

@@ -1,0 +1,180 @@
+"""When goals reach their tolerances if samples leave a plan, and from when on they keep them again: in floats."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import chain, groupby, pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.planning.adversary_program import RasterWindow
+from sampling_design.planning.figures import PlanFigures
+from sampling_design.planning.problem import WHOLE
+from sampling_design.planning.sequence import steps_skipped, window_after
+from sampling_design.planning.sequence_deviation import SampleSequence, departs_and_returns, spread_of
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GoalDue:
+    """A goal, and when it reaches its tolerance: what keeps a sample from being later.
+
+    Attributes
+    ----------
+    goal : str
+    time : float
+        When it reaches its tolerance, or comes nearest to it [the plant's time unit] since the start of the plan.
+    ratio : float
+        Accuracy over tolerance then, attained by a motion on the raster or by the filter: 1 and more where it breaks.
+    """
+
+    goal: str
+    time: float
+    ratio: float
+
+    @property
+    def breaks(self) -> bool:
+        """Whether the tolerance is reached; else it is only nearer to it than what is proven."""
+        return self.ratio >= 1
+
+
+@dataclass(frozen=True, eq=False)
+class GapLooks:
+    """One goal in the gap after sample k: times that were looked at, in order, and its ratios to the tolerance."""
+
+    k: int
+    goal: str
+    times: Array
+    ratios: Array
+
+    def first(self, level: float = 1.0) -> GoalDue:
+        """The first look at or above a level; if there is none, the worst."""
+        above = np.flatnonzero(self.ratios >= level)
+        at = int(above[0]) if above.size else int(np.argmax(self.ratios))
+        return GoalDue(self.goal, float(self.times[at]), float(self.ratios[at]))
+
+
+def first_due(plan: PlanFigures, sequence: SampleSequence, until: float) -> GoalDue | None:
+    """The first goal to reach its tolerance in a sequence before a time; if none does, the one that comes nearest."""
+    nearest: GoalDue | None = None
+    firsts: list[GoalDue] = []
+    for looks in (_bounded(plan, sequence, until, 1.0), _spread(plan, sequence, until)):
+        for _, gap in groupby(looks, key=lambda look: look.k):
+            found = [look.first() for look in gap]
+            breaks = [due for due in found if due.breaks]
+            if breaks:
+                firsts += breaks
+                break
+            nearest = max([*found, *([nearest] if nearest else [])], key=lambda due: due.ratio)
+    return min(firsts, key=lambda due: due.time) if firsts else nearest
+
+
+def kept_from(plan: PlanFigures, sequence: SampleSequence, until: float, level: float, latest: float = np.inf) -> float:
+    """From when on every goal stays at most so high; infinite if that is later than `latest`.
+
+    Where a goal is too high up to the end of a gap, from the sample there on.
+    """
+    kept = max(sequence.since, float(sequence.times[sequence.start]))
+    for gap in chain(_spread(plan, sequence, until), _bounded(plan, sequence, until, level)):
+        above = np.flatnonzero(gap.ratios > level)
+        if above.size:
+            after = int(above[-1]) + 1
+            kept = max(kept, float(gap.times[after] if after < gap.times.size else sequence.times[gap.k + 1]))
+        if kept > latest:
+            return np.inf
+    return kept
+
+
+def reached_at(plan: PlanFigures, history: SampleSequence, since: float, until: float, level: float) -> float:
+    """When the first goal is above a level if nothing more is measured; infinite if none is before a time."""
+    past = _ending(history, max(until, float(history.times[-1]) + WHOLE * plan.problem.step), since)
+    looks = [*_in_gap(plan, past, len(past.times) - 2, level), *_spread(plan, past, np.inf)]
+    over = [float(look.times[look.ratios > level][0]) for look in looks if np.any(look.ratios > level)]
+    return min(over, default=np.inf)
+
+
+def _ending(history: SampleSequence, end: float, since: float = -np.inf) -> SampleSequence:
+    """What was measured, and a last gap."""
+    times, seen = np.append(history.times, end), np.concatenate([history.seen, history.seen[-1:]])
+    return replace(history, times=times, seen=seen, since=since)
+
+
+def exceeded_since(plan: PlanFigures, sequence: SampleSequence, now: float) -> GoalDue | None:
+    """The goal that has been above its tolerance for longest without a break until now, and since when; None if none.
+
+    `ratio` is that of the last look. The sequence is what was measured until now.
+    """
+    past = _ending(sequence, max(now, float(sequence.times[-1]) + WHOLE * plan.problem.step))
+    spread = {k: list(looks) for k, looks in groupby(_spread(plan, past, np.inf), key=lambda look: look.k)}
+    pending = {goal.name for goal in plan.goals}
+    found: dict[str, GoalDue] = {}
+    for k in range(len(past.times) - 2, past.start - 1, -1):
+        for look in [*_in_gap(plan, past, k, 1.0), *spread.get(k, ())]:
+            if look.goal not in pending:
+                continue
+            kept = np.flatnonzero(look.ratios < 1)
+            after = int(kept[-1]) + 1 if kept.size else 0
+            if after < look.times.size:
+                ratio = found[look.goal].ratio if look.goal in found else float(look.ratios[-1])
+                found[look.goal] = GoalDue(look.goal, float(look.times[after]), ratio)
+            if kept.size:
+                pending.remove(look.goal)
+        if not pending:
+            break
+    return min(found.values(), key=lambda due: due.time, default=None)
+
+
+def _bounded(plan: PlanFigures, sequence: SampleSequence, until: float, level: float) -> Iterator[GapLooks]:
+    """Of the goals that are guaranteed, gap by gap, until what a change does has faded below a level."""
+    worst = before = 0.0
+    start, back = sequence.start, departs_and_returns(plan, sequence)[1]
+    for k in range(start, len(sequence.times) - 1):
+        if sequence.times[k] >= until:
+            return
+        for look in _in_gap(plan, sequence, k, level):
+            worst = max(worst, float(look.ratios.max()))
+            yield look
+        if (k - start) % plan.samples == plan.samples - 1:
+            if worst <= min(before, level) and k >= back:
+                return
+            worst, before = 0.0, worst
+
+
+def _in_gap(plan: PlanFigures, sequence: SampleSequence, k: int, level: float) -> Iterator[GapLooks]:
+    """The same of one gap; where the level is crossed, to the step."""
+    oracle = plan.oracle
+    goals = [g for g, goal in enumerate(oracle.problem.goals) if not goal.spread]
+    if not goals:
+        return
+    window, last, length = window_after(oracle, sequence, k)
+    for g in goals:
+        looks = oracle.looked(window, g, last, length, begin=steps_skipped(oracle, sequence, k))
+        if not looks:
+            continue
+        if oracle.problem.goals[g].at == "all times":
+            _to_the_step(plan, window, g, looks, level)
+        offsets = np.array(sorted(looks))
+        ratios = np.array([looks[offset] for offset in offsets.tolist()])
+        yield GapLooks(k, plan.goals[g].name, (last + offsets) * oracle.problem.step, ratios)
+
+
+def _to_the_step(plan: PlanFigures, window: RasterWindow, g: int, looks: dict[int, float], level: float) -> None:
+    """Look between neighbours on both sides of a level until they are a step apart."""
+    offsets = sorted(looks)
+    for low, high in pairwise(offsets):
+        sides = (looks[low] >= level, looks[high] >= level)
+        while sides[0] != sides[1] and high - low > 1:
+            middle = (low + high) // 2
+            looks[middle] = plan.oracle.reach(window, middle, g)
+            low, high = (middle, high) if (looks[middle] >= level) == sides[0] else (low, middle)
+
+
+def _spread(plan: PlanFigures, sequence: SampleSequence, until: float) -> Iterator[GapLooks]:
+    """The same of standard deviations."""
+    if plan.deviation is None:
+        return
+    for k, goal, offsets, ratios in spread_of(plan).gaps(sequence, until):
+        yield GapLooks(k, goal.name, float(sequence.times[k]) + offsets, ratios)

@@ -1,0 +1,259 @@
+"""The plant on the raster, in coordinates in which a well measured state is of size one, whatever the units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import schur
+
+from sampling_design.accuracy.bounds import SignalBounds
+from sampling_design.accuracy.sample_chain import endless_chain
+from sampling_design.accuracy.undetectable import known_part
+from sampling_design.errors import ArgumentError, InfeasibleRequirementError
+from sampling_design.numerics.linalg import expm_batch
+from sampling_design.planning.problem import MOST_STEPS, PlanProblem
+from sampling_design.plants.clusters import format_eigenvalue
+from sampling_design.records.record import short
+from sampling_design.records.units import spoken
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+CELLS = 6
+"""Cells of constant disturbance in a gap, unless it holds several turns of an oscillation."""
+
+TURN = np.pi / 4
+"""Radians of the quickest oscillation in a cell, at most: a disturbance pushes on only if it turns with it."""
+
+GOLDEN = (np.sqrt(5.0) - 1) / 2
+
+SPREAD = (7, 24)
+"""Samples of the schedule that chooses the coordinates, at least and at most."""
+
+
+HIDDEN = 1e-9
+"""A direction is hidden from rows of norm one that show less than this share of it."""
+
+GROWTH = 200.0
+"""Logarithm of the growth beyond which nothing is followed: what has grown so much broke its tolerance long before."""
+
+STAYS = 1e-6
+"""A mode that loses no more than this share in a period never fades."""
+
+
+@dataclass(frozen=True, eq=False)
+class DiscretePlant:
+    """x = T z on the raster: z_{i+1} = F z_i + Gamma w_i, |w_i| <= 1, |H z_i| <= 1 where measured.
+
+    Attributes
+    ----------
+    T : (n, r) array
+        Fewer columns than states where the plant has parts that no sensor ever shows.
+    A, G : arrays
+        Per unit of time, G in units of the bound on w.
+    H : (p, n) array
+        In units of the noise bounds; 0 where there is none.
+    N, S : (n, q) and (p, n) arrays
+        G in units of the root of the noise's intensity, outputs in units of the noise's deviation.
+    step : float
+    ball : bool
+        Whether |w| is Euclidean.
+    """
+
+    T: Array
+    A: Array
+    G: Array
+    H: Array
+    N: Array
+    S: Array
+    step: float
+    ball: bool
+    _flows: dict[int, Array] = field(default_factory=dict)
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+    @cached_property
+    def longest(self) -> int:
+        """Steps without a sample that are followed: e^GROWTH at most."""
+        rate = float(np.max(np.linalg.eigvals(self.A).real, initial=0.0)) * self.step
+        return max(1, int(min(GROWTH / rate, MOST_STEPS))) if rate > 0 else MOST_STEPS
+
+    @cached_property
+    def _turned(self) -> float:
+        """Radians by which the quickest oscillation turns in a step."""
+        return float(np.max(np.abs(np.linalg.eigvals(self.A).imag), initial=0.0)) * self.step
+
+    def rows(self, rows: Array) -> Array:
+        """Rows of x as rows of z."""
+        return np.asarray(rows @ self.T)
+
+    @cached_property
+    def _unit(self) -> Array:
+        """[F, Gamma] of one step."""
+        return self._joint(self.step)
+
+    def _joint(self, length: float) -> Array:
+        n, q = self.G.shape
+        joint = np.zeros((n + q, n + q))
+        joint[:n, :n], joint[:n, n:] = self.A, self.G
+        return np.asarray(expm_batch(joint, [length])[0, :n])
+
+    @property
+    def F(self) -> Array:
+        """Of one step."""
+        return self._unit[:, : self.n]
+
+    @property
+    def Gamma(self) -> Array:
+        """Of one step."""
+        return self._unit[:, self.n :]
+
+    def flow(self, steps: int) -> Array:
+        """[F, Gamma] of so many steps with constant w."""
+        if steps not in self._flows:
+            self._flows[steps] = self._joint(steps * self.step)
+        return self._flows[steps]
+
+    def gap(self, steps: int) -> tuple[Array, Array, list[int]]:
+        """F of a gap, Gamma (n, m q) of its cells, and the steps of each cell, in order of time."""
+        number = min(max(CELLS, int(np.ceil(steps * self._turned / TURN))), steps)
+        edges = np.round(np.linspace(0, steps, number + 1)).astype(int)
+        n, cells = self.n, np.diff(edges).tolist()
+        F, blocks = np.eye(n), []
+        for width in reversed(cells):
+            joint = self.flow(width)
+            blocks.append(F @ joint[:, n:])
+            F = F @ joint[:, :n]
+        return F, np.hstack(blocks[::-1]) if blocks else np.zeros((n, 0)), cells
+
+
+@dataclass(frozen=True, eq=False)
+class UndetectedModes:
+    """Motions that do not fade and that a choice never sees.
+
+    Attributes
+    ----------
+    where : (M, p) array of bool
+        Where they show: any choice that measures nowhere on the mask hides them, too.
+    states : (n, k) array
+        z at step 0 of such motions, orthonormal.
+    """
+
+    where: Mask
+    states: Array
+
+
+def hidden_at(
+    motion: DiscretePlant, chosen: Mask, allowed: Mask, rows: Array, always: Mask, outputs: Array | None = None
+) -> UndetectedModes | None:
+    """Return the motions that do not fade and that a choice never sees.
+
+    None if there are none, or if they are hidden at all times, not only at those of the raster, and of no account to
+    the rows of z, at any time to those that are `always` wanted. `outputs`:
+    those of z that are read, default H.
+    """
+    H = motion.H if outputs is None else outputs
+    steps, p = chosen.shape
+    seen = np.empty((steps, p, motion.n))
+    moved = np.empty((steps, len(rows), motion.n))
+    power, log = np.eye(motion.n), 0.0  # F^i over e^log: only directions are asked for, and growth may overflow
+    for i in range(steps):
+        seen[i], moved[i] = _even(H @ power), _even(rows @ power)
+        power = motion.F @ power
+        size = max(float(np.abs(power).max()), np.finfo(float).tiny)
+        power, log = power / size, log + float(np.log(size))
+    stays = (1 - STAYS) * np.exp(-max(log, -700.0))
+    later = [seen[chosen]]
+    for _ in range(motion.n - 1):
+        later.append(_even(later[-1] @ power))
+    _, sizes, right = np.linalg.svd(np.vstack([np.zeros((motion.n, motion.n)), *later]))
+    N = right[sizes <= HIDDEN * max(float(sizes[0]), 1.0)].T
+    if not N.shape[1]:
+        return None
+    _, Z, stay = schur(N.T @ power @ N, output="real", sort=lambda re, im: bool(np.hypot(re, im) >= stays))
+    N = N @ Z[:, :stay]
+    where = np.asarray(np.linalg.norm(seen @ N, axis=2) > HIDDEN)
+    reached = np.vstack([moved.reshape(-1, motion.n), *_derivatives(motion.A, rows[always])])
+    moved_on = motion.A @ N  # where it is hidden at samples only, what nobody knows differs from time to time
+    turns = float(np.linalg.norm(moved_on - N @ (N.T @ moved_on))) > HIDDEN * float(np.linalg.norm(motion.A))
+    matters = turns or bool(np.any(where & allowed)) or float(np.abs(reached @ N).max(initial=0.0)) > HIDDEN
+    return UndetectedModes(where, N) if stay and matters else None
+
+
+def _derivatives(A: Array, rows: Array) -> list[Array]:
+    """Directions of rows A^k: what none of them sees, no row sees at any time."""
+    found = [_even(rows)]
+    for _ in range(len(A) - 1):
+        found.append(_even(found[-1] @ A))
+    return found
+
+
+def _even(rows: Array) -> Array:
+    """Rows of norm one, or zero."""
+    size = np.linalg.norm(rows, axis=-1, keepdims=True)
+    return np.asarray(rows / np.where(size > 0, size, 1.0))
+
+
+def motion_of(problem: PlanProblem) -> DiscretePlant:
+    """Return the plant of a problem on its raster; coordinates from a spread-out schedule with every sensor.
+
+    Raises
+    ------
+    ArgumentError
+        If a mode grows so much in a step of the raster that no sample helps.
+    InfeasibleRequirementError
+        If a goal depends on what no sensor ever shows.
+    """
+    plant = problem.plant
+    fastest = max(np.linalg.eigvals(plant.A).tolist(), key=lambda value: value.real)
+    if fastest.real * problem.step > GROWTH / 2:
+        raise ArgumentError(
+            f"`raster` is too coarse: from one of its steps to the next (here {spoken(problem.step, plant.time_unit)}) "
+            f"the mode {format_eigenvalue(fastest)} grows by e^{fastest.real * problem.step:.3g}, so that a sample "
+            f"says nothing of the next step; take at most {short(GROWTH / 8 / fastest.real)} {plant.time_unit}."
+        )
+    count = int(np.clip(problem.steps, *SPREAD))
+    count = int(max(count, np.ceil(max(fastest.real, 0.0) * problem.period / (GROWTH / 2))))
+    gaps = 1 + np.arange(count) * GOLDEN % 1.0  # uneven: no mode is missed by its period
+    gaps *= problem.period / gaps.sum()
+    guarantees = any(not goal.spread for goal in problem.goals)
+    sizes = problem.v_bound if guarantees else problem.v_deviation
+    bound_on_w = problem.requirement.w_bound if guarantees else np.sqrt(problem.w_intensity)
+    measured = [np.flatnonzero(np.isfinite(np.minimum(problem.v_bound, problem.v_deviation)))] * count
+    known = known_part(plant, np.cumsum(gaps) - gaps[0], problem.period, measured)
+    for goal in problem.goals:
+        if known.touches(goal.row):
+            raise InfeasibleRequirementError(
+                f"No sensor ever shows {', '.join(known.modes)}, on which {goal.name} depends and which never fades: "
+                "no plan can keep its tolerance. Add a sensor, or a `noise_bound` to one that has none.",
+                "accuracy",
+            )
+    seen = np.where(np.isfinite(sizes), sizes, np.minimum(problem.v_bound, problem.v_deviation))
+    bounds = SignalBounds.of(known.plant, count, np.tile(np.isfinite(seen), (count, 1)), bound_on_w, _finite(seen))
+    chain = endless_chain(known.plant, gaps, bounds)
+    own = chain.D[:, None] * chain.L[0]
+    C = known.plant.C @ own
+    A = np.linalg.solve(own, known.plant.A @ own)
+    G = np.linalg.solve(own, known.plant.G * bounds.w)
+    T = known.lift @ own
+    return DiscretePlant(
+        T,
+        np.asarray(A),
+        np.asarray(G),
+        np.asarray(C / problem.v_bound[:, None]),
+        np.asarray(np.linalg.solve(own, known.plant.G * np.sqrt(problem.w_intensity))),
+        np.asarray(C / problem.v_deviation[:, None]),
+        problem.step,
+        bool(bounds.w_ball),
+    )
+
+
+def _finite(bounds: Array) -> Array:
+    """Noise bounds with a number where a sensor has none; such a sensor is masked out."""
+    return np.where(np.isfinite(bounds), bounds, 1.0)

@@ -1,0 +1,117 @@
+"""Choices that a search held to keep the goals, and what is proven of them: however long it goes on, none is forgotten.
+
+The search judges in floats and may judge too well, so that what it holds last need not be what is proven.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.accuracy import Accuracy
+from sampling_design.accuracy.deviation import StandardDeviation
+from sampling_design.errors import UndecidedError
+from sampling_design.planning.problem import PlanProblem
+from sampling_design.planning.work_budget import WorkBudget
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+GoalProofs: TypeAlias = tuple[Accuracy | None, StandardDeviation | None]
+
+SPREAD = (np.sqrt(5.0) - 1) / 2
+"""Multiples of it, less their whole part, are spread evenly."""
+
+
+@dataclass(frozen=True, eq=False)
+class ProvenChoice:
+    """A choice, its proof, and the ratios to the tolerances that this proves."""
+
+    chosen: Mask
+    proof: GoalProofs
+    ratios: Array
+
+    @property
+    def worst(self) -> float:
+        """The largest ratio."""
+        return float(self.ratios.max(initial=0.0))
+
+
+class FeasibleChoices:
+    """Choices of one problem, each proven once at most."""
+
+    def __init__(self, problem: PlanProblem, work: WorkBudget, prove: Callable[[Mask], tuple[GoalProofs, Array]]):
+        self.problem, self.work, self._prove = problem, work, prove
+        self._known: dict[bytes, ProvenChoice] = {}
+
+    def proven(self, chosen: Mask) -> ProvenChoice:
+        """What is proven of a choice."""
+        key = chosen.tobytes()
+        if key not in self._known:
+            self._known[key] = ProvenChoice(chosen, *self._prove(chosen))
+        return self._known[key]
+
+    def sharpest(self, held: Iterable[tuple[Mask, float]], best: ProvenChoice) -> ProvenChoice:
+        """The best of what was held, by proof; a choice judged no better than the best is not proven to be better."""
+        for chosen, judged in held:
+            if judged < best.worst:
+                best = min(best, self.proven(chosen), key=lambda found: found.worst)
+        return best
+
+    def cheapest(self, held: Iterable[Mask], everything: Mask) -> ProvenChoice:
+        """The cheapest of what was held, and of all that is allowed, that is proven to keep the tolerances.
+
+        Or a choice that is cheaper still, made of one that is not: more of what is allowed joins it.
+
+        Raises
+        ------
+        UndecidedError
+            If nothing is proven to keep them.
+        """
+        cost, best = self.problem.cost, None
+        choices = sorted([*held, everything], key=cost)
+        best = next((found for found in map(self.proven, choices) if found.worst <= 1), None)
+        for chosen in choices:
+            if best is not None and (self.work.over or cost(chosen) >= cost(best.chosen)):
+                break
+            best = self._mended(chosen, everything, best)
+        assert best is not None
+        return best
+
+    def _mended(self, chosen: Mask, everything: Mask, best: ProvenChoice | None) -> ProvenChoice:
+        """More of what is allowed, spread out, until the tolerances are proven, as long as that is cheaper than `best`.
+
+        It is asked for where a motion that no disturbance drives neither fades nor is seen well.
+
+        Raises
+        ------
+        UndecidedError
+            If there is no `best`, and not even as much as spacings allow is proven to keep them.
+        """
+        more = np.argwhere(everything & ~chosen)
+        more = more[np.argsort((np.arange(len(more)) * SPREAD) % 1.0, kind="stable")]
+        low, high = 0, len(more)
+        while best is None or low < high:
+            count = high if best is None else (low + high) // 2
+            trial = chosen.copy()
+            for i, j in more[:count].tolist():
+                trial[i, j] = True
+                if not self.problem.is_admissible(trial):
+                    trial[i, j] = False
+            if best is not None and self.problem.cost(trial) >= self.problem.cost(best.chosen):
+                high = count
+                continue
+            found = self.proven(trial)
+            if found.worst <= 1:
+                best, high = found, count
+            elif best is None:
+                raise UndecidedError(
+                    f"No plan was proven to keep the tolerances: the densest one is proven to keep "
+                    f"{found.worst:.4g} times them. Ask for less, or allow other hours."
+                )
+            else:
+                low = count + 1
+        return best

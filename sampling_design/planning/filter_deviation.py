@@ -1,0 +1,172 @@
+"""Standard deviations of the best filter on the raster, for many choices of samples at once, and tangents of them.
+
+    P <- F P F' + Q from step to step,    P <- (P^-1 + sum over sensors of z_ij h_j h_j')^-1 at step i,  z_ij in [0, 1]
+
+From nothing unknown, P = 0, every period bounds the periodic limit from below, whatever the error once was. A row's
+variance is convex in z, since the information is concave in it and in itself. So a tangent at any z, fractions too, is
+below it everywhere: it bounds what any choice can reach, and asks every choice for enough of what it weighs.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.numerics.linalg import discounted_flow, symmetrise
+from sampling_design.planning.discrete_plant import DiscretePlant
+from sampling_design.planning.hidden_trajectories import HiddenTrajectory
+from sampling_design.planning.problem import PlanProblem, RowGoal
+from sampling_design.planning.work_budget import FILTER, WorkBudget
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+WIDE = 1e4
+"""Covariance at the start of a filter that knows nothing, where a well measured state has size one."""
+
+SETTLED = 1e-9
+"""Relative change of the largest variance over a period at which it counts as its limit."""
+
+PERIODS = 400
+"""Periods that are followed, at most."""
+
+TANGENT_PERIODS = 40
+"""The same for a tangent, whose steps are kept."""
+
+BEYOND = 1e120
+"""A covariance that is larger is as good as infinite."""
+
+ENOUGH = 1e6
+"""Variance, in squares of the tolerance, beyond which no more periods are followed."""
+
+MOST_REACH = 1e9
+"""What is known no better than this many tolerances is not known."""
+
+
+class RasterFilter:
+    """Variances of the goals that are standard deviations, on the raster of one problem."""
+
+    def __init__(self, problem: PlanProblem, motion: DiscretePlant, work: WorkBudget | None = None):
+        self.problem, self.motion = problem, motion
+        self.work = WorkBudget() if work is None else work
+        F, Q = discounted_flow(motion.A, motion.N @ motion.N.T, [motion.step])
+        self.F, self.Q = F[0], symmetrise(Q[0])
+        self.rows = motion.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(motion.T)))
+
+    def variances(self, chosen: Mask, *, wide: bool = True, periods: int = PERIODS) -> tuple[Array, Array]:
+        """Variances (B, goals, M) before and after the samples of every step, for choices (B, M, p)."""
+        n, (B, M, p) = self.motion.n, chosen.shape
+        P = np.tile(np.eye(n) * (WIDE if wide else 0.0), (B, 1, 1))
+        read = [[(j, chosen[:, i, j]) for j in range(p) if chosen[:, i, j].any()] for i in range(M)]
+        lost = np.zeros(B, dtype=bool)
+        before, after = np.zeros((M, B, len(self.rows))), np.zeros((M, B, len(self.rows)))
+        last = np.full((B, len(self.rows)), np.inf if wide else 0.0)
+        for _ in range(periods):
+            self.work.add((M * FILTER[0], FILTER[1]), B * M * n)
+            for i in range(M):
+                P = self.F @ P @ self.F.T + self.Q
+                before[i] = np.einsum("gi,bij,gj->bg", self.rows, P, self.rows)
+                for j, mask in read[i]:
+                    h = self.motion.S[j]
+                    Ph = P @ h
+                    P = P - (mask / (1.0 + Ph @ h))[:, None, None] * Ph[:, :, None] * Ph[:, None, :]
+                after[i] = np.einsum("gi,bij,gj->bg", self.rows, P, self.rows) if read[i] else before[i]
+                far = np.abs(P).max(axis=(1, 2)) > BEYOND
+                if far.any():
+                    lost |= far
+                    P[far] = 0.0
+            P = (P + np.swapaxes(P, 1, 2)) / 2
+            now = before.max(axis=0)
+            if np.all(np.abs(now - last)[~lost] <= SETTLED * now[~lost]):
+                break
+            last = now
+        before[:, lost], after[:, lost] = BEYOND, BEYOND
+        return np.moveaxis(before, 0, 2), np.moveaxis(after, 0, 2)
+
+    def worst(self, chosen: Mask) -> Array:
+        """Ratios (B, goals) of standard deviation to tolerance, 0 for goals of the other kind."""
+        before, after = self.variances(chosen)
+        found = np.zeros(before.shape[:2])
+        for g, goal in enumerate(self.problem.goals):
+            if goal.spread:
+                values = np.where(self._wanted(goal, chosen), (after if own(goal) else before)[:, g], 0.0)
+                found[:, g] = np.sqrt(np.maximum(values.max(axis=1), 0.0)) / goal.tolerance
+        return found
+
+    def _wanted(self, goal: RowGoal, chosen: Mask) -> Mask:
+        """Steps (B, M) at which a goal is wanted."""
+        if own(goal):
+            return np.asarray(chosen.any(axis=2))
+        wanted = np.ones(chosen.shape[1], dtype=bool)
+        if goal.at == "given times":
+            wanted[:] = False
+            wanted[goal.steps.astype(int) % wanted.size] = True
+        return np.broadcast_to(wanted, chosen.shape[:2])
+
+    def tangent(self, z: Array, g: int) -> HiddenTrajectory | None:
+        """The tangent at a point z (M, p) of a goal's variance where that is largest; None if it says nothing."""
+        goal = self.problem.goals[g]
+        wanted = self._wanted(goal, z[None] > 0)[0]
+        if not wanted.any():
+            return None
+        periods = self._periods(z, g)
+        last = periods[-1][1 if own(goal) else 0]
+        values = np.einsum("i,mij,j->m", self.rows[g], last, self.rows[g])
+        return self._tangent(z, g, int(np.argmax(np.where(wanted, values, -1.0))), periods)
+
+    def tangent_at(self, z: Array, g: int, end: int) -> HiddenTrajectory | None:
+        """The same at one step: reach^2 less the sum of `peaks` over what is measured is below the variance."""
+        return self._tangent(z, g, end, self._periods(z, g))
+
+    def _tangent(self, z: Array, g: int, end: int, periods: list[tuple[Array, Array]]) -> HiddenTrajectory | None:
+        goal, M = self.problem.goals[g], len(z)
+        row = self.rows[g] / goal.tolerance
+        i, at_sample = end % M, own(goal)
+        lam, slope = row.copy(), np.zeros(z.shape)
+        value = float(lam @ periods[-1][1 if at_sample else 0][i] @ lam)
+        skip = not at_sample
+        for _, after in reversed(periods):
+            for k in range(i, -1, -1):
+                if not skip:  # dV/dz = -(h'P lam)^2, and lam before the samples is (I - H'z H P) lam
+                    gain = self.motion.S @ after[k] @ lam
+                    slope[k] += gain**2
+                    lam = lam - self.motion.S.T @ (z[k] * gain)
+                lam, skip = self.F.T @ lam, False
+            i = M - 1
+        reach = float(np.sqrt(max(value + float(np.sum(slope * z)), 0.0)))
+        if not 0 < reach < MOST_REACH or not np.isfinite(slope).all():
+            return None
+        turned = np.roll(slope[::-1], (end + 1) % M, axis=0)  # row k: k steps before the end
+        point = np.roll(z[::-1], (end + 1) % M, axis=0)
+        return HiddenTrajectory(g, reach, end, at_sample, turned, None, point)
+
+    def _periods(self, z: Array, g: int) -> list[tuple[Array, Array]]:
+        """Covariances before and after every step's samples, period by period from P = 0."""
+        n, M = self.motion.n, len(z)
+        P, last = np.zeros((n, n)), 0.0
+        row = self.rows[g] / self.problem.goals[g].tolerance
+        information = np.einsum("mp,pi,pj->mij", z, self.motion.S, self.motion.S)
+        some, periods = np.any(z > 0, axis=1), list[tuple[Array, Array]]()
+        for _ in range(TANGENT_PERIODS):
+            self.work.add((M * FILTER[0], FILTER[1]), M * n)
+            before, after = np.zeros((M, n, n)), np.zeros((M, n, n))
+            for i in range(M):
+                P = self.F @ P @ self.F.T + self.Q
+                before[i] = P = (P + P.T) / 2
+                if some[i]:
+                    P = np.linalg.solve(np.eye(n) + P @ information[i], P)
+                    P = (P + P.T) / 2
+                after[i] = P
+                if np.abs(P).max() > BEYOND:
+                    return periods or [(before, after)]
+            periods.append((before, after))
+            now = float(row @ P @ row)
+            if abs(now - last) <= SETTLED * now or now > ENOUGH:
+                break
+            last = now
+        return periods
+
+
+def own(goal: RowGoal) -> bool:
+    """Whether a goal is wanted just after samples, with what these say."""
+    return goal.at == "after each sample"

@@ -1,0 +1,152 @@
+"""Attacks: motions that reach a goal's tolerance, and where in the period they would be seen.
+
+A motion whose every output stays below its bound wherever a schedule measures is admissible for that schedule: with
+reach r and a schedule that sees nothing, no estimator guarantees less than r. Scaled down, it also bounds schedules
+that would see it: by r over the largest ratio of output to bound that they measure. Moved by whole steps it is an
+attack again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.planning.adversary_program import DisturbedTrajectory
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+HIDDEN = 1 - 1e-9
+"""An output counts as hidden if its ratio to the bound is below this: rounding never hides anything."""
+
+MOST_ENDS = 400
+"""Ends of one attack, the strongest, that are looked at when a swap is weighed."""
+
+
+@dataclass(frozen=True, eq=False)
+class HiddenTrajectory:
+    """A motion against one goal, or a tangent of its variance where it is a standard deviation.
+
+    Of a motion, measurements see it or not. A tangent says that the variance is at least reach^2 less the sum of
+    `peaks` over what is measured.
+
+    Attributes
+    ----------
+    goal : int
+    reach : float
+        What it does to the goal's row, over the tolerance.
+    end : int
+        The step (before any turn of the period) at which it does so.
+    at_sample : bool
+        Whether the step's own samples count (accuracy after a sample), else the time just before them.
+    peaks : (M, p) array
+        For each step of the period, counted back from the end (0: the end itself), the largest ratio of output to
+        bound over all periods; of a tangent, its slopes.
+    flight : Flight or None
+        None for a tangent.
+    point : (M, p) array or None
+        Where a tangent touches, in steps back from the end.
+    """
+
+    goal: int
+    reach: float
+    end: int
+    at_sample: bool
+    peaks: Array
+    flight: DisturbedTrajectory | None = None
+    point: Array | None = None
+
+    @property
+    def touches(self) -> Array:
+        """Where a tangent touches."""
+        assert self.point is not None
+        return self.point
+
+    def weights(self, level: float) -> Array:
+        """What measuring at each step back from the end, and sensor, adds; a choice for `level` must add up to 1.
+
+        One for what sees a motion that is scaled to reach just the level; slopes of a tangent, over what is missing.
+        """
+        if self.flight is not None:
+            return np.asarray(self.peaks * (level / self.reach) > HIDDEN, dtype=float)
+        missing = (self.reach**2 - level**2) * HIDDEN
+        return np.minimum(self.peaks, missing) / missing if missing > 0 else np.ones_like(self.peaks)
+
+
+def peaks_of(outputs: Array, steps: int, at_sample: bool) -> Array:
+    """Largest |output| (T+1, p) by steps back from the end, folded into one period; the end itself only if asked."""
+    T, p = len(outputs), outputs.shape[1]
+    periods = -(-T // steps)
+    back = np.zeros((periods * steps, p))
+    back[:T] = np.abs(outputs[::-1])
+    if not at_sample:
+        back[0] = 0.0
+    return np.asarray(back.reshape(periods, steps, p).max(axis=0))
+
+
+def weighed(attack: HiddenTrajectory, taken: Array) -> Array:
+    """Standard deviation over tolerance that a tangent leaves where measurements have taken so much of it."""
+    return np.sqrt(np.maximum(attack.reach**2 - taken, 0.0))
+
+
+class HiddenTrajectories:
+    """Every attack found, and what they prove of any choice of samples, quickly."""
+
+    def __init__(self, steps: int, ends: list[Mask]):
+        self.steps, self.ends = steps, ends
+        self.attacks: list[HiddenTrajectory] = []
+
+    def add(self, attack: HiddenTrajectory) -> None:
+        """Keep one more."""
+        if not any(known is attack for known in self.attacks):
+            self.attacks.append(attack)
+
+    def against(self, chosen: Mask) -> tuple[float, HiddenTrajectory | None, int]:
+        """The largest ratio of accuracy to tolerance that the pool proves of a choice, the attack, and its end."""
+        best, which, where = 0.0, None, 0
+        at, sensor = np.nonzero(chosen)
+        for attack in self.attacks:
+            ratios = self.proven(attack, at, sensor)
+            end = int(np.argmax(ratios))
+            if ratios[end] > best:
+                best, which, where = float(ratios[end]), attack, end
+        return best, which, where
+
+    def proven(self, attack: HiddenTrajectory, at: npt.NDArray[np.intp], sensor: npt.NDArray[np.intp]) -> Array:
+        """For every end of an attack, the ratio that it proves of samples (at, sensor)."""
+        back = (np.arange(self.steps)[:, None] - at[None, :]) % self.steps
+        peaks = attack.peaks[back, sensor[None, :]]
+        seen = np.max(peaks, axis=1, initial=0.0)
+        allowed = self.ends[attack.goal].copy()
+        if attack.at_sample:
+            there = np.zeros(self.steps, dtype=bool)
+            there[at] = True
+            allowed &= there
+        if attack.flight is None:
+            return np.where(allowed, weighed(attack, peaks.sum(axis=1)), 0.0)
+        with np.errstate(divide="ignore"):
+            return np.where(allowed, attack.reach / np.maximum(seen / HIDDEN, 1.0), 0.0)
+
+    def swaps(self, rest: Mask, options: list[tuple[int, int]]) -> Array:
+        """What the pool proves of `rest` with each option (step, sensor) added."""
+        at, sensor = np.nonzero(rest)
+        step, which = (np.array(part, dtype=int) for part in zip(*options, strict=True))
+        values = np.zeros(len(options))
+        sampled = rest.any(axis=1)
+        for attack in self.attacks:
+            ratios = self.proven(attack, at, sensor)
+            if attack.at_sample:  # an option brings an end of its own: said without it, this bounds no less
+                ratios = np.where(sampled, ratios, 0.0)
+            ends = np.flatnonzero(ratios > 0)
+            ends = ends[np.argsort(-ratios[ends], kind="stable")][:MOST_ENDS]
+            seen = attack.peaks[(ends[:, None] - step[None, :]) % self.steps, which[None, :]]
+            if attack.flight is None:
+                left = np.sqrt(np.maximum(ratios[ends, None] ** 2 - seen, 0.0))
+                values = np.maximum(values, left.max(axis=0, initial=0.0))
+                continue
+            with np.errstate(divide="ignore"):
+                after = np.minimum(ratios[ends, None], attack.reach / np.maximum(seen / HIDDEN, 1.0))
+            values = np.maximum(values, after.max(axis=0, initial=0.0))
+        return values

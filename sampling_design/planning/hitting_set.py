@@ -1,0 +1,211 @@
+"""At most so many samples that see every motion, where nothing but their number counts: by branching, no solver.
+
+    |X| <= N,   X meets V_a, the steps that show a motion, for every motion a
+
+Branching is on the motion that the fewest steps show: its first step is given, or forbidden and its second given, and
+so on. Motions that share no step that is left need one sample each. What comes out is a choice, or the tree of a proof
+that there is none, whose leaves are multipliers of rows of the cover.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.planning.cost_proof import CostBranch, CostLeaf, CostProof, CostTree, proven_cost
+from sampling_design.planning.covering import CoveringRows, Key
+from sampling_design.planning.hidden_trajectories import HiddenTrajectories
+from sampling_design.planning.work_budget import MEETING, WorkBudget
+
+Array32 = npt.NDArray[np.float32]
+Mask = npt.NDArray[np.bool_]
+Places = npt.NDArray[np.intp]
+
+MOST_NODES = 10_000
+"""Nodes of a tree, beyond which it is given up."""
+
+DEEPEST = 300
+"""Branches above one another, at most: a tree is walked by calls within calls."""
+
+MOST_ENTRIES = 20_000_000
+"""Motions, their ends and the steps of a program, beyond which it is not written out."""
+
+
+TIE = 1e-9
+"""Costs are equal within this share."""
+
+
+@dataclass(frozen=True, eq=False)
+class HittingSet:
+    """What a search among so few samples came to.
+
+    Attributes
+    ----------
+    chosen : (M, p) array of bool or None
+        What sees every motion.
+    none : bool
+        Whether there is no such choice; neither if the search was given up.
+    proof : CostProof or None
+        That there is none; None also where it takes what a proof is not told of.
+    """
+
+    chosen: Mask | None = None
+    none: bool = False
+    proof: CostProof | None = None
+
+
+def hit(
+    cover: CoveringRows,
+    pool: HiddenTrajectories,
+    level: float,
+    below: float,
+    work: WorkBudget,
+    blind: Sequence[Mask] = (),
+) -> HittingSet | None:
+    """A choice below a cost, within the limits, that sees every motion at a level, or that there is none.
+
+    None where more than the number of samples counts, nothing limits it, or the program is too large to be written
+    out: then a solver is asked. `blind`: masks that a choice must meet, too, of which a proof is not told.
+    """
+    most = _most(cover, below)
+    reaching = [a for a, attack in enumerate(pool.attacks) if attack.reach >= level]
+    size = len(reaching) * cover.problem.steps * cover.columns
+    if most < 0 or size > MOST_ENTRIES or any(pool.attacks[a].flight is None for a in reaching):
+        return None
+    return _Search(cover, pool, level, below, most, reaching, work).run(blind)
+
+
+def _most(cover: CoveringRows, below: float) -> int:
+    """Samples of a choice below a cost and within the limits, at most; -1 where more than their number counts."""
+    problem, cost, (A, b) = cover.problem, cover.cost, cover.frame
+    plain = problem.spacing <= 1 and bool(np.all(problem.sensor_spacing[cover.used] <= 1))
+    plain = plain and bool(np.all(problem.longest_use[cover.used] >= problem.steps))
+    if not (plain and cover.whole and cost[0] > 0 and np.all(cost == cost[0])):
+        return -1
+    fewer = [np.ceil(below / float(cost[0]) * (1 - TIE)) - 1] if np.isfinite(below) else []
+    fewer += [np.floor(b[row] / A[row, 0] * (1 + TIE)) for row in cover.limits]
+    return int(min(fewer)) if fewer else -1
+
+
+class _Search:
+    """The tree, node by node."""
+
+    def __init__(
+        self,
+        cover: CoveringRows,
+        pool: HiddenTrajectories,
+        level: float,
+        below: float,
+        most: int,
+        reaching: list[int],
+        work: WorkBudget,
+    ):
+        self.cover, self.pool, self.level, self.below, self.most, self.work = cover, pool, level, below, most, work
+        self.left, self.found, self.frame = MOST_NODES, False, cover.frame[0].shape[0]
+        self.given = np.zeros(cover.columns + 1, dtype=bool)
+        self.given[-1] = True  # the owner of what is asked for in any case
+        self.keys: list[Key] = []
+        steps, shows, owners = cover.problem.steps, list[Array32](), list[Places]()
+        for a in reaching:
+            attack = pool.attacks[a]
+            seen = cover.view(attack, level)[:, 0] > 0
+            ends, owner = np.flatnonzero(pool.ends[attack.goal]), cover.columns
+            if attack.at_sample:  # asked for only where its end is a sample, which does not see it itself
+                ends = ends[(cover.sample_of[ends] >= 0) & ~seen[0]]
+            owners.append(cover.sample_of[ends] if attack.at_sample else np.full(ends.size, owner))
+            shows.append(seen[(ends[:, None] - cover.at[None, :]) % steps].astype(np.float32))
+            self.keys += [(a, end) for end in ends.tolist()]
+        none = np.zeros((0, cover.columns), dtype=np.float32)
+        self.shows, self.owner = np.concatenate([none, *shows]), np.concatenate([np.zeros(0, dtype=np.intp), *owners])
+
+    def run(self, blind: Sequence[Mask]) -> HittingSet:
+        """The search from the root."""
+        own = self.cover.frame[0][[-1]].toarray()  # step 0 where it is fixed, else any step: a plan has a sample
+        masks = [np.isin(np.arange(own.size), self.cover.place[where]) for where in blind]
+        self.shows = np.concatenate([self.shows, np.array([own[0], *masks], dtype=np.float32)])
+        self.owner = np.append(self.owner, np.full(1 + len(masks), own.size))
+        tree = self._node(np.arange(len(self.shows)), self.cover.ceiling(self.below) > 0, 0)
+        if tree is None:
+            return HittingSet(self.cover.choice(self.given[:-1].astype(float))) if self.found else HittingSet()
+        return HittingSet(none=True, proof=self._told(tree))
+
+    def _node(self, unmet: Places, free: Mask, depth: int) -> CostTree | None:
+        """The tree below what is given and what is still free; None once a choice is found, or nodes ran out."""
+        self.left -= 1
+        asked = unmet[self.given[self.owner[unmet]]]
+        self.found = not asked.size
+        if self.found:
+            return None
+        shows = self.shows[asked] * free
+        self.work.add(MEETING, shows.size)
+        counts = shows.sum(axis=1)
+        first, left = int(np.argmin(counts)), self.most - int(self.given[:-1].sum())
+        if counts[first] == 0:
+            return self._closed(asked[first])
+        apart = _apart(shows, counts, left + 1)
+        if len(apart) > left:
+            return self._counted(asked[apart])
+        if self.left <= 0 or depth + counts[first] > DEEPEST or self.work.over:
+            return None
+        steps = np.flatnonzero(shows[first])
+        branches = list[tuple[int, CostTree]]()
+        for k in steps[np.argsort(-shows[:, steps].sum(axis=0), kind="stable")].tolist():
+            free[k], self.given[k] = False, True
+            below = self._node(unmet[self.shows[unmet, k] == 0], free.copy(), depth + len(branches) + 1)
+            if below is None:
+                return None
+            self.given[k] = False
+            branches.append((k, below))
+        tree: CostTree = self._closed(asked[first])
+        for k, below in reversed(branches):
+            tree = CostBranch(k, tree, below)
+        return tree
+
+    def _closed(self, row: np.intp) -> CostLeaf:
+        """Where a motion is shown by nothing that is left: its row alone proves any cost."""
+        return CostLeaf((int(row),), (self.below,))
+
+    def _counted(self, rows: Places) -> CostLeaf:
+        """Where so many motions ask for one sample each: the samples cost too much, or there are too many of them."""
+        price, count = float(self.cover.cost[0]), int(self.given[:-1].sum()) + len(rows)
+        missing = self.below - price * count
+        if missing <= TIE * self.below:
+            return CostLeaf(tuple(rows.tolist()), (price,) * len(rows))
+        A, b = self.cover.frame
+        limit = min(self.cover.limits, key=lambda row: b[row] / A[row, 0])
+        value = missing / (b[limit] - A[limit, 0] * count)
+        each = price - value * A[limit, 0]
+        return CostLeaf((*rows.tolist(), limit - self.frame), (*(each,) * len(rows), value))
+
+    def _told(self, tree: CostTree) -> CostProof | None:
+        """The proof with the rows that it uses, the frame's before them."""
+        used = sorted({row for leaf in _leaves(tree) for row in leaf.rows})
+        if used[-1] > len(self.keys):
+            return None
+        place = {row: self.frame + i for i, row in enumerate(row for row in used if 0 <= row < len(self.keys))}
+        place[len(self.keys)] = self.frame - 1
+
+        def told(part: CostTree) -> CostTree:
+            if isinstance(part, CostBranch):
+                return CostBranch(part.variable, told(part.without), told(part.given))
+            return CostLeaf(tuple(place.get(row, self.frame + row) for row in part.rows), part.values)
+
+        proof = CostProof(self.level, self.below, tuple(self.keys[row] for row in sorted(place)[:-1]), told(tree))
+        return replace(proof, value=min(self.below, proven_cost(self.cover, self.pool, proof)))
+
+
+def _leaves(tree: CostTree) -> list[CostLeaf]:
+    """All leaves of a tree."""
+    return [*_leaves(tree.without), *_leaves(tree.given)] if isinstance(tree, CostBranch) else [tree]
+
+
+def _apart(shows: Array32, counts: Array32, enough: int) -> Places:
+    """Rows that share no step, those with few steps first, until there are so many."""
+    taken, apart = list[int](), np.where(counts > 0, counts, np.inf)
+    while len(taken) < enough and np.isfinite(apart.min()):
+        taken.append(int(np.argmin(apart)))
+        apart[shows @ shows[taken[-1]] > 0] = np.inf
+    return np.array(taken, dtype=np.intp)

@@ -1,0 +1,297 @@
+"""Sequences of samples that leave a plan for a while, and what the best filter makes of them.
+
+A filter that starts from the plan's own covariance runs through the samples. Where it knows, at the end, at most a
+times what the plan's does (as covariances), it never knows less than a times that: the recursion is monotone, and
+scales with a factor above 1 at most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.numerics.linalg import discounted_flow
+from sampling_design.planning.figures import PlanFigures
+from sampling_design.planning.filter_deviation import PERIODS, SETTLED, WIDE, own
+from sampling_design.planning.opening import PlanClock
+from sampling_design.planning.problem import WHOLE, PlanProblem, RowGoal
+from sampling_design.planning.work_budget import SEQUENCE
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+DAY = 1440.0
+"""Minutes by which clocks are never put forward or back."""
+
+LOOKS = 24
+"""Offsets of a gap at which a standard deviation is worked out, its end among them."""
+
+BETWEEN = 1 + 1e-4
+"""Share by which it may be larger between them."""
+
+GRAIN = 1e-9
+"""Lengths are the same if they differ by less than this share of a step of the raster."""
+
+FORGOTTEN = 1e-4
+"""A filter has forgotten what it was started with where that changes it by no more than this share."""
+
+ORDINARY = PlanClock()
+"""Clocks that are never changed."""
+
+
+@dataclass(frozen=True, eq=False)
+class SampleSequence:
+    """Sample times [the plant's time unit], what each measures, and the first that may differ from the plan.
+
+    Attributes
+    ----------
+    times : (K,) array
+        Real times: what lies between two of them has passed, whatever the clocks showed.
+    seen : (K, p) array of bool
+    first : int
+        Index of the first sample that the plan does not have, or has otherwise, or after another gap.
+    clock : PlanClock
+        What the plan's clocks show at these times.
+    """
+
+    times: Array
+    seen: Mask
+    first: int
+    clock: PlanClock = ORDINARY
+    since: float = -np.inf
+    """Nothing is judged before this time, though all that was measured then counts."""
+
+    @cached_property
+    def shown(self) -> Array:
+        """The times on the plan's clocks (K,)."""
+        return self.clock.shown(self.times)
+
+    @property
+    def start(self) -> int:
+        """Index of the sample before the first gap that is judged."""
+        now = int(np.searchsorted(self.times - self._tiny, self.since, side="right")) - 1
+        return max(self.first - 1, 0, now)
+
+    @property
+    def _tiny(self) -> float:
+        """Times closer than this are the same."""
+        return GRAIN * float(self.times[-1] - self.times[0])
+
+    def skipped(self, k: int) -> float:
+        """How much of the gap after a sample is not judged."""
+        before = self.since - float(self.times[k])
+        return before if before > self._tiny else 0.0
+
+
+def planned(plan: PlanFigures, start: float, stop: float, clock: PlanClock = ORDINARY) -> tuple[Array, Mask]:
+    """The plan's samples in [start, stop): real times by a clock, without those that it skips or that come too soon."""
+    schedule, period, problem = plan.schedule, plan.schedule.period, plan.problem
+    longest = max(problem.spacing, int(problem.sensor_spacing.max())) * problem.step
+    more = 0.0 if clock.calendar is None else DAY / clock.minutes + longest
+    periods = np.arange(np.floor((start - more) / period), np.ceil((stop + more) / period) + 1) * period
+    times = (periods[:, None] + schedule.times[None, :]).ravel()
+    seen = np.tile(plan.chosen[plan.chosen.any(axis=1)], (periods.size, 1))
+    near = (times >= start - more - GRAIN * period) & (times < stop + more)
+    times, seen = times[near], seen[near]
+    real = clock.elapsed(times)
+    keep = (real >= start - GRAIN * period) & (real < stop - GRAIN * period)
+    shows = np.abs(clock.shown(real) - times) < GRAIN * period
+    if clock.calendar is not None:
+        shows[np.flatnonzero(shows)[too_soon(problem, real[shows], seen[shows])]] = False
+    return real[keep & shows], seen[keep & shows]
+
+
+def too_soon(problem: PlanProblem, times: Array, seen: Mask, taken: int = 0) -> Mask:
+    """Which samples at real times (K,) come sooner after those before them, of all or of a sensor, than spacings allow.
+
+    Where clocks are put forward less time passes than they show. What comes too soon is not taken, but for the first
+    `taken`, which were.
+    """
+    found, last, read = np.zeros(times.size, dtype=bool), -np.inf, np.full(seen.shape[1], -np.inf)
+    if max(problem.spacing, int(problem.sensor_spacing.max())) <= 1:
+        return found
+    least, apart = ((np.asarray(s) - WHOLE) * problem.step for s in (problem.spacing, problem.sensor_spacing))
+    for k, t in enumerate(times.tolist()):
+        found[k] = k >= taken and (t - last < least or bool(np.any(t - read[seen[k]] < apart[seen[k]])))
+        if not found[k]:
+            last, read[seen[k]] = t, t
+    return found
+
+
+def is_apart(problem: PlanProblem, times: Array, seen: Mask, t: float, mask: Mask) -> bool:
+    """Whether a sample at a real time t keeps the spacings to all those at real times (K,)."""
+    off = np.abs(times - t)
+    shared = np.where(seen & mask, off[:, None], np.inf).min(axis=0, initial=np.inf)
+    least = np.min(off, initial=np.inf) >= (problem.spacing - WHOLE) * problem.step
+    return bool(least and np.all(shared >= (problem.sensor_spacing - WHOLE) * problem.step))
+
+
+def departs_and_returns(plan: PlanFigures, sequence: SampleSequence) -> tuple[int, int]:
+    """Index of the first sample that is not the plan's after the plan's gap, and from which on all are."""
+    period, schedule = plan.schedule.period, plan.schedule
+    off = (sequence.shown[:, None] - schedule.times) / period
+    off = np.abs(off - np.round(off))
+    phase = np.argmin(off, axis=1)
+    own = (off.min(axis=1) <= GRAIN) & np.all(sequence.seen == plan.chosen[plan.chosen.any(axis=1)][phase], axis=1)
+    follows = own[1:] & own[:-1] & (phase[1:] == (phase[:-1] + 1) % len(schedule))
+    follows &= np.abs(np.diff(sequence.times) - schedule.gaps[phase[1:]]) <= GRAIN * period  # gaps[j]: before sample j
+    other = np.flatnonzero(~follows) + 1
+    return (int(other[0]), int(other[-1])) if other.size else (len(own), 0)
+
+
+def asked(plan: PlanFigures, sequence: SampleSequence, k: int, goal: RowGoal) -> list[float]:
+    """Offsets in the gap after a sample at which a goal with given times must hold, on the plan's clock."""
+    if goal.at != "given times":
+        return []
+    problem, start, stop = plan.problem, float(sequence.times[k]), float(sequence.times[k + 1])
+    shown = sequence.shown[k : k + 2]
+    phases = np.round(goal.steps) * problem.step
+    periods = np.arange(np.floor(shown[0] / problem.period), np.ceil(shown.max() / problem.period) + 1) * problem.period
+    offsets = np.sort(sequence.clock.elapsed((periods[:, None] + phases[None, :]).ravel())) - start
+    tiny = 1e-9 * problem.period
+    inside = offsets[(offsets >= -tiny) & (offsets <= stop - start + tiny)]
+    return np.clip(inside, 0.0, stop - start).tolist()  # type: ignore[no-any-return]
+
+
+class SpreadSequence:
+    """The filter of one plan's standard deviations, through samples that are not all the plan's."""
+
+    def __init__(self, plan: PlanFigures):
+        self.plan = plan
+        motion = plan.oracle.motion
+        self.A, self.noise, self.S = motion.A, motion.N @ motion.N.T, motion.S
+        rows = plan.oracle.rows
+        self.goals = [(goal, rows[g] / goal.tolerance) for g, goal in enumerate(plan.goals) if goal.spread]
+        self._known: dict[bytes, tuple[Array, Array]] = {}
+        self._run: tuple[SampleSequence, float, list[tuple[int, Array]]] | None = None
+        """The last sequence that was followed, until when, and what came of it."""
+
+    @property
+    def usual(self) -> float:
+        """What the plan itself reaches of its tolerances."""
+        pairs = zip(self.plan.reached.tolist(), self.plan.goals, strict=True)
+        return float(max(r / g.tolerance for r, g in pairs if g.spread))
+
+    def _flows(self, lengths: Array) -> tuple[Array, Array]:
+        """Flows over lengths, and the noise that joins; worked out once."""
+        key = np.round(lengths / (GRAIN * self.plan.problem.step)).tobytes()
+        if key not in self._known:
+            self._known[key] = discounted_flow(self.A, self.noise, lengths)
+        return self._known[key]
+
+    def _flow(self, P: Array, length: float) -> Array:
+        F, W = self._flows(np.array([length]))
+        P = F[0] @ P @ F[0].T + W[0]
+        return np.asarray((P + P.T) / 2)
+
+    def _read(self, P: Array, seen: Mask) -> Array:
+        for h in self.S[seen]:
+            Ph = P @ h
+            P = P - np.outer(Ph, Ph) / (1.0 + float(h @ Ph))
+        return np.asarray((P + P.T) / 2)
+
+    @cached_property
+    def limits(self) -> Array:
+        """Covariances after each sample of the plan, in the periodic limit; `back` is found on the way."""
+        return self._limits[0]
+
+    @property
+    def back(self) -> int:
+        """Samples after which the filter has forgotten what it was started with."""
+        return self._limits[1]
+
+    @cached_property
+    def _limits(self) -> tuple[Array, int]:
+        schedule = self.plan.schedule
+        masks = self.plan.chosen[self.plan.chosen.any(axis=1)]
+        P, last, back = np.eye(len(self.A)) * WIDE, np.zeros(0), 0
+        for period in range(PERIODS):
+            after = []
+            for mask, gap in zip(masks, np.roll(schedule.gaps, -1), strict=True):  # gaps[j] lies before sample j
+                P = self._read(P, mask)
+                after.append(P)
+                P = self._flow(P, float(gap))
+            now = np.array([np.trace(X) for X in after])
+            change = float(np.max(np.abs(now - last) / now)) if last.size else 1.0
+            back = back if back or change > FORGOTTEN else (period + 1) * len(schedule)
+            if change <= SETTLED:
+                break
+            last = now
+        return np.array(after), max(back, len(schedule))
+
+    def worst(self, sequence: SampleSequence, until: float = np.inf) -> tuple[float, float]:
+        """The largest ratio from the sample before the first change on, and by how much more is unknown at the end."""
+        worst = max((float(ratios.max()) for _, _, _, ratios in self.gaps(sequence, until)), default=0.0)
+        wider, back = np.inf, departs_and_returns(self.plan, sequence)[1]
+        for k, P in self._filtered(sequence, until):
+            if k >= max(sequence.first, back):
+                usual = self.limits[self._phase(float(sequence.shown[k]))]
+                wider = min(wider, self._beyond(P, usual))
+        return worst, float(np.sqrt(max(wider, 1.0)))
+
+    def gaps(self, sequence: SampleSequence, until: float = np.inf) -> Iterator[tuple[int, RowGoal, Array, Array]]:
+        """For each sample from where the sequence is judged, and goal: offsets, and ratios to the tolerance."""
+        times, start = sequence.times, sequence.start
+        for k, P in self._filtered(sequence, until):
+            if k + 1 == len(times) or times[k] >= until:
+                return
+            if k < start:
+                continue
+            for goal, row in self.goals:
+                offsets = self._offsets(goal, sequence, k, float(times[k + 1] - times[k]))
+                if offsets.size:
+                    F, W = self._flows(offsets)
+                    flown = row @ F
+                    variance = np.einsum("ki,ij,kj->k", flown, P, flown) + np.einsum("i,kij,j->k", row, W, row)
+                    yield k, goal, offsets, np.sqrt(np.maximum(variance, 0.0)) * BETWEEN
+
+    def at(self, history: SampleSequence, t: float) -> dict[str, float]:
+        """Deviations at a time at or after the last sample."""
+        P = self._filtered(history, np.inf)[-1][1]
+        P = self._flow(P, max(0.0, t - float(history.times[-1])))
+        return {goal.name: float(np.sqrt(row @ P @ row)) * goal.tolerance for goal, row in self.goals}
+
+    def _filtered(self, sequence: SampleSequence, until: float) -> list[tuple[int, Array]]:
+        """Covariances after the samples from the one before the first change on, to the first at or after `until`."""
+        if self._run is None or self._run[0] is not sequence or self._run[1] != until:
+            times = sequence.times
+            self.plan.oracle.work.add(SEQUENCE, len(times) * len(self.A))
+            start = max(sequence.first - 1, 0)
+            found = [(start, self.limits[self._phase(float(sequence.shown[start]))])]
+            for k in range(start, len(times) - 1):
+                if times[k] >= until:
+                    break
+                P = self._read(self._flow(found[-1][1], float(times[k + 1] - times[k])), sequence.seen[k + 1])
+                found.append((k + 1, P))
+            self._run = sequence, until, found
+        return self._run[2]
+
+    def _offsets(self, goal: RowGoal, sequence: SampleSequence, k: int, gap: float) -> Array:
+        begin = min(sequence.skipped(k), gap)
+        if own(goal):
+            return np.zeros(0 if begin else 1)
+        if goal.at == "given times":
+            return np.array([offset for offset in asked(self.plan, sequence, k, goal) if offset >= begin])
+        return np.linspace(begin, gap, LOOKS)
+
+    def _beyond(self, P: Array, usual: Array) -> float:
+        """The least a with P <= a usual."""
+        from scipy.linalg import eigh
+
+        tiny = 1e-13 * np.diag(np.diag(usual))
+        return float(eigh(P, usual + tiny, eigvals_only=True)[-1])
+
+    def _phase(self, t: float) -> int:
+        """Which sample of the period is taken at a time of the plan."""
+        phase = (t - self.plan.schedule.times) / self.plan.schedule.period
+        return int(np.argmin(np.abs(phase - np.round(phase))))
+
+
+@lru_cache(maxsize=4)
+def spread_of(plan: PlanFigures) -> SpreadSequence:
+    """The filter of a plan, made once."""
+    return SpreadSequence(plan)

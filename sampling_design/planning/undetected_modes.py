@@ -1,0 +1,47 @@
+"""What a raster or hours hide for ever, in words: which modes, and which finer raster would show them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.planning.discrete_plant import HIDDEN, STAYS, DiscretePlant, UndetectedModes, hidden_at
+from sampling_design.planning.problem import MOST_STEPS, PlanProblem
+from sampling_design.plants.clusters import eigenvalue_clusters, format_eigenvalue
+
+Array = npt.NDArray[np.float64]
+
+FINER = (2, 3, 4, 5, 6, 7)
+"""Parts of a step that are tried."""
+
+
+def modes_of(motion: DiscretePlant, blindness: UndetectedModes) -> str:
+    """Return the modes that hidden motions are made of, in words."""
+    names = []
+    scale = max(float(np.linalg.norm(motion.A, 2)), np.finfo(float).tiny)
+    clusters = eigenvalue_clusters(motion.A)
+    for cluster in clusters:
+        value = complex(cluster.value)
+        others = [complex(c.value) for c in clusters if c is not cluster]
+        part = blindness.states.astype(np.complex128)
+        for other in others:  # what is left after every other mode is taken out, as often as it may be repeated
+            for _ in range(motion.n - len(others)):
+                part = (motion.A - other * np.eye(motion.n)) @ part / (scale + abs(other))
+        if np.linalg.norm(part) > HIDDEN and value.imag >= 0:
+            names.append(format_eigenvalue(value, grain=STAYS / motion.step))
+    return f"a motion of the mode{'s' if len(names) > 1 else ''} {', '.join(names)}" if names else "a motion"
+
+
+def finer_raster(problem: PlanProblem, motion: DiscretePlant, rows: Array) -> float | None:
+    """Return a raster that shows all that never fades, in the hours that there are; None if none was found."""
+    always = np.array([goal.at == "all times" for goal in problem.goals], dtype=bool)
+    for parts in FINER:
+        if problem.steps * parts > MOST_STEPS:
+            break
+        finer = replace(motion, step=motion.step / parts, _flows={})
+        allowed = np.repeat(problem.allowed, parts, axis=0)
+        if hidden_at(finer, allowed, allowed, rows, always) is None:
+            return problem.step / parts
+    return None

@@ -1,0 +1,352 @@
+"""The next sample: the latest time that keeps the tolerances from now on, or else the one that brings them back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from datetime import datetime
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.readings import told
+from sampling_design.errors import ArgumentError
+from sampling_design.planning.choices import NextChoices
+from sampling_design.planning.deadline import GoalDue
+from sampling_design.planning.opening import WEEK
+from sampling_design.planning.plan_record import Plan
+from sampling_design.planning.sequence import known_at, looks_back
+from sampling_design.planning.sequence_deviation import SampleSequence, planned
+from sampling_design.records import checks
+from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.signatures import checked
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NextSample(Record):
+    """When to sample next, at the latest.
+
+    Attributes
+    ----------
+    plan : Plan
+    now : float
+        Time that has passed since the start of the plan [the plant's time unit], as all times here; `date` names it.
+    latest : float
+        With the sensors `outputs`; after it the plan's own times follow. Where no time keeps every tolerance from now
+        on: that after which they are all kept again soonest. -inf: none is known.
+    outputs : tuple of str
+    alone : dict of str to float
+        For each sensor of the plan, the latest time if that sensor is all that is read then.
+    best : float
+        The time up to `latest`, with `best_outputs`, after which the worst accuracy is least.
+    ratio : float
+        What is proven of `latest`: accuracy over tolerance, from `kept_from` on and for ever after.
+    proven : bool
+    due : GoalDue or None
+        What keeps the sample from coming at the next allowed time after `latest`: which goal reaches its tolerance
+        first if it does, and when. None if it may come at any time of a whole period. Where no tolerance is exceeded
+        yet, but no sample keeps them all: the same of the sample at `latest`.
+    alone_due : dict of str to GoalDue
+        The same for each sensor alone.
+    kept_from : float
+        From when on every tolerance is kept: `now`, unless one cannot be; inf where nothing is known.
+    exceeded : GoalDue or None
+        The goal that is above its tolerance now, since when, and how far.
+    known : dict of str to float
+        How well each goal is known now, whatever was read [its unit]: proven, or a standard deviation.
+    judged_until : float
+        The first closed day with a sample of the plan that is too far ahead to be judged; inf if there is none.
+    """
+
+    plan: Plan
+    now: float
+    latest: float
+    outputs: tuple[str, ...]
+    alone: dict[str, float]
+    best: float
+    best_outputs: tuple[str, ...]
+    ratio: float
+    proven: bool
+    due: GoalDue | None = None
+    alone_due: dict[str, GoalDue] = field(default_factory=dict)
+    kept_from: float = -np.inf
+    exceeded: GoalDue | None = None
+    known: dict[str, float] = field(default_factory=dict)
+    judged_until: float = np.inf
+
+    @property
+    def keeps(self) -> bool:
+        """Whether every tolerance is kept from now on, if the next sample comes by `latest`."""
+        return bool(np.isfinite(self.latest)) and self.kept_from <= self.now
+
+    def date(self, t: float) -> datetime | None:
+        """Local date of a time, where the plan has a calendar."""
+        calendar = self.plan.requirement.calendar
+        return None if calendar is None or not np.isfinite(t) else calendar.date(self.plan.minutes(t))
+
+    def when(self, t: float, since: float | None = None) -> str:
+        """A time in words: local where there is a calendar; with no more of its date than one needs after `since`."""
+        if not np.isfinite(t):
+            return "never"
+        date, before = self.date(t), None if since is None else self.date(since)
+        if date is None:
+            return f"{short(t)} {self.plan.plant.time_unit}"
+        near = before is not None and (date.date() - before.date()).days < WEEK
+        return f"{date:%a %H:%M}" if near else f"{date:%a %d %b %H:%M}"
+
+    def _beside(self, t: float) -> str:
+        """A time in words next to the latest: on the same day its hour alone."""
+        date, latest = self.date(t), self.date(self.latest)
+        same = date is not None and latest is not None and date.date() == latest.date()
+        return f"{date:%H:%M}" if same else self.when(t, self.now)
+
+    def _rows(self) -> list[tuple[str, str]]:
+        goals = {goal.name: goal for goal in self.plan.goals}
+        rows = [("now", self.when(self.now))]
+        for name, value in self.known.items():
+            goal = goals[name]
+            unit = f" {goal.unit}" if goal.unit else ""
+            rows.append((f"{name} now", f"within {short(value, 4)}{unit} (tolerance {short(goal.tolerance)})"))
+        rows += [("exceeded", f"{self.exceeded.goal} since {self.when(self.exceeded.time)}")] if self.exceeded else []
+        rows.append(("latest" if self.keeps else "soonest help", self._told(self.latest, self.outputs)))
+        rows += [("later" if self.keeps else "then", self._later(self.due))] if self.due else []
+        for name, t in self.alone.items():
+            more = f"; later: {self._later(self.alone_due[name])}" if name in self.alone_due else ""
+            rows += [(f"{name} alone", f"by {self.when(t)}{more}")] if np.isfinite(t) else []
+        rows += [("best", self._told(self.best, self.best_outputs))] if np.isfinite(self.best) else []
+        rows += [] if self.keeps else [("kept again", self._again())]
+        rows += [("not judged", f"closed days from {self.when(self.judged_until)} on")] * bool(
+            np.isfinite(self.judged_until)
+        )
+        return [*rows, ("of the tolerance", f"{short(self.ratio, 4)} {'proven' if self.proven else '(not proven)'}")]
+
+    def _again(self) -> str:
+        """From when on every tolerance is kept again."""
+        return f"from {self.when(self.kept_from)} on" if np.isfinite(self.kept_from) else "not known"
+
+    def _later(self, due: GoalDue) -> str:
+        """What a later sample would do, in words."""
+        if due.breaks:
+            return f"{due.goal} reaches its tolerance by {self.when(due.time, self.now)}"
+        share = f"{short(due.ratio, 4)} of its tolerance"
+        return f"{due.goal} comes to {share} by {self.when(due.time, self.now)}, and more is not ruled out"
+
+    def _told(self, t: float, outputs: tuple[str, ...]) -> str:
+        """A time and what is read then."""
+        return ", ".join([self.when(t), *(outputs if np.isfinite(t) else ())])
+
+    def explain(self) -> str:
+        """Say when to sample."""
+        if not np.isfinite(self.latest):
+            after = f" ({short(self.ratio, 4)} of them after the last one tried)" if np.isfinite(self.ratio) else ""
+            text = f"No allowed sample is proven to bring the tolerances back{after}: keep to the plan's next one"
+            return f"{self._state()}{text}, or sample as soon as the place is open."
+        if not self.keeps:
+            text = f"A sample at {self._told(self.latest, self.outputs)} helps soonest"
+            if self.exceeded is None:
+                late = "" if self.due is None else f": after one at {self._told(self.latest, self.outputs)} "
+                late += "" if self.due is None else self._later(self.due)
+                text = f"No single sample keeps every tolerance from now on{late}"
+            return f"{self._state()}{text}. Every tolerance is kept {self._again()}."
+        alone = [
+            f"{name} alone by {self._beside(t)}"
+            for name, t in self.alone.items()
+            if np.isfinite(t) and (name,) != self.outputs
+        ]
+        by = "at" if self.plan.problem.spacing > 1 else "by"
+        first = f"Next sample {by} {self.when(self.latest, self.now)} ({', '.join(self.outputs)})"
+        later = f" At the next allowed time after that {self._later(self.due)}." if self.due else ""
+        return "; ".join([first, *alone]) + "." + later
+
+    def _state(self) -> str:
+        """What is exceeded, and what is known now."""
+        if self.exceeded is None:
+            return ""
+        goal = next(goal for goal in self.plan.goals if goal.name == self.exceeded.goal)
+        within = short(self.known.get(goal.name, self.exceeded.ratio * goal.tolerance), 4)
+        unit = f" {goal.unit}" if goal.unit else ""
+        text = f"{goal.name} has been above its tolerance of {short(goal.tolerance)}{unit} since "
+        return f"{text}{self.when(self.exceeded.time)}: within {within}{unit} now. "
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data."""
+
+        def plain(t: float) -> Plain:
+            date = self.date(t)
+            return {"time": t if np.isfinite(t) else None, "date": None if date is None else date.isoformat()}
+
+        def due(found: GoalDue | None) -> Plain:
+            if found is None:
+                return None
+            return {"goal": found.goal, "ratio": found.ratio, "when": plain(found.time)}
+
+        return {
+            "now": plain(self.now),
+            "latest": plain(self.latest),
+            "outputs": list(self.outputs),
+            "due": due(self.due),
+            "alone": {name: plain(t) for name, t in self.alone.items()},
+            "alone_due": {name: due(self.alone_due.get(name)) for name in self.alone},
+            "best": plain(self.best),
+            "best_outputs": list(self.best_outputs),
+            "ratio": self.ratio if np.isfinite(self.ratio) else None,
+            "proven": self.proven,
+            "kept_from": plain(self.kept_from),
+            "exceeded": due(self.exceeded),
+            "known": dict(self.known),
+            "judged_until": plain(self.judged_until),
+        }
+
+
+@checked
+def next_sample(
+    plan: Plan,
+    record: Iterable[tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]] | None = None,
+    *,
+    now: float | None = None,
+    prove: bool = True,
+) -> NextSample:
+    """Return the latest time of the next sample after which every tolerance is kept from now on, for ever.
+
+    If one cannot be: since when, how well it is known now, and the sample that brings it back soonest.
+
+    Parameters
+    ----------
+    plan : Plan
+        Whose tolerances are kept.
+    record : Measurements or iterable of (t, y, u), optional
+        What was measured since the plan began, in order; only the times and the outputs that are not NaN matter.
+        Before its first sample, the plan was followed. Default: it was followed until `now`.
+    now : float, optional
+        Default: the last sample of the record, else 0. All times have passed since the plan's start [the plant's time
+        unit], so that a day on which clocks are put forward has 23 h.
+    prove : bool
+        Prove the answer by gains over all real times; else it rests on the search alone.
+
+    Returns
+    -------
+    NextSample
+
+    Raises
+    ------
+    ArgumentError
+        If the plan does not keep its tolerances, or the record is not in order.
+
+    Notes
+    -----
+    *Claim.* If a sample with `outputs` is taken at `latest`, and the plan's samples follow, no tolerance is broken from
+    `kept_from` on. That is `now` as long as samples come: this may be asked again after each, and has an answer
+    (induction). What was broken before now is over, and all that was measured then counts. Samples of the plan on days
+    that are known to be closed are left out, or what `plan_dates` puts in their place follows, up to `judged_until`.
+    After a miss it may be that no sample keeps every tolerance: then `latest` is that after which they are all kept
+    again soonest, and of equally soon ones the plan's own. *The naive trigger*, which
+    waits until the accuracy now reaches its tolerance, leaves states that no later sample can repair in time, and
+    overshoots. Earlier than `latest` is as good where the plan has no spacing: it is one sample more; with spacing, a
+    sample may push out one of the plan's. *Assumptions.* The bounds; values measured play no part, so that the answer
+    holds whatever is read.
+
+    References
+    ----------
+    Heemels, Johansson and Tabuada, An introduction to event-triggered and self-triggered control (2012).
+    """
+    if not plan.keeps:
+        raise ArgumentError("`plan` must keep its tolerances: it does not, so there is nothing to go on keeping.")
+    step = plan.problem.step
+    taken = _taken(plan, record)
+    last = taken[0][-1] if taken is not None and taken[0].size else 0.0
+    at = float(last) if now is None else checks.number("now", now)
+    if taken is not None and taken[0].size and at < last - 1e-9 * step:
+        raise ArgumentError(f"`now` must not lie before the last sample {float(last)!r}, got {at!r}.")
+    run = NextChoices(plan, _history(plan, taken, at), at)
+    exceeded = run.exceeded()
+    full = run.answer(None, prove)
+    if not np.isfinite(full.t):
+        full = run.soonest(prove)
+    keeps = full.kept_from <= at
+    alone, alone_due = dict[str, float](), dict[str, GoalDue]()
+    for j, name in enumerate(plan.plant.outputs.names):
+        same = np.array_equal(full.mask, np.arange(plan.plant.n_outputs) == j)
+        if keeps and plan.chosen[:, j].any():
+            alone[name] = full.t if same else run.answer(j, prove).t
+            why = run.later(None if same else j, alone[name])
+            if why is not None:
+                alone_due[name] = why
+    best = run.best((full.t, full.mask)) if keeps else (full.t, full.mask)
+    return NextSample(
+        plan=plan,
+        now=at,
+        latest=full.t,
+        outputs=_named(plan, full.mask),
+        alone=alone,
+        best=best[0],
+        best_outputs=_named(plan, best[1]),
+        ratio=full.ratio,
+        proven=full.proven,
+        due=run.later(None, full.t) if keeps else run.breach((full.t, full.mask)) if exceeded is None else None,
+        alone_due=alone_due,
+        kept_from=full.kept_from,
+        exceeded=exceeded,
+        known=known_at(plan, run.history, at),
+        judged_until=run.judged_until(max(at, full.t)),
+    )
+
+
+def _named(plan: Plan, mask: Mask) -> tuple[str, ...]:
+    return tuple(name for name, seen in zip(plan.plant.outputs.names, mask, strict=True) if seen)
+
+
+def _taken(
+    plan: Plan, record: Iterable[tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]] | None
+) -> tuple[Array, Mask] | None:
+    """Times and outputs of a record."""
+    if record is None:
+        return None
+    times: list[float] = []
+    seen: list[Mask] = []
+    for item in record:
+        if not isinstance(item, (tuple, list)) or len(item) not in (2, 3):
+            raise ArgumentError(f"`record` must hold rows (t, y, u), got {checks.described(item)}.")
+        plain, limits = told(item[1], plan.plant.n_outputs)
+        y = None if plain is None else np.isfinite(checks.floats("y", plain).reshape(-1))
+        if y is None:
+            continue
+        y[[each.output for each in limits]] = True
+        if not y.any():
+            continue
+        t = checks.number("t", item[0])
+        if y.size != plan.plant.n_outputs or (times and t <= times[-1]):
+            raise ArgumentError(
+                f"`record` must hold {plan.plant.n_outputs} outputs a sample, in order of time, got one at {t!r}."
+            )
+        times.append(t)
+        seen.append(y)
+    return np.array(times), np.array(seen).reshape(-1, plan.plant.n_outputs)
+
+
+def _history(plan: Plan, taken: tuple[Array, Mask] | None, now: float) -> SampleSequence:
+    """Everything measured until now, and how much of it is the plan's."""
+    mean = plan.schedule.period / len(plan.schedule)
+    span = (looks_back(plan) + 1) * mean + plan.schedule.period
+    tiny = 1e-6 * plan.problem.step
+    if taken is None or not taken[0].size:
+        times, seen = planned(plan, now - span, now + tiny, plan.clock)
+        return SampleSequence(times, seen, _unchanged(plan, times), plan.clock)
+    first = float(taken[0][0])
+    before = planned(plan, first - span, first - tiny, plan.clock)
+    wanted = planned(plan, first - tiny, now + tiny, plan.clock)
+    same = 0
+    for t, mask, due, meant in zip(taken[0], taken[1], wanted[0], wanted[1], strict=False):
+        if abs(t - due) > tiny or not np.array_equal(mask, meant):
+            break
+        same += 1
+    times, seen = np.concatenate([before[0], taken[0]]), np.concatenate([before[1], taken[1]])
+    return SampleSequence(times, seen, min(before[0].size + same, _unchanged(plan, times)), plan.clock)
+
+
+def _unchanged(plan: Plan, times: Array) -> int:
+    """How many samples there are before the clocks are first changed between them."""
+    changed = np.flatnonzero(np.abs(np.diff(plan.clock.shown(times) - times)) > 1e-6 * plan.problem.step)
+    return int(changed[0]) + 1 if changed.size else times.size

@@ -1,0 +1,88 @@
+"""Work counted, never timed: a search that stops after so much work finds the same plan on every machine, however busy.
+
+The unit is about a second of an ordinary processor core, worked out from the sizes of what is solved.
+"""
+
+from __future__ import annotations
+
+CONE = (1e-3, 1e-6)
+"""Work of a cone program, and for each entry that is not zero."""
+
+STAGES = (1e-2, 1.5e-5)
+"""Of a program over stages, and for each of them, with n states, n^1.5 times."""
+
+FAINT = (2e-3, 4e-6)
+"""The same where every output is a variable."""
+
+COVER, NODE = (5e-3, 3.5e-7), 10
+"""Of an integer program, and for each entry and column; a node of its tree counts as so many columns."""
+
+MEETING = (4e-5, 2e-9)
+"""Of a node of a tree of sets that a choice must meet, and for each entry of them."""
+
+WEIGHED = (1.2e-4, 2e-9)
+"""For each attack, of weighing what may take the place of a measurement, and for each end and measurement."""
+
+FILTER = (4e-5, 1e-7)
+"""Of each step of a filter, and for each choice, step and state."""
+
+SEQUENCE = (1e-3, 5e-5)
+"""The same through samples that leave a plan for a while: for each of them, with n states, n times."""
+
+RELAXED = (5e-3, 3e-6)
+"""Of a linear program, and for each entry."""
+
+GAINS = (5e-3, 1e-4)
+"""Of bounding a row by gains, and for each sample behind it, with n states, n times."""
+
+BETWEEN = 1e-2
+"""Of bounding a row between two samples."""
+
+CHAIN = (1e-2, 2e-4)
+"""Of making a chain of samples, and for each of them, with n states, n^2 times."""
+
+CERTIFIED = (1.5, 0.06)
+"""Of a certificate, and for each sample, with n states, n^2 times."""
+
+AFTER = ((0.1, 1.0), (0.2, 1.5), (1.0, 2.0))
+"""By what share of itself, and how many seconds, a budget may be exceeded: after the proof of the least cost, after
+that of the best accuracy, and in the end."""
+
+
+class WorkSpentError(Exception):
+    """There is no work left for what is being done."""
+
+
+class WorkBudget:
+    """A budget of work and what is spent of it."""
+
+    def __init__(self, limit: float = float("inf")) -> None:
+        self.limit, self.budget, self.spent = limit, limit, 0.0
+        self.firm = False
+        """Whether what does not fit in is refused."""
+
+    @property
+    def over(self) -> bool:
+        """Whether the budget is spent."""
+        return self.spent > self.limit
+
+    def add(self, price: tuple[float, float], size: float) -> None:
+        """Count a program of so many entries.
+
+        Raises
+        ------
+        WorkSpentError
+            If it does not fit in, and the limit is firm.
+        """
+        more = price[0] + price[1] * size
+        if self.firm and self.spent + more > self.limit:
+            raise WorkSpentError
+        self.spent += more
+
+    def add_each(self, count: int, price: tuple[float, float], size: float) -> None:
+        """Count so many programs alike."""
+        self.add((count * price[0], count * price[1]), size)
+
+    def until(self, share: float, seconds: float, *, firm: bool = False) -> None:
+        """Let so much be spent in all beyond the budget: a share of it, and seconds."""
+        self.limit, self.firm = (1 + share) * self.budget + seconds, firm

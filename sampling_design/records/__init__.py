@@ -1,0 +1,1 @@
+"""What every room uses: argument checks, records, files, units, workers and sweeps."""

@@ -1,0 +1,360 @@
+"""Arguments become owned, read-only float64 arrays here, once, with one grammar of messages.
+
+The grammar: the argument as typed, what was expected, what came, and the likely slip.
+"""
+
+from __future__ import annotations
+
+import numbers
+from collections.abc import Iterable, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.checkers.strict import likely
+from sampling_design.errors import ArgumentError
+
+Array = npt.NDArray[np.float64]
+Seed: TypeAlias = np.random.Generator | int | None
+"""What random numbers are drawn from: a generator, its seed, or None for the seed 0."""
+
+
+def freeze(array: object) -> Array:
+    """Return an owned, C-ordered, read-only float64 copy."""
+    copy = np.array(array, dtype=np.float64, order="C")
+    copy.flags.writeable = False
+    return copy
+
+
+def real_array(name: str, value: object, ndim: int) -> Array:
+    """Return `value` as a frozen real array of `ndim` dimensions.
+
+    Raises
+    ------
+    ArgumentError
+        If it is not numeric, complex, of another dimension, or holds NaN or infinity.
+    """
+    array = _as_reals(name, value)
+    if array.ndim != ndim:
+        slip = " One row is [[...]], in two brackets." if (ndim, array.ndim) == (2, 1) else ""
+        raise ArgumentError(f"`{name}` must have {ndim} dimension{'s' * (ndim != 1)}, got shape {array.shape}.{slip}")
+    if not np.all(np.isfinite(array)):
+        index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise ArgumentError(f"`{name}` must be finite, got {name}[{', '.join(map(str, index))}] = {array[index]}.")
+    return freeze(array)
+
+
+def _as_reals(name: str, value: object) -> npt.NDArray[Any]:
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        raise ArgumentError(f"`{name}` must be a rectangular array of numbers, got rows of unequal length.") from None
+    except Exception:  # whatever a foreign object does when it is asked for an array
+        raise ArgumentError(f"`{name}` must hold real numbers, got {described(value)}.") from None
+    if array.dtype == object or array.dtype.kind not in "biufc":
+        raise ArgumentError(f"`{name}` must hold real numbers, got {described(value)}.")
+    if array.dtype.kind == "c":
+        raise ArgumentError(
+            f"`{name}` must be real, got complex entries. Use a real basis (a block [[a, b], [-b, a]] for a +- ib)."
+        )
+    return array
+
+
+def floats(name: str, value: object) -> Array:
+    """Return `value` as a new float64 array of any shape, NaN and infinity as they are.
+
+    Raises
+    ------
+    ArgumentError
+        If it is not numeric, ragged or complex.
+    """
+    return np.array(_as_reals(name, value), dtype=np.float64)
+
+
+def dimensions(value: object) -> int:
+    """0 for a number, 1 for a list, 2 for a table; 1 too for rows of unequal length, which their owner refuses."""
+    try:
+        return np.asarray(value).ndim
+    except ValueError:
+        return 1
+
+
+def described(value: object) -> str:
+    """Return what came, on one line: a plain value or container with its type, anything else by its type alone."""
+    if value is None:
+        return "None"
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    name = type(value).__name__
+    if not isinstance(value, (str, bytes, int, float, complex, list, tuple, dict, set, np.generic, np.ndarray)):
+        return name
+    try:
+        return f"{name} {' '.join(repr(value).split()):.60}"
+    except ValueError:  # an integer of thousands of digits has no text
+        return f"{name} of more than 4000 digits"
+
+
+def matrix(name: str, value: object, rows: int | None = None, columns: int | None = None) -> Array:
+    """Return `value` as a frozen real matrix, `rows` by `columns` where these are given.
+
+    Raises
+    ------
+    ArgumentError
+        If the shape differs, or as in `real_array`.
+    """
+    array = real_array(name, value, 2)
+    expected = (array.shape[0] if rows is None else rows, array.shape[1] if columns is None else columns)
+    if array.shape != expected:
+        slip = " Did you pass the transpose?" if array.shape == expected[::-1] else ""
+        raise ArgumentError(f"`{name}` must have shape {expected}, got {array.shape}.{slip}")
+    return array
+
+
+def vector(name: str, value: object, length: int | None = None) -> Array:
+    """Return `value` as a frozen real vector, of `length` entries where that is given.
+
+    Raises
+    ------
+    ArgumentError
+        If the length differs, or as in `real_array`.
+    """
+    array = real_array(name, value, 1)
+    if length is not None and array.size != length:
+        raise ArgumentError(f"`{name}` must have {length} entr{'y' if length == 1 else 'ies'}, got {array.size}.")
+    return array
+
+
+def number(name: str, value: object) -> float:
+    """Return `value` as a finite float.
+
+    Raises
+    ------
+    ArgumentError
+        If it is not a finite real number.
+    """
+    if isinstance(value, numbers.Rational) and not isinstance(value, (bool, int)):
+        value = float(value)
+    if isinstance(value, (np.number, np.ndarray)) and value.ndim == 0:
+        value = value.item()
+    if isinstance(value, bool) or not isinstance(value, (int, float, complex)):
+        raise ArgumentError(f"`{name}` must be a number, got {described(value)}.")
+    if isinstance(value, float) and not np.isfinite(value):
+        raise ArgumentError(f"`{name}` must be finite, got {value}.")
+    try:
+        return float(real_array(name, [value], 1)[0])
+    except OverflowError:
+        raise ArgumentError(f"`{name}` must be a number of double precision, got one above 1e308.") from None
+
+
+def positive(name: str, value: object) -> float:
+    """Return `value` as a finite float > 0.
+
+    Raises
+    ------
+    ArgumentError
+        If it is not positive, or as in `number`.
+    """
+    result = number(name, value)
+    if result <= 0:
+        raise ArgumentError(f"`{name}` must be positive, got {result!r}.")
+    return result
+
+
+def nonnegative(name: str, value: object) -> float:
+    """Return `value` as a finite float >= 0.
+
+    Raises
+    ------
+    ArgumentError
+        If it is negative, or as in `number`.
+    """
+    result = number(name, value)
+    if result < 0:
+        raise ArgumentError(f"`{name}` must not be negative, got {result!r}.")
+    return result
+
+
+def whole(name: str, value: object, least: int = 0) -> int:
+    """Return `value` as an int of at least `least`.
+
+    Raises
+    ------
+    ArgumentError
+        If it is no whole number or less than `least`.
+    """
+    result = number(name, value)
+    if result != int(result) or result < least:
+        raise ArgumentError(f"`{name}` must be a whole number of at least {least}, got {value!r}.")
+    return int(result)
+
+
+def generator(rng: Seed) -> np.random.Generator:
+    """Return the generator that was given, or the one with the seed that was.
+
+    Raises
+    ------
+    ArgumentError
+        If the seed is negative.
+    """
+    return rng if isinstance(rng, np.random.Generator) else np.random.default_rng(whole("rng", rng or 0))
+
+
+def increasing(name: str, value: object, slip: str = "") -> Array:
+    """Return `value` as a frozen vector of strictly increasing, non-negative times.
+
+    Raises
+    ------
+    ArgumentError
+        If a time is negative, repeated or earlier than its predecessor; `slip` is appended.
+    """
+    array = vector(name, value)
+    hint = f" {slip}" if slip else ""
+    if array.size and array[0] < 0:
+        raise ArgumentError(f"`{name}` must not be negative, got {name}[0] = {float(array[0])!r}.")
+    bad = np.flatnonzero(np.diff(array) <= 0)
+    if bad.size:
+        i = int(bad[0])
+        what = "repeats" if array[i + 1] == array[i] else "comes after"
+        raise ArgumentError(
+            f"`{name}` must increase strictly, got {name}[{i + 1}] = {float(array[i + 1])!r} which {what} "
+            f"{name}[{i}] = {float(array[i])!r}.{hint}"
+        )
+    return array
+
+
+def symmetric(name: str, value: object, size: int) -> Array:
+    """Return `value` as a frozen symmetric matrix (relative tolerance 1e-12), exactly symmetrised.
+
+    Raises
+    ------
+    ArgumentError
+        If it is not symmetric, or as in `matrix`.
+    """
+    array = matrix(name, value, size, size)
+    skew = float(np.max(np.abs(array - array.T), initial=0.0))
+    if skew > 1e-12 * float(np.max(np.abs(array), initial=0.0)):
+        raise ArgumentError(f"`{name}` must be symmetric, got entries that differ from their mirror by {skew:.3g}.")
+    return freeze((array + array.T) / 2)
+
+
+def definite(name: str, value: object, size: int, slip: str = "") -> Array:
+    """Return `value` as a frozen symmetric positive definite matrix.
+
+    Judged in units in which its diagonal is about one, so that the answer does not depend on those of the caller.
+
+    Raises
+    ------
+    ArgumentError
+        If an eigenvalue is not positive there beyond rounding, or as in `symmetric`; `slip` is appended.
+    """
+    array = symmetric(name, value, size)
+    hint = f" {slip}" if slip else ""
+    low = np.flatnonzero(np.diagonal(array) <= 0)
+    if low.size:
+        i = int(low[0])
+        raise ArgumentError(
+            f"`{name}` must be positive definite, got {name}[{i}, {i}] = {float(array[i, i])!r} on its diagonal.{hint}"
+        )
+    with np.errstate(over="ignore"):  # an entry beyond 4 is indefinite already
+        unit = np.clip(unit_diagonal(array)[1], -8.0, 8.0)
+    least = float(np.linalg.eigvalsh(unit)[0]) if size else 1.0
+    if least <= size * np.finfo(float).eps:
+        raise ArgumentError(
+            f"`{name}` must be positive definite, got least eigenvalue {least:.3g} once its diagonal is one.{hint}"
+        )
+    return array
+
+
+def names(name: str, value: Sequence[str] | None, length: int, prefix: str) -> tuple[str, ...]:
+    """Return `value` as a tuple of distinct strings, or `prefix1, prefix2, ...` where it is None.
+
+    Raises
+    ------
+    ArgumentError
+        If the number is wrong, an entry is no string, or a name occurs twice.
+    """
+    if value is None:
+        return tuple(f"{prefix}{i + 1}" for i in range(length))
+    if not isinstance(value, Sequence) or isinstance(value, str) or not all(isinstance(v, str) for v in value):
+        raise ArgumentError(f"`{name}` must be a list of strings, got {described(value)}.")
+    result = tuple(str(v) for v in value)
+    if len(result) != length:
+        raise ArgumentError(f"`{name}` must have {length} entr{'y' if length == 1 else 'ies'}, got {len(result)}.")
+    twice = [v for i, v in enumerate(result) if v in result[:i]]
+    if twice:
+        raise ArgumentError(f"`{name}` must be distinct, got {twice[0]!r} twice.")
+    return result
+
+
+def word(name: str, value: object, known: Iterable[str]) -> str:
+    """Return `value` if it is one of the known words.
+
+    Raises
+    ------
+    ArgumentError
+        If it is not.
+    """
+    words = list(known)
+    if isinstance(value, str) and value in words:
+        return value
+    told = " or ".join(f'"{each}"' for each in words) if len(words) == 2 else f"one of {', '.join(words)}"
+    raise ArgumentError(f"`{name}` must be {told}, got {repr(value) if isinstance(value, str) else described(value)}.")
+
+
+def known_keys(where: str, found: Iterable[str], known: Iterable[str]) -> None:
+    """Refuse a key that is not known, naming the nearest known one, or all where none is near.
+
+    Raises
+    ------
+    ArgumentError
+        If a key is unknown.
+    """
+    allowed = list(known)
+    for key in found:
+        if key not in allowed:
+            raise ArgumentError(f"unknown key {key!r} in {where}. {likely(str(key), allowed)}")
+
+
+def output_mask(name: str, value: object, samples: int) -> npt.NDArray[np.bool_] | None:
+    """Return `value` as a frozen boolean (samples, outputs) mask; None means that every output is measured.
+
+    Raises
+    ------
+    ArgumentError
+        If the shape is wrong, entries are not 0/1, or a sample measures nothing.
+    """
+    if value is None:
+        return None
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        raise ArgumentError(
+            f"`{name}` must have one row per sample, all of one length, got rows of unequal length."
+        ) from None
+    if array.ndim != 2 or array.shape[0] != samples or array.shape[1] < 1:
+        raise ArgumentError(
+            f"`{name}` must have shape ({samples}, number of outputs), one row per sample, got shape {array.shape}."
+        )
+    if array.dtype != bool and not np.all(np.isin(array, (0, 1))):
+        raise ArgumentError(f"`{name}` must hold True/False or 1/0 only.")
+    mask = np.array(array, dtype=bool)
+    empty = np.flatnonzero(~mask.any(axis=1))
+    if empty.size:
+        raise ArgumentError(
+            f"`{name}` must measure at least one output at each sample, got none at sample {int(empty[0])}."
+        )
+    mask.flags.writeable = False
+    return mask
+
+
+def unit_diagonal(matrix: Array) -> tuple[Array, Array]:
+    """Return d (powers of two) and M with `matrix` = d M d exactly, the diagonal of M in [1, 4): its scale-free form.
+
+    A positive definite matrix keeps its signs and its Cholesky factor L = d L_M to the last bit. Where an entry of the
+    diagonal is not positive, d is 1 there.
+    """
+    diagonal = np.diagonal(matrix)
+    _, exponent = np.frexp(np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
+    half = -(exponent - 1)
+    return np.ldexp(1.0, exponent - 1), np.ldexp(np.ldexp(matrix, half[:, None]), half[None, :])

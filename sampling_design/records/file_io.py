@@ -1,0 +1,405 @@
+"""Files are read with one sentence on failure and written whole or not at all."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import json
+import math
+import os
+import re
+import tempfile
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.checkers import strict
+from sampling_design.checkers.strict import Tree
+from sampling_design.errors import ArgumentError, FileFormatError
+
+PIECES = 1 << 14
+"""Tokens of JSON that are written at a time."""
+
+_DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_DECIMAL_COMMA = re.compile(r"[<>]?[+-]?\d*,\d+([eE][+-]?\d+)?")
+
+_SEMICOLONS = re.compile(r"=\s*\[[^\]\"']*;")
+"""A matrix as other programs write it: [0 1; -1 0]."""
+
+_BLANKS = re.compile(r"=\s*\[+\s*[-+]?[\d.]+[ \t]+[-+]?[\d.]")
+"""A row as other programs write it: [1 0]."""
+
+
+def read_bytes(path: str | os.PathLike[str]) -> bytes:
+    """Return the content of a file.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing, is a folder, or cannot be read.
+    """
+    where = os.fspath(path)
+    try:
+        return Path(where).read_bytes()
+    except OSError as error:
+        raise _unreadable(where, error) from None
+
+
+def read_text(path: str | os.PathLike[str]) -> str:
+    """Return the text of a UTF-8 file, line ends as newlines.
+
+    Raises
+    ------
+    FileFormatError
+        If it is not text, or as in `read_bytes`.
+    """
+    content = read_bytes(path)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise _no_text(os.fspath(path), content) from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _no_text(where: str, content: bytes) -> FileFormatError:
+    """What a file that is no text seems to be, and what to do about it."""
+    if content.startswith(b"PK"):
+        told = "is a workbook (Excel) or another zip file. Save the table as csv (UTF-8)"
+    else:
+        told = "is not a text file (not UTF-8). Save it as UTF-8"
+    return FileFormatError(f"{where}: {told}.", where)
+
+
+def text_lines(path: str | os.PathLike[str]) -> Iterator[str]:
+    """Yield the lines of a UTF-8 file, without their ends; only the one that is read is held.
+
+    Raises
+    ------
+    FileFormatError
+        As `read_text`, where it comes to that.
+    """
+    where = os.fspath(path)
+    try:
+        with open(where, encoding="utf-8-sig") as stream:
+            for line in stream:
+                yield line.removesuffix("\n")
+    except UnicodeDecodeError:
+        raise _no_text(where, read_bytes(path)) from None
+    except OSError as error:
+        raise _unreadable(where, error) from None
+
+
+def _unreadable(where: str, error: OSError) -> FileFormatError:
+    if isinstance(error, FileNotFoundError):
+        return FileFormatError(f"{where}: no such file.{_nearby(where)}", where)
+    if isinstance(error, IsADirectoryError):
+        return FileFormatError(f"{where}: is a folder, expected a file.", where)
+    return FileFormatError(f"{where}: cannot be read ({error.strerror}).", where)
+
+
+def _nearby(where: str) -> str:
+    """The file in the same folder that may have been meant."""
+    with suppress(OSError, ValueError):
+        found = [path.name for path in Path(where).parent.iterdir() if path.is_file()]
+        name = Path(where).name
+        stems = {Path(each).stem: each for each in sorted(found, reverse=True)}  # an ending makes no two names alike
+        near = [name] if name in stems else difflib.get_close_matches(Path(name).stem, stems, 1)
+        return f" Did you mean {stems[near[0]]}?" if near else ""
+    return ""
+
+
+def separator(header: str) -> str:
+    """What separates the cells of a CSV file with this header: a comma, a semicolon or a tab."""
+    return max(",;\t", key=header.count) if header.count(",") == 0 else ","
+
+
+def csv_rows(lines: Iterable[tuple[int, str]], where: str, mark: str = "") -> list[tuple[int, list[str]]]:
+    """Return the cells of numbered lines of a CSV file, the first of which is its header unless `mark` separates cells.
+
+    Cells are separated by what separates the header: a comma, a semicolon or a tab. Spreadsheets in many languages
+    write semicolons and then a decimal comma; there a cell such as 0,5 is the number 0.5.
+
+    Raises
+    ------
+    FileFormatError
+        If a quote is left open or a cell is beyond all measure.
+    """
+    found: list[tuple[int, list[str]]] = []
+    for number, line in lines:
+        mark = mark or separator(line)
+        try:
+            row = next(csv.reader([line], delimiter=mark, strict=True))
+        except csv.Error as error:
+            raise FileFormatError(
+                f"{where}, line {number}: cannot be read as cells ({error}). Was a quote left open?", where
+            ) from None
+        cells = [cell.strip() for cell in row]
+        if mark != ",":
+            cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
+        found.append((number, cells))
+    return found
+
+
+def decimal(cell: str) -> float | None:
+    """Return the number in a cell; None where there is none, or none that a double holds.
+
+    Stricter than `float`: no words (nan, inf), no underscores, no digits of other scripts, no zero by underflow.
+    """
+    try:
+        return strict.real(cell) if _DECIMAL.fullmatch(cell) else None
+    except strict.BadFile:
+        return None
+
+
+def decimals(cells: Sequence[str], commas: bool, blank: bool) -> npt.NDArray[np.float64] | None:
+    """Return the numbers of a column of cells, NaN for an empty one where `blank`; None where `decimal` finds none.
+
+    With `commas` a cell may hold a decimal comma.
+    """
+    if commas:
+        cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
+    number = _DECIMAL.fullmatch
+    if not all(number(cell) or (blank and not cell) for cell in cells):
+        return None
+    values = np.array([float(cell) if cell else np.nan for cell in cells])
+    if np.isinf(values).any() or any(decimal(cells[k]) is None for k in map(int, np.flatnonzero(values == 0))):
+        return None
+    return values
+
+
+class AtomicWriter:
+    """A file that is written piece by piece beside its place, and stands there whole or not at all.
+
+    Used as a context: at its end the file is renamed into place, on any error it is removed.
+
+    Raises
+    ------
+    FileFormatError
+        If the folder is missing or cannot be written.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]):
+        self.target = Path(path)
+        self._stream: BinaryIO | None = None
+
+    def __enter__(self) -> AtomicWriter:
+        with self._said():
+            handle, self._temporary = tempfile.mkstemp(dir=self.target.parent, prefix=f".{self.target.name}.")
+            self._stream = os.fdopen(handle, "wb")
+        return self
+
+    def write(self, content: bytes) -> None:
+        """Add to the file."""
+        assert self._stream is not None
+        with self._said():
+            self._stream.write(content)
+
+    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
+        assert self._stream is not None
+        try:
+            with self._said():
+                if kind is None:
+                    self._stream.flush()
+                    os.fsync(self._stream.fileno())
+                    umask = os.umask(0)
+                    os.umask(umask)
+                    os.chmod(self._temporary, 0o666 & ~umask)
+                    os.replace(self._temporary, self.target)
+        finally:
+            with suppress(OSError):  # what could not be flushed is removed below
+                self._stream.close()
+            Path(self._temporary).unlink(missing_ok=True)
+
+    @contextmanager
+    def _said(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise FileFormatError(f"{self.target}: cannot be written ({error.strerror}).", str(self.target)) from None
+
+
+def write_bytes(path: str | os.PathLike[str], content: bytes) -> Path:
+    """Write `content` to a temporary file beside `path`, then rename it into place.
+
+    Raises
+    ------
+    FileFormatError
+        If the folder is missing or cannot be written.
+    """
+    with AtomicWriter(path) as file:
+        file.write(content)
+    return file.target
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> Path:
+    """Write `text` as UTF-8, whole or not at all (see `write_bytes`)."""
+    return write_bytes(path, text.encode("utf-8"))
+
+
+def to_json(data: Mapping[str, object]) -> str:
+    """Return `data` as indented JSON; floats as shortest repr, NaN and infinity refused."""
+    return json.dumps(data, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def json_pieces(data: Mapping[str, object]) -> Iterator[str]:
+    """Yield the text of `to_json` piece by piece, for data that are larger than their text should be held.
+
+    A vector is written as the list of its numbers, null where one is not finite; no list of them is held for long.
+    """
+    arrays: list[npt.NDArray[np.float64]] = []
+
+    def kept(value: object) -> str:
+        if not isinstance(value, np.ndarray):
+            raise TypeError(f"{type(value).__name__} has no JSON")
+        arrays.append(value)
+        return _ARRAY
+
+    tokens = json.JSONEncoder(indent=2, allow_nan=False, ensure_ascii=False, default=kept).iterencode(data)
+    depth, held = "", list[str]()
+    for token in tokens:
+        if arrays:  # the token that stands for the vector that was met last
+            yield "".join(held)
+            held = []
+            yield from _listed(arrays.pop(), depth)
+            continue
+        if "\n" in token:
+            depth = token[token.rindex("\n") :]
+        held.append(token)
+        if len(held) >= PIECES:
+            yield "".join(held)
+            held = []
+    yield "".join([*held, "\n"])
+
+
+_ARRAY = ""  # what stands for a vector until its numbers are written
+
+
+def _listed(values: npt.NDArray[np.float64], depth: str) -> Iterator[str]:
+    """The numbers of a vector as a file holds them, on lines of their own one step in from `depth`."""
+    mark = f"{depth}  "
+    for low in range(0, values.size, PIECES):
+        numbers = values[low : low + PIECES].tolist()
+        texts = [repr(number) if math.isfinite(number) else "null" for number in numbers]
+        yield ("[" if low == 0 else ",") + mark + f",{mark}".join(texts)
+    yield f"{depth}]" if values.size else "[]"
+
+
+def from_json(text: str, where: str) -> Tree:
+    """Return the object in a JSON text.
+
+    Raises
+    ------
+    FileFormatError
+        If it is cut off, is not JSON, is no object, repeats a key, or holds NaN or infinity.
+    """
+
+    try:
+        _small(text)
+        return strict.from_json(text)
+    except strict.BadFile as error:
+        sentence = f"{where}: {error}".removesuffix(".") + ("" if f"{error}".endswith("?") else ".")
+        raise FileFormatError(sentence, where) from None
+
+
+def from_toml(text: str, where: str) -> Tree:
+    """Return the tree in a TOML text.
+
+    Raises
+    ------
+    FileFormatError
+        If it is cut off, is not TOML, repeats a key, or holds what is no text, truth value or finite number.
+    """
+    try:
+        _small(text)
+        strict.shallow(text)
+        return {key: strict.anything(value, key) for key, value in tomllib.loads(text, parse_float=strict.real).items()}
+    except strict.BadFile as error:
+        sentence = f"{where}: {error}."
+        raise FileFormatError(sentence, where) from None
+    except tomllib.TOMLDecodeError as error:
+        slip = "Was the file cut off?"
+        if _SEMICOLONS.search(text):
+            slip = "Rows stand in brackets of their own: A = [[0.0, 1.0], [-1.0, 0.0]]."
+        elif _BLANKS.search(text):
+            slip = "Numbers have commas between, and a row stands in two brackets: C = [[1.0, 0.0]]."
+        raise FileFormatError(f"{where}: is not valid TOML ({error}). {slip}", where) from None
+    except (RecursionError, ValueError):
+        raise _unreasonable(where) from None
+
+
+def _small(text: str) -> None:
+    if len(text) > strict.MOST_BYTES:
+        raise strict.refuse("", f"is too large: {len(text)} characters, expected at most {strict.MOST_BYTES}")
+
+
+def _unreasonable(where: str) -> FileFormatError:
+    return FileFormatError(f"{where}: is nested too deeply, or holds a number of thousands of digits.", where)
+
+
+def exactly(read: strict.Reader, data: Mapping[str, object]) -> None:
+    """Refuse plain data whose types are not exactly those of its grammar (no booleans or texts as numbers).
+
+    Raises
+    ------
+    ArgumentError
+        With the sentence of the strict reader.
+    """
+    try:
+        read(data, "")
+    except strict.BadFile as error:
+        sentence = f"{error}."
+        raise ArgumentError(sentence) from None
+
+
+def read_tree(path: str | os.PathLike[str]) -> dict[str, object]:
+    """Return the tree of a `.json` file, or of a TOML file with any other ending.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing or cut off.
+    """
+    where = os.fspath(path)
+    content = read_text(where)
+    return (from_json if Path(where).suffix.lower() == ".json" else from_toml)(content, where)
+
+
+def write_tree(path: str | os.PathLike[str], data: Mapping[str, object], what: str) -> Path:
+    """Write a tree as `.toml` or `.json`, whole or not at all; `what` it is, with its article, for messages.
+
+    Raises
+    ------
+    FileFormatError
+        If the ending is neither, or the file cannot be written.
+    """
+    ending = Path(path).suffix.lower()
+    if ending == ".json":
+        return write_text(path, to_json(data))
+    if ending != ".toml":
+        raise FileFormatError(f"{path}: {what} file ends in .toml or .json, got {ending!r}.", os.fspath(path))
+    import tomli_w
+
+    return write_text(path, tomli_w.dumps(data))
+
+
+@contextmanager
+def usable(where: str) -> Iterator[None]:
+    """Say of what is refused inside that it stands in the file `where`, which cannot be used.
+
+    Raises
+    ------
+    FileFormatError
+        With the sentence of the strict reader or of the argument that was refused.
+    """
+    try:
+        yield
+    except strict.BadFile as error:
+        sentence = f"{where}: cannot be used: {error}".removesuffix(".") + ("" if f"{error}".endswith("?") else ".")
+        raise FileFormatError(sentence, where) from None
+    except ArgumentError as error:
+        raise FileFormatError(f"{where}: cannot be used: {error}", where) from None

@@ -1,0 +1,212 @@
+"""What all records share: a one-line repr, a small table, an HTML table, words, and a picture.
+
+A record lists its rows once, in `_rows`; everything that shows it is made from them.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from abc import ABCMeta
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.errors import ArgumentError, MissingExtraError, UndecidedError
+from sampling_design.records.dispatch import offered
+from sampling_design.records.signatures import checked_methods, misfit, within
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from xarray import Dataset
+
+Plain: TypeAlias = "str | float | bool | Sequence[Plain] | Mapping[str, Plain] | None"
+"""Plain data, as it stands in a file: texts, numbers, and lists and tables of them."""
+
+
+class _Kind(ABCMeta):
+    """The class of the classes of records: a call that does not fit their fields ends in one sentence."""
+
+    @property
+    def __signature__(cls) -> inspect.Signature:
+        """What the fields take: help and editors would show the call below, which takes anything."""
+        own = inspect.signature(cls.__init__)  # type: ignore[misc]  # of a class, which a metaclass sees as an instance
+        return own.replace(parameters=list(own.parameters.values())[1:])
+
+    if not TYPE_CHECKING:  # a checker would take every call for one that fits
+
+        def __call__(cls, *arguments: object, **options: object) -> object:
+            try:
+                return super().__call__(*arguments, **options)
+            except TypeError as error:
+                if within() or error.__traceback__.tb_next is not None:
+                    raise
+                raise misfit(cls.__init__, (cls, *arguments), options, error) from None
+
+
+class Record(metaclass=_Kind):
+    """Base of the frozen records: `repr` one line, `str` a small table, `_repr_html_` for notebooks.
+
+    Every public method of a record has a door before it (see `_door`).
+    """
+
+    def __init_subclass__(cls, **options: object) -> None:
+        super().__init_subclass__(**options)
+        checked_methods(cls)
+
+    def _rows(self) -> list[tuple[str, str]]:
+        """Label and value of each line of the table, in order."""
+        raise NotImplementedError
+
+    def _title(self) -> str:
+        return type(self).__name__
+
+    def explain(self) -> str:
+        """Say in one or two sentences what this record means."""
+        raise NotImplementedError
+
+    def plot(self, ax: object = None, **beside: object) -> Any:
+        """Draw this record on `ax` (a new figure if None) and return the axes; `beside`: what else it shows."""
+        return draw(self, ax, **beside)
+
+    def __repr__(self) -> str:
+        inside = ", ".join(f"{label.replace(' ', '_')}={value}" for label, value in self._rows()[:4])
+        return f"{self._title()}({inside})".replace("\n", " ")
+
+    def __str__(self) -> str:
+        rows = self._rows()
+        width = max((len(label) for label, _ in rows), default=0)
+        return "\n".join([self._title(), *(f"  {label:<{width}}  {value}" for label, value in rows)])
+
+    def _repr_html_(self) -> str:
+        body = "".join(
+            f"<tr><th style='text-align:left'>{escape(label)}</th><td style='text-align:left'>{escape(value)}</td></tr>"
+            for label, value in self._rows()
+        )
+        return f"<table><caption>{escape(self._title())}</caption>{body}</table>"
+
+
+class YesOrNo(Record):
+    """Base of the records that answer yes or no: `bool()` is the answer, and an undecided one refuses to be either.
+
+    `_asked` names the attribute that tells the three apart.
+    """
+
+    _asked: ClassVar[str]
+
+    def _answer(self) -> bool | None:
+        """The answer; None where the question stayed undecided."""
+        raise NotImplementedError
+
+    def __bool__(self) -> bool:
+        answer = self._answer()
+        if answer is None:
+            raise UndecidedError(
+                f"An undecided {type(self).__name__} is neither true nor false: ask `.{self._asked}`, and `.explain()` "
+                "for what is open."
+            )
+        return answer
+
+
+class TableRecord(Record):
+    """Base of the records that are a table, one row per estimate, sample, count or window."""
+
+    def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:
+        """Every column by its name, all of one length; the first one tells the rows apart."""
+        raise NotImplementedError
+
+    def to_frame(self) -> DataFrame:
+        """Return the rows as a pandas DataFrame (extra `dataframes`), indexed by the first column, in physical units.
+
+        Raises
+        ------
+        MissingExtraError
+            If pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise MissingExtraError("pandas", "dataframes") from None
+        columns = self._columns()
+        return pandas.DataFrame(columns).set_index(next(iter(columns)))
+
+
+class Variable(NamedTuple):
+    """An array with a name for each of its axes, and the unit of its entries ("" where there is none or several)."""
+
+    axes: tuple[str, ...]
+    values: npt.ArrayLike
+    unit: str = ""
+
+
+class CurveRecord(Record):
+    """Base of the records that hold curves: over time, over a period, or over the positions of a window."""
+
+    def _variables(self) -> dict[str, Variable]:
+        """The arrays by their names; one that is named like its only axis is that axis's coordinate."""
+        raise NotImplementedError
+
+    def to_xarray(self) -> Dataset:
+        """Return the curves as an xarray Dataset (extra `datasets`): axes by name, units as attributes, physical units.
+
+        Raises
+        ------
+        MissingExtraError
+            If xarray is not installed.
+        """
+        try:
+            import xarray
+        except ImportError:
+            raise MissingExtraError("xarray", "datasets") from None
+        made = {
+            name: (list(v.axes), np.asarray(v.values), {"units": v.unit} if v.unit else {})
+            for name, v in self._variables().items()
+        }
+        axes = {name for name, v in self._variables().items() if v.axes == (name,)}
+        return xarray.Dataset(
+            {name: value for name, value in made.items() if name not in axes},
+            {name: value for name, value in made.items() if name in axes},
+            {"record": type(self).__name__},
+        )
+
+
+def draw(record: object, ax: object = None, **beside: object) -> Any:
+    """Hand `record` to the ring that draws.
+
+    Raises
+    ------
+    ArgumentError
+        If it is not there, or has no picture for this kind of record.
+    """
+    drawn = offered("plot", record, object)
+    if drawn is None:
+        raise ArgumentError(f"`record` has no picture: nothing that draws a {type(record).__name__} is installed.")
+    return drawn(record, ax, **beside)
+
+
+def counted(number: int, what: str) -> str:
+    """Return "1 sample", "2 samples"."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def finite_or_none(value: float) -> float | None:
+    """A number for a file, where what is infinite or no number is None."""
+    return float(value) if np.isfinite(value) else None
+
+
+def finite_or_nones(values: npt.NDArray[np.float64]) -> list[float | None]:
+    """The same for a row of numbers."""
+    return [value if math.isfinite(value) else None for value in values.tolist()]
+
+
+def short(value: object, digits: int = 6) -> str:
+    """Return a number, or a short list of numbers, as text of `digits` significant digits."""
+    numbers = np.asarray(value, dtype=float)
+    if numbers.ndim == 0:
+        return f"{float(numbers):.{digits}g}"
+    flat = numbers.ravel()
+    shown = ", ".join(f"{v:.{digits}g}" for v in flat[:8])
+    return f"[{shown}{', ...' if flat.size > 8 else ''}]"

@@ -1,0 +1,369 @@
+"""The door: what every public function and method asks of its arguments before it begins, read off its annotations.
+
+An argument of another kind than the annotation says ends in one sentence (the grammar of `_checks`), not in whatever it
+breaks inside; so does a call that does not fit, which names the nearest keyword. Arrays pass: their owners check shape
+and content. A number that leaves double precision or memory in the middle of a verb ends in one sentence too.
+"""
+
+from __future__ import annotations
+
+import collections.abc
+import functools
+import inspect
+import math
+import numbers
+import os
+import threading
+import types
+import typing
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal, ParamSpec, TypeVar, Union
+
+import numpy as np
+
+from sampling_design.checkers.strict import likely
+from sampling_design.errors import ArgumentError, CallError, SolverError
+from sampling_design.records.checks import described
+
+P = ParamSpec("P")
+T = TypeVar("T")
+Check = Callable[[object], object]
+
+_NO = object()
+_CALLED = {
+    "Client": "a Dask client",
+    "Executor": "a concurrent.futures.Executor",
+    "Generator": "a numpy.random.Generator",
+    "OpenPlant": "a plant of another kind",
+    "SampledCertificate": "a Certificate or FamilyCertificate",
+}
+"""Classes whose bare name would not tell a caller what to pass."""
+TOO_BIG = ("array is too big", "Maximum allowed dimension exceeded", "Maximum allowed size exceeded")
+"""What numpy says, as a ValueError, of an array beyond every memory."""
+
+_inside = threading.local()
+
+
+class _Unchecked(Exception):
+    """An annotation that says nothing a door could check."""
+
+
+def checked(function: Callable[P, T]) -> Callable[P, T]:
+    """Return `function` behind a door: arguments are checked against its annotations before it begins.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is of another kind than its annotation says.
+    CallError
+        If the call does not fit: an unknown keyword, an argument missing, given twice, or one too many.
+    SolverError
+        If a number leaves the range of double precision, or an array does not fit into memory, inside.
+    """
+    checks: dict[str, Check] = {}
+    places: list[tuple[int, Check]] = []
+    ready: list[bool] = []
+
+    def prepare() -> None:
+        hints = hints_of(function)
+        for place, parameter in enumerate(inspect.signature(function).parameters.values()):
+            if parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
+                check = _check(parameter, hints.get(parameter.name, Any))
+                if check is not None:
+                    checks[parameter.name] = check
+                    if parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD):
+                        places.append((place, check))
+        ready.append(True)
+
+    def enter(arguments: tuple[object, ...], options: dict[str, Any]) -> tuple[list[Any], dict[str, Any]]:
+        if not ready:
+            prepare()
+        given, named, foreign, count = list(arguments), options, False, len(arguments)
+        for place, check in places:
+            if place >= count:
+                break
+            given[place] = value = check(given[place])
+            foreign = foreign or type(value) is _Foreign
+        if options:
+            named = {key: checks[key](value) if key in checks else value for key, value in options.items()}
+            foreign = foreign or any(type(value) is _Foreign for value in named.values())
+        if foreign:
+            unit = _unit_of((*given, *named.values()))
+            given = [value.taken(unit) if isinstance(value, _Foreign) else value for value in given]
+            named = {k: value.taken(unit) if isinstance(value, _Foreign) else value for k, value in named.items()}
+        return given, named
+
+    inside, failures, worded = _inside, (ArithmeticError, np.linalg.LinAlgError, MemoryError), _worded
+    too_big, unfit = _too_big, misfit
+
+    def entered(*arguments: Any, **options: Any) -> object:
+        given, named = enter(arguments, options)
+        if getattr(inside, "door", False):
+            return function(*given, **named)
+        inside.door = True
+        try:
+            return function(*given, **named)
+        except failures as error:
+            raise worded(function.__name__, error) from error
+        except TypeError as error:
+            if error.__traceback__ is None or error.__traceback__.tb_next is not None:
+                raise
+            raise unfit(function, arguments, options, error) from None
+        except ValueError as error:
+            if not too_big(error):
+                raise
+            raise worded(function.__name__, MemoryError(*error.args)) from error
+        finally:
+            inside.door = False
+
+    # with the globals of its module, so that doctest still finds the function where it is defined
+    code, closure = entered.__code__, entered.__closure__
+    own = types.FunctionType(code, function.__globals__, function.__name__, None, closure)
+    functools.update_wrapper(own, function)
+    vars(own)["checked"] = True
+    return typing.cast(Callable[P, T], own)
+
+
+def within() -> bool:
+    """Whether a verb of the house is at work: what does not fit inside of it is a defect of ours."""
+    return bool(getattr(_inside, "door", False))
+
+
+def misfit(
+    function: Callable[..., object], given: Sequence[object], named: Mapping[str, object], error: TypeError
+) -> CallError:
+    """The sentence for a call that Python could not bind; `given` has the instance or class first for a method."""
+    taken = list(inspect.signature(function).parameters.values())
+    name = function.__qualname__.removesuffix(".__init__").rpartition("<locals>.")[2]
+    own = bool(taken) and taken[0].name in ("self", "cls")
+    order = f" {said}" if own and (said := getattr(given[0], "_order", "")) else ""
+    taken, given = taken[own:], given[own:]
+    known = [each.name for each in taken if each.kind not in (each.VAR_POSITIONAL, each.VAR_KEYWORD)]
+    placed = [each.name for each in taken if each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD)]
+    for key in named:
+        if key not in known:
+            return CallError(f"`{name}` has no argument `{key}`. {likely(key, known) if known else 'It takes none.'}")
+    if len(given) > len(placed):
+        count = f"{len(placed)} argument{'s' * (len(placed) != 1)}"
+        told = f" ({', '.join(placed)})" if placed else ""
+        return CallError(f"`{name}` takes {count} by place{told}, got {len(given)}: the others have names.{order}")
+    for key in placed[: len(given)]:
+        if key in named:
+            return CallError(f"`{name}` got `{key}` twice, by place and by name.{order}")
+    needed = [each.name for each in taken if each.name in known and each.default is each.empty]
+    missing = [f"`{key}`" for key in needed if key not in named and key not in placed[: len(given)]]
+    return CallError(f"`{name}` needs {' and '.join(missing)}." if missing else str(error))
+
+
+def hints_of(function: Callable[..., Any]) -> dict[str, object]:
+    """The annotations of the parameters, those apart that name what only a type checker imports."""
+    found, known = {}, getattr(function, "__globals__", {})
+    for name, hint in inspect.get_annotations(function).items():
+        try:
+            found[name] = eval(hint, known) if isinstance(hint, str) else hint
+        except NameError:
+            continue
+    return found
+
+
+def checked_methods(cls: type[T]) -> type[T]:
+    """Put a door before `__init__` and every public method that a class defines itself and that takes arguments."""
+    for name, member in list(vars(cls).items()):
+        kind = type(member) if isinstance(member, (classmethod, staticmethod)) else None
+        inner = member.__func__ if kind else member
+        private = name.startswith("_") and name != "__init__"
+        if private or not inspect.isfunction(inner) or "checked" in vars(inner):
+            continue
+        if len(inspect.signature(inner).parameters) > (kind is not staticmethod):
+            setattr(cls, name, kind(checked(inner)) if kind else checked(inner))
+    return cls
+
+
+class _Foreign:
+    """A system of another library on its way to being what the annotation says, once the unit of time is known."""
+
+    def __init__(self, take: Callable[[object, str], object], value: object) -> None:
+        self.take, self.value = take, value
+
+    def taken(self, unit: str) -> object:
+        return self.take(self.value, unit)
+
+
+def _unit_of(values: tuple[object, ...]) -> str:
+    """The unit of time that the other arguments state, else seconds."""
+    for value in values:
+        for holder in (value, getattr(value, "plant", None)):
+            unit = None if isinstance(holder, _Foreign) else getattr(holder, "time_unit", None)
+            if isinstance(unit, str):
+                return unit
+    return "s"
+
+
+def _too_big(error: ValueError) -> bool:
+    return any(words in str(error) for words in TOO_BIG)
+
+
+def _worded(name: str, error: BaseException) -> SolverError:
+    if isinstance(error, MemoryError):
+        return SolverError(f"`{name}` needs more memory than there is ({_line(error) or 'none left'}).", "memory")
+    return SolverError(
+        f"`{name}` leaves what double precision can hold ({_line(error)}): are the sizes and units as meant?",
+        "overflow",
+    )
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split()).rstrip(".")
+
+
+def _check(parameter: inspect.Parameter, hint: object) -> Check | None:
+    """What turns an argument into one of the annotated kind, or raises; None if anything may pass."""
+    try:
+        kinds = _kinds(hint)
+    except _Unchecked:
+        return None
+    name, default = parameter.name, parameter.default
+    words = " or ".join(dict.fromkeys(word for word, _ in kinds if word != "None")) or "None"
+    slips = [next((f" {said}" for kind in _classes(hint) if (said := find(kind))), "") for find in (_slip, _reader)]
+
+    def check(value: object) -> object:
+        if value is default:
+            return value
+        for _, take in kinds:
+            found = take(name, value)
+            if found is not _NO:
+                return found
+        seeds, files = (list, tuple, np.ndarray, int), (str, os.PathLike, collections.abc.Mapping)
+        likely = slips[0] if isinstance(value, seeds) else slips[1] or slips[0] if isinstance(value, files) else ""
+        raise ArgumentError(f"`{name}` must be {words}, got {described(value)}.{likely}")
+
+    return check
+
+
+def _slip(kind: object) -> str:
+    """The likely slip where something that is no `kind` came for one."""
+    return str(getattr(kind, "_slip", ""))
+
+
+def _reader(kind: object) -> str:
+    """The function that makes a `kind` of the file whose path or plain data came for one."""
+    reader = getattr(kind, "_reader", "")
+    return f"Use {reader} for a file." if reader else ""
+
+
+def _classes(hint: object) -> tuple[object, ...]:
+    return typing.get_args(hint) or (hint,)
+
+
+def _kinds(hint: object) -> list[tuple[str, Callable[[str, object], object]]]:
+    """The words and the test of every alternative of an annotation."""
+    origin = typing.get_origin(hint)
+    if origin in (Union, types.UnionType):
+        return [kind for member in typing.get_args(hint) for kind in _kinds(member)]
+    if origin is Literal:
+        allowed = typing.get_args(hint)
+        return [(f"one of {', '.join(map(repr, allowed))}", lambda _, v: v if _among(v, allowed) else _NO)]
+    if hint is None or hint is type(None):
+        return [("None", lambda _, v: None if v is None else _NO)]
+    plain = {float: ("a number", _number), int: ("a whole number", _whole), bool: ("True or False", _truth)}
+    if hint in plain:
+        return [plain[hint]]
+    kind = origin or hint
+    if kind is collections.abc.Callable:
+        asked = next(iter(typing.get_args(hint)), ...)
+        if not isinstance(asked, list):
+            return [("a function", lambda _, v: v if callable(v) else _NO)]
+        words = f"a function of {len(asked)} argument{'s' if len(asked) > 1 else ''}"
+        return [(words, lambda _, v: v if callable(v) and _takes(v, len(asked)) else _NO)]
+    if kind is os.PathLike:
+        return [("a path", lambda _, v: v if _path(v) else _NO)]
+    if isinstance(kind, type) and kind in _HELD:
+        listed = kind
+        return [(_HELD[kind], lambda _, v: _held(v, listed))]
+    if not isinstance(kind, type) or kind in (Any, object, np.ndarray) or kind.__module__.startswith("numpy._typing"):
+        raise _Unchecked  # an array, or what becomes one
+    if getattr(kind, "_is_protocol", False) and not getattr(kind, "_is_runtime_protocol", False):
+        raise _Unchecked
+    return [_instance(kind)]
+
+
+_HELD: dict[object, str] = {
+    collections.abc.Sequence: "a list",
+    collections.abc.Iterable: "a list",
+    collections.abc.Mapping: "a table of names and values",
+    list: "a list",
+    tuple: "a tuple",
+    dict: "a table of names and values",
+}
+
+
+def _held(value: object, kind: type) -> object:
+    if isinstance(value, (str, bytes)):
+        return _NO
+    if kind in (list, tuple, collections.abc.Sequence) and isinstance(value, np.ndarray) and value.ndim == 1:
+        return value.tolist()
+    if kind in (list, tuple):
+        return value if isinstance(value, (list, tuple)) else _NO
+    if kind is collections.abc.Iterable and isinstance(value, np.ndarray) and not value.ndim:
+        return _NO
+    return value if isinstance(value, kind) else _NO
+
+
+def _instance(kind: type) -> tuple[str, Callable[[str, object], object]]:
+    name = kind.__name__
+    label = "a text" if kind is str else _CALLED.get(name, f"{'an' if name[0] in 'AEIOU' else 'a'} {name}")
+    foreign = getattr(kind, "_foreign", None)
+
+    def take(_: str, value: object) -> object:
+        if isinstance(value, kind):
+            return value
+        maker = None if foreign is None else foreign(value)
+        return _NO if maker is None else _Foreign(maker, value)
+
+    return label, take
+
+
+def _takes(function: Callable[..., object], count: int) -> bool:
+    """Whether a function can be called with so many arguments; one that does not tell is trusted."""
+    try:
+        inspect.signature(function).bind(*range(count))
+    except TypeError:
+        return False
+    except ValueError:  # written in C, without a signature
+        return True
+    return True
+
+
+def _among(value: object, allowed: tuple[object, ...]) -> bool:
+    return isinstance(value, (str, int)) and value in allowed
+
+
+def _path(value: object) -> bool:
+    return isinstance(value, os.PathLike) and isinstance(os.fspath(value), str)
+
+
+def _truth(_: str, value: object) -> object:
+    return bool(value) if isinstance(value, (bool, np.bool_)) else _NO
+
+
+def _number(name: str, value: object) -> Any:
+    if type(value) is float and value == value:
+        return value
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, numbers.Real):
+        return _NO
+    try:
+        result = float(value)
+    except OverflowError:
+        raise ArgumentError(f"`{name}` must be a number of double precision, got one above 1e308.") from None
+    if math.isnan(result):
+        raise ArgumentError(f"`{name}` must be finite, got nan.")
+    return value if isinstance(value, (int, float)) else result
+
+
+def _whole(name: str, value: object) -> object:
+    number = _number(name, value)
+    if number is _NO or math.isinf(number) or number != int(number):
+        return _NO
+    return int(number)

@@ -1,0 +1,169 @@
+"""One question asked of many things, by one process or by many machines, and taken up again after a kill."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Protocol, TypeVar, runtime_checkable
+
+from sampling_design.errors import ArgumentError, FileFormatError, SamplingDesignError
+from sampling_design.records import checks
+from sampling_design.records.file_io import from_json, to_json
+from sampling_design.records.journal import Journal, digest
+from sampling_design.records.record import Plain, Record
+from sampling_design.records.signatures import checked
+from sampling_design.records.workers import Workers, check_workers, numbered
+
+Item = TypeVar("Item")
+Progress = Callable[[float, str], None]
+
+
+@runtime_checkable
+class HasDict(Protocol):
+    """A record that can be told as plain data."""
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data."""
+        ...
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sweep(Record):
+    """Answers to one question, as plain data, in the order in which things were given.
+
+    Attributes
+    ----------
+    names : tuple of str
+    answers : tuple of dict or None
+        `to_dict` of each answer; None where there is none.
+    obstacles : tuple of str
+        Why there is none: the error's sentence; else "".
+    """
+
+    names: tuple[str, ...]
+    answers: tuple[dict[str, Plain] | None, ...]
+    obstacles: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __getitem__(self, name: str) -> dict[str, Plain]:
+        """Return the answer of that name.
+
+        Raises
+        ------
+        ArgumentError
+            If there is none; with the reason.
+        """
+        if name not in self.names:
+            raise ArgumentError(f"`name` must be one of {', '.join(self.names)}, got {name!r}.")
+        k = self.names.index(name)
+        found = self.answers[k]
+        if found is None:
+            raise ArgumentError(f"`name` = {name!r} has no answer: {self.obstacles[k]}")
+        return found
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data."""
+        return {"names": list(self.names), "answers": list(self.answers), "obstacles": list(self.obstacles)}
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [(name, obstacle or "answered") for name, obstacle in zip(self.names, self.obstacles, strict=True)]
+
+    def explain(self) -> str:
+        """Say how many were answered."""
+        return f"{sum(each is not None for each in self.answers)} of {len(self)} were answered."
+
+
+@checked
+def sweep(
+    question: Callable[[Item], HasDict],
+    items: Mapping[str, Item] | Iterable[Item],
+    *,
+    workers: Workers = None,
+    resume: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+) -> Sweep:
+    """Ask one question of many things: designs of requirements, certificates of families, accuracies of schedules.
+
+    Parameters
+    ----------
+    question : callable
+        Takes one thing and returns a record with `to_dict`. Other processes must be able to import it: a function of a
+        module or `functools.partial` of one.
+    items : mapping from names, or iterable
+        What is asked about; without names they are "0", "1", ...
+    workers : Executor, Client, int or str, optional
+        Any `concurrent.futures.Executor`, a Dask client, a number of processes (-1: one per core), or the name of a
+        joblib backend. Default: one after the other. Answers are those of the question whoever asks it; a worker
+        that is killed takes nothing with it.
+    resume : path, optional
+        A journal to which every answer is written as it comes; what it holds already is not asked again.
+    progress : callable, optional
+        Called with the fraction done and a message.
+
+    Returns
+    -------
+    Sweep
+        An error of this package (an impossible requirement, a family that cannot be certified) is an obstacle, not an
+        end; any other error ends the sweep.
+
+    Raises
+    ------
+    ArgumentError
+        If `items` is empty, a name is not a text, an answer has no `to_dict`, or `workers` is nobody.
+    FileFormatError
+        If `resume` belongs to another question or to other things.
+
+    Examples
+    --------
+    >>> from functools import partial
+    >>> from sampling_design import PeriodicSchedule, Plant, window_sigma
+    >>> plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    >>> found = sweep(partial(window_sigma, plant, window=4.0), {f"{h} s": PeriodicSchedule([h]) for h in (0.5, 1.0)})
+    >>> found["1.0 s"]["closed"]
+    True
+    """
+    named = items if isinstance(items, Mapping) else {str(k): item for k, item in enumerate(items)}
+    if not named or not all(isinstance(name, str) for name in named):
+        raise ArgumentError("`items` must hold at least one thing, and their names must be texts.")
+    check_workers(workers)
+    names = tuple(named)
+    journal = None
+    if resume is not None:
+        journal = Journal(resume, digest(question, {name: named[name] for name in names}))
+    known: dict[str, Mapping[str, object]] = {}
+    if journal is not None:
+        known = {name: journal.known[name] for name in names if name in journal.known}
+    if journal is not None and any(set(each) != {"answer", "obstacle"} for each in known.values()):
+        raise FileFormatError(f"{journal.path}: holds an answer that is none. Name another file.", str(journal.path))
+    todo = [name for name in names if name not in known]
+    for place, answer in numbered(_answered, [(question, named[name]) for name in todo], workers):
+        name = todo[place]
+        known[name] = answer
+        if journal is not None:
+            journal.add(name, answer)
+        if progress is not None:
+            progress(len(known) / len(names), f"{name}: {answer['obstacle'] or 'answered'}")
+    return Sweep(
+        names,
+        tuple(_plain(known[name]["answer"]) for name in names),
+        tuple(str(known[name]["obstacle"]) for name in names),
+    )
+
+
+def _answered(job: tuple[Callable[[Item], HasDict], Item]) -> dict[str, Plain]:
+    """The answer as plain data, the same as it would be after a way through a file."""
+    question, item = job
+    try:
+        found = question(item)
+    except SamplingDesignError as error:
+        return {"answer": None, "obstacle": str(error) or type(error).__name__}
+    if not isinstance(found, HasDict):
+        raise ArgumentError(f"`question` must return a record with to_dict, got {checks.described(found)}.")
+    return {"answer": from_json(to_json(found.to_dict()), "the answer"), "obstacle": ""}
+
+
+def _plain(answer: object) -> dict[str, Plain] | None:
+    return answer if isinstance(answer, dict) else None

@@ -1,0 +1,54 @@
+"""Time units: the six that files may name, and conversion between them."""
+
+from __future__ import annotations
+
+import math
+
+from sampling_design.errors import ArgumentError
+from sampling_design.records.checks import described
+from sampling_design.records.record import short
+
+WHOLE = (1e-3, 1e-6)
+"""A length counts as whole seconds within so many of them, and within this share of it."""
+
+SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "wk": 604800.0}
+
+
+def check_time_unit(unit: object, name: str = "time_unit") -> str:
+    """Return `unit` if it is one of the six known units, else raise.
+
+    Raises
+    ------
+    ArgumentError
+        If the unit is missing or unknown.
+    """
+    if unit is None or (isinstance(unit, str) and not unit):
+        raise ArgumentError(f"`{name}` is missing. Give one of {', '.join(SECONDS)}.")
+    if not isinstance(unit, str) or unit not in SECONDS:
+        came = repr(unit) if isinstance(unit, str) else described(unit)
+        raise ArgumentError(f"`{name}` must be one of {', '.join(SECONDS)}, got {came}.")
+    return str(unit)
+
+
+def time_factor(source: str, target: str) -> float:
+    """Return c so that a time of value t in `source` has value c t in `target`."""
+    return SECONDS[check_time_unit(source)] / SECONDS[check_time_unit(target)]
+
+
+def spoken(length: float, unit: str) -> str:
+    """Return a length of time as people say it: 1.08333 d is "26 h", 5400 s "1 h 30 min", 100 h "4 d 4 h".
+
+    Below two days in hours; what is shorter than a minute, or no whole number of seconds, stays as it is ("6.4 s").
+    """
+    seconds = length * SECONDS[check_time_unit(unit)]
+    whole = round(seconds) if math.isfinite(seconds) else 0
+    if abs(whole) < 60 or abs(seconds - whole) > min(WHOLE[0], WHOLE[1] * abs(seconds)):
+        return f"{short(length)} {unit}"
+    rest, parts = abs(whole), []
+    for name in ("d", "h", "min", "s"):
+        size = round(SECONDS[name])
+        if name == "d" and rest < 2 * size and rest != size:
+            continue
+        count, rest = divmod(rest, size)
+        parts += [f"{count} {name}"] if count else []
+    return ("-" if whole < 0 else "") + " ".join(parts)

@@ -1,0 +1,150 @@
+"""From a plant, a schedule and a certificate to a report: did the promises hold?"""
+
+from __future__ import annotations
+
+import inspect
+import os
+import platform
+from collections.abc import Callable, Iterable
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design import __version__
+from sampling_design.certificates.exact.certificate import SampledCertificate
+from sampling_design.checkers.strict import likely
+from sampling_design.errors import ArgumentError, CallError
+from sampling_design.estimators.mhe import MovingHorizonEstimator
+from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.checks import Seed
+from sampling_design.records.journal import Journal, digest
+from sampling_design.records.signatures import checked
+from sampling_design.records.workers import Workers, check_workers
+from sampling_design.schedules.family import AnySchedule
+from sampling_design.validation.report import ValidationReport
+from sampling_design.validation.scenario import ScenarioBounds
+from sampling_design.validation.study import SCENARIOS, Study
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+
+@checked
+def validate(
+    plant: Plant,
+    schedule: AnySchedule,
+    certificate: SampledCertificate | None = None,
+    *,
+    runs: int = 200,
+    duration: float | None = None,
+    w_bound: npt.ArrayLike | None = None,
+    v_bound: npt.ArrayLike | None = None,
+    initial_error: npt.ArrayLike | None = None,
+    scenarios: Iterable[str] = SCENARIOS,
+    rng: Seed = None,
+    workers: Workers = None,
+    resume: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+    **estimator: object,
+) -> ValidationReport:
+    """Compare what a certificate and the online ellipsoids promise with what happens in trials and in worst cases.
+
+    Parameters
+    ----------
+    plant : Plant
+    schedule : Schedule or PeriodicSchedule
+        When samples are taken.
+    certificate : Certificate, optional
+        Without one only the ellipsoids and the growth of the error are judged, and `estimator` must bring a horizon.
+    runs : int
+        Random trials.
+    duration : float, optional [time]
+        Default three horizons and at least 40 gaps; of a finite schedule its last time.
+    w_bound, v_bound, initial_error : float or array, optional
+        A number bounds the norm, a vector each entry. Default: the plant's scales, entry by entry.
+    scenarios : sequence of str
+        Of "pairs", "random", "worst", "resonant", "initial", "estimator", "constraints" and "paper".
+    rng : numpy.random.Generator or its seed, optional
+        Default seed 0. Every run has a seed of its own, spawned from it.
+    workers : Executor, Client, int or str, optional
+        Any `concurrent.futures.Executor`, a Dask client, a number of processes (-1: one per core), or the name of a
+        joblib backend. The report is the same for all, to the last bit; a worker that is killed takes nothing with it.
+    resume : path, optional
+        A journal of the random trials, written as they are finished; what it holds already is not run again.
+    progress : callable, optional
+        Called with (fraction, message).
+    **estimator
+        Options of `MovingHorizonEstimator` (cost, horizon), if they are not the certificate's.
+
+    Returns
+    -------
+    ValidationReport
+        What the certificate promises and could not be judged (as where the samples are off its schedule) is a finding
+        that did not hold.
+
+    Raises
+    ------
+    ArgumentError
+        If a scenario is unknown, the schedule does not fit the plant or holds no sample, a bound is negative,
+        `workers` is nobody, or there is neither certificate nor horizon.
+    FileFormatError
+        If `resume` belongs to another study.
+
+    Notes
+    -----
+    *Assumptions.* Linear plant; w is constant over cells much shorter than the gaps and otherwise arbitrary, so that
+    the truth is exact. *Claim.* A promise that is broken here is false. One that held is only as sure as its proof;
+    the worst cases are exact for the disturbances considered. *Method.* The error of the unconstrained
+    estimator is linear in initial error, disturbance and noise; run forward for whole batches it gives the trials,
+    run backward the worst disturbances. The real estimator is run beside it, with and without constraints.
+    *Numerical aspects.* Errors are propagated themselves, so that growing states do not drown them; where the real
+    estimator runs, an unstable truth is held near zero by a known input.
+
+    References
+    ----------
+    The paper, Theorem 9 and Assumption 7.
+
+    Examples
+    --------
+    >>> from sampling_design import PeriodicSchedule, Plant, certify
+    >>> plant, schedule = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), PeriodicSchedule([1.0])
+    >>> certificate = certify(plant, schedule, eta=0.4, P2=[[1.0, 0.0], [0.0, 1.0]])
+    >>> report = validate(plant, schedule, certificate, runs=20, scenarios=["random", "worst"])
+    >>> report.passed, len(report.findings) > 3
+    (True, True)
+    """
+    chosen = tuple(scenarios)
+    unknown = [name for name in chosen if not isinstance(name, str) or name not in SCENARIOS]
+    if unknown:
+        raise ArgumentError(f"`scenarios` must be among {', '.join(SCENARIOS)}, got {checks.described(unknown[0])}.")
+    options = inspect.signature(MovingHorizonEstimator).parameters
+    for key in estimator.keys() - options.keys():
+        raise CallError(f"`validate` and its MovingHorizonEstimator have no argument `{key}`. {likely(key, options)}")
+    check_workers(workers)
+    bounds = ScenarioBounds.of(plant, w_bound, v_bound, initial_error)
+    source = checks.generator(rng)
+    root = source.bit_generator.seed_seq
+    assert isinstance(root, np.random.SeedSequence)
+    count = checks.whole("runs", runs, 1)
+    settled = (plant, schedule, certificate, bounds, estimator, duration, count, _seed_of(root))
+    study = Study(plant, schedule, certificate, bounds, estimator, duration)
+    study.journal = None if resume is None else Journal(resume, digest(*settled, __version__, np.__version__))
+    study.run(chosen, root.spawn(count), workers, progress)
+    settings = {
+        "runs": count,
+        "duration": study.line.times[-1].item(),
+        "samples": int(study.line.samples.size),
+        "horizon": study.horizon,
+        "scenarios": list(chosen),
+        **bounds.to_dict(),
+        "seed": _seed_of(root),
+        "versions": {"sampling-design": __version__, "numpy": np.__version__, "python": platform.python_version()},
+    }
+    return study.report(settings)
+
+
+def _seed_of(root: np.random.SeedSequence) -> str:
+    """The entropy that repeats the study, as text: it may be longer than a float of JSON holds."""
+    key = "" if not root.spawn_key else f", spawn key {tuple(root.spawn_key)}"
+    return f"{root.entropy}{key}"

@@ -1,0 +1,265 @@
+"""The least guaranteed error: reference values, both proofs, and what is refused."""
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.accuracy import search
+from sampling_design.accuracy.accuracy_profile import GapProof
+from sampling_design.errors import ArgumentError
+from sampling_design.plants import library
+from tests.cases import few
+from tests.oracles import accuracy as oracle
+
+OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"])
+GAPS = sd.PeriodicSchedule([0.7, 1.6, 0.9, 2.0])
+
+
+@pytest.fixture(scope="module")
+def found():
+    return sd.guaranteed_accuracy(OSCILLATOR, GAPS, w_bound=0.02, v_bound=0.4)
+
+
+def test_the_reference_values_of_an_oscillator(found):
+    assert np.allclose(found.at_samples[0], 0.4, rtol=1e-6)
+    assert np.allclose(found.at_samples[1], [0.5614, 0.4381, 0.5521, 0.4938], rtol=4e-4)
+    assert found.upper[0] == pytest.approx(0.595, rel=3e-3)
+    assert np.all(found.closed)
+    assert np.all(found.upper <= 1.01 * found.lower)
+    assert np.all(found.profile.lower <= found.profile.upper)
+    assert np.all(found.profile.upper <= found.upper[:, None])
+
+
+def test_a_worst_time_after_the_last_sample_is_one_of_the_period():
+    schedule = sd.PeriodicSchedule([1.5, 0.2, 0.2])
+    found = sd.guaranteed_accuracy(OSCILLATOR, schedule, w_bound=0.02, v_bound=0.4, of="velocity")
+    assert 0 < found.worst[0] < schedule.times[0]  # the gap that leads into the next period
+    begun, ended = found.profile.edges[[0, -1]]
+    when = found.worst[0] + schedule.period
+    assert begun < when < ended
+    assert found.profile.lower[0, np.searchsorted(found.profile.edges, when)] >= found.lower[0] * (1 - 1e-6)
+
+
+def test_the_reference_values_of_a_double_integrator():
+    plant = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
+    found = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([1.0, 0.6, 1.4]), w_bound=0.02, v_bound=0.1, rtol=1e-3)
+    assert found.lower[0] <= 0.26903 <= found.upper[0]  # the oracle with 40 cells a gap: 0.2690294 to 0.2690299
+    assert found.upper == pytest.approx([0.26903, 0.12338], rel=5e-4)
+    assert found.at_samples[1] == pytest.approx([0.0960, 0.0954, 0.0954], abs=6e-5)
+
+
+def test_the_oracle_agrees_at_a_sample_and_between():
+    times = np.concatenate([[0.0], np.cumsum(np.tile([1.6, 0.9, 2.0, 0.7], 3))])[:10]
+    A, C, G, c = OSCILLATOR.A, OSCILLATOR.C, OSCILLATOR.G, np.array([0.0, 1.0])
+    low, *_ = oracle.adversary(A, C, G, times, c, 0.02, 0.4, cells=8)
+    high, _ = oracle.gains(A, C, G, times, c, 0.02, 0.4, cells=8)
+    found = sd.guaranteed_accuracy(OSCILLATOR, GAPS, w_bound=0.02, v_bound=0.4, of="velocity")
+    last = (len(times) - 1) % 4  # ten samples back from the second of the period
+    assert found.at_samples[0, last] == pytest.approx((low + high) / 2, rel=1e-3)
+    d = 0.5
+    row = c @ OSCILLATOR.transition(d)
+    low, *_ = oracle.adversary(A, C, G, times, row, 0.02, 0.4, cells=8)
+    value = low + oracle.flown(A, G, c, d, 0.02)
+    edges = found.profile.edges
+    k = int(np.searchsorted(edges, GAPS.times[last] + d)) - 1
+    assert found.profile.lower[0, k] <= value * 1.002
+    assert found.profile.upper[0, k] >= value * 0.999
+
+
+def test_both_sides_verify_and_a_corrupt_one_does_not(found):
+    assert found.verify()
+    first = found.proof[0]
+    worse = tuple(tuple(1.5 * g for g in gains) for gains in first.gains)
+    forged = replace(found, proof=(GapProof(first.sample, first.directions, worse), *found.proof[1:]))
+    assert not forged.verify()
+    assert not replace(found, upper=0.9 * found.upper).verify()
+    assert not replace(found, lower=1.1 * found.lower).verify()
+    assert not replace(found, proof=found.proof[1:]).verify()
+    leap = replace(found.witnesses[0], states=1.1 * found.witnesses[0].states)
+    assert not replace(found, witnesses=(leap, found.witnesses[1])).verify()
+    louder = replace(found.witnesses[0], w=1.1 * found.witnesses[0].w)
+    assert not replace(found, witnesses=(louder, found.witnesses[1])).verify()
+
+
+def test_a_witness_shows_nothing_and_is_far_away(found):
+    for k, witness in enumerate(found.witnesses):
+        v, x, w = witness.simulate()
+        assert np.nanmax(np.abs(v)) <= 0.4 * (1 + 1e-9)
+        assert np.max(np.linalg.norm(w, axis=1)) <= 0.02 * (1 + 1e-9)
+        assert x[k] == pytest.approx(found.lower[k], rel=2e-9)
+        assert "samples read zero" in witness.explain()
+
+
+def test_the_record_speaks(found):
+    assert "within 0.59" in found.explain()
+    assert "position" in str(found)
+    assert found.to_dict()["rows"]["names"] == ["position", "velocity"]
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"w_bound": None}, "`w_bound` is missing: without a bound on w1, w2 nothing can be guaranteed"),
+        ({"v_bound": None}, "`v_bound` is missing"),
+        ({"v_bound": [-1.0]}, "`v_bound` must not be negative, got -1.0"),
+        ({"of": "velocty"}, "got 'velocty'. Did you mean 'velocity'?"),
+        ({"of": np.zeros((0, 2))}, "`of` must name at least one row"),
+    ],
+)
+def test_bad_input_is_refused(change, match):
+    given = {"schedule": GAPS, "w_bound": 0.02, "v_bound": 0.4, "of": None} | change
+    with pytest.raises(ArgumentError, match=match):
+        sd.guaranteed_accuracy(OSCILLATOR, given.pop("schedule"), **given)
+
+
+def test_a_name_of_a_state_and_of_another_output_is_refused():
+    plant = sd.Plant(-np.eye(2), [[1.0, 1.0]], states=["level", "salt"], outputs=["level"])
+    with pytest.raises(ArgumentError, match="a state and an output that is not that state alone"):
+        sd.guaranteed_accuracy(plant, GAPS, w_bound=1.0, v_bound=1.0, of="level")
+
+
+@pytest.mark.parametrize(
+    "name", few(["double_integrator", "triple_integrator", "oscillator", "helicopter_he1", "cart_pendulum"], 0, 2)
+)
+def test_plants_of_the_library_close_to_one_percent(name):
+    plant = library.named_plant(name)
+    gaps = {"helicopter_he1": [0.5, 0.8, 0.3], "cart_pendulum": [0.2, 0.3, 0.1]}.get(name, [1.0, 0.6, 1.4])
+    found = sd.guaranteed_accuracy(
+        plant,
+        sd.PeriodicSchedule(gaps),
+        w_bound=plant.disturbances.scales / 50,
+        v_bound=plant.outputs.scales / 10,
+    )
+    assert np.all(found.closed)
+    assert np.all(found.upper <= 1.01 * found.lower)
+    assert found.verify()
+
+
+def test_rows_are_known_where_the_whole_state_is_not():
+    """A position and its bias are seen together only: their sum is known, each alone is not."""
+    A = np.zeros((3, 3))
+    A[0, 1] = 1.0
+    rng = np.random.default_rng(1)
+    T = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    plain = sd.Plant(A, [[1.0, 0.0, 1.0]])
+    turned = sd.Plant(T @ A @ T.T, plain.C @ T.T, G=T)
+    wanted = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    schedule = sd.PeriodicSchedule([1.0, 0.6, 1.4])
+    found = sd.guaranteed_accuracy(turned, schedule, w_bound=0.02, v_bound=0.1, of=wanted @ T.T)
+    assert np.isinf(found.upper).tolist() == [False, False, True]
+    assert np.isinf(found.lower[2])
+    assert np.all(found.upper[:2] <= 1.01 * found.lower[:2])
+    assert found.verify()
+    assert "no bound holds at all times: no sample shows" in found.explain()
+    assert "without bound" in str(found)
+    assert found.to_dict()["upper"][2] is None
+
+
+def _hidden_by_samples(shared):
+    """An oscillation at twice the samples' period, and a level that drifts; one sensor for both, or one for each."""
+    A = np.zeros((3, 3))
+    A[0, 1], A[1, 0] = np.pi, -np.pi
+    return A, np.array([[1.0, 0.0, 1.0]]) if shared else np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize("gaps", few([[1.0], [1.0, 1.0]], 0))
+@pytest.mark.parametrize("shared", [False, True])
+def test_rows_are_known_where_only_the_samples_hide_a_mode(shared, gaps):
+    A, C = _hidden_by_samples(shared)
+    schedule, bounds = sd.PeriodicSchedule(gaps), {"w_bound": [0.1, 0.1, 0.1], "v_bound": 0.1}
+    found = sd.guaranteed_accuracy(sd.Plant(A, C), schedule, **bounds)
+    assert np.isinf(found.upper).tolist() == [True, True, False]
+    assert np.all(found.upper[2] <= 1.01 * found.lower[2])
+    assert "3.14159i" in found.explain()
+    assert found.verify()
+    T = np.random.default_rng(1).standard_normal((3, 3)) * [[1e-6], [1.0], [1e6]]
+    back = np.linalg.inv(T)
+    turned = sd.guaranteed_accuracy(sd.Plant(T @ A @ back, C @ back, G=T), schedule, of=back, **bounds)
+    assert np.isinf(turned.upper).tolist() == [True, True, False]
+    assert turned.lower[2] <= found.upper[2]
+    assert found.lower[2] <= turned.upper[2]
+    if not shared:  # the level alone: what moves it between samples, and the noise
+        assert found.lower[2] <= 0.2 <= found.upper[2]
+    else:  # the oracle knows nothing of the start, and has as good as forgotten it
+        ball = sd.guaranteed_accuracy(sd.Plant(A, C), schedule, w_bound=0.1, v_bound=0.1, of="x3")
+        value = oracle.adversary(A, C, np.eye(3), np.arange(16.0), [0.0, 0.0, 1.0], 0.1, 0.1, cells=12)[0]
+        assert abs(ball.at_samples[0, 0] - value) <= 0.01 * value
+
+
+def test_every_row_of_an_oscillation_that_samples_hide_is_unknown():
+    plant = sd.Plant([[0.0, np.pi], [-np.pi, 0.0]], [[1.0, 0.0]])
+    found = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=0.1, v_bound=0.1)
+    assert np.all(np.isinf(found.upper))
+    assert found.unknown == ("0+3.14159i", "0-3.14159i")
+
+
+def test_exact_sensors_say_that_the_program_is_degenerate():
+    plant = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], outputs=["position"])
+    found = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=0.1, v_bound=0.0)
+    assert "Samples of position count as exact (noise bound 0)" in found.notice
+    assert found.notice in found.explain()
+    assert "degenerate" in str(found)
+    assert sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=0.1, v_bound=0.1).notice == ""
+
+
+def test_what_is_unseen_and_decays_is_known():
+    plant = sd.Plant([[-0.5, 0.0], [0.0, 0.0]], [[0.0, 1.0]])
+    found = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=[0.1, 0.1], v_bound=0.1)
+    assert found.lower[0] <= 0.2 <= found.upper[0]  # int_0^inf e^{-s/2} 0.1 ds
+    assert np.all(found.upper <= 1.01 * found.lower)
+    assert found.verify()
+
+
+def test_without_disturbance_a_mode_that_does_not_decay_leaves_the_bracket_open():
+    """More samples average the noise away for ever: gains prove little, an adversary that starts at rest attains 0."""
+    plant = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
+    found = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=0.0, v_bound=0.1)
+    assert np.array_equal(found.lower, [0.0, 0.0])
+    assert np.all(np.isfinite(found.upper))
+    assert found.verify()
+
+
+@pytest.mark.long
+def test_rows_asked_for_together_are_known_as_well_as_alone():
+    """Directions bounded for later rows crowd out none that served an earlier one."""
+    plans = Path(__file__).parents[2] / "examples" / "plans"
+    asked = tomllib.loads((plans / "activated_sludge.toml").read_text())
+    matrices = {key: np.array(value) for key, value in asked["plant"]["matrices"].items()}
+    plant = sd.Plant(matrices["A"], matrices["C"][3:], G=matrices.get("G"), time_unit="h")
+    schedule = sd.PeriodicSchedule.from_times([8.0, 62.0, 112.0], 168.0)
+    both = sd.guaranteed_accuracy(
+        plant, schedule, w_bound=asked["w_bound"], v_bound=[20.0], of=np.eye(5)[2:], rtol=0.005
+    )
+    assert both.closed.all()
+    assert both.upper[0] == pytest.approx(3.1112, rel=1e-3)  # 3.1531 where pairs of atoms are sought nearby only
+
+
+def test_what_only_the_width_of_panels_leaves_open_is_not_attacked_for_ever(monkeypatch):
+    """A sample that says nothing new: 0.1 at all times, where 64 panels of a long gap cannot tell 0.1 from 0.1005."""
+    calls, attack = [], search.ChainSearch.attack
+    monkeypatch.setattr(search.ChainSearch, "attack", lambda *given: calls.append(1) or attack(*given))
+    found = sd.guaranteed_accuracy(
+        sd.Plant([[-1.0]], [[1.0]]), sd.PeriodicSchedule([24.0]), w_bound=0.1, v_bound=0.5, rtol=1e-3
+    )
+    assert found.lower[0] == pytest.approx(0.1, rel=1e-9)
+    assert 0.1 <= found.upper[0] <= 0.101
+    assert len(calls) < 20
+
+
+def test_states_that_a_motion_does_not_move_close_none_of_it_open():
+    """A satellite's radial place says nothing of its motion across: 1e-26 of rounding there left nothing attained."""
+    plant = sd.named_plant("satellite")
+    schedule = sd.PeriodicSchedule([1350.0] * 4, time_unit="s")
+    found = sd.guaranteed_accuracy(
+        plant, schedule, w_bound=[1.85e-6] * 3, v_bound=[5.0] * 3, of=np.eye(6)[:1], rtol=0.02
+    )
+    assert found.closed.all()
+    assert np.all(np.abs(found.witnesses[0].states[:, [2, 5]]) < 1e-20)
+    assert found.verify()
+    unattained = replace(found, lower=np.zeros(1)).explain()
+    assert "brackets" in found.explain()
+    assert "0: nothing was attained" in unattained

@@ -1,0 +1,232 @@
+"""Standard deviations for white noise: against a plain filter, in the limit, unstable, unknown, finite."""
+
+import contextlib
+
+import mpmath
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import sampling_design as sd
+from sampling_design.accuracy import sample_chain
+from sampling_design.accuracy.riccati import RootedPeriod
+from sampling_design.errors import ArgumentError, SolverError, UndecidedError
+
+PLANT = sd.Plant([[0.0, 1.0], [-1.0, -0.2]], [[1.0, 0.0]], states=["position", "velocity"])
+SCHEDULE = sd.PeriodicSchedule([0.7, 1.6, 0.9])
+W, V = np.array([[0.02, 0.01], [0.01, 0.05]]), 0.3
+
+
+def stepped(A, W, P, h, steps=400):
+    """P flown over h by the trapezoidal rule on a fine grid."""
+    F, d = expm(A * h / steps), h / steps
+    for _ in range(steps):
+        P = F @ (P + W * d / 2) @ F.T + W * d / 2
+    return P
+
+
+def after_periods(A, C, W, v, gaps, count, P):
+    """Covariances after each sample of the last of so many periods; a plain filter."""
+    for _ in range(count):
+        after = []
+        for h in gaps:
+            K = P @ C.T @ np.linalg.inv(C @ P @ C.T + v**2 * np.eye(len(C)))
+            P = P - K @ C @ P
+            after.append(P)
+            P = stepped(A, W, P, h)
+    return after
+
+
+def test_the_periodic_limit_is_that_of_a_plain_filter():
+    found = sd.accuracy.standard_deviation(PLANT, SCHEDULE, w_intensity=W, v_deviation=V)
+    gaps = [1.6, 0.9, 0.7]  # the first sample stands behind the first gap
+    after = after_periods(PLANT.A, PLANT.C, W, V, gaps, 12, 10 * np.eye(2))
+    for j in range(3):
+        at = int(np.flatnonzero(np.isclose(found.times, SCHEDULE.times[j]))[-1])
+        assert found.profile[:, at] ** 2 == pytest.approx(np.diag(after[j]), rel=1e-4)
+        before = stepped(PLANT.A, W, after[j], gaps[j] * 0.5)
+        half = j * 65 + 32
+        assert found.profile[:, half] ** 2 == pytest.approx(np.diag(before), rel=1e-4)
+    assert np.all(found.worst >= found.profile.max(axis=1) * (1 - 1e-12))
+    assert np.all(found.worst <= found.profile.max(axis=1) * (1 + 1e-3))
+    assert np.all((found.mean < found.worst) & (found.mean > found.profile.min(axis=1)))
+
+
+def test_an_unstable_mode_that_no_noise_reaches_is_still_followed():
+    """From P = 0 the filter would sleep for ever; the strong solution of P = a^2 P v^2/(P + v^2) is (a^2 - 1) v^2."""
+    plant = sd.Plant([[0.5]], [[1.0]], G=[[0.0]])
+    found = sd.accuracy.standard_deviation(plant, sd.PeriodicSchedule([1.0]), w_intensity=1.0, v_deviation=2.0)
+    assert found.worst[0] ** 2 == pytest.approx((np.exp(1.0) - 1) * 4.0, rel=1e-5)
+
+
+def test_a_finite_schedule_starts_from_nothing():
+    plant = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"])
+    found = sd.accuracy.standard_deviation(plant, sd.Schedule([0.0, 2.0]), w_intensity=0.0, v_deviation=0.3, end=3.0)
+    early = found.times < 2.0
+    assert np.all(np.isinf(found.profile[1, early]))
+    assert np.all(np.isinf(found.profile[0, early & (found.times > 0)]))
+    last = found.profile[:, -1]  # a straight line through two points: (3 y2 - y1)/2 and (y2 - y1)/2
+    assert last == pytest.approx([0.3 * np.sqrt(10) / 2, 0.3 * np.sqrt(2) / 2], rel=1e-4)
+
+
+def test_unknown_rows_are_infinite_and_the_others_are_not():
+    plant = sd.Plant(np.zeros((2, 2)), [[1.0, 0.0]], states=["seen", "unseen"])
+    found = sd.accuracy.standard_deviation(plant, sd.PeriodicSchedule([1.0]), w_intensity=[1.0, 1.0], v_deviation=[1.0])
+    assert found.worst[0] ** 2 == pytest.approx((1 + np.sqrt(5)) / 2)
+    assert np.isinf(found.worst[1])
+    assert "infinite" in str(found)
+    assert found.to_dict()["worst"][1] is None
+
+
+@pytest.mark.long
+def test_it_stands_beside_the_guaranteed_error():
+    found = sd.guaranteed_accuracy(
+        PLANT, SCHEDULE, w_bound=0.02, v_bound=0.4, of="position", w_intensity=W, v_deviation=V, rtol=0.1
+    )
+    alone = sd.accuracy.standard_deviation(PLANT, SCHEDULE, of="position", w_intensity=W, v_deviation=V)
+    assert found.deviation.worst == pytest.approx(alone.worst)
+    assert "deviation of position" in str(found)
+    assert "the best filter's standard deviation is at worst" in found.explain()
+    assert found.to_dict()["deviation"]["rows"] == ["position"]
+
+
+def test_more_samples_average_the_noise():
+    seldom, often = (
+        sd.accuracy.standard_deviation(PLANT, sd.PeriodicSchedule([h]), w_intensity=W, v_deviation=V).worst
+        for h in (1.0, 0.25)
+    )
+    assert np.all(often < 0.85 * seldom)
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"w_intensity": None}, "`w_intensity` is missing"),
+        ({"v_deviation": None}, "`v_deviation` is missing: give the standard deviation of the noise of y1"),
+        ({"w_intensity": [-1.0, 0.0]}, "`w_intensity` must not be negative"),
+        ({"w_intensity": [[1.0, 2.0], [2.0, 1.0]]}, "`w_intensity` must be positive semidefinite"),
+        ({"v_deviation": [-1.0]}, "`v_deviation` must not be negative"),
+    ],
+)
+def test_bad_input_is_refused(change, match):
+    with pytest.raises(ArgumentError, match=match):
+        sd.accuracy.standard_deviation(PLANT, SCHEDULE, **({"w_intensity": W, "v_deviation": V} | change))
+
+
+def test_a_mode_that_only_the_samples_hide_leaves_other_rows_as_they_are():
+    """An oscillation at twice the samples' period beside a level with a sensor of its own."""
+    A = np.zeros((3, 3))
+    A[0, 1], A[1, 0] = np.pi, -np.pi
+    both = sd.Plant(A, [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    found = sd.accuracy.standard_deviation(both, sd.PeriodicSchedule([1.0, 1.0]), w_intensity=1.0, v_deviation=1.0)
+    assert np.isinf(found.worst).tolist() == [True, True, False]
+    assert abs(found.worst[2] ** 2 - (1 + 5**0.5) / 2) < 1e-9
+
+
+def in_many_digits(growth, periods=5):
+    """Deviations before a sample of a growing oscillator, by a plain filter in 200 digits from a start that it
+    forgets."""
+    with mpmath.workdps(200):
+        g, W = mpmath.mpf(growth), mpmath.mpf("0.1")
+        F = mpmath.exp(g) * mpmath.matrix([[mpmath.cos(1), mpmath.sin(1)], [-mpmath.sin(1), mpmath.cos(1)]])
+        spread, P = W * (mpmath.exp(2 * g) - 1) / (2 * g) * mpmath.eye(2), mpmath.mpf(10) ** 6 * mpmath.eye(2)
+        for _ in range(periods):
+            P = P - P[:, 0] * P[0, :] / (P[0, 0] + mpmath.mpf("0.1") ** 2)
+            P = F * P * F.T + spread
+        return [float(mpmath.sqrt(P[i, i])) for i in range(2)]
+
+
+@pytest.mark.parametrize("growth", [3.0, 10.0, 14.0, 15.0, 18.0, 20.0, 25.0, 30.0])
+def test_growth_between_samples_costs_no_digits(growth):
+    """Covariances lose them from e^12 on: 4e5 was said where 1.2e12 is true, and "infinite" beyond."""
+    plant = sd.Plant([[growth, 1.0], [-1.0, growth]], [[1.0, 0.0]])
+    found = sd.accuracy.standard_deviation(plant, sd.PeriodicSchedule([1.0]), w_intensity=0.1, v_deviation=0.1)
+    assert found.worst == pytest.approx(in_many_digits(growth), rel=1e-5)
+    if growth == 3.0:
+        ends = sd.accuracy.standard_deviation(
+            plant, sd.Schedule([0.0, 1.0, 2.0]), w_intensity=0.1, v_deviation=0.1, end=3.0
+        )
+        assert ends.profile[:, -1] == pytest.approx(in_many_digits(growth, 3), rel=1e-5)
+
+
+@pytest.mark.parametrize("growth", [3.0, 15.0, 20.0])
+def test_where_doubling_meets_a_singular_matrix_roots_go_on(growth, monkeypatch):
+    """Whether a condition beyond doubles is met as a singular matrix is rounding's, and the machine's."""
+
+    def singular(period):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(sample_chain, "limit", singular)
+    plant = sd.Plant([[growth, 1.0], [-1.0, growth]], [[1.0, 0.0]])
+    found = sd.accuracy.standard_deviation(plant, sd.PeriodicSchedule([1.0]), w_intensity=0.1, v_deviation=0.1)
+    assert found.worst == pytest.approx(in_many_digits(growth), rel=1e-5)
+
+
+def test_gaps_whose_quadrature_overflows_are_undecided():
+    with pytest.raises(UndecidedError, match="grows so far between the samples"):
+        sample_chain.LengthFlow.of(np.array([[0.0, 1e7], [0.0, 0.0]]), np.eye(2), 1.0)
+
+
+@pytest.mark.parametrize("growth", [28.0, 36.0, 100.0, 400.0])
+@pytest.mark.parametrize("schedule", [sd.PeriodicSchedule([1.0]), sd.Schedule([0.0, 1.0, 2.0])])
+def test_growth_that_no_double_follows_is_undecided_and_never_a_number(growth, schedule):
+    plant = sd.Plant([[growth, 1.0], [-1.0, growth]], [[1.0, 0.0]])
+    noise, bounds = {"w_intensity": 0.1, "v_deviation": 0.1}, {"w_bound": 0.1, "v_bound": 0.1}
+    if isinstance(schedule, sd.Schedule):
+        bounds["initial_error"] = 1.0
+    least = 0.5 * np.array(in_many_digits(growth, 4)) if growth < 40 else np.inf
+    with contextlib.suppress(UndecidedError, SolverError):
+        assert np.all(sd.accuracy.standard_deviation(plant, schedule, **noise).worst >= least)
+    with contextlib.suppress(UndecidedError, SolverError):
+        assert np.all(sd.guaranteed_accuracy(plant, schedule, **bounds).upper >= least)
+
+
+def from_nothing(A, C, W, v, times, end):
+    """Deviations at the end of a finite schedule, its start 10^30 wide, in 120 digits; infinite if they follow it."""
+    n = len(A)
+    with mpmath.workdps(120):
+        A, C, M = mpmath.matrix(A), mpmath.matrix(C), mpmath.zeros(2 * n)
+        M[:n, :n], M[:n, n:], M[n:, n:] = -A, W * mpmath.eye(n), A.T
+        P = mpmath.eye(n) * mpmath.mpf(10) ** 60
+        for t, following in zip(times, [*times[1:], end], strict=True):
+            K = P * C.T * (C * P * C.T + mpmath.mpf(v) ** 2 * mpmath.eye(C.rows)) ** -1
+            E = mpmath.expm(M * (mpmath.mpf(following) - t), method="taylor")
+            F = E[n:, n:].T
+            P = F * (P - K * C * P) * F.T + F * E[:n, n:]
+        found = [float(mpmath.sqrt(P[i, i])) for i in range(n)]
+    return [x if x < 1e20 else np.inf for x in found]
+
+
+@pytest.mark.parametrize("growth", [1.0, 10.0, 20.0])
+@pytest.mark.parametrize(
+    ("A", "C"),
+    [
+        ([[1.0, 0.0], [0.0, 0.0]], [[1.0, 1.0]]),  # beside an integrator
+        ([[1.0, 0.1], [0.0, -0.01]], [[1.0, 0.0]]),  # driven by what only its growth shows
+        ([[1.0, 0.0], [0.0, 0.5]], [[1.0, 1.0]]),
+        ([[1.0, 0.0], [0.0, 0.01]], [[1.0, 0.0]]),  # beside what nothing shows
+    ],
+)
+def test_a_start_of_which_nothing_is_known_leaves_no_trace(A, C, growth):
+    """ "Infinite" was said from e^5 a gap on, and 3 to 20 % too little of a state that is seen weakly."""
+    A, times = growth * np.array(A), [0.0, 1.0, 2.0, 3.0]
+    truth = from_nothing(A.tolist(), C, 1.0, 0.3, times, 4.0)
+    weak = growth == 20.0 and A[0, 1] != 0
+    said = (
+        pytest.raises(UndecidedError, match=r"the samples show some state so weakly|becomes so small beside the rest")
+        if weak
+        else contextlib.nullcontext()
+    )
+    with said:
+        found = sd.accuracy.standard_deviation(
+            sd.Plant(A, C), sd.Schedule(times), w_intensity=1.0, v_deviation=0.3, end=4.0
+        )
+        assert found.profile[:, -1] == pytest.approx(truth, rel=1e-4)
+
+
+def test_growth_says_so():
+    plant = sd.Plant([[400.0, 1.0], [-1.0, 400.0]], [[1.0, 0.0]])
+    with pytest.raises(UndecidedError, match="grows so far between the samples of this schedule that no filter's"):
+        sd.guaranteed_accuracy(plant, sd.Schedule([0.0, 1.0, 2.0]), w_bound=0.1, v_bound=0.1, initial_error=1.0)
+    with pytest.raises(UndecidedError, match="the covariance of the filter on this schedule does not settle in double"):
+        RootedPeriod([2 * np.eye(1)], [np.zeros((1, 1))], [np.eye(1)]).settled(np.eye(1))

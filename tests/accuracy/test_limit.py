@@ -1,0 +1,113 @@
+"""The limit that no schedule beats: close to dense schedules, below every other, verified at all real times."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.errors import ArgumentError
+
+PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"])
+BOUNDS = {"w_bound": 0.02, "v_bound": 0.4}
+
+
+@pytest.fixture(scope="module")
+def always():
+    return sd.accuracy.accuracy_limit(PLANT, **BOUNDS)
+
+
+def test_a_dense_schedule_comes_close(always):
+    dense = sd.guaranteed_accuracy(PLANT, sd.PeriodicSchedule([0.05]), rtol=0.02, **BOUNDS)
+    assert np.all(always.lower <= dense.upper)
+    assert np.all(always.lower >= dense.upper * 0.96)
+    assert always.verify()
+    assert "no schedule and no estimator knows more" in always.explain()
+    assert "all times" in str(always)
+
+
+@pytest.mark.long
+def test_no_schedule_of_the_zones_beats_the_limit(always):
+    zones, rng = [(0.2, 0.5), (1.0, 1.0), (1.4, 1.9)], np.random.default_rng(4)
+    found = sd.accuracy.accuracy_limit(PLANT, zones=zones, period=2.5, **BOUNDS)
+    assert found.verify()
+    assert np.all(found.lower >= always.lower * 0.98)
+    dense = np.concatenate([np.linspace(0.2, 0.5, 6), [1.0], np.linspace(1.4, 1.9, 9)])
+    best = sd.guaranteed_accuracy(PLANT, sd.PeriodicSchedule.from_times(dense, 2.5), rtol=0.05, of="velocity", **BOUNDS)
+    assert best.upper[0] * 0.9 <= found.lower[1] <= best.upper[0]
+    for _ in range(3):
+        times = np.sort([rng.uniform(0.2, 0.5), 1.0, rng.uniform(1.4, 1.9)])
+        other = sd.guaranteed_accuracy(PLANT, sd.PeriodicSchedule.from_times(times, 2.5), rtol=0.1, **BOUNDS)
+        assert np.all(other.upper >= found.lower)
+
+
+def test_the_trajectory_hides_between_the_nodes_too(always):
+    """Flown on a fine grid by another integrator, |C x| keeps its bound at all times."""
+    from scipy.linalg import expm
+
+    attack = always.witnesses[1].attack
+    joint = np.zeros((4, 4))
+    joint[:2, :2], joint[:2, 2:] = PLANT.A, PLANT.G
+    x, seen = np.zeros(2), []
+    for h, w in zip(np.diff(attack.edges), attack.w, strict=True):
+        step = expm(joint * h / 7)
+        for _ in range(7):
+            x = step[:2] @ np.concatenate([x, w])
+            seen.append(abs(PLANT.C[0] @ x))
+    assert max(seen) <= 0.4 * (1 + 1e-9)
+    assert max(seen) >= 0.39
+    assert x[1] == pytest.approx(always.lower[1], rel=1e-6)
+
+
+def test_a_forged_limit_does_not_verify(always):
+    assert not replace(always, lower=1.01 * always.lower).verify()
+    attack = always.witnesses[0].attack
+    louder = replace(attack, w=1.02 * attack.w, states=1.02 * attack.states, value=1.02 * attack.value)
+    forged = (replace(always.witnesses[0], attack=louder), always.witnesses[1])
+    assert not replace(always, witnesses=forged, lower=1.02 * always.lower).verify()
+    assert not replace(always, witnesses=(replace(always.witnesses[0], attack=None), always.witnesses[1])).verify()
+    zoned = sd.accuracy.accuracy_limit(PLANT, zones=[(0.0, 0.5)], period=2.0, of="position", **BOUNDS)
+    assert zoned.verify()
+    assert not replace(zoned, zones=np.array([[0.0, 1.0]])).verify()
+
+
+@pytest.mark.long
+def test_more_allowed_times_never_raise_it():
+    wide, narrow = (
+        sd.accuracy.accuracy_limit(PLANT, zones=[(0.0, end)], period=2.0, of="velocity", **BOUNDS).lower[0]
+        for end in (1.0, 0.3)
+    )
+    assert wide <= narrow * 1.02
+
+
+def test_unseen_modes_and_exact_sensors():
+    plant = sd.Plant(np.zeros((2, 2)), [[1.0, 0.0]], states=["seen", "unseen"])
+    found = sd.accuracy.accuracy_limit(plant, w_bound=0.1, v_bound=0.3)
+    assert found.lower[0] == pytest.approx(0.3, rel=0.02)
+    assert np.isinf(found.lower[1])
+    assert found.unknown == ("0",)
+    assert found.verify()
+    assert found.to_dict()["lower"][1] is None
+    assert sd.accuracy.accuracy_limit(PLANT, w_bound=0.1, v_bound=0.0).lower.tolist() == [0.0, 0.0]
+
+
+@pytest.mark.long
+def test_units_change_nothing(always):
+    x, y, t = np.array([1e6, 1e-3]), 1e-4, 1e3
+    plant = sd.Plant(PLANT.A * x[:, None] / x / t, PLANT.C * y / x, G=PLANT.G * x[:, None] / t)
+    found = sd.accuracy.accuracy_limit(plant, w_bound=0.02, v_bound=0.4 * y, of=[[0.0, 1.0]])
+    assert found.lower == pytest.approx(always.lower[1:] * x[1:], rel=0.02)  # its rtol
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"period": 1.0}, "`period` is that of `zones`, which are missing"),
+        ({"zones": [(0.0, 1.0)]}, "`zones` need their `period`"),
+        ({"zones": [(0.0, 1.0), (0.5, 2.0)], "period": 3.0}, "`zones` must be in order, apart and within"),
+        ({"zones": [], "period": 3.0}, "`zones` must hold at least one"),
+    ],
+)
+def test_bad_input_is_refused(change, match):
+    with pytest.raises(ArgumentError, match=match):
+        sd.accuracy.accuracy_limit(PLANT, **BOUNDS, **change)

@@ -1,0 +1,188 @@
+"""Records that are tables become pandas frames, and frames of measurements are read like files."""
+
+import sys
+
+import numpy as np
+import pandas
+import pytest
+
+import sampling_design as sd
+from sampling_design.certificates.compare.tradeoff import tradeoff_curve
+from sampling_design.errors import ArgumentError, FileFormatError, MissingExtraError
+from sampling_design.records.record import CurveRecord, TableRecord
+
+OSCILLATOR = sd.plants.library.oscillator()
+SCHEDULE = sd.PeriodicSchedule([0.7, 1.6, 0.9], time_unit="s")
+REQUIREMENT = sd.Requirement(window=4.0, samples=3)
+BOUNDS = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
+READINGS = "time,position,force_per_mass\n0.0,,0.0\n0.7,0.31234567890123,\n2.3,-0.5,1.5\n3.2,0.125,\n"
+
+
+def estimates():
+    mhe = sd.MovingHorizonEstimator(OSCILLATOR, horizon=5.0, **BOUNDS)
+    return mhe.run([(0.7, [0.3], None), (2.3, [-0.5], None), (3.2, [0.1], None)])
+
+
+def smoothed():
+    mhe = sd.NonlinearMovingHorizonEstimator(
+        sd.nonlinear.from_linear(OSCILLATOR), horizon=5.0, cost=sd.CostFunction(P2=np.eye(2), Qw=np.eye(2), R=np.eye(1))
+    )
+    mhe.run([(0.7, [0.3], [0.0]), (2.3, [-0.5], [0.0])])
+    return mhe.smoothed()
+
+
+MAKERS = {
+    "EstimateRecord": estimates,
+    "ParetoFront": lambda: sd.pareto_front(OSCILLATOR, REQUIREMENT, [2, 3]),
+    "SampleLosses": lambda: sd.sample_losses(sd.design_schedule(OSCILLATOR, REQUIREMENT)),
+    "FourHorizons": lambda: sd.certificates.four_horizons(OSCILLATOR, SCHEDULE),
+    "WindowSigma": lambda: sd.window_sigma(OSCILLATOR, SCHEDULE, 4.0),
+    "SmoothedWindow": smoothed,
+    "TradeoffCurve": lambda: tradeoff_curve(OSCILLATOR, SCHEDULE, 0.2, [3.0, 30.0]),
+}
+
+
+@pytest.mark.parametrize("kind", MAKERS)
+def test_a_frame_has_the_columns_of_its_record(kind):
+    record = MAKERS[kind]()
+    frame = record.to_frame()
+    columns = record._columns()
+    assert type(record).__name__ == kind
+    assert [frame.index.name, *frame.columns] == list(columns)
+    for name, column in columns.items():
+        shown = frame.index if name == frame.index.name else frame[name]
+        assert len(column) == len(shown) > 1
+        for mine, theirs in zip(column, shown, strict=True):
+            assert mine == theirs or (pandas.isna(mine) and pandas.isna(theirs))
+
+
+def test_every_table_is_in_this_list():
+    assert callable(sd.NonlinearMovingHorizonEstimator)  # a room opens on first use
+    assert {c.__name__ for c in TableRecord.__subclasses__()} == set(MAKERS)
+
+
+def test_estimates_and_proofs_stand_in_their_rows():
+    record = estimates()
+    frame = record.to_frame()
+    name = OSCILLATOR.states.names[1]
+    assert frame.loc[2.3, name] == record.x[1, 1]
+    assert frame.loc[2.3, f"{name} radius"] == record.radii[1, 1]
+    sigma = sd.window_sigma(OSCILLATOR, SCHEDULE, 4.0)
+    profile = sigma.to_frame()
+    assert profile["proven"].min() == sigma.lower
+    assert (profile["proven"] <= profile["sigma"]).all()
+
+
+def test_a_frame_is_read_like_its_file(tmp_path):
+    path = tmp_path / "readings.csv"
+    path.write_text(READINGS)
+    told = sd.read_measurements(path, OSCILLATOR)
+    frame = pandas.read_csv(path)
+    for given in (frame, frame.set_index("time"), frame[["force_per_mass", "time", "position"]]):
+        found = sd.read_measurements(given, OSCILLATOR)
+        for key in ("times", "y", "u"):
+            np.testing.assert_array_equal(getattr(found, key), getattr(told, key))
+
+
+def test_a_frame_is_estimated_from_like_its_file(tmp_path):
+    path = tmp_path / "readings.csv"
+    path.write_text(READINGS)
+    frame = pandas.read_csv(path)
+    for make in (
+        lambda: sd.MovingHorizonEstimator(OSCILLATOR, horizon=5.0, **BOUNDS),
+        lambda: sd.KalmanFilter(OSCILLATOR, **BOUNDS),
+    ):
+        told = make().run(sd.read_measurements(path, OSCILLATOR))
+        for given in (frame, frame.set_index("time")):
+            found = make().run(given)
+            np.testing.assert_array_equal(found.times, told.times)
+            np.testing.assert_array_equal(found.x, told.x)
+    told, found = (sd.KalmanFilter(OSCILLATOR).smooth(r) for r in (sd.read_measurements(path, OSCILLATOR), frame))
+    np.testing.assert_array_equal(found.x, told.x)
+    estimator = sd.MovingHorizonEstimator(OSCILLATOR, horizon=5.0)
+    with pytest.raises(FileFormatError, match="the frame: column 'position' is missing"):
+        estimator.run(frame.drop(columns="position"))
+
+
+def test_dates_of_a_frame_count_from_the_first(tmp_path):
+    dates = pandas.date_range("2026-01-05T08:00", periods=3, freq="90s", name="date", tz="UTC")
+    frame = pandas.DataFrame({"position": [1.0, 2.0, 3.0], "force_per_mass": 0.0}, index=dates)
+    found = sd.read_measurements(frame, OSCILLATOR)
+    assert found.times.tolist() == [0.0, 90.0, 180.0]
+    assert found.origin.startswith("2026-01-05T08:00")
+
+
+@pytest.mark.parametrize("name", [None, "Time", "Date", "t", "when"])
+def test_an_index_of_dates_is_the_date_whatever_its_name(name):
+    index = pandas.DatetimeIndex(["2026-01-05 00:00", "2026-01-05 06:00", "2026-01-05 12:00"], name=name)
+    plant = sd.Plant([[0.0]], [[1.0]], time_unit="h", outputs=["gauge"])
+    frame = pandas.DataFrame({"gauge": [1.0, np.nan, 2.0]}, index=index)  # an empty row, as `resample` leaves it
+    for given in (frame, frame.reset_index().rename(columns={frame.reset_index().columns[0]: "time"})):
+        found = sd.read_measurements(given, plant)
+        assert found.times.tolist() == [0.0, 12.0]
+        assert found.origin == "2026-01-05T00:00:00+00:00"
+
+
+@pytest.mark.parametrize("name", ["Time", "t", "TIME"])
+def test_an_index_of_numbers_may_be_the_time(name):
+    plant = sd.Plant([[0.0]], [[1.0]], outputs=["gauge"])
+    frame = pandas.DataFrame({"gauge": [1.0, 2.0]}, index=pandas.Index([0.5, 1.5], name=name))
+    assert sd.read_measurements(frame, plant).times.tolist() == [0.5, 1.5]
+
+
+def test_a_bad_frame_is_refused_in_the_words_of_a_file():
+    with pytest.raises(FileFormatError, match="the frame: column 'position' is missing"):
+        sd.read_measurements(pandas.DataFrame({"time": [0.0], "force_per_mass": [0.0]}), OSCILLATOR)
+    with pytest.raises(ArgumentError, match="`path` must be a text or a path or a DataFrame, got int 3"):
+        sd.read_measurements(3, OSCILLATOR)
+
+
+def test_without_pandas_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(MissingExtraError, match="dataframes"):
+        estimates().to_frame()
+
+
+CURVES = {
+    "EstimateRecord": estimates,
+    "WindowSigma": MAKERS["WindowSigma"],
+    "SmoothedWindow": smoothed,
+    "Accuracy": lambda: sd.guaranteed_accuracy(OSCILLATOR, SCHEDULE, w_bound=0.1, v_bound=0.1, rtol=0.2),
+}
+
+
+def test_every_record_with_curves_is_in_this_list():
+    assert callable(sd.guaranteed_accuracy)  # a room opens on first use
+    assert {c.__name__ for c in CurveRecord.__subclasses__()} == set(CURVES)
+
+
+@pytest.mark.parametrize("kind", CURVES)
+def test_curves_become_a_dataset_with_axes_and_units(kind):
+    record = CURVES[kind]()
+    data = record.to_xarray()
+    assert data.attrs["record"] == kind
+    for name, variable in record._variables().items():
+        shown = data[name]
+        assert shown.dims == variable.axes
+        assert shown.attrs.get("units", "") == variable.unit
+        np.testing.assert_array_equal(shown.values, np.asarray(variable.values))
+
+
+def test_curves_are_read_by_name():
+    record = estimates()
+    data, name = record.to_xarray(), OSCILLATOR.states.names[1]
+    assert data.x.sel(time=2.3, state=name) == record.x[1, 1]
+    assert data.time.attrs["units"] == "s"
+    assert data.covariance.sel(time=2.3, state=name, other_state=name) == record.covariance[1, 1, 1]
+    bounds = CURVES["Accuracy"]()
+    curve = bounds.to_xarray().sel(row=OSCILLATOR.states.names[0])
+    assert float(curve.lower.max()) <= bounds.upper[0]
+    assert bool((curve.lower <= curve.upper).all())
+    sigma = MAKERS["WindowSigma"]()
+    assert float(sigma.to_xarray().proven.min()) == sigma.lower
+
+
+def test_without_xarray_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(MissingExtraError, match="datasets"):
+        estimates().to_xarray()

@@ -22,6 +22,7 @@ ROOMS = {
     "planning": "Which readings keep a promise",
     "certificates": "What a schedule proves",
     "estimators": "What the state is",
+    "uncertain": "Plants that are not exactly known",
     "nonlinear": "Nonlinear plants",
     "validation": "Whether the promise held",
     "explorer": "What happens when a sample moves",
@@ -34,7 +35,8 @@ FLOORS = (
     ("accuracy",),
     ("design", "certificates"),
     ("estimators",),
-    ("planning", "nonlinear", "validation"),
+    ("uncertain", "planning", "validation"),
+    ("nonlinear",),
     ("plotting", "explorer"),
     ("cli",),
 )

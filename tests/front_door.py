@@ -117,12 +117,15 @@ def things() -> dict[str, Any]:
         "cost": sd.CostFunction(eta=0.2),
         "pieces": sd.nonlinear.Collocation(w_step=0.5),
         "uncertain": sd.UncertainPlant(plant, [_stiffness()]),
+        "inclusion": sd.uncertain.certify_inclusion(
+            sd.UncertainPlant(plant, [_stiffness(0.1)]), schedule, eta=0.1, pieces=2
+        ),
         "sparse": sd.plants.SparsePlant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], time_unit="s"),
     }
 
 
-def _stiffness() -> sd.UncertainParameter:
-    return sd.UncertainParameter("stiffness", -0.2, 0.1, A=[[0.0, 0.0], [-1.0, 0.0]])
+def _stiffness(share: float = 1.0) -> sd.UncertainParameter:
+    return sd.UncertainParameter("stiffness", -0.2 * share, 0.1 * share, A=[[0.0, 0.0], [-1.0, 0.0]])
 
 
 @functools.cache
@@ -299,6 +302,7 @@ OWNERS = {
     "UnobservableModes": "unseen", "Counterexample": "counterexample", "ConvexSet": "set",
     "Constraints": "held", "CostFunction": "cost", "Collocation": "pieces",
     "SparsePlant": "sparse", "UncertainPlant": "uncertain", "UncertainParameter": None,
+    "TimeVaryingPlant": None, "InclusionCertificate": "inclusion",
     "Horizon": None, "Finding": None,
     "Verification": None, "UpperBound": None, "WindowWitness": None, "EigenvalueCluster": None, "ConstantList": None,
     "OutputAccess": None, "SamplingFamily": "gaps", "MovingHorizonEstimator": None, "KalmanFilter": None,
@@ -320,6 +324,9 @@ def owner(name: str) -> Any:
         "Verification": certificate.verify,
         "UpperBound": lambda: t["design"].bound,
         "UncertainParameter": _stiffness,
+        "TimeVaryingPlant": lambda: public()["TimeVaryingPlant"](
+            lambda t: -np.eye(2), lambda t: np.eye(2), horizon=6.0
+        ),
         "WindowWitness": lambda: t["sigma"].witness,
         "EigenvalueCluster": lambda: public()["eigenvalue_clusters"](plant.A)[0],
         "ConstantList": lambda: certificate.constants,

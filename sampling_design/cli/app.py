@@ -45,7 +45,7 @@ PANELS = {
             "Make a calendar that keeps wanted accuracies at the least cost, with a bound that no other plan can beat.",
         ),
         "next": Command(
-            "planning.upcoming_sample",
+            "planning.next_sample",
             "Say by when the next sample must be taken so that every tolerance is kept, now and afterwards.",
         ),
         "explore": Command(

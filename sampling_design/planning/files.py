@@ -31,9 +31,9 @@ from sampling_design.checkers.strict import (
 from sampling_design.planning.cost_proof import CostBranch, CostLeaf, CostProof, CostTree
 from sampling_design.planning.discrete_plant import DiscretePlant, motion_of
 from sampling_design.planning.evidence import PlanBound, attack_of
-from sampling_design.planning.plan import proven_plan
 from sampling_design.planning.plan_record import FORMAT, LEFT_OUT, Plan, same_samples
 from sampling_design.planning.problem import PlanProblem, pose_plan
+from sampling_design.planning.proven_choice import proven_plan
 from sampling_design.planning.requirement_file import plan_requirement_from_dict
 from sampling_design.planning.robustness import PlanRobustness
 from sampling_design.plants.files import plant_from_dict

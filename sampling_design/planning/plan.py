@@ -9,7 +9,6 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.accuracy import Accuracy, guaranteed_accuracy
 from sampling_design.certificates.certification import certify
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.errors import (
@@ -28,15 +27,15 @@ from sampling_design.planning.disturbed import plan_robustness
 from sampling_design.planning.evidence import EASED, PlanBound, gathered
 from sampling_design.planning.feasible_choices import FeasibleChoices, GoalProofs, ProvenChoice
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
-from sampling_design.planning.plan_record import Plan, deviation_of, is_free, limit_of, reached, without_limits
+from sampling_design.planning.plan_record import Plan, is_free, limit_of, reached, without_limits
 from sampling_design.planning.problem import SAME_PRICE, PlanProblem, coarser, pose_plan
+from sampling_design.planning.proven_choice import plan_of, proof_of
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.search import PlanSearch
 from sampling_design.planning.undetected_modes import finer_raster, modes_of
 from sampling_design.planning.work_budget import AFTER, CERTIFIED, GAINS, WorkBudget, WorkSpentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.checks import freeze
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken
@@ -68,9 +67,6 @@ COARSER = 0.5
 
 ROUNDS = 60
 """Choices judged at one level."""
-
-RTOL = 0.005
-"""Width of the brackets that prove a plan."""
 
 WIDTH = 0.002
 """Relative width to which the level out of reach is found."""
@@ -294,7 +290,7 @@ class _Planning:
             best = self.held.cheapest([chosen for chosen, _ in held], self._densest())
         else:
             best = self.held.sharpest(held, self.held.proven(held[-1][0]))
-        return _plan(self.problem, best.chosen, best.proof, PlanBound((), None, None), "interrupted")
+        return plan_of(self.problem, best.chosen, best.proof, PlanBound((), None, None), "interrupted")
 
     def _farther(self, found: ProvenChoice) -> bool:
         """Whether the search must look farther back, since it holds a choice for better than it is proven to be."""
@@ -494,42 +490,4 @@ class _Planning:
 
     def _record(self, best: ProvenChoice, bound: PlanBound, sure: bool = True) -> Plan:
         complete = sure and self.search.found.complete
-        return _plan(self.problem, best.chosen, best.proof, bound, "complete" if complete else "budget")
-
-
-def proof_of(problem: PlanProblem, chosen: Mask) -> GoalProofs:
-    """The proof of a choice: accuracy for what is guaranteed, and standard deviations."""
-    return accuracy_of(problem, chosen), deviation_of(problem, chosen)
-
-
-def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy | None:
-    """The accuracy of a choice's goals that are guaranteed; None if it has none."""
-    rows = [goal.row for goal in problem.goals if not goal.spread]
-    if not rows:
-        return None
-    told = chosen & np.isfinite(problem.v_bound)
-    if not told.any():
-        raise NotDetectableError("`schedule` reads no sensor that has a `noise_bound`.")
-    schedule = problem.schedule(told)
-    v = np.tile(np.where(np.isfinite(problem.v_bound), problem.v_bound, 1.0), (len(schedule), 1))
-    return guaranteed_accuracy(
-        problem.plant, schedule, w_bound=problem.requirement.w_bound, v_bound=v, of=np.array(rows), rtol=RTOL
-    )
-
-
-def proven_plan(problem: PlanProblem, chosen: Mask, bound: PlanBound, status: str) -> Plan:
-    """The plan of a choice, its accuracy proven."""
-    return _plan(problem, chosen, proof_of(problem, chosen), bound, status)
-
-
-def _plan(problem: PlanProblem, chosen: Mask, proof: GoalProofs, bound: PlanBound, status: str) -> Plan:
-    return Plan(
-        problem.plant,
-        problem.requirement,
-        problem.schedule(chosen),
-        proof[0],
-        freeze(reached(problem, chosen, *proof)),
-        bound,
-        status=status,
-        deviation=proof[1],
-    )
+        return plan_of(self.problem, best.chosen, best.proof, bound, "complete" if complete else "budget")

@@ -19,7 +19,7 @@ from scipy.optimize import differential_evolution
 import sampling_design as sd
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.discrete_plant import motion_of
-from sampling_design.planning.plan import accuracy_of
+from sampling_design.planning.proven_choice import accuracy_of
 from tests.benchmarks.plan_gaps import posed
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])

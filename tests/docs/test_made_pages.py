@@ -85,4 +85,4 @@ def test_the_rooms_inside_are_drawn_without_a_circle(pages):
     assert floor["form"] < floor["exact"] < floor["families"] < floor["compare"]
     assert all(floor[other] < floor[here] for here, others in below.items() for other in others & set(below))
     drawn = pages.rooms_picture(package)
-    assert all(f">{name}<" in drawn for name in ("gap_flows", "bounds", "worst_case", "certify.py"))
+    assert all(f">{name}<" in drawn for name in ("gap_flows", "bounds", "worst_case", "certification.py"))

@@ -8,8 +8,8 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.planning.evidence import PlanBound
-from sampling_design.planning.plan import proven_plan
 from sampling_design.planning.problem import pose_plan
+from sampling_design.planning.proven_choice import proven_plan
 from tests.oracles import planning as oracle
 
 LEVEL = sd.Plant([[0.0]], [[1.0]], states=["level"], outputs=["y"])

@@ -12,8 +12,8 @@ import pytest
 import sampling_design as sd
 from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.evidence import PlanBound
-from sampling_design.planning.plan import proven_plan
 from sampling_design.planning.problem import pose_plan
+from sampling_design.planning.proven_choice import proven_plan
 
 HOURS = {"Mon-Fri": [["00:00", "04:00"], ["08:00", "17:30"]], "Sun": [["01:00", "04:00"]]}
 ZONES = {

@@ -20,8 +20,8 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.planning.evidence import PlanBound
-from sampling_design.planning.plan import proven_plan
 from sampling_design.planning.problem import pose_plan
+from sampling_design.planning.proven_choice import proven_plan
 from tests.oracles import planning as oracle
 
 BARE = {"certificate": False, "robustness": False}

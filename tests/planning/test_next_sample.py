@@ -10,8 +10,8 @@ from sampling_design.accuracy.readings import BelowDetection
 from sampling_design.errors import ArgumentError, NotDetectableError
 from sampling_design.planning.deadline import GoalDue
 from sampling_design.planning.evidence import PlanBound
-from sampling_design.planning.plan import proven_plan
 from sampling_design.planning.problem import pose_plan
+from sampling_design.planning.proven_choice import proven_plan
 from sampling_design.planning.sequence import looks_back, proven_ratio
 from sampling_design.planning.sequence_chain import plan_chain
 from sampling_design.planning.sequence_deviation import SampleSequence, planned

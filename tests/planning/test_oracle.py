@@ -8,8 +8,8 @@ from sampling_design.planning import discrete_plant as room
 from sampling_design.planning.accuracy_oracle import QUARTERS, SETTLED, AccuracyOracle
 from sampling_design.planning.adversary_program import RasterWindow
 from sampling_design.planning.discrete_plant import motion_of
-from sampling_design.planning.plan import accuracy_of
 from sampling_design.planning.problem import pose_plan
+from sampling_design.planning.proven_choice import accuracy_of
 from sampling_design.planning.search import PlanSearch
 
 BODY = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])

@@ -15,9 +15,9 @@ from sampling_design.planning.disturbed import plan_robustness
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.files import read_plan, save_plan
 from sampling_design.planning.filter_deviation import RasterFilter
-from sampling_design.planning.plan import accuracy_of, proven_plan
 from sampling_design.planning.plan_record import deviation_of
 from sampling_design.planning.problem import pose_plan
+from sampling_design.planning.proven_choice import accuracy_of, proven_plan
 from tests.oracles import planning as oracle
 
 OSCILLATOR = sd.Plant(

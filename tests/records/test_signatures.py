@@ -236,6 +236,7 @@ def test_no_verb_that_takes_a_plant_was_forgotten():
     system = control.ss([[0, 1], [-1, 0]], [[0], [0]], [[1, 0]], [[0]])
     asked = {
         "largest_box": "how far uncertain parameters may go: a system has none",
+        "NominalFilter.__init__": "for a box of plants: a system is one, and KalmanFilter takes it",
         "split_sparse": "for matrices that are never dense: a system's are, and split_modes takes it",
     }
     beside = {"critical_length": (system,), "EstimateRecord.collect": None}  # what else they take hides it from a check

@@ -52,7 +52,8 @@ def error_map(certificate: Certificate, start: float, length: float, cost: str =
     """
     problem, ends = _stated(certificate, cost)
     seen = certificate.schedule.between(start, start + length, closed=ends).times
-    return _along(problem, np.array([start]), length, [seen])[0]
+    found: Array = _along(problem, np.array([start]), length, [seen])[0]
+    return found
 
 
 @checked

@@ -119,6 +119,11 @@ class TimeVaryingPlant(Record):
     def __post_init__(self) -> None:
         check_time_unit(self.time_unit)
         object.__setattr__(self, "horizon", checks.positive("horizon", self.horizon))
+        for key, matrix in (("A", self.A), ("C", self.C), ("G", self.G)):
+            if not callable(matrix) and not (key == "G" and matrix is None):
+                raise ArgumentError(
+                    f"`{key}` must be a function of time that returns a matrix, got {checks.described(matrix)}."
+                )
         n = len(checks.matrix("A(0)", self.A(0.0)))
         checks.matrix("A(0)", self.A(0.0), n, n)
         p = len(checks.matrix("C(0)", self.C(0.0), None, n))

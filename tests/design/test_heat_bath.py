@@ -141,22 +141,37 @@ def test_none_where_flow_or_relaxation_do_not_serve_or_a_run_would_be_too_long(m
 
 
 @pytest.mark.long
-def test_it_is_asked_only_where_something_is_left_to_gain(monkeypatch):
+def test_it_is_asked_once_for_the_best_that_differ_and_only_where_something_is_left_to_gain(monkeypatch):
+    """Three starts share two runs; where all that was led on ended alike, there is one."""
     case = problem(ALONE, 3, 7)
-    found, asked = relax_placed(case), []
+    found, asked, kept, led = relax_placed(case), [], [], local_search._led
 
     def counted(*given):
-        asked.append(len(given[2]))
+        asked.append(given[2])
         return annealed(*given)
 
+    def watched(run, *given):
+        result = led(run, *given)
+        kept.append([times for _, times in run.good])
+        return result
+
     monkeypatch.setattr(local_search, "annealed", counted)
-    best = local_search.search(case, found, np.random.default_rng(8), starts=3)
-    assert len(asked) == 1
-    assert 1 <= asked[0] <= 2  # one or two of the three starts, as distinct ones are left
-    assert is_admissible(case, best.times)
+    monkeypatch.setattr(local_search, "_led", watched)
+    most, sizes = -(-3 // local_search._STARTS_PER_BATH), set()
+    for seed in (8, 11):
+        asked.clear(), kept.clear()
+        best = local_search.search(case, found, np.random.default_rng(seed), starts=3)
+        assert is_admissible(case, best.times)
+        (begun,) = asked
+        np.testing.assert_array_equal(begun, kept[0][:most])
+        sizes.add(len(begun))
+        values = worst_sigma2(case, np.array(begun))
+        assert np.all(-np.diff(values) > local_search._ALIKE * values[1:])
+    assert sizes == {1, most} == {1, 2}
+    asked.clear()
     local_search.search(case, found, np.random.default_rng(8), starts=3, enough=0.9 * best.sigma)
     local_search.search(replace(case, forbidden=np.zeros((0, 2))), found, np.random.default_rng(8), starts=1)
-    assert len(asked) == 1
+    assert asked == []
 
 
 def test_a_schedule_without_room_stays_where_it_is():

@@ -10,6 +10,11 @@ import numpy as np
 from scipy.linalg import block_diag, expm
 
 
+TIE = 1e-11
+"""Events closer than this share of a period are one: rounding, and not the moment before closing (1e-9) that a search keeps
+to."""
+
+
 @dataclass
 class Problem:
     """One small requirement with its plant, as plain numbers."""
@@ -167,10 +172,10 @@ def sigma_of(problem, times, mask, places=5):
     every = (times[:, None] + P * periods).ravel()
     seen = np.repeat(mask, periods.size, axis=0)
     events = np.sort(np.concatenate([np.mod(times, P), np.mod(times - T, P)]))
-    events = events[np.append(True, np.diff(events) > 1e-9 * P)]
+    events = events[np.append(True, np.diff(events) > TIE * P)]
     ends = np.append(events, events[0] + P)
     starts = np.concatenate([events, *(ends[:-1] + f * np.diff(ends) for f in np.linspace(0, 1, places + 2)[1:-1])])
-    tiny, least = 1e-8 * P, np.inf
+    tiny, least = 2 * TIE * P, np.inf
     rows = np.stack([C @ expm(A * (r - P)) for r in every])  # seen from one origin; every start carries them on
     for a in starts:
         across = expm(A * (P - a))

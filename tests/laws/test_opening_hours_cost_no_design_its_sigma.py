@@ -18,9 +18,9 @@ AS_GOOD = 1e-3
 FEW = (3, 11)
 MANY = range(58)
 WIDE = {39: 0.17}
-"""Hours that close for half a period, under windows of one and a half: no window beginning just after a sample at closing
-has the next one at opening yet. Sigma is .7323 (rhythm, closed 5 to 6 and 9 to 21, four samples); with a sample that
-counted in both windows it would be .7861; the bound, which lets samples count at the very instant of closing, is .8766."""
+"""Hours that close for half a period, under windows of one and a half: a window that begins just after a sample at
+closing does not hold the next one at opening yet. Sigma is .7323; with a sample that counted in both windows it would
+be .7861; the bound, which lets samples count at the very instant of closing, is .8766."""
 BLOOD = Problem(
     block_diag([[0.0]], np.pi / 12 * np.array([[0.0, 1.0], [-1.0, 0.0]])),
     np.array([[1.0, 1.0, 0.0]]),

@@ -9,10 +9,9 @@ from itertools import combinations
 import numpy as np
 from scipy.linalg import block_diag, expm
 
-
 TIE = 1e-11
-"""Events closer than this share of a period are one: rounding, and not the moment before closing (1e-9) that a search keeps
-to."""
+"""Events closer than this share of a period are one: rounding, and not the moment before closing, about 1e-9, that a
+search keeps to."""
 
 
 @dataclass

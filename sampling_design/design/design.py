@@ -86,9 +86,9 @@ def design_schedule(
         Starts that are refined, beside the even and the rounded ones.
     branches : int, optional
         Boxes of schedules that are cut in two to narrow the upper bound, where it is not more samples than that;
-        0 keeps the plain relaxations' bound. More cuts, a narrower bound: the satellite's gap falls from 5 % to
-        2.7 % with 20, to 1.8 % with 100 and to 1.1 % with 400. Default: 20 (of more than eight states fewer, each of
-        which takes longer), and up to 150 as long as the gap is above 3 % and falls.
+        0 keeps the plain relaxations' bound. More cuts, a narrower bound, at a cost that grows with
+        them. Default: 20 (of more than eight states fewer, each of which takes longer), and up to 150 as long as the
+        gap is above 3 % and falls.
     rtol : float
         Width of the bracket that proves sigma.
     budget : float, optional [seconds]

@@ -89,7 +89,8 @@ def test_worst_start_may_lie_inside_a_gap():
     faster = Plant([[0.0, 3.0], [-3.0, 0.0]], [[1.0, 0.0]])
     other = certify(faster, PeriodicSchedule([1.0]), eta=0.5, P2=np.diag([0.1, 1.0]), Qw=100 * np.eye(2))
     assert other.lam_samples == pytest.approx(13.1, abs=0.05)
-    assert other.lam > 29.9
+    assert other.witness.ratio == pytest.approx(31.206, abs=0.01)
+    assert other.witness.start == pytest.approx(0.409, abs=0.01)
 
 
 def test_periodic_riccati_solution_is_a_fixed_point_and_windows_tend_to_it():

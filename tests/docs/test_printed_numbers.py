@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.observability.count.loss_tolerance import loss_tolerance
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs" / "theory").glob("*.md"))]
@@ -39,7 +40,7 @@ def critical_length(*eigenvalues):
 
 
 def borne(*gaps):
-    return lambda: (sd.loss_tolerance(SPIRAL, sd.PeriodicSchedule(gaps)).lower,)
+    return lambda: (loss_tolerance(SPIRAL, sd.PeriodicSchedule(gaps)).lower,)
 
 
 def inside_a_gap():

@@ -1,19 +1,17 @@
 """Every command that draws can leave its picture out, by the same flag."""
 
 import pytest
-from typer.main import get_command
 
 import sampling_design as sd
 from sampling_design.cli import track
-from sampling_design.cli.app import app
+from sampling_design.cli.app import COMMANDS, loaded
 from sampling_design.cli.settings import NO_PICTURE, Settings
 from sampling_design.errors import ArgumentError
 
 
 def test_every_command_that_draws_takes_the_flag_and_no_other():
-    commands = get_command(app).commands
-    takes = {name for name, command in commands.items() if "no_picture" in {p.name for p in command.params}}
-    assert takes == set(commands) - set(NO_PICTURE)
+    takes = {name for name in COMMANDS if "no_picture" in {p.name for p in loaded(name).params}}
+    assert takes == set(COMMANDS) - set(NO_PICTURE)
 
 
 def test_the_flag_leaves_out_the_picture_and_nothing_else(shell, tmp_path):

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.cases import few
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 OSCILLATOR, SATELLITE = (EXAMPLES / "plants" / f"{name}.toml" for name in ("oscillator", "satellite"))
 INTERRUPTED = """
@@ -27,7 +29,7 @@ main()
 """
 
 
-@pytest.mark.parametrize("after", [0.002, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0])
+@pytest.mark.parametrize("after", few([0.002, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0], 0, 2, 6))
 def test_an_interrupt_at_any_moment_is_130_without_a_traceback(after):
     """From the first line on: while numpy, scipy and the drawing load, and while the search runs."""
     command = ["design", str(SATELLITE), str(EXAMPLES / "requirements" / "satellite.toml"), "--branches", "100000"]
@@ -101,7 +103,7 @@ def test_after_a_command_the_interrupt_is_as_it_was(shell):
     assert (signal.getsignal(signal.SIGINT), sys.unraisablehook) == before
 
 
-@pytest.mark.parametrize("more", [["--json"], [], ["--help"]])
+@pytest.mark.parametrize("more", few([["--json"], [], ["--help"]], 0, 2))
 def test_a_full_device_is_one_sentence_and_exit_code_2(more):
     code = "from sampling_design.cli import main; main()"
     with open("/dev/full", "w") as full:
@@ -184,6 +186,7 @@ def test_the_package_runs_as_a_module():
     importlib.import_module("sampling_design.__main__")  # as worker processes do: nothing runs
 
 
+@pytest.mark.long
 def test_a_validation_that_was_killed_goes_on(tmp_path):
     """The process dies with no warning; the second one certifies anew, and the certificate is the same."""
     schedule = tmp_path / "schedule.csv"

@@ -16,9 +16,9 @@ OSCILLATOR = EXAMPLES / "plants" / "oscillator.toml"
 RULE = ("--window", 4.0, "--count", 3, "--spacing", 0.5)
 COMMANDS = {
     "info": (OSCILLATOR,),
-    "plan": (EXAMPLES / "plans" / "oscillator.toml",),
+    "plan": (EXAMPLES / "plans" / "oscillator.toml", "--search-seconds", 0.2),
     "next": ("plan.json", "--now", 7),
-    "design": (OSCILLATOR, "--window", 4.0, "--samples", 3),
+    "design": (OSCILLATOR, "--window", 4.0, "--samples", 3, "--branches", 1),
     "sigma": (OSCILLATOR, "schedule.csv", "--window", 4.0),
     "worst-case": (OSCILLATOR, *RULE),
     "pareto": (OSCILLATOR, "requirement.toml", "--counts", "3-4"),
@@ -26,9 +26,9 @@ COMMANDS = {
     "certify": (OSCILLATOR, "schedule.csv"),
     "verify": ("certificate.json",),
     "accuracy": (OSCILLATOR, "schedule.csv", "--w", 0.02, "--v", 0.4),
-    "survive": (OSCILLATOR, "certificate.json"),
+    "survive": (OSCILLATOR, "certificate.json", "--longest", 2),
     "estimate": (OSCILLATOR, "readings.csv", "--horizon", 3),
-    "validate": (OSCILLATOR, "schedule.csv", "--runs", 3),
+    "validate": (OSCILLATOR, "schedule.csv", "--runs", 3, "--eta", 0.4, "--duration", 6),
     "log": (OSCILLATOR, "schedule.csv", "readings.csv"),
 }
 NAMED = {

@@ -126,7 +126,7 @@ def test_families_exclude_each_other_and_say_what_they_need():
 def test_survive_finds_a_timing_error_and_draws_it(shell, tmp_path):
     write_schedule(PeriodicSchedule([1.0], time_unit="s"), tmp_path / "even.csv")
     assert shell("certify", OSCILLATOR, tmp_path / "even.csv", "--eta", 0.8, "-o", tmp_path).code == 0
-    result = shell("survive", OSCILLATOR, tmp_path / "certificate.json", "--longest", 3, "-o", tmp_path, "--budget", 20)
+    result = shell("survive", OSCILLATOR, tmp_path / "certificate.json", "--longest", 2, "-o", tmp_path, "--budget", 20)
     assert result.code == 0
     data = json.loads((tmp_path / "robustness.json").read_text())
     assert data["radius"] > 0.05

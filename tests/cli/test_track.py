@@ -144,7 +144,7 @@ def test_a_prior_is_used(shell, tmp_path, schedule):
 
 
 def test_validate_writes_report_and_picture(shell, tmp_path, schedule):
-    result = shell("validate", OSCILLATOR, schedule, "--runs", 10, "--seed", 5, "--duration", 15, "-o", tmp_path)
+    result = shell("validate", OSCILLATOR, schedule, "--runs", 4, "--seed", 5, "--duration", 9, "-o", tmp_path)
     assert result.code == 0, result.err
     assert {p.name for p in tmp_path.iterdir()} == {"report.md", "report.json", "validation.png"}
     assert "inequality (16)" in result.out
@@ -154,9 +154,7 @@ def test_validate_writes_report_and_picture(shell, tmp_path, schedule):
     assert data["settings"]["seed"] == "5"
     assert (tmp_path / "report.md").read_text().startswith("# Validation of oscillator")
     again = json.loads(
-        shell(
-            "validate", OSCILLATOR, schedule, "--runs", 10, "--seed", 5, "--duration", 15, "--workers", 2, "--json"
-        ).out
+        shell("validate", OSCILLATOR, schedule, "--runs", 4, "--seed", 5, "--duration", 9, "--workers", 2, "--json").out
     )
     assert again == data
 
@@ -254,7 +252,7 @@ def dated(path):
 
 
 def test_dates_are_laid_over_a_schedule_by_its_origin(shell, tmp_path):
-    asked = ["--samples", 3, "--period", 6, "--window", 6, "--budget", 2, "--start", "2026-01-05", "--zone", "UTC"]
+    asked = ["--samples", 3, "--period", 6, "--window", 6, "--branches", 0, "--start", "2026-01-05", "--zone", "UTC"]
     made = shell("design", OSCILLATOR, *asked, "-o", tmp_path)
     assert made.code == 0, made.err
     assert sd.read_schedule(tmp_path / "schedule.csv").origin == "2026-01-05T00:00:00+00:00"
@@ -284,7 +282,7 @@ def test_two_rows_ten_thousand_years_apart_end_with_a_sentence(shell, tmp_path, 
 
 
 def test_calendars_of_a_design_are_in_its_zone(shell, tmp_path):
-    asked = ["--samples", 3, "--window", 6.5, "--budget", 2, "--start", "2026-01-05T08:00", "--zone", "Europe/Berlin"]
+    asked = ["--samples", 3, "--window", 6.5, "--branches", 0, "--start", "2026-01-05T08:00", "--zone", "Europe/Berlin"]
     made = shell("design", OSCILLATOR, *asked, "-o", tmp_path)
     assert made.code == 0, made.err
     assert "schedule.ics holds one" in made.err

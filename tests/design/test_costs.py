@@ -10,6 +10,7 @@ from sampling_design import Plant, Requirement, design_schedule, read_requiremen
 from sampling_design.design.bounds.weak_duality import best_choice
 from sampling_design.design.problem.requirement_file import write_requirement
 from sampling_design.errors import InfeasibleRequirementError
+from tests.cases import few
 from tests.oracles.design import is_allowed, window_sigma_scan
 
 A = np.kron(np.diag([1.0, 2.0]), [[0.0, 1.0], [-1.0, 0.0]])
@@ -51,7 +52,7 @@ def test_no_affordable_schedule_exceeds_the_bound_and_few_exceed_the_design(limi
 
 
 def test_a_limit_that_does_not_bind_changes_nothing():
-    free, rich = design_schedule(PLANT, asked(), starts=2), design_schedule(PLANT, asked(cost_limit=12.0), starts=2)
+    free, rich = (design_schedule(PLANT, asked(**more), starts=1, branches=0) for more in ({}, {"cost_limit": 12.0}))
     assert rich.sigma == free.sigma
     assert rich.schedule.outputs is None
     assert rich.cost == 12.0
@@ -84,20 +85,23 @@ def test_the_best_choice_is_the_best_by_enumeration():
 
 @pytest.mark.parametrize(
     ("changes", "words"),
-    [
-        ({"cost_limit": 3.0}, "`cost_limit` 3 is less than 4 of the cheapest measurements cost"),
-        (
-            {
-                "cost_limit": 5.0,
-                "spacing": 0.9,
-                "outputs": {
-                    "y1": {"cost": 5.0, "available": [[0.0, 2.0]]},
-                    "y2": {"cost": 1.0, "available": [[2.0, 4.0]]},
+    few(
+        [
+            ({"cost_limit": 3.0}, "`cost_limit` 3 is less than 4 of the cheapest measurements cost"),
+            (
+                {
+                    "cost_limit": 5.0,
+                    "spacing": 0.9,
+                    "outputs": {
+                        "y1": {"cost": 5.0, "available": [[0.0, 2.0]]},
+                        "y2": {"cost": 1.0, "available": [[2.0, 4.0]]},
+                    },
                 },
-            },
-            "`cost_limit` 5 is not kept by any schedule that was found",
-        ),
-    ],
+                "`cost_limit` 5 is not kept by any schedule that was found",
+            ),
+        ],
+        0,
+    ),
 )
 def test_a_limit_that_is_too_low_names_one_that_works(changes, words):
     requirement = asked(**changes)

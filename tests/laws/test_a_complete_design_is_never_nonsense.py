@@ -68,12 +68,7 @@ def test_fewer_samples_are_designed_where_spacing_makes_more_of_them_worse():
     assert design.gap < 1e-6
     assert set(design.other_counts) == {3}  # one sample alone always leaves room for a second
     assert "at most 3 samples" in design.claim.statement
-
-
-def test_a_bound_of_one_count_does_not_speak_for_the_others():
-    asked = problem(window=6 * np.pi, period=3 * np.pi, spacing=np.pi, samples={"at_most": 3})
-    design = check(asked)
-    assert not replace(design, other_counts={}).verify()
+    assert not replace(design, other_counts={}).verify()  # a bound of one count does not speak for the others
 
 
 def test_as_many_samples_as_can_be_paid_are_designed():
@@ -102,7 +97,7 @@ def test_one_sample_a_period_has_no_gap(growth):
     assert design.gap < 1e-6
 
 
-@pytest.mark.parametrize("fixed", [[0.0, np.pi], [0.0, 1.0, 2.5], [0.5, 1.0, 1.5, 4.0]])
+@pytest.mark.parametrize("fixed", few([[0.0, np.pi], [0.0, 1.0, 2.5], [0.5, 1.0, 1.5, 4.0]], 1, 2))
 def test_where_all_samples_are_fixed_the_bound_is_what_they_see(fixed):
     design = check(problem(window=2 * np.pi, period=2 * np.pi, spacing=0.1, samples=len(fixed), fixed=fixed))
     assert design.schedule.times.tolist() == fixed
@@ -116,7 +111,7 @@ def test_one_fixed_sample_is_all_there_is():
     assert design.sigma == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(("seed", "least"), [(25, 3.0), (71, 3.06), (84, 0.272)])
+@pytest.mark.parametrize(("seed", "least"), few([(25, 3.0), (71, 3.06), (84, 0.272)], 0, 1))
 def test_what_leaves_a_window_as_something_else_enters_it_does_so_to_the_last_bit(seed, least):
     """Windows of 1.5 or 3 periods, fixed and closed times: rounding that parts what is tied would cost sigma."""
     design = check(random_problem(np.random.default_rng(seed)), seed)

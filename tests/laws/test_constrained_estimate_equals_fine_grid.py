@@ -1,5 +1,7 @@
 """With constraints the estimate is the limit of fine grids with explicit w and v, approached at order 2."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from sampling_design import Constraints, Plant
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
+from tests.cases import few
 from tests.oracles.estimators import fine_grid
 
 A = np.array([[0.0, 1.0], [-1.0, 0.0]])
@@ -50,8 +53,7 @@ def cases():
     }
 
 
-@pytest.mark.parametrize("name", list(cases()))
-@pytest.mark.parametrize("cost", ["certificate", "paper"])
+@pytest.mark.parametrize(("name", "cost"), few(product(cases(), ("certificate", "paper")), 0, 3, 5, 6, 8))
 def test_order_two(name, cost):
     options, constrain = cases()[name]
     mhe = MovingHorizonEstimator(

@@ -15,6 +15,7 @@ from sampling_design.planning.proven_choice import proven_plan
 from sampling_design.planning.sequence import looks_back, proven_ratio
 from sampling_design.planning.sequence_chain import plan_chain
 from sampling_design.planning.sequence_deviation import SampleSequence, planned
+from tests.cases import few
 
 BARE = {"certificate": False, "robustness": False}
 
@@ -101,7 +102,7 @@ def drifting(tolerance, holidays):
     return proven_plan(problem, chosen, PlanBound((), None, None), "budget")
 
 
-@pytest.mark.parametrize("holidays", [[], ["2026-06-08"], ["2026-06-05", "2026-06-08"], ["2026-06-24"]])
+@pytest.mark.parametrize("holidays", few([[], ["2026-06-08"], ["2026-06-05", "2026-06-08"], ["2026-06-24"]], 0, 2))
 def test_no_promise_rests_on_a_sample_on_a_day_that_is_known_to_be_closed(holidays):
     plan, taken = drifting(1.35, holidays), [9.0]
     while taken[-1] < 600:

@@ -10,6 +10,7 @@ from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.files import save_plan
+from tests.cases import few
 from tests.oracles import planning as oracle
 
 BARE = {"certificate": False, "robustness": False}
@@ -102,8 +103,8 @@ def test_a_spacing_beyond_the_period_is_refused(sensor):
         assert np.min(found.schedule.gaps) >= spacing - 1e-9
 
 
-@pytest.mark.parametrize("A", [[[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0], [-1.0, 0.0]], [[-0.1, 0.0], [0.0, -0.2]],
-                               [[0.1, 0.0], [1.0, -0.2]]])  # fmt: skip
+@pytest.mark.parametrize("A", few([[[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0], [-1.0, 0.0]], [[-0.1, 0.0], [0.0, -0.2]],
+                                   [[0.1, 0.0], [1.0, -0.2]]], 0, 2))  # fmt: skip
 def test_a_motion_that_nothing_drives_is_planned_and_proven(A):
     plant = sd.Plant(A, [[1.0, 0.0]], states=["first", "second"], outputs=["y"])
     given = {**GIVEN, "raster": 0.8, "w_bound": 0.0, "sensors": {"y": {"noise_bound": 0.1}}}

@@ -10,6 +10,7 @@ import ast
 import functools
 import importlib
 import sys
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -74,9 +75,11 @@ def statements(tree: ast.AST) -> Iterator[ast.Raise]:
 
 def unraised(paths: Iterable[Path], seen: set[Place]) -> list[str]:
     """Every `raise` in these files in which no line lies that was seen."""
-    found = []
+    found, lines_of = [], defaultdict(set)
+    for name, line in seen:
+        lines_of[name].add(line)
     for path in paths:
-        lines = {line for name, line in seen if name == str(path)}
+        lines = lines_of[str(path)]
         for node in statements(ast.parse(path.read_text())):
             if not lines & set(range(node.lineno, (node.end_lineno or node.lineno) + 1)):
                 found.append(

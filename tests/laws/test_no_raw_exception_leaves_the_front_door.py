@@ -4,6 +4,7 @@ A call that does not fit names the nearest keyword; a seed is taken wherever a g
 `python -m tests.front_door 2000 7` makes as many calls as one likes.
 """
 
+import functools
 import inspect
 
 import numpy as np
@@ -62,12 +63,15 @@ def test_every_public_callable_is_among_them_with_arguments_that_are_right():
     assert kinds <= set(front_door.OWNERS), "a record has methods that no call tries"
 
 
-CALLABLES = [door for door in front_door.doors() if front_door.optional(door.name)]
+@functools.cache
+def callables():
+    """Made when a test asks, not when files are collected: certificates and a plan are among their arguments."""
+    return [door for door in front_door.doors() if front_door.optional(door.name)]
 
 
 def test_a_keyword_that_is_mistyped_names_the_right_one():
     left = []
-    for door in CALLABLES:
+    for door in callables():
         thing = door.target()
         if inspect.isclass(thing) and not issubclass(thing, Record) and "checked" not in vars(thing.__init__):
             continue  # what a verb returns, plain: nobody makes one
@@ -79,11 +83,11 @@ def test_a_keyword_that_is_mistyped_names_the_right_one():
         if len(longest) > 3 and f"Did you mean {longest!r}?" not in str(told.value):
             left.append(door.name)
     assert left == []
-    assert len(CALLABLES) > 150
+    assert len(callables()) > 150
 
 
 def test_wherever_a_generator_is_taken_its_seed_is():
-    taken = {door.name: inspect.signature(door.target()).parameters.get("rng") for door in CALLABLES}
+    taken = {door.name: inspect.signature(door.target()).parameters.get("rng") for door in callables()}
     hints = {name: rng.annotation for name, rng in taken.items() if rng is not None and rng.default is None}
     assert {name: hint for name, hint in hints.items() if hint != "Seed"} == {}
     assert len(hints) >= 8
@@ -91,7 +95,7 @@ def test_wherever_a_generator_is_taken_its_seed_is():
 
 @pytest.mark.parametrize("name", ["GapRange.draw", "Jitter.draw", "LostSamples.draw", "simulate_record"])
 def test_a_seed_is_the_generator_with_that_seed(name):
-    door = next(door for door in CALLABLES if door.name == name)
+    door = next(door for door in callables() if door.name == name)
     shown = []
     for rng in (7, np.random.default_rng(7), 8):
         made = door.target()(**door.arguments | {"rng": rng})

@@ -41,3 +41,10 @@ def test_the_share_of_what_takes_long_is_spread_over_the_cases_of_each_test():
     assert spread(cases, lambda case: case[0], 1) == [("a", 5), ("b", 0), ("c", 1)]
     assert spread(cases, lambda case: case[0], 3) == [("a", 1), ("a", 5), ("a", 8), ("b", 0), ("c", 0), ("c", 1)]
     assert spread(cases, lambda case: case[0], 10) == cases
+
+
+def test_no_test_is_timed_by_the_machine():
+    """Budgets are judged by `tests/counted_clock.py`, which counts what is done."""
+    for path in TESTS.rglob("test_*.py"):
+        read = {node.attr for node in nodes(path) if isinstance(node, ast.Attribute)}
+        assert not read & {"process_time", "thread_time", "perf_counter_ns"}, path

@@ -8,8 +8,6 @@ import contextlib
 import functools
 import inspect
 import re
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +19,7 @@ from sampling_design.errors import FileFormatError
 from sampling_design.planning.files import save_plan
 from sampling_design.planning.work_budget import AFTER, WorkBudget
 from tests import command_lines
+from tests.counted_clock import Counted
 from tests.front_door import public
 
 BUDGETS = (0.4,)
@@ -118,36 +117,6 @@ PREPARED = {
     "DetectabilityCertificate.verify": lambda: sd.certificates.certify_detectability(HARD),
 }
 """What a call makes before its budget begins: its own seconds do not count."""
-
-
-class Counted:
-    """A clock that runs with what is done: every function that is called or left, or calls one of C, is 4e-6 s.
-
-    What is imported on the way does not count: an earlier test may have imported it.
-    """
-
-    def __init__(self):
-        self.steps = self.imports = 0
-
-    def step(self, frame, event, _):
-        if frame.f_code.co_name == "_find_and_load" and event in ("call", "return"):
-            self.imports += 1 if event == "call" else -1
-        self.steps += not self.imports
-
-    def read(self):
-        return 4e-6 * self.steps
-
-    @contextlib.contextmanager
-    def running(self):
-        with pytest.MonkeyPatch.context() as patched:
-            for name in ("perf_counter", "monotonic"):
-                patched.setattr(time, name, self.read)
-            before = sys.getprofile()
-            sys.setprofile(self.step)
-            try:
-                yield self
-            finally:
-                sys.setprofile(before)
 
 
 def spent(call) -> float:

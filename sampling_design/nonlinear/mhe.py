@@ -167,11 +167,6 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         solver: WindowSolver | None = None,
         outliers: Outliers | None = None,
     ):
-        if not isinstance(plant, NonlinearPlant):
-            raise ArgumentError(
-                f"`plant` must be a NonlinearPlant, got {type(plant).__name__}. For a linear plant use "
-                "MovingHorizonEstimator, or convert it with from_linear."
-            )
         self.plant = plant
         self.promise = None if certificate is None else InclusionPromise(certificate, plant, initial_error)
         cost, given = cost_for(certificate, cost), Collocation() if collocation is None else collocation

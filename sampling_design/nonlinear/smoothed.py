@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.nlp import WindowData
 from sampling_design.nonlinear.weights import NonlinearWeights
@@ -101,15 +100,9 @@ class SmoothedWindow(TableRecord, CurveRecord):
 def smoothed_window(
     plant: NonlinearPlant, weights: NonlinearWeights, data: WindowData, answer: WindowAnswer
 ) -> SmoothedWindow:
-    """Return the physical trajectory of a window.
-
-    Raises
-    ------
-    ArgumentError
-        If it was not solved.
-    """
-    if answer.slopes is None or answer.spread is None:
-        raise ArgumentError("`smoothed` needs a solved window: give the estimator a sample first.")
+    """Return the physical trajectory of a window that was solved."""
+    assert answer.slopes is not None
+    assert answer.spread is not None
     scale = {key: plant.signals[key].scales for key in plant.sizes}
     covariance = smoothed_covariances(answer.spread, answer.slopes, data.edges, weights.eta)
     seen = np.where(data.mask > 0, data.y - answer.slopes.shown, np.nan)

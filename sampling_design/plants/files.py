@@ -134,8 +134,8 @@ def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
         **arrays,
         **groups,  # type: ignore[arg-type]
         time_unit=_agreed_unit(data.get("time_unit"), time_unit),
-        name=_text("name", data.get("name", "")),
-        source=_text("citation", source.get("citation", "")),
+        name=data.get("name", ""),
+        source=source.get("citation", ""),
     )
 
 
@@ -162,12 +162,6 @@ def _table(data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     value = data.get(key, {})
     if not isinstance(value, Mapping):
         raise ArgumentError(f"`{key}` must be a table of keys and values, got {value!r:.60}.")
-    return value
-
-
-def _text(key: str, value: object) -> str:
-    if not isinstance(value, str):
-        raise ArgumentError(f"`{key}` must be a string, got {value!r:.60}.")
     return value
 
 

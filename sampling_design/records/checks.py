@@ -141,10 +141,7 @@ def number(name: str, value: object) -> float:
         raise ArgumentError(f"`{name}` must be a number, got {described(value)}.")
     if isinstance(value, float) and not np.isfinite(value):
         raise ArgumentError(f"`{name}` must be finite, got {value}.")
-    try:
-        return float(real_array(name, [value], 1)[0])
-    except OverflowError:
-        raise ArgumentError(f"`{name}` must be a number of double precision, got one above 1e308.") from None
+    return float(real_array(name, [value], 1)[0])
 
 
 def positive(name: str, value: object) -> float:

@@ -262,19 +262,8 @@ def period_of(schedule: AnySchedule) -> PeriodicSchedule:
     return schedule
 
 
-def in_family_unit(schedule: object, time_unit: str | None) -> AnySchedule:
-    """Return `schedule` in the family's time unit where both are known, else as it is.
-
-    Raises
-    ------
-    ArgumentError
-        If it is no schedule.
-    """
-    if not isinstance(schedule, (Schedule, PeriodicSchedule)):
-        raise ArgumentError(
-            f"`schedule` must be a Schedule or PeriodicSchedule, got {type(schedule).__name__}. "
-            "Did you pass times? Use Schedule(times)."
-        )
+def in_family_unit(schedule: AnySchedule, time_unit: str | None) -> AnySchedule:
+    """Return `schedule` in the family's time unit where both are known, else as it is."""
     if time_unit is None or schedule.time_unit in (None, time_unit):
         return schedule
     return schedule.in_unit(time_unit)

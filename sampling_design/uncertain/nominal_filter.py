@@ -96,8 +96,6 @@ class NominalFilter(KalmanFilter):
         input_side: str = "right",
         maximum_delay: float = 0.0,
     ):
-        if not isinstance(plant, UncertainPlant):
-            raise ArgumentError(f"`plant` must be an UncertainPlant, got {checks.described(plant)}. Use KalmanFilter.")
         if plant.vertices:
             raise ArgumentError("`plant` must have parameters in a box, got one between vertices.")
         nominal = plant.nominal

@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 import sampling_design as sd
-from sampling_design.accuracy import sample_chain
+from sampling_design.accuracy import deviation, sample_chain
 from sampling_design.accuracy.riccati import RootedPeriod
 from sampling_design.errors import ArgumentError, SolverError, UndecidedError
 
@@ -230,3 +230,9 @@ def test_growth_says_so():
         sd.guaranteed_accuracy(plant, sd.Schedule([0.0, 1.0, 2.0]), w_bound=0.1, v_bound=0.1, initial_error=1.0)
     with pytest.raises(UndecidedError, match="the covariance of the filter on this schedule does not settle in double"):
         RootedPeriod([2 * np.eye(1)], [np.zeros((1, 1))], [np.eye(1)]).settled(np.eye(1))
+
+
+def test_a_start_that_is_never_wide_enough_is_undecided(monkeypatch):
+    monkeypatch.setattr(deviation, "WIDER", ())
+    with pytest.raises(UndecidedError, match="the samples show some state so weakly"):
+        sd.standard_deviation(PLANT, sd.Schedule([1.0, 2.0, 3.0]), w_intensity=W, v_deviation=V)

@@ -7,6 +7,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, UndecidedError
+from sampling_design.accuracy import finite
 from tests.cases import few
 from tests.oracles import accuracy as oracle
 
@@ -248,6 +249,16 @@ def test_what_no_sample_shows_stays_unknown_however_fast_it_fades():
     )
     assert found.upper == pytest.approx([np.inf, 0.1], rel=1e-3)
     with pytest.raises(UndecidedError, match="becomes so small beside the rest"):
-        sd.guaranteed_accuracy(
-            sd.Plant(np.diag([-400.0, -0.1]), [[0.0, 1.0]], G=np.eye(2)), sd.Schedule([0.0, 1.0]), **known
-        )
+        sd.guaranteed_accuracy(sd.Plant(np.diag([-400.0, -0.1]), [[0.0, 1.0]], G=np.eye(2)), sd.Schedule([0.0, 1.0]), **known)
+
+
+@pytest.mark.parametrize("covariance", [np.zeros((1, 1)), np.diag([1.0, -1.0])])
+def test_a_covariance_that_has_no_root_is_undecided(covariance):
+    with pytest.raises(UndecidedError, match="undecided"):
+        finite.covariance_root(covariance)
+
+
+@pytest.mark.parametrize("free", [[[1.0, 1.0], [0.0, 0.0]], [[1.0, 0.0], [0.0, 0.0]]])
+def test_what_is_free_and_points_one_way_is_undecided(free):
+    with pytest.raises(UndecidedError, match="undecided"):
+        finite._determined(np.array(free), [np.zeros((1, 2))])

@@ -353,3 +353,9 @@ def test_a_budget_of_seconds_ends_the_search_and_then_the_proof():
     with pytest.raises(UndecidedError, match="no certificate was proven within the budget") as seen:
         certify(DOUBLE, GapRange(0.5, 1.5), budget=1e-6)
     assert seen.value.details["status"] == "budget"
+
+
+def test_weights_that_lambda_takes_below_all_doubles_are_undecided():
+    small = {key: [[1e-300]] for key in ("P2", "Qw", "R", "Qv")}
+    with pytest.raises(UndecidedError, match="P1 = P2/lambda cannot be held in doubles"):
+        certify(Plant([[30.0]], [[1.0]]), PeriodicSchedule([1.0]), eta=0.4, **small)

@@ -245,3 +245,12 @@ def test_record_shows_itself():
     assert "<table>" in found._repr_html_()
     assert found.verify().explain().startswith("Proven: P > 0 and")
     assert found.verify()._rows()[0] == ("passed", "yes")
+
+
+def test_a_riccati_equation_without_solution_is_a_sentence(monkeypatch):
+    plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    monkeypatch.setattr(room, "_filter", lambda *given: None)
+    with pytest.raises(SolverError, match=r"equation at rate 0\.1 has no stabilising solution"):
+        room._largest_P(plant, 0.1, 1.0, 0.0, 1.0)
+    with pytest.raises(SolverError, match="equation at rate 0 has no stabilising solution"):
+        room.detectability_from_proof(plant)

@@ -1,5 +1,6 @@
 """Family certificates: reference values, all families, files, refusals at the door."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -243,3 +244,9 @@ def test_graphs_hold_what_their_words_say():
     assert twice.count == 7
     assert list(twice.tops) == [1.0] * 7
     assert {(e.source, e.target) for e in twice.edges if e.source == 2} == {(2, 6)}
+
+
+def test_a_record_by_hand_needs_a_family():
+    made = family.certify_family(OSCILLATOR, GapRange(0.9, 1.1), eta=0.2, memory=0)
+    with pytest.raises(ArgumentError, match="`schedule` must be a Schedule, a PeriodicSchedule or a family"):
+        dataclasses.replace(made, family="often")

@@ -5,6 +5,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design import PeriodicSchedule, Plant, plotting
+from sampling_design.certificates.compare.robustness import _tried
 from sampling_design.errors import ArgumentError
 from tests.oracles.families import largest_lambda
 
@@ -123,3 +124,8 @@ def test_what_cannot_be_asked_is_refused(planned):
         sd.robustness(Plant([[0.0, 1.0], [-2.0, 0.0]], [[1.0, 0.0]]), planned)
     with pytest.raises(ArgumentError, match="is too short for the planned schedule: it needs M >"):
         sd.robustness(OSCILLATOR, planned, length=0.5)
+
+
+def test_what_is_no_family_is_refused():
+    with pytest.raises(ArgumentError, match="`families` must hold families of schedules, got int 0"):
+        _tried(None, 0)

@@ -12,7 +12,7 @@ from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Pla
 from sampling_design.certificates.form import digest
 from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.checkers import check, claims, families
-from sampling_design.checkers.outcome import Refused
+from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.strict import BadFile
 from tests.oracles.families import step_holds
 
@@ -246,3 +246,24 @@ def test_what_is_no_word_of_a_family_is_a_bad_file(kind, word):
     data["graph"]["words"][1] = word
     with pytest.raises(BadFile, match="must be a word of the family, got a list"):
         claims.certificate(data | {"digest": digest.digest(data)})
+
+
+@pytest.mark.parametrize(
+    ("kind", "change", "words"),
+    [
+        ("jitter", {"radius": 9.0}, "must be less than half of the least gap"),
+        ("spaced-windows", {"count": 99}, "must have room for an endless schedule"),
+        ("jitter", {"schedule": {"kind": "finite", "times": [1.0, 2.0]}}, "must be periodic and have `gaps`"),
+    ],
+)
+def test_what_is_no_family_is_a_bad_file(kind, change, words):
+    data = data_of(kind)
+    data["times"] |= change
+    with pytest.raises(BadFile, match=words):
+        claims.certificate(data | {"digest": digest.digest(data)})
+
+
+def test_what_no_halving_decides_is_undecided(monkeypatch):
+    monkeypatch.setattr(families, "ROUNDS", 0)
+    with pytest.raises(Undecided, match="could not be decided: it is tight or nearly so"):
+        families.prove(claims.certificate(data_of("gap-range")))

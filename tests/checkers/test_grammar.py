@@ -169,6 +169,8 @@ def test_what_floats_can_not_decide_says_so():
     windows = sampled.Windows(numbers, made.schedule, numbers.P2, "x")
     with pytest.raises(Undecided, match="the information along the witness is beyond doubles"):
         windows.ratio(np.eye(2), 2 * np.eye(2), np.ones(2))
+    with pytest.raises(Undecided, match="the rounding along the witness is beyond doubles"):
+        windows.ratio(np.eye(2), np.full((2, 2), np.inf), np.ones(2))
     windows.start_band = 0.1 * np.eye(2)
     with pytest.raises(Undecided, match="but rounding leaves"):
         windows.attained(made.witness)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -389,3 +390,10 @@ def main(runs: int) -> None:
 
 if __name__ == "__main__":
     main(int(sys.argv[1]) if len(sys.argv) > 1 else 200)
+
+
+def test_a_start_that_nothing_closes_decides_no_factor():
+    said = SimpleNamespace(start=[np.inf], pushed=[0.0], noise=[0.0], shown=[0.0])
+    c = SimpleNamespace(factors={"all": (2.0, np.zeros(1))}, plant=SimpleNamespace(n=1))
+    with pytest.raises(Undecided, match="the factor of all could not be decided: its start is not closed"):
+        recovered.contradiction(c, SimpleNamespace(run=lambda *given: said))

@@ -361,3 +361,9 @@ def test_an_interrupt_is_130(copied):
         time.sleep(1.5)
         process.send_signal(signal.SIGINT)
         assert process.wait(10) == 130
+
+
+def test_what_no_halving_decides_is_undecided(monkeypatch):
+    monkeypatch.setattr(sampled, "ROUNDS", 0)
+    with pytest.raises(outcome.Undecided, match="could not be decided: it is tight or nearly so"):
+        sampled.prove(claims.certificate(certificates()[0].to_dict()))

@@ -3,11 +3,12 @@
 import json
 import signal
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from sampling_design.cli.planning import _now, plan
 from sampling_design.cli.planning import next_sample as next_command
-from sampling_design.cli.planning import plan
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.search import PlanSearch
@@ -77,3 +78,9 @@ def test_an_interrupt_writes_the_files_of_what_the_search_holds(shell, tmp_path,
     assert "certificate.json is not written: interrupted." in " ".join(result.err.split())
     assert json.loads((tmp_path / "out" / "plan.json").read_text())["status"] == "interrupted"
     assert (tmp_path / "out" / "plan.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_plan_without_dates_takes_no_date():
+    undated = SimpleNamespace(requirement=SimpleNamespace(calendar=None), plant=SimpleNamespace(time_unit="s"))
+    with pytest.raises(ArgumentError, match="`--now` must be a number of s, got 'tomorrow'"):
+        _now(Settings("next"), undated, "tomorrow")

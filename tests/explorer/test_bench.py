@@ -278,3 +278,8 @@ def test_a_notebook_gets_the_same_answers(monkeypatch):
     monkeypatch.setitem(sys.modules, "anywidget", None)
     with pytest.raises(MissingExtraError, match="anywidget"):
         explore(PLANT)
+
+
+def test_a_plan_needs_a_plan_requirement():
+    with pytest.raises(ArgumentError, match="`requirement` must be a plan requirement for that"):
+        Bench(PLANT)._plan()

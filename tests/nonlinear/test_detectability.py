@@ -171,3 +171,12 @@ def test_the_papers_weights_ask_for_a_lambda_that_random_pairs_miss():
     assert square == pytest.approx(found.quiet_lambda, rel=2e-2)
     assert found.least_lambda > 1e6  # with w read per second: Qw makes disturbances nearly free
     assert found.least_horizon() > 33.4
+
+
+def test_too_many_pairs_and_pairs_that_leave_are_refused():
+    given = {"cost": CostFunction(eta=0.1), "duration": 2.0}
+    burst = NonlinearPlant(lambda x, u, w: [x[0] ** 2], lambda x, u, v: [x[0] + v[0]], {"states": 1, "outputs": 1})
+    with pytest.raises(ArgumentError, match="`pairs` must be at most 1000000: each takes milliseconds"):
+        check_detectability(burst, SCHEDULE, ([1.0], [2.0]), pairs=1e18, **given)
+    with pytest.raises(ArgumentError, match="every pair left it"):
+        check_detectability(burst, SCHEDULE, ([1.0], [2.0]), pairs=1, **given)

@@ -1,5 +1,7 @@
 """The nonlinear estimator against a shooting method, and what it does when things go wrong."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -12,9 +14,11 @@ from sampling_design.nonlinear import thyroid
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.experiment import paper_weights
+from sampling_design.nonlinear.jacobians import model_of
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.open_loop import NOTE
+from sampling_design.nonlinear.promise import InclusionPromise
 from sampling_design.nonlinear.simulation import simulate
 from tests.oracles import nonlinear as oracle
 
@@ -374,3 +378,17 @@ def test_an_output_that_is_not_measured_is_free_also_where_noises_are_correlated
     scheme.reset()
     both = np.linalg.solve(np.eye(2) + V, [1.0, -0.5])
     assert scheme.update(0.0, [1.0, -0.5]).x == pytest.approx(both, abs=1e-7)
+
+
+def test_what_has_no_window_yet_smooths_nothing():
+    with pytest.raises(ArgumentError, match="`smoothed` needs a solved window"):
+        estimator().smoothed()
+
+
+def test_a_certificate_of_another_plant_or_of_many_words_promises_nothing():
+    alien = SimpleNamespace(kind="nonlinear", model_data={})
+    with pytest.raises(ArgumentError, match="`certificate` belongs to another plant: its dynamics differs"):
+        InclusionPromise(alien, PENDULUM, None)
+    wordy = SimpleNamespace(kind="nonlinear", model_data=model_of(PENDULUM), words=2)
+    with pytest.raises(ArgumentError, match=r"must have one P\(tau\) for all gaps"):
+        InclusionPromise(wordy, PENDULUM, None)

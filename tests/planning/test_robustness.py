@@ -2,14 +2,16 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.checkers.strict import BadFile
 from sampling_design.errors import FileFormatError
 from sampling_design.planning import accuracy_oracle as judges
-from sampling_design.planning import disturbed
+from sampling_design.planning import disturbed, files
 from sampling_design.planning.disturbed import plan_robustness, without
 from sampling_design.planning.files import save_plan
 from sampling_design.planning.plan import plan_certificate
@@ -124,3 +126,18 @@ def test_what_is_far_below_the_worst_is_not_looked_at_and_changes_nothing(week, 
         with monkeypatch.context() as patch:
             patch.setattr(judges, "FAR", 0.0)
             assert found == worst_ratio(week, lost, np.inf, until)
+
+
+def test_what_a_plan_file_holds_beside_the_plan_is_of_that_plan():
+    plant, own = sd.Plant([[0.0]], [[1.0]]), sd.PeriodicSchedule([1.0])
+    made = sd.certify(plant, own).to_dict()
+    others = sd.Plant([[1.0]], [[1.0]]), sd.PeriodicSchedule([2.0])
+    for value, found, words in (
+        (3, SimpleNamespace(), "must be a table of keys and values"),
+        (made, SimpleNamespace(plant=others[0], schedule=own), "is of another plant, or of no schedule"),
+        (made, SimpleNamespace(plant=plant, schedule=others[1]), "is of another schedule"),
+    ):
+        with pytest.raises(BadFile, match=words):
+            files._certificate(value, found)
+    with pytest.raises(BadFile, match="must have 2 entries, one for each sample"):
+        files._robustness({"times": [1.0]}, SimpleNamespace(samples=2))

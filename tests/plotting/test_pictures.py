@@ -3,6 +3,7 @@
 import itertools
 import struct
 from dataclasses import replace
+from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -18,6 +19,7 @@ from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.problem import pose_plan
 from sampling_design.plotting import style
+from sampling_design.plotting.explorations import draw_pareto
 from sampling_design.plotting.plans import draw_sensors, mark_days, whole
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -377,3 +379,8 @@ def test_a_smoothed_window_shows_its_deviations():
     assert len(first.collections[1].get_segments()) == 2
     own = style.new_axes()
     assert window.plot(own) is own
+
+
+def test_a_front_without_points_is_not_drawn():
+    with pytest.raises(ArgumentError, match="`record` has no point to draw: none of the counts can be met"):
+        draw_pareto(SimpleNamespace(points=[]))

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from sampling_design import read_plant
+from sampling_design.checkers import strict
 from sampling_design.errors import FileFormatError
 from sampling_design.records import file_io
 from sampling_design.records.file_io import csv_rows
@@ -160,3 +161,10 @@ def test_a_file_that_is_missing_suggests_none_that_shares_its_ending_only(tmp_pa
     (tmp_path / "osc.toml").write_text("")
     with pytest.raises(FileFormatError, match=rf"no such file\.{f' Did you mean {near}.' if near else ''}$"):
         read_plant(tmp_path / asked)
+
+
+def test_a_text_that_is_too_large_is_refused_before_it_is_read(monkeypatch):
+    monkeypatch.setattr(strict, "MOST_BYTES", 3)
+    for read in (file_io.from_json, file_io.from_toml):
+        with pytest.raises(FileFormatError, match="is too large: 4 characters, expected at most 3"):
+            read("a =1", "x")

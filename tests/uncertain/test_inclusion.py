@@ -8,10 +8,16 @@ import numpy as np
 import pytest
 
 from sampling_design import GapRange, PeriodicSchedule, Plant, Schedule, certify, read_certificate
-from sampling_design.checkers import check
+from sampling_design.certificates.rigorous.ball_problem import BallFailure
+from sampling_design.certificates.rigorous.decide import verify_rigorously
+from sampling_design.checkers import check, claims, inclusion, jumps
+from sampling_design.checkers.outcome import Undecided
 from sampling_design.checkers.parts import digest
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, UndecidedError
+from sampling_design.numerics import balls
+from sampling_design.numerics.ball_flow import TimeBudget
 from sampling_design.plants.plant import Signals
+from sampling_design.uncertain.inclusion import inclusion_balls
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion, longest_gap
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.uncertain.inclusion.program import InclusionProgram
@@ -97,8 +103,6 @@ def test_wrong_by_a_billionth_is_refused(by, certificate):
     verdict = check(wrong(certificate.to_dict(), by))
     assert verdict["verdict"] == "refuted"
     assert verdict["amount"] < 0
-    from sampling_design.certificates.rigorous.decide import verify_rigorously
-
     found = verify_rigorously(wrong(certificate.to_dict(), by))
     assert found.verdict == "refuted"
     with pytest.raises(AssertionError, match="certainly fails by"):
@@ -177,8 +181,6 @@ def test_multipliers_prove_a_box_and_are_needed():
     assert check(resealed(data, multipliers=plenty))["verdict"] == "proven"
     none = [[[0.0] for _ in range(2)] for _ in range(made.nodes.size - 1)]
     assert check(resealed(data, multipliers=none))["verdict"] != "proven"
-    from sampling_design.certificates.rigorous.decide import verify_rigorously
-
     assert verify_rigorously(resealed(data, multipliers=plenty)).verdict == "proven"
     assert verify_rigorously(resealed(data, multipliers=none)).verdict != "proven"
 
@@ -266,6 +268,7 @@ def test_a_graph_that_leaves_out_a_gap_is_refuted():
     edges = [edge for edge in data["graph"]["edges"] if edge[:2] != [0, 1]]
     found = check(resealed(data, graph={**data["graph"], "edges": edges}))
     assert (found["verdict"], found["inequality"]) == ("refuted", "graph")
+    assert verify_rigorously(resealed(data, graph={**data["graph"], "edges": edges})).inequality == "graph"
 
 
 # --- what a sample shows at least, over all C -------------------------------------------------------------------------
@@ -286,8 +289,6 @@ def gained(low, high, share):
 @pytest.mark.parametrize("rigorous", [False, True])
 @pytest.mark.parametrize(("low", "high"), [(0.3, 1.7), (0.9, 1.1), (0.5, 4.0)])
 def test_what_the_least_gain_shows_is_proven_and_more_is_refuted_with_it(low, high, rigorous):
-    from sampling_design.certificates.rigorous.decide import verify_rigorously
-
     judge = (lambda d: verify_rigorously(d).verdict) if rigorous else (lambda d: check(d)["verdict"])
     assert judge(gained(low, high, 0.999)) == "proven"
     assert judge(gained(low, high, 1.001)) == "refuted"
@@ -570,3 +571,30 @@ def test_a_checker_reads_no_box_that_a_record_would_not_hold(change, match, cert
     path.write_text(json.dumps(data))
     with pytest.raises(FileFormatError, match=match):
         read_certificate(path)
+
+
+def test_sets_of_outputs_that_no_halving_decides_are_undecided(monkeypatch):
+    """One C of two that turn against each other: no tangent serves both, the sets between them are to be halved."""
+    model = UncertainPlant(
+        Plant(-np.eye(2), [[0.5, 0.5]]), vertices=[Plant(-np.eye(2), C) for C in (((1, 0),), ((0, 1),))]
+    )
+    made = certify_inclusion(model, GapRange(0.5, 0.5), eta=0.1, pieces=1).to_dict()
+    weights = {"Qw": [[100.0, 0.0], [0.0, 100.0]], "R": [[2.0]], "Qv": [[2.0]], "lam": 210.0, "lam_samples": 210.0}
+    P = [[[1.0, 0.0], [0.0, 1.0]], [[1.1, -0.2], [-0.2, 1.1]]]
+    whole = resealed(made, P=P, P1=[[0.01, 0.0], [0.0, 0.01]], P2=[[2.0, 0.0], [0.0, 2.0]], **weights)
+    assert check(whole)["verdict"] == verify_rigorously(whole).verdict == "proven"
+    tight = claims.certificate(whole)
+    monkeypatch.setattr(jumps, "MOST_SETS", 0)
+    with pytest.raises(Undecided, match="could not be decided: it is tight or nearly so"):
+        inclusion.prove(tight)
+    monkeypatch.setattr(inclusion_balls, "MOST_SETS", 0)
+    with balls.precision():
+        with pytest.raises(BallFailure, match="could not be decided: it is tight or nearly so"):
+            inclusion_balls.inclusion(tight, TimeBudget(60.0))
+        with pytest.raises(BallFailure, match="x > 0 could not be decided: it is tight or nearly so"):
+            inclusion_balls.positive("x > 0", balls.matrix([[1.0, 1.0], [1.0, 1.0]]), balls.identity(2))
+
+
+def test_numbers_whose_products_leave_all_doubles_are_undecided():
+    with pytest.raises(Undecided, match="too large or too small for an honest check in doubles"):
+        inclusion.plain(np.array([[1e200]]))

@@ -17,6 +17,13 @@ from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 NOWHERE = {"low": [], "high": []}
 SINE = {"code": [["x", 0], ["sin", 0], ["w", 0], ["add", 1, 2]], "outputs": [3]}
+TWICE = {
+    "code": [
+        *(["x", 0], ["constant", 0.5], ["mul", 0, 1], ["sin", 2], ["cos", 2], ["mul", 3, 4], ["twice", 5]),
+        *(["constant", 0.9], ["mul", 6, 7], ["w", 0], ["add", 8, 9]),
+    ],
+    "outputs": [10],
+}
 OUTPUT = {"code": [["x", 0]], "outputs": [0]}
 
 
@@ -65,9 +72,7 @@ def test_the_region_decides(slopes):
 
 def test_dependent_numbers_are_cut_into_cells(slopes):
     # sin x cos x + sin x cos x = sin 2x: interval by interval twice as wide as it is
-    code = [["x", 0], ["constant", 0.5], ["mul", 0, 1], ["sin", 2], ["cos", 2], ["mul", 3, 4], ["twice", 5]]
-    code += [["constant", 0.9], ["mul", 6, 7], ["w", 0], ["add", 8, 9]]
-    assert both(nonlinear(slopes, {"code": code, "outputs": [10]}, low=-4.0, high=4.0)) == "proven"
+    assert both(nonlinear(slopes, TWICE, low=-4.0, high=4.0)) == "proven"
 
 
 def test_too_steep_is_refused_at_a_point(slopes):
@@ -150,3 +155,11 @@ def test_a_region_without_a_state_is_a_bad_file_and_refused_at_the_door(slopes, 
     assert both(data) == "bad file"
     with pytest.raises(ArgumentError, match="`rows` and `offsets` of a region must "):
         StateRegion([1.0], [2.0], [[1.0]], [1 - 1e-12])
+
+
+def test_a_cell_that_no_halving_decides_is_undecided(slopes, monkeypatch):
+    from sampling_design.uncertain.inclusion import region_balls
+
+    monkeypatch.setattr(region_balls, "DEPTH", 0)
+    found = verify_rigorously(nonlinear(slopes, TWICE, low=-4.0, high=4.0))
+    assert (found.verdict, "could not be decided: it is tight or nearly so" in found.reason) == ("undecided", True)

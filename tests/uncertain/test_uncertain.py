@@ -8,6 +8,7 @@ import pytest
 from sampling_design import Plant
 from sampling_design.checkers.strict import BadFile
 from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.uncertain.nominal_filter import NominalFilter
 from sampling_design.uncertain.plants.parameter import UncertainParameter
 from sampling_design.uncertain.plants.plant_files import ends
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
@@ -159,3 +160,8 @@ def test_long_texts_in_files_are_read_once():
         with pytest.raises(BadFile, match='"middle \\+- half", got a text'):
             ends(text, "`A[0][0]`")
     assert ends(" -1.5e3 +- .5e3", "") == (-2000.0, -1000.0)
+
+
+def test_a_filter_of_the_nominal_plant_needs_one_that_is_not_exactly_known():
+    with pytest.raises(ArgumentError, match="`plant` must be an UncertainPlant, got Plant"):
+        NominalFilter(Plant([[0.0]], [[1.0]]))

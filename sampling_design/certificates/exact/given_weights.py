@@ -47,8 +47,6 @@ def met(plant: Plant, schedule: AnySchedule) -> AnySchedule:
     ArgumentError
         If they do not fit, or the schedule holds no sample later than time 0.
     """
-    if not isinstance(plant, Plant):
-        raise ArgumentError(f"`plant` must be a Plant, got {type(plant).__name__}.")
     schedule = meet(plant, schedule)
     endless = isinstance(schedule, PeriodicSchedule)  # whose period comes again, though its first sample be at time 0
     if not len(schedule) or (schedule.times[-1] == 0 and not endless):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.checkers.inclusion_file import Region
 from sampling_design.checkers.inclusion_file import region as region_of
 from sampling_design.checkers.parts import Plant as FilePlant
 from sampling_design.checkers.slopes import enclosed
@@ -107,21 +108,47 @@ def members_of(plant: PlantEquations, rng: np.random.Generator) -> InclusionMemb
     Raises
     ------
     ArgumentError
-        If no point lies in the region or no Jacobian there is finite.
+        If no point lies in the region or no Jacobian there is finite, or what has no bound makes them unbounded.
     """
     points = points_of(plant, rng)
     AG, C = jacobians_at(plant, *points) if len(points[0]) else (np.zeros((0, 0, 0)), np.zeros((0, 0, 0)))
     if not len(AG):
         raise ArgumentError("`region` must hold states at which the model has derivatives, got none among its points.")
+    if names := without_bound(plant, np.concatenate([part[-1] for part in points])):
+        raise ArgumentError(
+            f"`plant` must have derivatives that are bounded over its region and boxes, and {', '.join(names)} without "
+            "a bound makes them infinite. Give it one: `in_region` for states, `with_bounds` for the others."
+        )
     AG, C = distinct(AG), distinct(C)
     return InclusionMembers(AG, C, tuple(f"point {k}" for k in range(len(AG))), len(AG) == 1 and len(C) == 1)
+
+
+def without_bound(plant: PlantEquations, point: Array) -> list[str]:
+    """What makes derivatives infinite by having no bound, all else at a point: no cell of a region then proves any."""
+    low, high = (np.concatenate([np.ravel(bounds[k]) for bounds in boxes_of(plant)]) for k in (0, 1))
+    names = [name for key in ("states", "inputs", "disturbances") for name in plant.signals[key].names]
+    free = np.flatnonzero(~(np.isfinite(low) & np.isfinite(high)))
+    if not free.size:
+        return []
+    apart = np.vstack([np.eye(low.size, dtype=bool)[free], np.isin(np.arange(low.size), free)])
+    cells = np.where(apart, low, point), np.where(apart, high, point)
+    with np.errstate(all="ignore"):
+        found = [part for of_f in (True, False) for part in enclosed(region_model(plant), *cells, of_f)]
+    fine = np.all([np.isfinite(part).all(axis=(*range(part.ndim - 3), -2, -1)) for part in found], axis=0)
+    alone = [names[k] for k, ok in zip(free, fine[:-1], strict=True) if not ok]
+    return alone or ([] if fine[-1] else [names[k] for k in free])
+
+
+def region_model(plant: PlantEquations) -> Region:
+    """The plant as the checkers read it."""
+    centre = plant.centre
+    return region_of(model_of(plant), FilePlant(centre.A, centre.C, centre.G, centre.time_unit))
 
 
 def hull_of(plant: PlantEquations, halvings: int, size: Callable[[Array], Array]) -> MemberHull | None:
     """Return what interval arithmetic says over cells of the region, halved where it helps; None if not finite."""
     low, high = (np.concatenate([np.ravel(bounds[k]) for bounds in boxes_of(plant)])[None] for k in (0, 1))
-    centre = plant.centre
-    model = region_of(model_of(plant), FilePlant(centre.A, centre.C, centre.G, centre.time_unit))
+    model = region_model(plant)
 
     def cells(low: Array, high: Array) -> tuple[Array, Array]:
         M, E, moves = enclosed(model, low, high, True)

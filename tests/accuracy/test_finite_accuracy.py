@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.accuracy import finite
+from sampling_design.errors import ArgumentError, UndecidedError
 from tests.cases import few
 from tests.oracles import accuracy as oracle
 
@@ -249,7 +249,9 @@ def test_what_no_sample_shows_stays_unknown_however_fast_it_fades():
     )
     assert found.upper == pytest.approx([np.inf, 0.1], rel=1e-3)
     with pytest.raises(UndecidedError, match="becomes so small beside the rest"):
-        sd.guaranteed_accuracy(sd.Plant(np.diag([-400.0, -0.1]), [[0.0, 1.0]], G=np.eye(2)), sd.Schedule([0.0, 1.0]), **known)
+        sd.guaranteed_accuracy(
+            sd.Plant(np.diag([-400.0, -0.1]), [[0.0, 1.0]], G=np.eye(2)), sd.Schedule([0.0, 1.0]), **known
+        )
 
 
 @pytest.mark.parametrize("covariance", [np.zeros((1, 1)), np.diag([1.0, -1.0])])

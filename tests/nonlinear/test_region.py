@@ -12,6 +12,7 @@ from sampling_design.checkers.intervals import Interval
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.nonlinear import examples
 from sampling_design.nonlinear.instructions import instructions
+from sampling_design.nonlinear.jacobians import points_of, without_bound
 from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.simulation import simulate
 from sampling_design.nonlinear.thyroid import thyroid
@@ -179,3 +180,29 @@ def test_a_region_with_a_pole_in_its_middle_is_refused_in_its_own_words():
     beside = NonlinearPlant(moves[0], shown[0], SIZES).in_region([0.0, -1.0], [1.0, 1.0])
     with pytest.raises(UndecidedError, match="no P"):  # the Jacobian is unbounded at the region's edge
         certify_inclusion(beside, GapRange(0.1, 0.5), eta=0.05, pieces=4)
+
+
+@pytest.mark.parametrize(
+    ("rate", "name"),
+    [
+        (lambda x, u, w: [w[0] * x[0] - x[0]], "w1"),
+        (lambda x, u, w: [u[0] * x[0] - x[0] + w[0]], "u1"),
+        (lambda x, u, w: [w[0] ** 2 - x[0]], "w1"),
+        (lambda x, u, w: [u[0] * w[0] * x[0] - x[0]], "u1, w1"),
+    ],
+)
+def test_what_multiplies_a_state_and_has_no_bound_is_refused_before_any_search(rate, name, monkeypatch):
+    sizes = {"states": 1, "inputs": 1, "disturbances": 1, "outputs": 1}
+    plant = NonlinearPlant(rate, lambda x, u, v: [x[0] + v[0]], sizes).in_region([-1.0], [1.0])
+    monkeypatch.setattr(InclusionSearch, "solve", None)
+    with pytest.raises(ArgumentError, match=f"and {name} without a bound makes them infinite"):
+        certify(plant, GapRange(0.1, 0.5), eta=0.1)
+
+
+@pytest.mark.parametrize(
+    "name", ["pendulum", "van_der_pol", "batch_reactor", "quadruple_tank", "bioreactor", "unicycle"]
+)
+def test_what_is_linear_or_saturates_needs_no_bound(name):
+    plant = getattr(examples, name)()
+    point = np.concatenate([part[-1] for part in points_of(plant, np.random.default_rng(0))])
+    assert without_bound(plant, point) == []

@@ -52,10 +52,11 @@ class PosedMembers:
         schedules: Schedules,
         graph: PathCompleteGraph,
         weights: InclusionWeights,
+        noise_gain: float,
         deadline: float = np.inf,
         seed: int = 0,
     ) -> None:
-        self.deadline = deadline
+        self.noise_gain, self.deadline = noise_gain, deadline
         self.plant, self.schedules, self.graph, self.weights = plant, schedules, graph, weights
         self.centre = plant.centre
         self.longest = float(graph.tops.max())

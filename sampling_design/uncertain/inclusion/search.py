@@ -8,15 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.certificates.form.verdict import Verification
 from sampling_design.certificates.rigorous.decide import judged
 from sampling_design.errors import ArgumentError
 from sampling_design.records.evidence import SolverRecord
 from sampling_design.records.record import Plain
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
-from sampling_design.uncertain.inclusion.layout import Schedules
-from sampling_design.uncertain.inclusion.members import INFLATED, InclusionWeights, PosedMembers
+from sampling_design.uncertain.inclusion.members import INFLATED, PosedMembers
 from sampling_design.uncertain.inclusion.program import (
     SMALLEST,
     InclusionProgram,
@@ -25,7 +23,6 @@ from sampling_design.uncertain.inclusion.program import (
     jump_slacks,
 )
 from sampling_design.uncertain.inclusion.stiff import solve_stiff
-from sampling_design.uncertain.plants.inclusion import LinearInclusion
 
 Array = npt.NDArray[np.float64]
 
@@ -64,19 +61,6 @@ class InclusionSolution:
 
 class InclusionSearch(PosedMembers):
     """The programs of one plant, range of gaps and choice of weights, under a budget for lambda."""
-
-    def __init__(
-        self,
-        plant: LinearInclusion,
-        schedules: Schedules,
-        graph: PathCompleteGraph,
-        weights: InclusionWeights,
-        noise_gain: float,
-        deadline: float = np.inf,
-        seed: int = 0,
-    ) -> None:
-        super().__init__(plant, schedules, graph, weights, deadline, seed)
-        self.noise_gain = noise_gain
 
     def solve(self, eta: float, pieces: int, narrow: bool = True) -> InclusionSolution | None:
         """The narrowest P(tau) found; None if there is none. Members that it violates join until none does."""

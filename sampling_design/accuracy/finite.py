@@ -64,7 +64,7 @@ def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, i
     F, W = F * D / D[:, None], W / np.outer(D, D)
     rows = [H * D for H in rows]
     D = balance * D
-    P = _opening(initial, D)
+    P = opening(initial, D)
     before, after = [], []
     for j, H in enumerate(rows):
         before.append(P)
@@ -122,7 +122,7 @@ def _scales(F: Array, W: Array, rows: list[Array], initial: InitialSet, balance:
     return np.where(known == 0, D, np.where(driven, np.minimum(D, BEYOND * size), size))
 
 
-def _opening(initial: InitialSet, D: Array) -> Array:
+def opening(initial: InitialSet, D: Array) -> Array:
     """Covariance at the start."""
     known = initial.S * D
     information = known.T @ known + np.eye(D.size) / DIFFUSE

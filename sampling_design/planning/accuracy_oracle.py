@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.accuracy.finite import NO_ERROR
+from sampling_design.accuracy.start import StartSet
 from sampling_design.planning.adversary_program import DisturbedTrajectory, RasterWindow, in_stages, opened
 from sampling_design.planning.discrete_plant import DiscretePlant, UndetectedModes, hidden_at
 from sampling_design.planning.filter_deviation import RasterFilter
@@ -69,6 +73,12 @@ class AccuracyOracle:
         self.work = work
         if self.spread is not None:
             self.spread.work = work
+
+    @cached_property
+    def opening(self) -> StartSet:
+        """What is known of the error when the plan starts."""
+        T = self.motion.T
+        return self.problem.initial.scaled(T, np.linalg.norm(T, axis=1), NO_ERROR)
 
     def judge(
         self, chosen: Mask, above: float = np.inf, *, longest: bool = False

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.accuracy.start import StartSet
 from sampling_design.numerics.conic_programs import INFEASIBLE, SOLVED, UNBOUNDED, ConeSolver
 from sampling_design.numerics.stage_programs import StageProgram
 from sampling_design.planning.discrete_plant import DiscretePlant
@@ -99,11 +100,19 @@ def in_stages(motion: DiscretePlant, knots: npt.NDArray[np.intp]) -> bool:
 class RasterWindow:
     """Samples at `knots` (steps, increasing), each measuring `seen` (K, p); the motion starts at rest at knots[0].
 
+    Or in the set `start` of z there, which may leave it free: what is then wanted may be unbounded.
     `faint`: (K, p) weights; where not zero, an output may exceed its bound, and its excess is what is minimised.
     """
 
-    def __init__(self, motion: DiscretePlant, knots: npt.NDArray[np.intp], seen: Mask, faint: Array | None = None):
-        self.motion, self.knots, self.seen, self.faint = motion, knots, seen, faint
+    def __init__(
+        self,
+        motion: DiscretePlant,
+        knots: npt.NDArray[np.intp],
+        seen: Mask,
+        faint: Array | None = None,
+        start: StartSet | None = None,
+    ):
+        self.motion, self.knots, self.seen, self.faint, self.start = motion, knots, seen, faint, start
         n, q = motion.n, motion.G.shape[1]
         self._gaps = [motion.gap(int(d)) for d in np.diff(knots)]
         self._w_at = np.concatenate([[0], np.cumsum([len(cells) * q for _, _, cells in self._gaps])]).astype(int)
@@ -114,7 +123,7 @@ class RasterWindow:
         self._soft, self._built = soft, False
         self._known: list[tuple[Array, tuple[Array, Array, str]]] = []
         self._stages: StageProgram | None = None
-        if faint is None and in_stages(motion, knots):
+        if faint is None and start is None and in_stages(motion, knots):
             seen_rows = [motion.H[chosen] for chosen in seen]
             self._stages = StageProgram([F for F, _, _ in self._gaps], [B for _, B, _ in self._gaps], seen_rows)
             self.price, self.entries = STAGES, int(len(knots) * n**1.5)
@@ -125,11 +134,15 @@ class RasterWindow:
         self._built = True
         motion, n, q = self.motion, self.motion.n, self.motion.G.shape[1]
         rows = _RowGatherer()
-        rows.add(np.zeros(n), (0, np.eye(n)))
+        if self.start is None:
+            rows.add(np.zeros(n), (0, np.eye(n)))
         for k, (F, blocks, _) in enumerate(self._gaps):
             rows.add(np.zeros(n), ((k + 1) * n, np.eye(n)), (k * n, -F), (int(self._w_at[k]), -blocks))
         cones = [("zero", rows.count)]
         start, slack = rows.count, self._slack_at
+        opening = np.zeros((0, n)) if self.start is None or self.start.S is None else self.start.S
+        if len(opening) and self.start is not None and not self.start.ball:
+            rows.add(np.ones(2 * len(opening)), (0, np.vstack([opening, -opening])))
         for k in range(len(self.knots)):
             hard = motion.H[self.seen[k]]
             if len(hard):
@@ -149,6 +162,8 @@ class RasterWindow:
             columns = np.concatenate([spots, spots]) + int(self._w_at[0])
             signs = np.repeat([1.0, -1.0], many)
             rows.add_entries(np.ones(2 * many), signs, np.arange(2 * many), columns)
+        if not rows.count:  # nothing is known and nothing read: a program needs a row
+            rows.add(np.ones(1), (0, np.zeros((1, n))))
         cones.append(("nonnegative", rows.count - start))
         if motion.ball and many:
             spots = np.arange(many)
@@ -156,9 +171,12 @@ class RasterWindow:
             top[:: q + 1] = 1.0
             rows.add_entries(top, -np.ones(many), spots // q * (q + 1) + 1 + spots % q, spots + int(self._w_at[0]))
             cones += [("second order", q + 1)] * (many // q)
+        if len(opening) and self.start is not None and self.start.ball:
+            rows.add(np.append(1.0, np.zeros(len(opening))), (0, np.vstack([np.zeros((1, n)), -opening])))
+            cones.append(("second order", len(opening) + 1))
         self._b = np.concatenate(rows.b)
         self._A = rows.matrix(self._columns)
-        self._cones = cones
+        self._cones = [(kind, size) for kind, size in cones if size]
         self.price, self.entries = CONE, sum(part[0].size for part in rows.parts)
         self._solver: ConeSolver | None = None
 
@@ -189,8 +207,10 @@ class RasterWindow:
         return np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64), status
 
     def reach(self, mu: Array) -> float:
-        """About the largest mu'z at the last knot, as the solver says."""
+        """About the largest mu'z at the last knot, as the solver says; infinite where the start leaves it free."""
         x, _, status = self._solved(mu)
+        if self.start is not None and status == UNBOUNDED:
+            return np.inf
         n, K = self.motion.n, len(self.knots)
         usable = status not in (INFEASIBLE, UNBOUNDED) and np.isfinite(x).all()
         return float(mu @ x[(K - 1) * n : K * n]) if usable else 0.0

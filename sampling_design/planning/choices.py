@@ -170,7 +170,7 @@ class NextChoices:
             every = np.concatenate([self.history.times, [t], times])
             masks = np.concatenate([self.history.seen, mask[None], seen])
             keep = ~too_soon(self.plan.problem, every, masks, len(self.history.times) + 1)
-            yield SampleSequence(every[keep], masks[keep], self.history.first, clock, since=self.now)
+            yield replace(self.history, times=every[keep], seen=masks[keep], clock=clock, since=self.now)
 
     def sequence(self, choice: Option) -> SampleSequence:
         """The best of them, as far as is known."""

@@ -17,7 +17,15 @@ import numpy.typing as npt
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import gap_ratios, proven_ratio, settles
-from sampling_design.planning.sequence_deviation import SampleSequence, departs_and_returns, is_apart, planned, too_soon
+from sampling_design.planning.sequence_deviation import (
+    GRAIN,
+    SampleSequence,
+    departs_and_returns,
+    is_apart,
+    planned,
+    too_soon,
+)
+from sampling_design.planning.start import plan_start
 from sampling_design.records import checks
 from sampling_design.records.record import Plain, Record, counted, short
 from sampling_design.records.signatures import checked
@@ -82,17 +90,21 @@ class PlanDates(Record):
     plan : Plan
     entries : tuple of PlannedDate
     exceptions : tuple of DateException
-        Changes of the clocks and holidays, each with what is proven across it.
+        Changes of the clocks and holidays, each with what is proven across it, from `kept_from` on.
+    kept_from : float
+        From when on the plan keeps the tolerances after its start, but for exceptions, in real time since then [the
+        plant's time unit]: 0 where the requirement's `initial_error` is small enough, infinite where nothing is proven.
     """
 
     plan: Plan
     entries: tuple[PlannedDate, ...]
     exceptions: tuple[DateException, ...]
+    kept_from: float = 0.0
 
     @property
     def keeps(self) -> bool:
-        """Whether the tolerances are proven to be kept across all exceptions."""
-        return all(e.proven and e.ratio <= 1 for e in self.exceptions)
+        """Whether the tolerances are proven to be kept from `kept_from` on, across all exceptions."""
+        return bool(np.isfinite(self.kept_from)) and all(e.proven and e.ratio <= 1 for e in self.exceptions)
 
     def schedule(self) -> Schedule:
         """The samples as a finite schedule in real time, with its origin."""
@@ -111,13 +123,27 @@ class PlanDates(Record):
         rows = [("samples", str(len(self.entries)))]
         if self.entries:
             rows.append(("from, to", f"{self.entries[0].date:%Y-%m-%d}, {self.entries[-1].date:%Y-%m-%d}"))
+        rows.append(("kept from", self._since()))
         for e in self.exceptions:
             rows.append((e.date, f"{e.what}: {short(e.ratio, 4)} of the tolerance{'' if e.proven else ', not proven'}"))
         return rows
 
+    def _since(self) -> str:
+        """From when on, in words."""
+        if not np.isfinite(self.kept_from):
+            return "not proven"
+        assert self.plan.requirement.calendar is not None
+        date = self.plan.requirement.calendar.date(self.plan.minutes(self.kept_from))
+        return f"{date:%Y-%m-%d %H:%M}" if self.kept_from else "the start on"
+
     def explain(self) -> str:
-        """Say whether the dates keep what the plan promises."""
+        """Say whether the dates keep what the plan promises, and from when on."""
         samples = counted(len(self.entries), "sample")
+        since = f" The tolerances are kept from {self._since()}{' on' * bool(self.kept_from)}."
+        since = since if np.isfinite(self.kept_from) else " From when on the tolerances are kept is not proven."
+        return self._told(samples) + since
+
+    def _told(self, samples: str) -> str:
         if not self.exceptions:
             return f"{samples} as planned; no change of the clocks and no holiday among them."
         told = f"{samples} with {counted(len(self.exceptions), 'exception')}"
@@ -134,6 +160,7 @@ class PlanDates(Record):
                 {"date": e.date.isoformat(), "time": e.time, "outputs": list(e.outputs), "added": e.added}
                 for e in self.entries
             ],
+            "kept_from": self.kept_from if np.isfinite(self.kept_from) else None,
             "exceptions": [
                 {"what": e.what, "date": e.date, "proven": e.proven, "ratio": e.ratio if np.isfinite(e.ratio) else None}
                 for e in self.exceptions
@@ -165,8 +192,9 @@ def plan_dates(plan: Plan, periods: int = 1, *, prove: bool = True) -> PlanDates
 
     Notes
     -----
-    *Claim.* Before `calendar.start` the plan was followed, and from the period after the last one it is again; between
-    them the samples are those of the dates, at their real times. *Method.* Up to three samples are added around those
+    *Claim.* The plan begins at `calendar.start`, with an error within the requirement's `initial_error`, or any; from
+    the period after the last one it is followed again; between them the samples are those of the dates, at their real
+    times. From `kept_from` on the tolerances are kept. *Method.* Up to three samples are added around those
     that are left out, each at the open time after which least of the accuracy is above its tolerance, integrated over
     time; none where that takes off less than a tenth.
     """
@@ -198,7 +226,10 @@ class _Dating:
         self.end, self.known = (count * plan.schedule.period for count in (periods, periods + 1))
         self.clock = replace(plan.clock, until=float(plan.clock.elapsed(self.known)))
         self.span = settles(plan) * plan.schedule.period / len(plan.schedule) + plan.schedule.period
-        self.times, self.seen = planned(plan, -self.span, self.known + self.span)
+        self.times, self.seen = planned(plan, 0.0, self.known + self.span)
+        start = plan.start or plan_start(plan)
+        self.since = np.inf if start is None else float(self.clock.elapsed(start.from_time))
+        """From when on the plan keeps the tolerances if nothing is left out, in real time."""
         self.open = np.array([not 0 <= t < self.known or self.is_open(t) for t in self.times.tolist()], dtype=bool)
         self.soon = np.zeros(self.open.size, dtype=bool)
         self.soon[self.open] = too_soon(plan.problem, self.clock.elapsed(self.times[self.open]), self.seen[self.open])
@@ -236,7 +267,12 @@ class _Dating:
             seen = np.concatenate([seen, np.array([s for _, s in added])])
         real = self.clock.elapsed(times)
         order = np.argsort(real, kind="stable")
-        whole = SampleSequence(real[order], seen[order], len(real), self.clock)
+        real, seen = real[order], seen[order]
+        if start <= 0:
+            if not real.size or real[0] > 0:
+                real, seen = np.append(0.0, real), np.concatenate([np.zeros((1, seen.shape[1]), dtype=bool), seen])
+            return SampleSequence(real, seen, 0, self.clock, begins=True)
+        whole = SampleSequence(real, seen, len(real), self.clock)
         return replace(whole, first=departs_and_returns(self.plan, whole)[0])
 
     def added(self, level: float) -> list[DatedSample]:
@@ -291,22 +327,22 @@ class _Dating:
         about = [(t, float(self.clock.elapsed(t)), what) for t, what in self.exceptions(added)]
         ratios = self.ratios(whole, [real for _, real, _ in about])
         exceptions, ends = [], np.append(whole.times, np.inf)
+        tiny = GRAIN * self.plan.schedule.period
+        since = self.since if np.isfinite(self.since) else 0.0
         for k, (t, real, what) in enumerate(about):
-            later = min((other for _, other, _ in about[k + 1 :] if other > real), default=np.inf)
-            gaps = [g for g in ratios if ends[g + 1] >= real and ends[g] < later]
+            later = min((other for _, other, _ in about[k + 1 :] if other > max(real, since)), default=np.inf)
+            gaps = [g for g in ratios if ends[g] >= since - tiny and ends[g + 1] >= real and ends[g] < later]
             ratio, proven = max((ratios[g][0] for g in gaps), default=0.0), all(ratios[g][1] for g in gaps)
             if t < self.end:
                 day = self.calendar.local(t * self.clock.minutes).date().isoformat()
                 exceptions.append(DateException(what, day, ratio, proven and self.prove))
-        return PlanDates(self.plan, self.entries(added), tuple(exceptions))
+        return PlanDates(self.plan, self.entries(added), tuple(exceptions), self.since)
 
     def ratios(self, whole: SampleSequence, about: list[float]) -> dict[int, tuple[float, bool]]:
-        """Of each gap that exceptions at real times can touch: accuracy over tolerance, and whether it is proven."""
-        if not about:
-            return {}
+        """Of each gap that the start or exceptions can touch: accuracy over tolerance, and whether it is proven."""
         if not self.prove:
             period, found = self.plan.schedule.period, dict[int, float]()
-            for real in about:
+            for real in (0.0, *about):
                 found |= gap_ratios(self.plan, whole, real - AROUND * self.day, real + period)
             return {k: (ratio, False) for k, ratio in found.items()}
         proven = dict[int, float]()

@@ -36,6 +36,7 @@ from sampling_design.planning.problem import PlanProblem, pose_plan
 from sampling_design.planning.proven_choice import proven_plan
 from sampling_design.planning.requirement_file import plan_requirement_from_dict
 from sampling_design.planning.robustness import PlanRobustness
+from sampling_design.planning.start import PlanStart
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import first_difference
 from sampling_design.records.checks import freeze
@@ -69,6 +70,13 @@ _ROBUSTNESS = table(
         "lost_ratio": list_of(or_nothing(nonnegative)),
     }
 )
+_START = table(
+    {
+        "time_unit": time_unit,
+        **dict.fromkeys(("from_time", "ratio"), or_nothing(nonnegative)),
+        "bounded": flag,
+    }
+)
 _TREE: Reader = table(
     {
         "format": word(FORMAT),
@@ -83,7 +91,12 @@ _TREE: Reader = table(
         "no_better_than": or_nothing(_PROOF),
         "no_cheaper_than": or_nothing(_PROOF),
     },
-    {"certificate": anything, "robustness": or_nothing(_ROBUSTNESS), "left_out": list_of(word(*LEFT_OUT))},
+    {
+        "certificate": anything,
+        "robustness": or_nothing(_ROBUSTNESS),
+        "start": or_nothing(_START),
+        "left_out": list_of(word(*LEFT_OUT)),
+    },
     whole="the plan",
 )
 
@@ -156,6 +169,7 @@ def read_plan(path: str | os.PathLike[str]) -> Plan:
             certificate=_certificate(tree.get("certificate"), found),
             robustness=_robustness(tree.get("robustness"), found),
             left_out=tuple(tree.get("left_out", ())),
+            start=_start(tree.get("start")),
         )
 
 
@@ -170,6 +184,14 @@ def _certificate(data: object, found: Plan) -> Certificate | None:
     if not same_samples(certificate.schedule, found.schedule):
         raise refuse("certificate", "is of another schedule")
     return certificate
+
+
+def _start(data: object) -> PlanStart | None:
+    if data is None:
+        return None
+    assert isinstance(data, Mapping)
+    never = {key: np.inf for key in ("from_time", "ratio") if data[key] is None}
+    return PlanStart(**{**data, **never})
 
 
 def _robustness(data: object, found: Plan) -> PlanRobustness | None:

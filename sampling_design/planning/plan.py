@@ -32,6 +32,7 @@ from sampling_design.planning.problem import SAME_PRICE, PlanProblem, coarser, p
 from sampling_design.planning.proven_choice import plan_of, proof_of
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.search import PlanSearch
+from sampling_design.planning.start import plan_start
 from sampling_design.planning.undetected_modes import finer_raster, modes_of
 from sampling_design.planning.work_budget import AFTER, CERTIFIED, GAINS, WorkBudget, WorkSpentError
 from sampling_design.plants.plant import Plant
@@ -118,9 +119,10 @@ def plan_samples(
 
     Notes
     -----
-    *Claim.* `reached` is proven for all real times by `guaranteed_accuracy`; no admissible choice on the raster of the
-    same cost is better than `bound.ratio.level` times every tolerance, and none keeps them for less than
-    `bound.cost.value`.
+    *Claim.* `reached` is proven for all real times by `guaranteed_accuracy`, of a plan followed for ever; `start`
+    says from when on after its start the tolerances are kept, whatever the error was then or within `initial_error`. No
+    admissible choice on the raster of the same cost is better than `bound.ratio.level` times every tolerance, and none
+    keeps them for less than `bound.cost.value`.
     *Method.* Attacks: disturbances that drive a goal to its tolerance while nothing measured shows them. Any plan must
     see every attack; moved by whole steps, an attack is one again. The cheapest choice that sees all attacks so far is
     judged, and what breaks it joins (implicit hitting sets). The bounds are multipliers over attacks. *Numerical
@@ -166,8 +168,9 @@ def plan_samples(
         return None
 
     certified = room_for("certificate", plan_certificate) if certificate else None
+    begins = room_for("start", plan_start)
     bears = room_for("robustness", plan_robustness) if robustness else None
-    return replace(found, certificate=certified, robustness=bears, left_out=tuple(left_out))
+    return replace(found, certificate=certified, start=begins, robustness=bears, left_out=tuple(left_out))
 
 
 def plan_certificate(found: Plan, work: WorkBudget | None = None) -> Certificate | None:

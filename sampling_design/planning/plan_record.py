@@ -18,6 +18,7 @@ from sampling_design.planning.evidence import attack_to_dict, holds, proof_to_di
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.filter_deviation import RasterFilter
 from sampling_design.planning.problem import PlanProblem
+from sampling_design.planning.start import PlanStart, starts
 from sampling_design.plants.plant import first_difference
 from sampling_design.records.record import Plain, counted, short
 from sampling_design.records.units import spoken
@@ -32,10 +33,13 @@ SAME = 1e-6
 """Figures worked out anew agree to this share."""
 
 
+UNSTARTED = " This is said of a plan that has been followed for ever; of its start nothing is proven."
+
 LEFT_OUT = {
     "bound": "how much more accurate a plan of this cost could be",
     "certificate": "a certificate that the samples show the whole state",
     "robustness": "how late samples may be and how many may be lost",
+    "start": "from when on the tolerances are kept after the start",
 }
 """What a search that is cut short may leave out, in words."""
 
@@ -65,8 +69,13 @@ class Plan(PlanFigures):
     robustness : PlanRobustness or None
         How late samples may be and how many may be lost before a tolerance breaks.
     left_out : tuple of str
-        What was asked for and did not fit into `search_seconds`: "bound", "certificate", "robustness".
+        What was asked for and did not fit into `search_seconds`: "bound", "certificate", "robustness", "start".
+    start : PlanStart or None
+        From when on the tolerances are kept by who follows the plan from its start on; `reached` is of one that has
+        been followed for ever. None where that is not decided.
     """
+
+    start: PlanStart | None = None
 
     def compare(self, other: Plan, names: tuple[str, str] = ("first", "second")) -> PlanComparison:
         """Return this plan and another one side by side: accuracy, cost, samples, robustness.
@@ -101,13 +110,15 @@ class Plan(PlanFigures):
         return holds(self.bound, loose, limited, motion_of(problem), ends, most)
 
     def _extras_hold(self) -> bool:
-        """Whether certificate and robustness are of this plan, and proven anew."""
+        """Whether certificate, start and robustness are of this plan, and proven anew."""
         if self.certificate is not None:
             mine = self.certificate.plant is self.plant or not first_difference(self.plant, self.certificate.plant)
             if not mine or not same_samples(self.certificate.schedule, self.schedule):
                 return False
             if not self.certificate.verify():
                 return False
+        if self.start is not None and not starts(self, self.start):
+            return False
         return self.robustness is None or bears(self, self.robustness)
 
     def to_dict(self) -> dict[str, Plain]:
@@ -127,6 +138,7 @@ class Plan(PlanFigures):
             "certificate": None if self.certificate is None else self.certificate.to_dict(),
             "robustness": None if self.robustness is None else self.robustness.to_dict(),
             "left_out": list(self.left_out),
+            "start": None if self.start is None else self.start.to_dict(),
         }
         return data  # type: ignore[return-value]
 
@@ -144,6 +156,7 @@ class Plan(PlanFigures):
         if self.bound.ratio is not None and len(self.goals) > 1:
             level = short(self.bound.ratio.level, 4)
             rows.append(("of the tolerances", f"{short(self.ratio, 4)}; no plan of this cost below {level}"))
+        rows += [] if self.start is None else self.start.lines()
         rows += [] if self.robustness is None else self.robustness.lines()
         if self.certificate is not None:
             eta = f"{short(self.certificate.eta)} 1/{self.plant.time_unit}"
@@ -176,6 +189,7 @@ class Plan(PlanFigures):
             share = 100 * self.bound.ratio.level
             text += f" No admissible plan of this cost is better than {share:.3g} % of every tolerance: this one"
             text += f" needs {100 * self.ratio:.3g} %, so at most {100 * self.gap:.2g} % could be gained."
+        text += UNSTARTED if self.start is None else f" {self.start.explain()}"
         text += "" if self.robustness is None else f" {self.robustness.explain()}"
         return f"{text} Left out: {self.unsaid()}." if self.left_out else text
 

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.rows import wanted_rows
+from sampling_design.accuracy.start import InitialSet
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.planning.opening import DAYS, week_hours
 from sampling_design.planning.requirement import KINDS, PlanRequirement, SensorTerms, duration
@@ -69,6 +70,8 @@ class PlanProblem:
         Infinite for a sensor that has none: it says nothing of goals of that kind.
     w_intensity : (q,) array
         0 where no goal is a standard deviation.
+    initial : InitialSet
+        What is known of the state's error when the plan starts.
     """
 
     plant: Plant
@@ -86,6 +89,7 @@ class PlanProblem:
     w_intensity: Array
     most_samples: float
     most_cost: float
+    initial: InitialSet
 
     @property
     def steps(self) -> int:
@@ -218,6 +222,7 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
         w_intensity=_intensities(plant, requirement, goals),
         most_samples=np.inf if requirement.samples is None else float(requirement.samples),
         most_cost=np.inf if requirement.cost_limit is None else requirement.cost_limit,
+        initial=InitialSet.of(plant, requirement.initial_error),
     )
 
 

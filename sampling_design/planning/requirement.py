@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.accuracy.start import InitialError
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.opening import OpeningCalendar, week_hours
 from sampling_design.records import checks
@@ -207,6 +208,9 @@ class PlanRequirement(Record):
     calendar : OpeningCalendar or dict, optional
     time_unit : str, optional
         Unit of all times that are plain numbers; None means the plant's.
+    initial_error : number, array or dict, optional
+        Bound on the state's error when the plan starts, as for `accuracy`: one on its norm, half-widths, a weight, or
+        by name of the state. Default: nothing is known then.
 
     Raises
     ------
@@ -235,6 +239,7 @@ class PlanRequirement(Record):
     calendar: OpeningCalendar | None = None
     time_unit: str | None = None
     w_intensity: DisturbanceBound = None
+    initial_error: InitialError = None
 
     if TYPE_CHECKING:  # callers may pass tables, and anything that becomes an array
 
@@ -253,6 +258,7 @@ class PlanRequirement(Record):
             calendar: OpeningCalendar | Mapping[str, object] | None = None,
             time_unit: str | None = None,
             w_intensity: DisturbanceBound = None,
+            initial_error: InitialError = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -314,6 +320,7 @@ class PlanRequirement(Record):
         for key in ("w_bound", "w_intensity"):
             value = getattr(self, key)
             data |= {} if value is None else {key: np.asarray(value, dtype=float).tolist()}
+        data |= {} if self.initial_error is None else {"initial_error": _plain_error(self.initial_error)}
         data["accuracy"] = {name: goal.to_dict() for name, goal in self.accuracy.items()}
         data["sensors"] = {name: terms.to_dict() for name, terms in self.sensors.items()}
         return data if self.calendar is None else {**data, "calendar": self.calendar.to_dict()}
@@ -323,6 +330,7 @@ class PlanRequirement(Record):
         for key in ("period", "raster", "spacing", "samples", "cost_limit"):
             value = getattr(self, key)
             rows += [] if value is None else [(key.replace("_", " "), f"{value}")]
+        rows += [] if self.initial_error is None else [("initial error", f"{_plain_error(self.initial_error)}")]
         rows += [(f"sensor {name}", terms.explain()) for name, terms in self.sensors.items()]
         return [*rows, ("aim", f"{self.aim}")]
 
@@ -365,6 +373,13 @@ def _terms(name: str, value: object) -> SensorTerms:
     if isinstance(value, SensorTerms):
         return value
     return SensorTerms(**_table(f"sensors.{name}", value, SensorTerms))  # type: ignore[arg-type]
+
+
+def _plain_error(bound: InitialError) -> Plain:
+    if isinstance(bound, Mapping):
+        return {str(name): np.asarray(entry, dtype=float).tolist() for name, entry in bound.items()}
+    plain: Plain = np.asarray(bound, dtype=float).tolist()
+    return plain
 
 
 def _plain_hours(hours: Mapping[str, object]) -> dict[str, Plain]:

@@ -12,6 +12,7 @@ from sampling_design.checkers.strict import (
     by_name,
     count,
     list_of,
+    matrix,
     nonnegative,
     number,
     positive,
@@ -37,6 +38,21 @@ def _bound(value: object, place: str) -> float | list[float]:
     """One number, or one for each entry."""
     found: list[float] = list_of(nonnegative)(value, place) if isinstance(value, (list, tuple)) else []
     return found if isinstance(value, (list, tuple)) else nonnegative(value, place)
+
+
+def _error(value: object, place: str) -> object:
+    """A bound on the norm, half-widths, a weight, or numbers and pairs by name."""
+    if isinstance(value, Mapping):
+        return by_name(_entry)(value, place)
+    if isinstance(value, (list, tuple)) and any(isinstance(row, (list, tuple)) for row in value):
+        return matrix()(value, place)
+    return _bound(value, place)
+
+
+def _entry(value: object, place: str) -> object:
+    """A number about 0, or a pair."""
+    pair = isinstance(value, (list, tuple))
+    return tuple(list_of(number, 2)(value, place)) if pair else nonnegative(value, place)
 
 
 def _when(value: object, place: str) -> str | list[float]:
@@ -87,6 +103,7 @@ _TREE = table(
         "visit_price": nonnegative,
         "aim": word(*AIMS),
         **dict.fromkeys(("w_bound", "w_intensity"), _bound),
+        "initial_error": _error,
         "accuracy": by_name(_goal),
         "sensors": by_name(_SENSOR),
         "calendar": _CALENDAR,

@@ -20,7 +20,7 @@ from sampling_design.planning.problem import WHOLE, RowGoal
 from sampling_design.planning.sequence_chain import phase_of, plan_chain, sequence_chain
 from sampling_design.planning.sequence_deviation import SampleSequence, asked, departs_and_returns, spread_of
 from sampling_design.planning.transient_bound import settled_factors
-from sampling_design.planning.work_budget import BETWEEN, CHAIN, GAINS
+from sampling_design.planning.work_budget import BETWEEN, CHAIN, GAINS, STARTED
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -28,6 +28,9 @@ Mask = npt.NDArray[np.bool_]
 SHARPER = 40
 """Offsets of a gap that are solved, at most."""
 
+
+HOPELESS, FEW = 10.0, 4
+"""A bound so many times what is asked for, after so many solves, is not proven closer."""
 
 FADED = 0.01
 """What a change still adds to a gap, as a share of the plan's own accuracy, from which on it is not proven closer."""
@@ -117,7 +120,8 @@ def window_after(oracle: AccuracyOracle, sequence: SampleSequence, k: int) -> tu
     planned = int(np.searchsorted(knots, knots[max(sequence.first - 1, 0)] - oracle.back))
     count = max(sequence.first - 1, 0) - planned
     low = min(int(np.searchsorted(knots, knots[k] - oracle.back)), max(k - count, 0))
-    window = RasterWindow(oracle.motion, knots[low : k + 1], sequence.seen[low : k + 1])
+    start = oracle.opening if sequence.begins and low == 0 else None
+    window = RasterWindow(oracle.motion, knots[low : k + 1], sequence.seen[low : k + 1], start=start)
     return window, int(knots[k]), int(knots[k + 1] - knots[k])
 
 
@@ -170,10 +174,12 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, told: dict[int, 
     filtered, back, count = plan_chain(plan), looks_back(plan), len(schedule)
     work, n = plan.oracle.work, plan.plant.n_states
     work.add(CHAIN, len(times) * n**2)
-    search = ChainSearch(*sequence_chain(plan, filtered, sequence), lambda: work.add(GAINS, back * n))
-    search.back = back
     memory = forgets(plan)
     worst, settled = 0.0, len(times) - 1 - max(back, memory) - count
+    work.add(STARTED, n * len(times) * memory if sequence.begins else 0)
+    chain = sequence_chain(plan, filtered, sequence, len(times) - max(settled, 0))
+    search = ChainSearch(*chain, lambda: work.add(GAINS, back * n))
+    search.back = back
     if settled < sequence.first or not _is_the_plan(search, filtered, settled):
         if told is not None:
             told.update(dict.fromkeys(range(max(sequence.first - 1, 0), len(times)), np.inf))
@@ -216,7 +222,7 @@ def _gap_bound(search: ChainSearch, opened: RowBetweenSamples, k: int, goal: Row
         nodes, panels = opened.bound(search.atoms[k])
         panel = int(np.argmax(panels))
         top = float(panels[panel])
-        if top <= enough:
+        if top <= enough or (top > HOPELESS * enough and len(solved) >= FEW):
             break
         fresh = [o for o in (panel + int(nodes[panel + 1] > nodes[panel]), panel, panel + 1) if o not in solved]
         if not fresh:

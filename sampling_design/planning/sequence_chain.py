@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
-from sampling_design.accuracy.finite import covariance_root, finite_atoms
+from sampling_design.accuracy.finite import NO_ERROR, covariance_root, finite_atoms, opening
 from sampling_design.accuracy.riccati import updated
 from sampling_design.accuracy.sample_chain import (
     ChainGap,
@@ -32,6 +32,10 @@ Array = npt.NDArray[np.float64]
 
 GRAIN = 1e-9
 """Times are the same if they differ by less than this share of the period."""
+
+UNKNOWN = 1e6
+"""What is not known of the error at a plan's start is at most so many times what its filter leaves later on: rounding
+would hide how states of any size decay."""
 
 LEAST = 1e-12
 """Half-width of what is known exactly at the start, as a share of the largest."""
@@ -62,16 +66,18 @@ def phase_of(schedule: PeriodicSchedule, t: float) -> int:
 
 
 def sequence_chain(
-    plan: PlanFigures, own: SampleChain, sequence: SampleSequence
+    plan: PlanFigures, own: SampleChain, sequence: SampleSequence, settles: int = 1
 ) -> tuple[SampleChain, list[BoundedDirections]]:
     """The chain of a sequence and what its filter bounds; `own` is the plan's chain.
 
     Coordinates and gains after a sample that is the plan's are the plan's: any of them are a proof. Before the first
-    change the plan's filter bounds the error, whatever it once was.
+    change the plan's filter bounds the error, whatever it once was; where the sequence is the plan's start, what is
+    known then does, and the filter is followed from there on until it is the plan's.
     """
     times, gaps = sequence.times, np.diff(sequence.times)
     refuse_growth(plan.plant, gaps)
-    phases = [_planned(plan, own, sequence, k) for k in range(len(times))]
+    starting = len(times) - settles if sequence.begins else 0
+    phases = [None if k < starting else _planned(plan, own, sequence, k) for k in range(len(times))]
     same = [
         i is not None
         and following == (i + 1) % len(own)
@@ -85,8 +91,10 @@ def sequence_chain(
     samples: list[ChainSample] = []
     for k, phase in enumerate(phases):
         if phase is None:
-            step, noise = flows[k - 1]
-            P = step @ L[-1] @ L[-1].T @ step.T + noise
+            P = opening(plan.problem.initial, own.D) if k == 0 else np.zeros(0)
+            if k:
+                step, noise = flows[k - 1]
+                P = step @ L[-1] @ L[-1].T @ step.T + noise
             root, sample = _fresh(plan, own, P, sequence.seen[k])
         else:
             root, sample = own.L[phase], own.samples[phase]
@@ -100,10 +108,28 @@ def sequence_chain(
             made.append(own.gaps[phase])
         else:
             made.append(make_gap(own.A, own.G, h, L[k], L[k + 1], flows[k][0], lengths))
+    if sequence.begins:
+        initial = plan.problem.initial
+        start = _limited(initial.scaled(own.D[:, None] * L[0], own.D, NO_ERROR), np.linalg.solve(L[0], own.L[0]), own)
+        chain = replace(own, L=np.array(L), samples=tuple(samples), gaps=tuple(made), start=start, last=0.0)
+        chain = replace(chain, known=initial.exact)
+        return chain, finite_atoms(chain)
     before = [own.reach[phase_of(plan.schedule, float(t))] for t in sequence.shown[: sequence.first]]
     start = StartSet(np.diag(1 / np.maximum(before[0], LEAST * before[0].max(initial=1.0))), ball=False)
     chain = replace(own, L=np.array(L), samples=tuple(samples), gaps=tuple(made), start=start, last=0.0)
     return chain, finite_atoms(chain, before)
+
+
+def _limited(start: StartSet, change: Array, own: SampleChain) -> StartSet:
+    """A start, limited where nothing is known; `change` leads from the plan's coordinates to those of the start."""
+    free = start.free(own.D.size)
+    if not free.shape[1]:
+        return start
+    size = UNKNOWN * np.abs(free.T @ change) @ np.max(own.reach, axis=0)
+    far = free.T / size[:, None]
+    if start.S is None:
+        return StartSet(far, ball=False)
+    return StartSet(np.vstack([start.S, far]) / (np.sqrt(2.0) if start.ball else 1.0), start.ball)
 
 
 def _planned(plan: PlanFigures, own: SampleChain, sequence: SampleSequence, k: int) -> int | None:

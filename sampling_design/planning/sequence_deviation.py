@@ -39,7 +39,7 @@ GRAIN = 1e-9
 FORGOTTEN = 1e-4
 """A filter has forgotten what it was started with where that changes it by no more than this share."""
 
-ORDINARY = PlanClock()
+ORDINARY: PlanClock = PlanClock()
 """Clocks that are never changed."""
 
 
@@ -62,6 +62,8 @@ class SampleSequence:
     seen: Mask
     first: int
     clock: PlanClock = ORDINARY
+    begins: bool = False
+    """Whether the plan starts at the first time, where its requirement says what is known; else it was followed."""
     since: float = -np.inf
     """Nothing is judged before this time, though all that was measured then counts."""
 
@@ -229,7 +231,7 @@ class SpreadSequence:
         wider, back = np.inf, departs_and_returns(self.plan, sequence)[1]
         for k, P in self._filtered(sequence, until):
             if k >= max(sequence.first, back):
-                usual = self.limits[self._phase(float(sequence.shown[k]))]
+                usual = self._limit(sequence, k)
                 wider = min(wider, self._beyond(P, usual))
         return worst, float(np.sqrt(max(wider, 1.0)))
 
@@ -261,7 +263,9 @@ class SpreadSequence:
             times = sequence.times
             self.plan.oracle.work.add(SEQUENCE, len(times) * len(self.A))
             start = max(sequence.first - 1, 0)
-            found = [(start, self.limits[self._phase(float(sequence.shown[start]))])]
+            nothing = np.eye(len(self.A)) * WIDE
+            P = self._read(nothing, sequence.seen[0]) if sequence.begins else self._limit(sequence, start)
+            found = [(start, P)]
             for k in range(start, len(times) - 1):
                 if times[k] >= until:
                     break
@@ -284,6 +288,10 @@ class SpreadSequence:
 
         tiny = 1e-13 * np.diag(np.diag(usual))
         return float(eigh(P, usual + tiny, eigvals_only=True)[-1])
+
+    def _limit(self, sequence: SampleSequence, k: int) -> Array:
+        """The plan's own covariance after a sample of a sequence."""
+        return np.asarray(self.limits[self._phase(float(sequence.shown[k]))])
 
     def _phase(self, t: float) -> int:
         """Which sample of the period is taken at a time of the plan."""

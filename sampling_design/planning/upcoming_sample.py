@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 
 import numpy as np
@@ -17,6 +17,7 @@ from sampling_design.planning.opening import WEEK
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import known_at, looks_back
 from sampling_design.planning.sequence_deviation import SampleSequence, planned
+from sampling_design.planning.start import from_start
 from sampling_design.records import checks
 from sampling_design.records.record import Plain, Record, short
 from sampling_design.records.signatures import checked
@@ -109,7 +110,8 @@ class NextSample(Record):
         for name, value in self.known.items():
             goal = goals[name]
             unit = f" {goal.unit}" if goal.unit else ""
-            rows.append((f"{name} now", f"within {short(value, 4)}{unit} (tolerance {short(goal.tolerance)})"))
+            now = f"within {short(value, 4)}{unit}" if np.isfinite(value) else "not known yet"
+            rows.append((f"{name} now", f"{now} (tolerance {short(goal.tolerance)})"))
         rows += [("exceeded", f"{self.exceeded.goal} since {self.when(self.exceeded.time)}")] if self.exceeded else []
         rows.append(("latest" if self.keeps else "soonest help", self._told(self.latest, self.outputs)))
         rows += [("later" if self.keeps else "then", self._later(self.due))] if self.due else []
@@ -166,6 +168,8 @@ class NextSample(Record):
         if self.exceeded is None:
             return ""
         goal = next(goal for goal in self.plan.goals if goal.name == self.exceeded.goal)
+        if not np.isfinite(self.known.get(goal.name, 0.0)):
+            return f"{goal.name} is not known yet: what was read since the start does not tell the state. "
         within = short(self.known.get(goal.name, self.exceeded.ratio * goal.tolerance), 4)
         unit = f" {goal.unit}" if goal.unit else ""
         text = f"{goal.name} has been above its tolerance of {short(goal.tolerance)}{unit} since "
@@ -181,7 +185,11 @@ class NextSample(Record):
         def due(found: GoalDue | None) -> Plain:
             if found is None:
                 return None
-            return {"goal": found.goal, "ratio": found.ratio, "when": plain(found.time)}
+            return {
+                "goal": found.goal,
+                "ratio": found.ratio if np.isfinite(found.ratio) else None,
+                "when": plain(found.time),
+            }
 
         return {
             "now": plain(self.now),
@@ -196,7 +204,7 @@ class NextSample(Record):
             "proven": self.proven,
             "kept_from": plain(self.kept_from),
             "exceeded": due(self.exceeded),
-            "known": dict(self.known),
+            "known": {name: value if np.isfinite(value) else None for name, value in self.known.items()},
             "judged_until": plain(self.judged_until),
         }
 
@@ -219,7 +227,8 @@ def next_sample(
         Whose tolerances are kept.
     record : Measurements or iterable of (t, y, u), optional
         What was measured since the plan began, in order; only the times and the outputs that are not NaN matter.
-        Before its first sample, the plan was followed. Default: it was followed until `now`.
+        Before its first sample, the plan was followed since its start, where nothing is known but the requirement's
+        `initial_error`. Default: it was followed until `now`.
     now : float, optional
         Default: the last sample of the record, else 0. All times have passed since the plan's start [the plant's time
         unit], so that a day on which clocks are put forward has 23 h.
@@ -332,9 +341,16 @@ def _history(plan: Plan, taken: tuple[Array, Mask] | None, now: float) -> Sample
     span = (looks_back(plan) + 1) * mean + plan.schedule.period
     tiny = 1e-6 * plan.problem.step
     if taken is None or not taken[0].size:
+        if now < span:
+            return from_start(plan, now + tiny, plan.clock)
         times, seen = planned(plan, now - span, now + tiny, plan.clock)
         return SampleSequence(times, seen, _unchanged(plan, times), plan.clock)
     first = float(taken[0][0])
+    if first < span:
+        begun = from_start(plan, first - tiny, plan.clock)
+        late = begun.times < first - tiny
+        times, seen = np.concatenate([begun.times[late], taken[0]]), np.concatenate([begun.seen[late], taken[1]])
+        return replace(begun, times=times, seen=seen)
     before = planned(plan, first - span, first - tiny, plan.clock)
     wanted = planned(plan, first - tiny, now + tiny, plan.clock)
     same = 0

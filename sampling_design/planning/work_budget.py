@@ -41,6 +41,9 @@ BETWEEN = 1e-2
 CHAIN = (1e-2, 2e-4)
 """Of making a chain of samples, and for each of them, with n states, n^2 times."""
 
+STARTED = (0.0, 5e-5)
+"""The same from a plan's start on: for N samples, of which a filter with n states forgets F, n N F times."""
+
 CERTIFIED = (1.5, 0.06)
 """Of a certificate, and for each sample, with n states, n^2 times."""
 

@@ -31,6 +31,10 @@ def deviating(plan, times, seen, resume):
 
 
 def test_a_sample_may_be_late_by_so_much_and_the_plan_goes_on(week):
+    unknown = sd.next_sample(week, now=0.0)
+    assert "level is not known yet: what was read since the start does not tell the state. A" in unknown.explain()
+    assert dict(unknown._rows())["level now"] == "not known yet (tolerance 3)"
+    week = replace(week, requirement=week.requirement.replace(initial_error=[0.3, 0.05]))
     found = sd.next_sample(week, now=0.0)
     assert found.proven
     assert found.ratio <= 1

@@ -1,0 +1,126 @@
+"""A plan has a start: from when on its tolerances are kept if nothing, or a bound on the error, is known there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sampling_design.errors import NotDetectableError, UndecidedError
+from sampling_design.planning.figures import PlanFigures
+from sampling_design.planning.opening import PlanClock
+from sampling_design.planning.sequence import proven_ratio, settles
+from sampling_design.planning.sequence_deviation import GRAIN, ORDINARY, SampleSequence, planned
+from sampling_design.planning.work_budget import WorkBudget
+from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.units import spoken
+
+LONGER = 2
+"""How often the time that a plan takes to settle is doubled, at most, until its start is forgotten."""
+
+SAME = 1e-4
+"""Figures worked out anew may be larger by this share: solvers of other machines."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PlanStart(Record):
+    """From when on a plan keeps its tolerances after its start, proven.
+
+    Attributes
+    ----------
+    time_unit : str
+    from_time : float
+        Since the start; 0 where they are kept from the start on, infinite where nothing is proven.
+    ratio : float
+        Accuracy over tolerance from then on.
+    bounded : bool
+        Whether that rests on `initial_error`; else it holds whatever the error was, up to a million times what the
+        plan's filter leaves of it later on. Of standard deviations nothing is known at the start, in either case.
+    """
+
+    time_unit: str
+    from_time: float
+    ratio: float
+    bounded: bool
+
+    def lines(self) -> list[tuple[str, str]]:
+        """Rows of a table."""
+        return [("followed from its start", self.told())]
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return self.lines()
+
+    def told(self) -> str:
+        """From when on, in words."""
+        if not np.isfinite(self.from_time):
+            return "not proven to keep the tolerances at any time"
+        any_ = "whatever the error is then, up to a million times what samples leave"
+        what = "where the error is within `initial_error` then" if self.bounded else any_
+        when = f"{spoken(self.from_time, self.time_unit)} after it" if self.from_time else "the start"
+        return f"the tolerances are kept from {when} on, {what}"
+
+    def explain(self) -> str:
+        """Say from when on the tolerances are kept."""
+        return f"Of a plan that is followed from its start on: {self.told()} ({short(self.ratio, 3)} of them)."
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data."""
+        finite = np.isfinite(self.from_time)
+        return {
+            "time_unit": self.time_unit,
+            "from_time": self.from_time if finite else None,
+            "ratio": self.ratio if np.isfinite(self.ratio) else None,
+            "bounded": self.bounded,
+        }
+
+
+def plan_start(plan: PlanFigures, work: WorkBudget | None = None) -> PlanStart | None:
+    """Return from when on a plan keeps its tolerances; None where it keeps none, or where that is not decided.
+
+    Raises
+    ------
+    WorkSpentError
+        If that takes more work than there is left.
+    """
+    if not plan.keeps:
+        return None
+    if work is not None:
+        plan.oracle.count(work)
+    bounded = plan.requirement.initial_error is not None
+    try:
+        sequence, gaps = _settled(plan)
+    except (NotDetectableError, UndecidedError):
+        return None
+    last = max((k for k, ratio in gaps.items() if not ratio <= 1), default=-1) + 1
+    if last == len(sequence.times):
+        return PlanStart(plan.plant.time_unit, np.inf, np.inf, bounded)
+    ratio = max(ratio for k, ratio in gaps.items() if k >= last)
+    return PlanStart(plan.plant.time_unit, float(sequence.times[last]), float(ratio), bounded)
+
+
+def _settled(plan: PlanFigures) -> tuple[SampleSequence, dict[int, float]]:
+    """A plan from its start until that is forgotten, and the ratio in each gap and in all that follows."""
+    span = settles(plan) * plan.schedule.period / len(plan.schedule) + plan.schedule.period
+    for doubled in range(LONGER + 1):
+        sequence, gaps = from_start(plan, span * 2**doubled), dict[int, float]()
+        proven_ratio(plan, sequence, gaps)
+        if gaps[len(sequence.times) - 1] <= 1:
+            break
+    return sequence, gaps
+
+
+def from_start(plan: PlanFigures, stop: float, clock: PlanClock = ORDINARY) -> SampleSequence:
+    """The plan from its start up to a time, with what is known of the error then."""
+    times, seen = planned(plan, 0.0, stop, clock)
+    if not times.size or times[0] > 0:
+        times = np.append(0.0, times)
+        seen = np.concatenate([np.zeros((1, plan.plant.n_outputs), dtype=bool), seen])
+    return SampleSequence(times, seen, 0, clock, begins=True)
+
+
+def starts(plan: PlanFigures, found: PlanStart) -> bool:
+    """Whether a plan keeps its tolerances from when on a record says, proven anew."""
+    anew, tiny = plan_start(plan), GRAIN * plan.schedule.period
+    if anew is None or (anew.time_unit, anew.bounded) != (found.time_unit, found.bounded):
+        return False
+    return anew.from_time <= found.from_time + tiny and anew.ratio <= found.ratio * (1 + SAME)

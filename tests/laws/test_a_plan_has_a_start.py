@@ -1,0 +1,153 @@
+"""A plan keeps its tolerances from when on it says, whatever the error was at its start, or within `initial_error`."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.planning.dates import plan_dates
+from sampling_design.planning.files import save_plan
+from sampling_design.planning.requirement_file import plan_requirement_from_dict
+from sampling_design.planning.start import PlanStart, from_start, plan_start
+from tests.cases import few
+
+BARE = {"certificate": False, "robustness": False}
+LEVEL = sd.Plant([[0.0]], [[1.0]], states=["a"], outputs=["y"])
+TANK = sd.Plant([[0.0, 0.02], [0.0, -0.05]], np.eye(2), time_unit="h", states=["a", "b"], outputs=["y", "z"])
+
+
+def seen(A):
+    return sd.Plant(A, [[1.0, 0.0]], states=["a", "b"], outputs=["y"])
+
+
+PLANTS = {
+    "level": (LEVEL, 8.0, 0.1, 0.1, 0.52),
+    "oscillator": (seen([[0.0, 1.0], [-1.0, 0.0]]), 6.4, 0.02, 0.2, 0.35),
+    "growing": (seen([[0.2, 1.0], [0.0, -0.5]]), 6.0, 0.02, 0.1, 0.6),
+}
+ERRORS = (None, 50.0, 0.3, {"a": (-0.1, 0.1)}, 1e-3)
+SIZES = (np.inf, 50.0, 0.3, 1e-3)
+
+
+def asked(name, error, unit=1.0):
+    plant, period, w, v, tolerance = PLANTS[name]
+    wanted = {"a": tolerance * unit}
+    terms = {"y": {"noise_bound": v * unit}}
+    given = {"period": period, "raster": period / 32, "w_bound": w * unit, "sensors": terms, "initial_error": error}
+    return plant, sd.PlanRequirement(wanted, **given)
+
+
+@pytest.fixture(scope="module")
+def plans():
+    return {name: sd.plan_samples(*asked(name, None), search_seconds=3, **BARE) for name in PLANTS}
+
+
+def started(plan, name, error):
+    """The same samples, with another error at the start."""
+    return replace(plan, requirement=asked(name, error)[1], start=None)
+
+
+@pytest.mark.parametrize("name", PLANTS)
+@pytest.mark.parametrize("error", few(ERRORS, 0, 2), ids=str)
+def test_no_motion_of_a_finite_schedule_breaks_what_a_plan_says_of_its_start(plans, name, error):
+    plan = started(plans[name], name, error)
+    found = plan_start(plan)
+    assert found.bounded is (error is not None)
+    assert found.ratio <= 1
+    samples = from_start(plan, found.from_time + 2 * plan.schedule.period)
+    problem = plan.problem
+    end = float(samples.times[-1])
+    alone = sd.guaranteed_accuracy(
+        plan.plant,
+        sd.Schedule(samples.times[samples.seen[:, 0]]),
+        w_bound=plan.requirement.w_bound,
+        v_bound=float(problem.v_bound[0]),
+        initial_error=error,
+        start=0.0,
+        end=end,
+        of=["a"],
+    )
+    edges, lower = alone.profile.edges, np.where(np.isfinite(alone.profile.upper[0]), alone.profile.lower[0], np.inf)
+    after = edges[:-1] >= found.from_time + 1e-9
+    tolerance = plan.goals[0].tolerance
+    assert np.max(lower[after]) <= found.ratio * tolerance * (1 + 1e-9)
+    if found.from_time:  # and in the gap before it the tolerance is broken, or the state is not known yet
+        last = samples.times[samples.times < found.from_time - 1e-9][-1]
+        assert np.max(lower[(edges[:-1] >= last - 1e-9) & ~after]) > 0.98 * tolerance
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_a_smaller_error_at_the_start_is_never_outgrown_later(plans, name):
+    times = [plan_start(started(plans[name], name, None if size == np.inf else size)).from_time for size in SIZES]
+    assert times == sorted(times, reverse=True)
+    assert times[-1] == 0.0
+
+
+def test_before_the_first_samples_the_next_one_is_not_said_to_keep_what_nobody_knows(plans):
+    for error, keeps in ((None, False), (1e-3, True)):
+        plan = started(plans["oscillator"], "oscillator", error)
+        for record in (None, [(0.0, [0.0])]):
+            found = sd.next_sample(plan, record, now=0.0)
+            assert found.keeps is keeps
+            assert found.proven
+            assert found.kept_from == (0.0 if keeps else pytest.approx(4.2, abs=1.5))
+            assert np.isfinite(found.latest)
+
+
+def test_dates_begin_with_the_start():
+    hours = {"start": "2026-06-01", "zone": "UTC"}
+    for error in (None, [0.5, 0.1]):
+        wanted = sd.PlanRequirement(
+            {"a": 3.0},
+            period="1 d",
+            raster="2 h",
+            w_bound=[0.02, 0.01],
+            sensors={"y": {"noise_bound": 0.5}, "z": {"noise_bound": 0.1}},
+            calendar=hours,
+            initial_error=error,
+        )
+        found = sd.plan_samples(TANK, wanted, search_seconds=2, **BARE)
+        dates = plan_dates(found, 3)
+        assert dates.keeps
+        assert dates.kept_from == pytest.approx(found.start.from_time)
+        assert dates.to_dict()["kept_from"] == dates.kept_from
+        assert dates.kept_from == 0 or error is None
+        assert "The tolerances are kept from" in dates.explain()
+
+
+@pytest.mark.parametrize("error", [0.3, [0.1, 0.2], [[2.0, 0.5], [0.5, 1.0]], {"a": 0.3, "b": (-0.1, 0.2)}], ids=str)
+def test_a_requirement_file_holds_every_form_of_it(error):
+    plant, wanted = asked("oscillator", error)
+    again = plan_requirement_from_dict(wanted.to_dict())
+    assert again.to_dict() == wanted.to_dict()
+    mine, theirs = (sd.planning.problem.pose_plan(plant, each).initial for each in (wanted, again))
+    np.testing.assert_array_equal(mine.S, theirs.S)
+    np.testing.assert_array_equal(mine.centre, theirs.centre)
+
+
+def test_what_is_no_bound_is_refused():
+    for bad, match in (([0.1], "`initial_error` must be a number, 2 half-widths"), ({"c": 1.0}, "c")):
+        with pytest.raises(ArgumentError, match=match):
+            sd.plan_samples(*asked("oscillator", bad), **BARE)
+    data = asked("oscillator", 0.3)[1].to_dict()
+    with pytest.raises(FileFormatError, match="initial_error"):
+        plan_requirement_from_dict({**data, "initial_error": "small"})
+
+
+def test_a_file_that_says_more_of_the_start_is_refused(plans, tmp_path):
+    plan = plans["oscillator"]
+    assert plan.start.from_time > 0
+    assert "Of a plan that is followed from its start on: the tolerances are kept from" in plan.explain()
+    path = save_plan(plan, tmp_path / "plan.json")
+    again = sd.read_plan(path)
+    assert again.start.to_dict() == plan.start.to_dict()
+    assert again.verify()
+    for forged in ({"from_time": 0.0}, {"ratio": plan.start.ratio * 0.9}, {"bounded": True}):
+        assert not replace(plan, start=replace(plan.start, **forged)).verify()
+    never = replace(plan, start=PlanStart(plan.plant.time_unit, np.inf, np.inf, False))
+    assert never.start.to_dict()["from_time"] is None
+    assert "not proven to keep the tolerances at any time" in never.explain()
+    assert sd.read_plan(save_plan(never, tmp_path / "never.json")).start.from_time == np.inf
+    assert "followed for ever; of its start nothing is proven" in replace(plan, start=None).explain()

@@ -35,6 +35,15 @@ def test_a_drawn_plant_is_certified(seed):
     assert np.isfinite(made.horizon().minimum)
 
 
+@pytest.mark.parametrize("seed", [360, *(pytest.param(seed, marks=pytest.mark.long) for seed in (465, 487))])
+def test_a_budget_in_units_that_nobody_stated_leaves_a_round_shape(seed):
+    """States 1e22 apart, no scales: no P2 near the budget's own can be held. 487: nine modes behind one output."""
+    plant, schedule = drawn(seed)
+    made = certify(plant, schedule)
+    assert np.linalg.cond(canonical(plant, schedule, weights_of(plant, None, None, None)).inside(made.P2)) < 1e12
+    assert made.verify().passed
+
+
 SEEN_LATE = {
     "scalar": lambda a: Plant([[a]], [[1.0]]),
     "spiral": lambda a: Plant([[a, 2.0], [-2.0, a]], [[1.0, 0.0]]),
@@ -194,7 +203,7 @@ def open_proof(monkeypatch, *, spent=0.0, beyond=0.0):
     still_open = dataclasses.replace(made.verify(), passed=False, verdict="undecided", time=None, start=None)
     monkeypatch.setattr(proofs, "verdict_of", floats)
     monkeypatch.setattr(proofs, "verify_rigorously", balls)
-    proof = proofs.ScheduleProof(oscillator, schedule, weights, 0.4, efforts.Efforts(), beyond * made.lam_samples)
+    proof = proofs.ScheduleProof(oscillator, schedule, weights, 0.4, efforts.SearchEffort(), beyond * made.lam_samples)
 
     def asked(plainly=False):
         with pytest.raises(UndecidedError, match="the proof of the certificate did not close"):
@@ -233,7 +242,7 @@ def test_what_only_took_too_much_work_is_stated_with_a_wide_room(monkeypatch):
 
 def test_the_work_after_the_search_is_bounded():
     """Every group of choices has its turn, balls at their price, and no group more than all."""
-    first = efforts.Efforts()
+    first = efforts.SearchEffort()
     first.check_in_balls().spend(efforts.ONE_IN_BALLS)
     assert first.total.left == pytest.approx(efforts.ALL_WORK - efforts.BALL_PRICE * efforts.ONE_IN_BALLS)
     assert first.balls.left == efforts.BALL_WORK - efforts.ONE_IN_BALLS
@@ -246,7 +255,7 @@ def test_the_work_after_the_search_is_bounded():
         assert group.check().over
         assert group.check_in_balls().over
     assert first.later().whole.left < 0.2 * efforts.ALL_WORK
-    assert efforts.Efforts(alone=True).check().left == efforts.CHECK_WORK  # one choice alone may do it all
+    assert efforts.SearchEffort(alone=True).check().left == efforts.CHECK_WORK  # one choice alone may do it all
 
 
 def test_a_window_that_starts_at_a_sample_counts_for_both_lambdas():

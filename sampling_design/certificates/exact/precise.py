@@ -18,7 +18,7 @@ from sampling_design import __version__
 from sampling_design.certificates.exact.canonical import NoiseWeights, ScaledProblem
 from sampling_design.certificates.exact.certificate import Certificate, times_to_dict
 from sampling_design.certificates.exact.efforts import BALL_PRICE, PRECISE_PROOF, PRECISE_WORK, ROOM
-from sampling_design.certificates.exact.weight_choice import ChosenWeights, WeightSearch
+from sampling_design.certificates.exact.weight_choice import ROUNDNESS, ChosenWeights, WeightSearch
 from sampling_design.certificates.form.digest import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.rigorous.ball_problem import BallTimes, BallWeights, ScheduleFrame
 from sampling_design.certificates.rigorous.ball_proof import JUMP, one_period, rest
@@ -160,8 +160,9 @@ class PreciseSearch(WeightSearch):
     """The first guesses of the search, judged by windows in more digits than doubles have."""
 
     def guesses(self, eta: float) -> list[Array]:
-        """One shape, between the inverse of the long-run covariance and the least P1: each costs much here."""
-        return super().guesses(eta)[1:2]
+        """One between the inverse of the long-run covariance and the least P1, or a rounder one: each costs much."""
+        found = super().guesses(eta)
+        return [found[0], found[-3]] if len(found) > len(ROUNDNESS) + 1 else found[-3:-2]
 
     def windows(self, eta: float) -> PreciseWindows:
         """The windows of one rate."""
@@ -187,7 +188,7 @@ def precisely_chosen(
     """
     rates = [(bounds[0] * bounds[1]) ** 0.5, bounds[0], bounds[0] / 10] if eta is None else [bounds[0]]
     dear = Work(whole.left / BALL_PRICE, whole, BALL_PRICE)
-    search, proofs = PreciseSearch(canon, SHARE, dear.share(PRECISE_WORK)), dear.share(PRECISE_WORK)
+    search, proofs = PreciseSearch(canon, SHARE, dear.share(PRECISE_WORK)), dear.share(2 * PRECISE_PROOF)
     for rate in rates if find_spec("flint") else ():
         choice = None if search.late or proofs.over else search.best_guess(rate, budget)
         if choice is None:

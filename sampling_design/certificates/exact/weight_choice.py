@@ -43,6 +43,9 @@ shortens its horizon as the budget grows: the horizon cannot grow with the budge
 """
 ROUNDNESS = (0.01, 1.0, 30.0)
 """Shares of the least P1 in the shapes of the first guess."""
+FAR = 1e6
+"""Where the budget knows some states so much better than others, in units that nobody stated, every mixture with it is
+nearly singular, and what the disturbance alone leaves has a shape too."""
 LEAST_SHARE = 1e-6
 """P1 keeps at least this part of the long-run information in every direction (over the budget): below it the prior is
 lost in rounding, and the horizon gains nothing."""
@@ -121,11 +124,11 @@ class WeightSearch:
         return WindowSet.of(window_problem(canon.plant, canon.schedule, one, *canon.weights, eta), self.work)
 
     def _setting(self, eta: float) -> RateWindows:
-        canon, n = self.canon, self.canon.plant.n_states
+        canon = self.canon
         windows = self.windows(eta)
         prior = np.diag(canon.sizes**2)
         size = 1.0 / canon.plant.states.scales
-        along = rounded(np.mean(windows.long_run(prior).reshape(-1, n, n), axis=0), self.roundness)
+        along = rounded(np.mean(windows.long_run(prior), axis=0), self.roundness)
         held = np.linalg.inv(along)
         B = np.diag(size**2) / windows.least_floor(size) + LEAST_SHARE * held
         mean = along if windows.steady is None else rounded(np.mean(windows.steady, axis=0), self.roundness)
@@ -137,7 +140,15 @@ class WeightSearch:
         B, mean = setting.b @ setting.b.T, setting.mean
         size = float(np.trace(B @ mean)) / len(mean)
         free = np.linalg.inv(B)
-        return [*(symmetrise(np.linalg.inv(mean + r * size * free)) for r in ROUNDNESS), B]
+        mixed = [symmetrise(np.linalg.inv(mean + r * size * free)) for r in ROUNDNESS]
+        far = float(np.linalg.eigvalsh(setting.b.T @ mean @ setting.b)[0]) < size / FAR
+        return [*([self._driven(setting)] if far else []), *mixed, B]
+
+    def _driven(self, setting: RateWindows) -> Array:
+        """The inverse of what the disturbance alone leaves, twice as much where the budget asks for the most."""
+        left = np.mean(setting.windows.long_run(np.zeros_like(setting.mean)), axis=0)
+        shape = symmetrise(np.linalg.inv(rounded(left, self.roundness)))
+        return shape + np.exp(setting.least(shape)) * symmetrise(setting.b @ setting.b.T)
 
     def best_guess(self, eta: float, budget: float) -> ChosenWeights | None:
         """The best of the guesses at a rate, None where the windows of that rate cannot be followed."""
@@ -319,7 +330,7 @@ def settled_sizes(canon: ScaledProblem, eta: float) -> Array | None:
     with np.errstate(all="ignore"):
         try:
             windows = WindowSet.of(window_problem(canon.plant, canon.schedule, np.eye(n), *canon.weights, eta))
-            spread = np.mean(windows.long_run(np.diag(canon.sizes**2)).reshape(-1, n, n), axis=0)
+            spread = np.mean(windows.long_run(np.diag(canon.sizes**2)), axis=0)
         except (np.linalg.LinAlgError, SolverError):
             return None
         settled = np.log2(canon.x) + np.log2(np.diagonal(spread)) / 2

@@ -235,4 +235,4 @@ def test_growth_says_so():
 def test_a_start_that_is_never_wide_enough_is_undecided(monkeypatch):
     monkeypatch.setattr(deviation, "WIDER", ())
     with pytest.raises(UndecidedError, match="the samples show some state so weakly"):
-        sd.standard_deviation(PLANT, sd.Schedule([1.0, 2.0, 3.0]), w_intensity=W, v_deviation=V)
+        deviation.standard_deviation(PLANT, sd.Schedule([1.0, 2.0, 3.0]), w_intensity=W, v_deviation=V)

@@ -67,7 +67,7 @@ def error_on(patient: sd.NonlinearPlant, schedule: sd.PeriodicSchedule, weeks: i
         v = rng.uniform(-1, 1, (times.size, 3)) * thyroid.NOISE_BOUND
         truth = simulate(patient, thyroid.TRUE_START, times, w=w[cell])
         y = truth[:, [1, 2, 4]] + v
-        scheme.reset(thyroid.PRIOR_START)
+        scheme.start(thyroid.PRIOR_START)
         for k, t in enumerate(times):
             estimate = scheme.update(t, y[k]) if t in samples else scheme.predict(t)
             if t >= SETTLED:

@@ -6,6 +6,7 @@ _NAMES = {
     "constraints.constraints": ("Constraints",),
     "constraints.convex_set": ("ConvexSet",),
     "estimate_file": ("write_estimates",),
+    "estimation": ("estimate",),
     "gap_flows.cost_function": ("CostFunction",),
     "kalman": ("KalmanFilter",),
     "mhe": ("MovingHorizonEstimator",),

@@ -138,7 +138,7 @@ def _estimates(
     chosen: npt.NDArray[np.bool_],
 ) -> tuple[npt.NDArray[np.float64], tuple[SolverRun, ...]]:
     """Run one scheme over the chosen samples and return its estimate at every time, and its solves."""
-    scheme.reset(model.PRIOR_START)
+    scheme.start(model.PRIOR_START)
     estimates = []
     for t, measured, use in zip(times.tolist(), y, chosen, strict=True):
         estimates.append(scheme.update(t, measured).x if use else scheme.predict(t).x)

@@ -66,7 +66,7 @@ class NonlinearOpenLoop(OnlineEstimator):
         self.__dict__.update(state)
         self.set_up()
 
-    def reset(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> None:
+    def start(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> None:
         """Forget all samples and start again from a prior; the program stays built."""
         self._restart(self.initial_state(prior, prior_time))
 

@@ -34,6 +34,7 @@ _CALLED = {
     "Client": "a Dask client",
     "Executor": "a concurrent.futures.Executor",
     "Generator": "a numpy.random.Generator",
+    "OnlineEstimator": "an estimator of this package",
     "OpenPlant": "a plant of another kind",
     "SampledCertificate": "a Certificate or FamilyCertificate",
 }

@@ -15,16 +15,20 @@ from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.checkers.strict import likely
 from sampling_design.errors import ArgumentError, CallError
 from sampling_design.estimators.mhe import MovingHorizonEstimator
+from sampling_design.estimators.online.estimator import Estimator
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.checks import Seed
+from sampling_design.records.dispatch import OpenPlant, registered
 from sampling_design.records.journal import Journal, digest
 from sampling_design.records.signatures import checked
 from sampling_design.records.workers import Workers, check_workers
 from sampling_design.schedules.family import AnySchedule
+from sampling_design.validation.any_estimator import EstimatorStudy
 from sampling_design.validation.report import ValidationReport
 from sampling_design.validation.scenario import ScenarioBounds
 from sampling_design.validation.study import SCENARIOS, Study
+from sampling_design.validation.timeline import Timeline, build_timeline, default_duration
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -32,10 +36,11 @@ Progress = Callable[[float, str], None]
 
 @checked
 def validate(
-    plant: Plant,
+    plant: Plant | OpenPlant,
     schedule: AnySchedule,
     certificate: SampledCertificate | None = None,
     *,
+    estimator: Estimator | None = None,
     runs: int = 200,
     duration: float | None = None,
     w_bound: npt.ArrayLike | None = None,
@@ -46,7 +51,7 @@ def validate(
     workers: Workers = None,
     resume: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
-    **estimator: object,
+    **options: object,
 ) -> ValidationReport:
     """Compare what a certificate and the online ellipsoids promise with what happens in trials and in worst cases.
 
@@ -57,6 +62,9 @@ def validate(
         When samples are taken.
     certificate : Certificate, optional
         Without one only the ellipsoids and the growth of the error are judged, and `estimator` must bring a horizon.
+    estimator : Estimator, optional
+        Any object with `start(prior, prior_time)`, `update(t, y, u)` and `predict(t)`, in place of a moving horizon
+        estimator; it runs beside the truth in the scenarios "random", "resonant" and "initial".
     runs : int
         Random trials.
     duration : float, optional [time]
@@ -74,7 +82,7 @@ def validate(
         A journal of the random trials, written as they are finished; what it holds already is not run again.
     progress : callable, optional
         Called with (fraction, message).
-    **estimator
+    **options
         Options of `MovingHorizonEstimator` (cost, horizon), if they are not the certificate's.
 
     Returns
@@ -87,7 +95,7 @@ def validate(
     ------
     ArgumentError
         If a scenario is unknown, the schedule does not fit the plant or holds no sample, a bound is negative,
-        `workers` is nobody, or there is neither certificate nor horizon.
+        `workers` is nobody, or there is neither certificate nor horizon nor estimator.
     FileFormatError
         If `resume` belongs to another study.
 
@@ -114,34 +122,53 @@ def validate(
     >>> report.passed, len(report.findings) > 3
     (True, True)
     """
+    if not isinstance(plant, Plant):
+        return registered("validate", plant, ValidationReport)(
+            plant, schedule, certificate, estimator=estimator, runs=runs, duration=duration, w_bound=w_bound,
+            v_bound=v_bound, initial_error=initial_error, scenarios=scenarios, rng=rng, workers=workers, resume=resume,
+            progress=progress, **options,
+        )  # fmt: skip
     chosen = tuple(scenarios)
     unknown = [name for name in chosen if not isinstance(name, str) or name not in SCENARIOS]
     if unknown:
         raise ArgumentError(f"`scenarios` must be among {', '.join(SCENARIOS)}, got {checks.described(unknown[0])}.")
-    options = inspect.signature(MovingHorizonEstimator).parameters
-    for key in estimator.keys() - options.keys():
-        raise CallError(f"`validate` and its MovingHorizonEstimator have no argument `{key}`. {likely(key, options)}")
+    taken = inspect.signature(MovingHorizonEstimator).parameters
+    for key in options.keys() - taken.keys():
+        raise CallError(f"`validate` and its MovingHorizonEstimator have no argument `{key}`. {likely(key, taken)}")
+    if estimator is not None:
+        for key, value in {"certificate": certificate, "workers": workers, "resume": resume, **options}.items():
+            if value is not None:
+                raise ArgumentError(f"`{key}` must be left out where an `estimator` is given.")
     check_workers(workers)
     bounds = ScenarioBounds.of(plant, w_bound, v_bound, initial_error)
     source = checks.generator(rng)
     root = source.bit_generator.seed_seq
     assert isinstance(root, np.random.SeedSequence)
     count = checks.whole("runs", runs, 1)
-    settled = (plant, schedule, certificate, bounds, estimator, duration, count, _seed_of(root))
-    study = Study(plant, schedule, certificate, bounds, estimator, duration)
+    if estimator is not None:
+        line = build_timeline(plant, schedule, default_duration(schedule, 0.0) if duration is None else duration)
+        known = {**_settings(line, count, chosen, bounds, root), "estimator": type(estimator).__name__}
+        return EstimatorStudy(line, bounds, estimator, root.spawn(count)).report(chosen, known, progress)
+    settled = (plant, schedule, certificate, bounds, options, duration, count, _seed_of(root))
+    study = Study(plant, schedule, certificate, bounds, options, duration)
     study.journal = None if resume is None else Journal(resume, digest(*settled, __version__, np.__version__))
     study.run(chosen, root.spawn(count), workers, progress)
-    settings = {
-        "runs": count,
-        "duration": study.line.times[-1].item(),
-        "samples": int(study.line.samples.size),
-        "horizon": study.horizon,
-        "scenarios": list(chosen),
+    return study.report({**_settings(study.line, count, chosen, bounds, root), "horizon": study.horizon})
+
+
+def _settings(
+    line: Timeline, runs: int, scenarios: tuple[str, ...], bounds: ScenarioBounds, root: np.random.SeedSequence
+) -> dict[str, object]:
+    """What a report says of how it was made."""
+    return {
+        "runs": runs,
+        "duration": line.times[-1].item(),
+        "samples": int(line.samples.size),
+        "scenarios": list(scenarios),
         **bounds.to_dict(),
         "seed": _seed_of(root),
         "versions": {"sampling-design": __version__, "numpy": np.__version__, "python": platform.python_version()},
     }
-    return study.report(settings)
 
 
 def _seed_of(root: np.random.SeedSequence) -> str:

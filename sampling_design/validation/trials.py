@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.estimators.online.estimate import Estimate
-from sampling_design.estimators.online.estimator import Estimator
+from sampling_design.estimators.online.estimator import Estimator, estimate_from
 from sampling_design.plants.plant import Plant
 from sampling_design.validation.error_map import ErrorRows
 from sampling_design.validation.scenario import RunInputs
@@ -48,11 +48,12 @@ class EstimatedRun(NamedTuple):
         return np.array([e.x for e in self.estimates]) - self.truth.states[rows.at]
 
 
-def true_run(line: Timeline, inputs: RunInputs, run: int = 0) -> TrueRun:
-    """Simulate the truth of one run of `inputs`, exactly; an unstable one is steered back to zero at each sample."""
+def true_run(line: Timeline, inputs: RunInputs, run: int = 0, *, steered: bool = True) -> TrueRun:
+    """Simulate the truth of one run of `inputs`, exactly; an unstable one that is `steered` is brought back to zero at
+    each sample."""
     plant = line.plant
     pace = float(np.max(np.linalg.eigvals(plant.A).real, initial=0.0))
-    steered = pace * line.times[-1] > GROWTH
+    steered = steered and pace * line.times[-1] > GROWTH
     samples = {int(b): j for j, b in enumerate(line.samples)}
     marks = np.unique(np.concatenate([[0], line.samples, [line.cells]]))
     through = exact_flow(plant, line.lengths, np.eye(plant.n_states))[1]
@@ -79,16 +80,17 @@ def real_run(line: Timeline, rows: ErrorRows, truth: TrueRun, estimator: Estimat
     """Feed a truth's outputs to an estimator and ask it at every row."""
     first = 1 if line.samples[0] > 0 else 0
     if truth.u is not None and first:
-        estimator.update(0.0, None, truth.u[0])
+        estimator.update(0.0, None, truth.u[0])  # type: ignore[arg-type]  # an input alone
     found: list[Estimate] = []
     j = 0
     for b, after in zip(rows.at, rows.after, strict=True):
         t = float(line.times[b])
         if after and j < line.samples.size and b == line.samples[j]:
-            found.append(estimator.update(t, truth.y[j], None if truth.u is None else truth.u[j + first]))
+            came = estimator.update(t, truth.y[j], None if truth.u is None else truth.u[j + first])
             j += 1
         else:
-            found.append(estimator.predict(t))
+            came = estimator.predict(t)
+        found.append(estimate_from(came, t, truth.states.shape[1]))
     return EstimatedRun(tuple(found), truth)
 
 

@@ -163,7 +163,7 @@ def test_histories_side_by_side_and_one_twice():
     mhe, alone = Watched(plant, **settings(plant, {})), []
     runs = [record(plant, 25, seed=seed) for seed in range(3)]
     for rows in runs:
-        mhe.reset()
+        mhe.start()
         alone.append(mhe.run(rows).x)
     states = [mhe.initial_state() for _ in runs]
     for k in range(25):

@@ -92,7 +92,7 @@ def test_whatever_the_data_and_however_far_ahead(name, maker):
             if words:
                 assert "grows beyond double precision. Start again near it: reset(" in words
                 refused += 1
-                estimator.reset(prior_time=t)
+                estimator.start(prior_time=t)
                 sane(estimator.predict(t))
     assert refused < 100
 
@@ -136,7 +136,7 @@ def test_growth_beyond_all_numbers_between_samples_is_refused_in_words(maker):
             if words:
                 assert "grows beyond double precision. Start again near it: reset(" in words
                 refused += 1
-                estimator.reset(prior_time=t)
+                estimator.start(prior_time=t)
                 sane(estimator.predict(t), False)
     assert refused > 0
 
@@ -212,7 +212,7 @@ def test_an_outlier_is_named_and_a_reset_forgets_it(maker, tmp_path):
     shade = record.plot()[0].collections[0].get_paths()
     assert max(path.vertices[:, 0].max() for path in shade) == 3.0
     last = estimator.predict(6.0)
-    estimator.reset(prior=last.x, prior_time=6.0)
+    estimator.start(prior=last.x, prior_time=6.0)
     after = estimator.update(6.5, [0.0, 0.0])
     assert (after.certified, after.contradiction) == (True, None)
 

@@ -50,7 +50,7 @@ def one(seed, estimator):
     )
     start = np.array([0.6, 0.0]) + FIRST * np.array([np.cos(seed), np.sin(seed)])
     truth = dict(zip(grid.tolist(), simulate(PLANT, start, grid, w=push[:, None]), strict=True))
-    estimator.reset([0.6, 0.0])
+    estimator.start([0.6, 0.0])
     ratios, radii, flags = [], [], []
     for t in grid.tolist():
         if np.any(np.abs(samples - t) < 1e-12):
@@ -86,13 +86,13 @@ def test_a_bad_solution_has_a_larger_radius_and_not_a_wrong_one():
 
 def test_a_gap_beyond_the_certified_ones_ends_the_radius_until_the_window_has_passed():
     estimator = scheme()
-    estimator.reset([0.6, 0.0])
+    estimator.start([0.6, 0.0])
     times = [0.5, 1.2, 3.9, 4.6]
     found = [estimator.update(t, [0.1]) for t in times]
     assert [e.certified for e in found] == [True, True, False, False]
     assert "a gap or an output that the certificate does not cover" in found[2].note
     assert estimator.predict(5.5).certified is False
-    estimator.reset([0.6, 0.0])
+    estimator.start([0.6, 0.0])
     assert estimator.update(0.5, [0.1]).certified
     assert estimator.predict(1.2).certified
     assert not estimator.predict(1.4).certified
@@ -100,7 +100,7 @@ def test_a_gap_beyond_the_certified_ones_ends_the_radius_until_the_window_has_pa
 
 def test_samples_that_come_too_early_do_no_harm():
     estimator = scheme()
-    estimator.reset([0.6, 0.0])
+    estimator.start([0.6, 0.0])
     found = [estimator.update(t, [0.6 * np.cos(t)]) for t in (0.5, 0.6, 0.7, 1.2)]
     assert all(e.certified for e in found)
 

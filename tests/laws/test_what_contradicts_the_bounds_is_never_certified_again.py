@@ -51,7 +51,7 @@ def test_a_contradiction_stays_until_reset(maker, rows):
         assert stands(estimate) == (k < broken)
         assert stands(estimator.predict(row[0] + 0.3)) == (k < broken)
         assert stands(estimator.predict(row[0])) == (k < broken)
-    estimator.reset([2.0], rows[-1][0])
+    estimator.start([2.0], rows[-1][0])
     assert stands(estimator.update(rows[-1][0] + 1.0, [2.0]))
 
 

@@ -190,7 +190,7 @@ def test_a_late_sample_gives_the_result_of_samples_in_order():
 def test_reset_forgets_everything():
     scheme = estimator()
     first = scheme.run(record())
-    scheme.reset(PRIOR)
+    scheme.start(PRIOR)
     assert scheme.solves == []
     assert scheme.run(record()).x == pytest.approx(first.x, abs=1e-11)
 
@@ -375,7 +375,7 @@ def test_an_output_that_is_not_measured_is_free_also_where_noises_are_correlated
         plant, horizon=1.0, cost=CostFunction(P2=np.eye(2) / 2, R=weight, Qv=weight / 2)
     )
     assert scheme.update(0.0, [1.0, np.nan]).x == pytest.approx([0.5, 0.0], abs=1e-7)
-    scheme.reset()
+    scheme.start()
     both = np.linalg.solve(np.eye(2) + V, [1.0, -0.5])
     assert scheme.update(0.0, [1.0, -0.5]).x == pytest.approx(both, abs=1e-7)
 

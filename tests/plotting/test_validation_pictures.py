@@ -55,11 +55,11 @@ def test_a_curve_is_drawn_with_the_tube_that_holds_the_truth_between_samples():
     assert ends.max() == pytest.approx(np.nanmax(curve.tube.upper[:, 0]))
     assert list(axes[0].lines[0].get_xdata()) == list(curve.estimates.times)
     assert "all times" in axes[0].collections[0].get_label()
-    mhe.reset()
+    mhe.start()
     nothing = sd.MovingHorizonEstimator(PLANT, horizon=4.0, cost=sd.CostFunction(eta=0.3))
     unproven = estimate_curve(nothing, record.measurements, points=2)
     assert unproven.tube is None or not np.isfinite(unproven.tube.upper).any()
-    with pytest.raises(ArgumentError, match="`estimator` must be an Estimator"):
+    with pytest.raises(ArgumentError, match="`estimator` must be an estimator of this package, got Plant"):
         estimate_curve(PLANT, record.measurements)
     with pytest.raises(ArgumentError, match="`measurements` must be a Measurements"):
         estimate_curve(mhe, [(0.0, [1.0])])

@@ -218,8 +218,8 @@ def test_workers_who_are_nobody_are_refused_before_any_work(workers, words):
 
 
 def test_an_option_that_no_estimator_has_is_named():
-    with pytest.raises(ArgumentError, match="`validate` and its MovingHorizonEstimator have no argument `estimator`"):
-        judged("oscillator", estimator=3)
+    with pytest.raises(ArgumentError, match="`validate` and its MovingHorizonEstimator have no argument `options`"):
+        judged("oscillator", options=3)
     with pytest.raises(ArgumentError, match="have no argument `horizn`"):
         judged("oscillator", horizn=3)
 

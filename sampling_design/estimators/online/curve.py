@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.estimators.online.estimate import Estimate
-from sampling_design.estimators.online.estimator import EstimateRecord, Estimator
+from sampling_design.estimators.online.estimator import EstimateRecord
+from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.estimators.online.state_tube import StateTube, joined
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.records import checks
@@ -57,7 +58,9 @@ class CurveCollector:
     the middle of their intervals.
     """
 
-    def __init__(self, estimator: Estimator, points: int = POINTS_PER_GAP, centred: bool = False, start: float = 0.0):
+    def __init__(
+        self, estimator: OnlineEstimator, points: int = POINTS_PER_GAP, centred: bool = False, start: float = 0.0
+    ):
         self.estimator, self.count, self.centred = estimator, points, centred
         self.points, self.tubes, self.last = [estimator.predict(start)], list[StateTube](), start
 
@@ -92,14 +95,14 @@ def _moved(estimate: Estimate, x: Array) -> Estimate:
 
 @checked
 def estimate_curve(
-    estimator: Estimator, measurements: Measurements, points: int = POINTS_PER_GAP, *, start: float = 0.0
+    estimator: OnlineEstimator, measurements: Measurements, points: int = POINTS_PER_GAP, *, start: float = 0.0
 ) -> EstimateCurve:
     """Run an estimator along a record and return its estimates between the samples, too, with the tube around them.
 
     Parameters
     ----------
-    estimator : Estimator
-        Fresh, or reset; it takes in the whole record.
+    estimator : MovingHorizonEstimator, KalmanFilter or another of this package
+        Fresh, or started anew; it takes in the whole record.
     measurements : Measurements
     points : int
         Of the open loop between two samples, >= 1.

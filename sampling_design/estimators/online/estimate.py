@@ -72,7 +72,7 @@ class Contradiction(NamedTuple):
 
 @lru_cache(maxsize=8)
 def _told(contradiction: Contradiction) -> str:
-    return f"The data contradict the bounds: {contradiction}. To start again: reset(prior, prior_time)."
+    return f"The data contradict the bounds: {contradiction}. To start again: start(prior, prior_time)."
 
 
 class ProvesIntervals(Protocol):
@@ -119,7 +119,7 @@ class Estimate(Record):
     certified : bool
         The ellipsoid is proven, provided that w, v and the initial error keep their bounds. What the interval proves to
         contradict the bounds is known once it is asked for (`interval`, `radii`, `centred`): from then on this estimate
-        and all that are made after it are not certified and have no radius, until `reset`.
+        and all that are made after it are not certified and have no radius, until `start`.
     on_schedule : bool
         The certificate's a-priori claim covers this estimate: its own weights, cost and horizon, and no
         sample off its schedule so far.

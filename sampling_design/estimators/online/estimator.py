@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -203,26 +203,36 @@ class EstimateRecord(TableRecord, CurveRecord):
 
 @runtime_checkable
 class Estimator(Protocol):
-    """Anything that turns samples into estimates as they come."""
+    """Anything that turns samples into states as they come: three methods, of any class.
 
-    plant: Plant
+    What `update` and `predict` return is an `Estimate`, or the state alone, (n,), where nothing is said of its error.
+    """
 
-    def update(self, t: float, y: object = None, u: object = None) -> Estimate:
-        """Take in a sample and return the estimate at the latest sample."""
+    def start(self, prior: npt.ArrayLike, prior_time: float = 0.0) -> object:
+        """Forget all samples and start again from the state `prior` at `prior_time`."""
         ...
 
-    def predict(self, t: float) -> Estimate:
-        """Return the estimate at any later time, open loop."""
+    def update(self, t: float, y: npt.ArrayLike, u: npt.ArrayLike | None = None) -> Estimate | npt.ArrayLike:
+        """Take in a sample, y (p,) with NaN for "not measured", and return the state just after it.
+
+        u (m,) holds from t on, None for unchanged.
+        """
         ...
 
-    def reset(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> None:
-        """Forget all samples and start again from a prior."""
+    def predict(self, t: float) -> Estimate | npt.ArrayLike:
+        """Return the state at a time after the last sample, open loop; no sample is taken in."""
         ...
 
-    def run(self, record: object, *, progress: Progress | None = None) -> EstimateRecord:
-        """Take in a whole record."""
-        ...
 
-    def stream(self, samples: Iterable[object]) -> Iterator[Estimate]:
-        """Yield one estimate per sample."""
-        ...
+def estimate_from(found: Estimate | npt.ArrayLike, t: float, n: int, status: Status = "ok") -> Estimate:
+    """Return what an estimator returned as an estimate: of a state alone nothing is proven, and its radius is infinite.
+
+    Raises
+    ------
+    ArgumentError
+        If it is no state of `n` entries.
+    """
+    if isinstance(found, Estimate):
+        return found
+    x = checks.vector("estimate", found, n)
+    return Estimate(t, x, freeze(np.eye(n)), np.inf, status, note="The estimator says nothing of its error.")

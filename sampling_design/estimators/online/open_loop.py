@@ -188,7 +188,7 @@ class OpenLoopEstimator(OnlineEstimator):
     def _sample_energy(self, masks: Array) -> Array:
         return self.weights.sample_energy(self._v_bound, False, masks)
 
-    def reset(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> None:
+    def start(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> None:
         """Forget all samples, and what they contradicted, and start again from a prior.
 
         Raises
@@ -248,7 +248,7 @@ class OpenLoopEstimator(OnlineEstimator):
         elif self.radius_note:
             note = f"{note} {self.radius_note}"
         elif not certified:
-            broken = "the data contradict the constraints. To start again: reset(prior, prior_time)."
+            broken = "the data contradict the constraints. To start again: start(prior, prior_time)."
             note = f"{note} No radius: {broken if not sound else 'it overflows.'}"
         if not scheduled:
             note = f"{note} {self.claim_note or OFF_SCHEDULE}"
@@ -337,7 +337,7 @@ class OpenLoopEstimator(OnlineEstimator):
         if not (np.isfinite(flow.F).all() and np.isfinite(x).all()):
             raise ArgumentError(
                 f"`t` = {t!r} lies {flow.gap:.6g} {self.plant.time_unit} after the last sample: what is not measured "
-                "for so long grows beyond double precision. Start again near it: reset(prior, prior_time)."
+                "for so long grows beyond double precision. Start again near it: start(prior, prior_time)."
             )
 
     def _ahead(self, node: HistoryNode, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:

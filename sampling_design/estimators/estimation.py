@@ -1,0 +1,65 @@
+"""From a record to estimates, by any estimator with the three methods."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.estimators.online.estimator import EstimateRecord, Estimator, estimate_from
+from sampling_design.estimators.online.in_order import listed, triple
+from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.dispatch import OpenPlant, registered
+from sampling_design.records.signatures import checked
+
+
+@checked
+def estimate(
+    plant: Plant | OpenPlant,
+    record: object,
+    estimator: Estimator,
+    *,
+    prior: npt.ArrayLike | None = None,
+    prior_time: float = 0.0,
+) -> EstimateRecord:
+    """Return the estimates of an estimator, started anew, at every sample of a record.
+
+    Parameters
+    ----------
+    plant : Plant
+    record : Measurements, pandas DataFrame or iterable of (t, y, u)
+        Gone through in order of time.
+    estimator : Estimator
+        Any object with `start(prior, prior_time)`, `update(t, y, u)` and `predict(t)`: those of this package, or one of
+        your own, which may return the state alone.
+    prior : (n,) array, optional
+        State at `prior_time`; default 0.
+    prior_time : float [time]
+
+    Returns
+    -------
+    EstimateRecord
+        Of an estimator that returns states alone nothing is certified, and every radius is infinite.
+
+    Raises
+    ------
+    ArgumentError
+        If the record cannot be gone through, the prior has the wrong length, or the estimator returns no state.
+
+    Examples
+    --------
+    >>> from sampling_design import KalmanFilter
+    >>> plant = Plant([[-1.0]], [[1.0]])
+    >>> found = estimate(plant, [(0.0, [1.0]), (1.0, [0.4])], KalmanFilter(plant))
+    >>> found.x.shape
+    (2, 1)
+    """
+    if not isinstance(plant, Plant):
+        verb = registered("estimate", plant, EstimateRecord)
+        return verb(plant, record, estimator, prior=prior, prior_time=prior_time)
+    n = plant.n_states
+    samples = [triple(item) for item in listed(record, plant)]
+    begin = checks.vector("prior", np.zeros(n) if prior is None else prior, n)
+    estimator.start(begin, checks.number("prior_time", prior_time))
+    taken = [(estimator.update(s.t, s.y, s.u), s.t) for s in samples]  # type: ignore[arg-type]  # as it came
+    return EstimateRecord.collect(plant, [estimate_from(found, t, n) for found, t in taken])

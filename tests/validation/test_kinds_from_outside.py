@@ -1,0 +1,185 @@
+"""A plant kind, a schedule family and an estimator that the package does not know go through its verbs from outside.
+
+Each is what `docs/contributing.md` shows: one class, and a line for each verb that it takes part in.
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import sampling_design as sd
+from sampling_design import Plant
+from sampling_design.checkers import cover, family_file, strict
+from sampling_design.errors import ArgumentError
+from sampling_design.estimators.estimation import estimate
+from sampling_design.records import dispatch
+from sampling_design.schedules.family import OUTWARD, FamilyStep, SamplingFamily
+
+# --- a kind of plant: what it is, and a verb at a time what is done about it ------------------------------------------
+
+
+@dataclass(frozen=True)
+class Pendulum:
+    """Small swings of a pendulum whose angle is measured."""
+
+    length: float
+    time_unit: str = "s"
+
+    @property
+    def linear(self) -> Plant:
+        return Plant([[0.0, 1.0], [-9.81 / self.length, -0.1]], [[1.0, 0.0]], G=[[0.0], [1.0]])
+
+
+@pytest.fixture
+def pendulum(monkeypatch):
+    monkeypatch.setattr(dispatch, "_OFFERED", dict(dispatch._OFFERED))
+    for verb in (sd.window_sigma, sd.certify, sd.validate, estimate):
+
+        def of_pendulum(plant: Pendulum, *arguments: Any, _verb: Any = verb, **options: Any) -> Any:
+            return _verb(plant.linear, *arguments, **options)
+
+        dispatch.register(verb.__name__, Pendulum, of_pendulum)
+    return Pendulum(1.0)
+
+
+# --- a family of schedules: what belongs to it, what may come next; and what an auditor makes of its file -------------
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class EitherGap(SamplingFamily, kind="either-gap"):
+    """Every gap is `low` or `high`, in any order."""
+
+    low: float
+    high: float
+    time_unit: str | None = None
+    min_gap = property(lambda self: self.low)
+    d_max = property(lambda self: self.high)
+    nominal = property(lambda self: sd.PeriodicSchedule([self.low, self.high]))
+
+    def contains(self, schedule: Any) -> bool:
+        return all(np.isclose(gap, [self.low, self.high], rtol=1e-9).any() for gap in schedule.gaps)
+
+    def draw(self, rng: Any = None, *, duration: float | None = None, samples: int | None = None) -> sd.Schedule:
+        return sd.Schedule.from_gaps(np.random.default_rng(rng).choice([self.low, self.high], samples or 10))
+
+    def steps(self, memory: int, outputs: int) -> Any:
+        def steps(word: Any) -> list[FamilyStep]:
+            ends = [(0.0, self.high)] if word == ("start",) else [(gap, gap) for gap in (self.low, self.high)]
+            return [FamilyStep((), low * (1 - OUTWARD), high * (1 + OUTWARD), (True,) * outputs) for low, high in ends]
+
+        return steps
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"kind": self.kind, "low": self.low, "high": self.high}
+
+    def explain(self) -> str:
+        return f"Gaps of {self.low} or {self.high}."
+
+
+@dataclass(frozen=True)
+class ReadEitherGap(family_file.Family):
+    """What an auditor reads of it."""
+
+    gaps: tuple[float, float]
+
+
+def covers(family: ReadEitherGap, graph: family_file.Graph) -> None:
+    """Every node allows both gaps; the first one any part of the longer."""
+    for u, word in enumerate(graph.words):
+        parts = [(Fraction(e.low), Fraction(e.high)) for e in graph.leaving(u)]
+        ends = [(0.0, family.gaps[1])] if not u else [(gap, gap) for gap in family.gaps]
+        for low, high in ends:
+            cover.need(cover.covers(parts, Fraction(low), Fraction(high)), u, f"gap {high} after {word}")
+
+
+READ = strict.table({"kind": strict.text, "low": strict.positive, "high": strict.positive})
+family_file.FAMILIES["either-gap"] = family_file.Kind(READ, lambda d, plant: ReadEitherGap((d["low"], d["high"])))
+cover.COVERED[ReadEitherGap] = covers
+
+
+# --- an estimator: three methods --------------------------------------------------------------------------------------
+
+
+class Luenberger:
+    """x' = Ax between samples, x += L (y - Cx) at one."""
+
+    def __init__(self, plant: Plant, gain: Any) -> None:
+        self.A, self.C, self.gain = plant.A, plant.C, np.asarray(gain)
+
+    def start(self, prior: Any, prior_time: float = 0.0) -> None:
+        self.t, self.x = prior_time, np.asarray(prior, dtype=float)
+
+    def update(self, t: float, y: Any, u: Any = None) -> Any:
+        x = self.predict(t)
+        self.t, self.x = t, x + self.gain @ (np.asarray(y) - self.C @ x)
+        return self.x
+
+    def predict(self, t: float) -> Any:
+        return expm(self.A * (t - self.t)) @ self.x
+
+
+GAIN = [[0.8], [0.5]]
+
+
+# --- all three through the verbs --------------------------------------------------------------------------------------
+
+
+def test_every_verb_takes_all_three(pendulum):
+    family, plant = EitherGap(0.3, 0.4), pendulum.linear
+    schedule = sd.PeriodicSchedule([0.3, 0.4])
+    assert sd.window_sigma(pendulum, schedule, 1.5).lower == sd.window_sigma(plant, schedule, 1.5).lower > 0
+    certificate = sd.certify(pendulum, family, eta=0.1, P2=np.diag([10.0, 1.0]))
+    assert certificate.verify(rigorous=True).passed
+    assert certificate.family is family
+    record = [(t, [np.cos(t)]) for t in family.draw(0, samples=40).times.tolist()]
+    found = estimate(pendulum, record, Luenberger(plant, GAIN), prior=[1.0, 0.0])
+    assert found.x.shape == (40, 2)
+    assert np.isinf(found.radius).all()
+    assert not found.certified.any()
+    report = sd.validate(pendulum, schedule, estimator=Luenberger(plant, GAIN), runs=3, duration=40.0)
+    assert report.passed
+    assert [course.name for course in report.courses] == ["random", "resonant", "initial"]
+
+
+def test_an_estimator_that_lets_errors_grow_is_found_out(pendulum):
+    fed_backwards = Luenberger(pendulum.linear, [[-0.5], [0.0]])
+    report = sd.validate(pendulum, sd.PeriodicSchedule([0.3]), estimator=fed_backwards, runs=1, duration=20.0)
+    assert {finding.scenario for finding in report.broken} == {"resonant", "initial"}
+
+
+def test_a_radius_that_does_not_hold_is_found_out(pendulum):
+    class Boasting(Luenberger):
+        def update(self, t: float, y: Any, u: Any = None) -> Any:
+            return sd.estimators.Estimate(t, super().update(t, y, u), np.eye(2), 1e-6, certified=True)
+
+    boasting = Boasting(pendulum.linear, GAIN)
+    report = sd.validate(pendulum, sd.PeriodicSchedule([0.3]), estimator=boasting, runs=1, scenarios=["random"])
+    assert [finding.claim for finding in report.broken] == ["online ellipsoid"]
+
+
+def test_the_estimators_of_the_package_are_validated_by_their_methods_alone(pendulum):
+    bounds = {"w_bound": 0.1, "v_bound": 0.05, "initial_error": 0.5}
+    kalman = sd.KalmanFilter(pendulum.linear, **bounds)
+    options = {"runs": 3, "duration": 10.0, "scenarios": ["random", "initial", "paper"]}
+    report = sd.validate(pendulum, sd.PeriodicSchedule([0.3, 0.4]), estimator=kalman, **options, **bounds)
+    assert report.passed
+    assert {finding.claim for finding in report.findings} == {"online ellipsoid", "error does not grow"}
+    assert report.skipped == ("paper: it needs a certificate's estimator.",)
+
+
+def test_what_does_not_go_together_is_refused(pendulum):
+    schedule, observer = sd.PeriodicSchedule([0.3]), Luenberger(pendulum.linear, GAIN)
+    with pytest.raises(ArgumentError, match="`horizon` must be left out where an `estimator` is given"):
+        sd.validate(pendulum, schedule, estimator=observer, horizon=3.0)
+    with pytest.raises(ArgumentError, match="`estimator` must be an Estimator, got float"):
+        sd.validate(pendulum, schedule, estimator=3.0)
+    with pytest.raises(ArgumentError, match="`estimate` must have 2 entries"):
+        estimate(
+            pendulum, [(0.0, [1.0])], type("Short", (Luenberger,), {"update": lambda *_: [1.0]})(pendulum.linear, GAIN)
+        )
+    with pytest.raises(ArgumentError, match="`plant` must be a Plant, got Pendulum"):
+        sd.zero_count_bound(pendulum, 2.0)

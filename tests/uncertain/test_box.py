@@ -19,7 +19,7 @@ from sampling_design import (
 from sampling_design.errors import ArgumentError, NotObservableError, UndecidedError
 from sampling_design.plants.plant import Signals
 from sampling_design.uncertain.accuracy import accuracy_over_box
-from sampling_design.uncertain.box.branching import halved
+from sampling_design.uncertain.box.branching import branch, halved
 from sampling_design.uncertain.box.expansion import BoxCells, exponentials
 from sampling_design.uncertain.box.model import BoxModel
 from sampling_design.uncertain.existence.existence_over_box import existence_over_box
@@ -199,6 +199,30 @@ def test_halves_cover_their_cell():
     np.testing.assert_array_equal(parts.u, [[0.0, -0.5], [0.0, 0.5]])
     np.testing.assert_array_equal(parts.half, [[1.0, 0.5], [1.0, 0.5]])
     assert halved(cells, np.array([[0.1, 0.2, 0.3]])).s.tolist() == [-0.5, 0.5]
+
+
+def test_a_descent_from_the_first_cells_shows_at_once_that_one_is_enough():
+
+    def value(u, s, piece):
+        return 1.0 + (u[0] - 0.3) ** 2
+
+    def judged(least):
+        def judge(cells):
+            centre = 1.0 + (cells.u[:, 0] - 0.3) ** 2
+            lower = np.minimum(least, centre - 2.0 * cells.half[:, 0])
+            return lower, centre, np.column_stack([cells.half[:, 0], 0 * cells.s])
+
+        return judge
+
+    one = BoxCells(np.zeros((1, 1)), np.full((1, 1), 1e-9), np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
+    ends = (np.zeros(1), np.zeros(1))
+    wide = one._replace(half=np.ones((1, 1)))
+    first = branch(one, judged(0.995), value, lambda *_: False, 0.01, np.inf, ends, None)
+    assert (first.status, first.cells) == ("closed", 1)
+    assert first.upper == pytest.approx(1.0)
+    seen = branch(wide, judged(0.995), value, lambda *_: False, 0.01, np.inf, ends, None)
+    assert seen.status == "closed"
+    assert 0.99 <= seen.lower <= seen.upper == pytest.approx(1.0)
 
 
 # --- certificates -----------------------------------------------------------------------------------------------------

@@ -63,7 +63,7 @@ NARROW_MARGINS = (5e-4, 0.015, 0.04)
 SOUGHT = 0.75
 """Share of the work after which nothing cheaper than what is held is sought: the rest proves it and bounds the cost."""
 
-COARSER = 0.5
+COARSER = 0.25
 """Share of the work that searches on coarser rasters may take, all together, the coarsest first."""
 
 ROUNDS = 60
@@ -168,8 +168,8 @@ def plan_samples(
         return None
 
     certified = room_for("certificate", plan_certificate) if certificate else None
-    begins = room_for("start", plan_start)
     bears = room_for("robustness", plan_robustness) if robustness else None
+    begins = room_for("start", plan_start)
     return replace(found, certificate=certified, start=begins, robustness=bears, left_out=tuple(left_out))
 
 

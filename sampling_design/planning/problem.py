@@ -24,7 +24,10 @@ WHOLE = 1e-6
 """A time counts as a whole number of raster steps within this share of a step."""
 
 DEFAULT_STEPS = 96
-"""Steps of a period without a raster, and of one that is not looked at more coarsely first."""
+"""Steps of a period without a raster."""
+
+COARSE = 168
+"""Steps of a raster, the hours of a week, up to which it is not looked at more coarsely first."""
 
 MOST_STEPS = 20_000
 
@@ -236,7 +239,7 @@ def coarser(problem: PlanProblem) -> PlanProblem | None:
         seconds = problem.step * SECONDS[problem.plant.time_unit]
         whole = (SECONDS["h"] if seconds < SECONDS["h"] * (1 - WHOLE) else SECONDS["d"]) / seconds
     parts = [k for k in range(2, problem.steps) if problem.steps % k == 0 and _divides(k, whole)]
-    if problem.steps <= DEFAULT_STEPS or not parts:
+    if problem.steps <= COARSE or not parts:
         return None
     step = problem.step * next((k for k in parts if k > 2), 2)
     unit = requirement.time_unit or problem.plant.time_unit

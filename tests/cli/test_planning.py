@@ -18,6 +18,7 @@ SMALL = """format = "sampling-design/plan-requirement/1"
 period = 6.4
 raster = 0.8
 w_bound = 0.02
+initial_error = 0.05
 [accuracy]
 position = 0.5
 [sensors.position]

@@ -128,8 +128,8 @@ def test_an_interrupt_leaves_what_the_search_holds(words, limit, tmp_path):
     found = sd.plan_samples(OSCILLATOR, wanted, search_seconds=2, progress=interrupt)
     assert found.status == "interrupted"
     assert found.keeps
-    assert found.left_out == (("bound",) if words == "samples" else ()) + ("certificate", "start", "robustness")
-    assert found.explain().endswith("may be lost: interrupted.")
+    assert found.left_out == (("bound",) if words == "samples" else ()) + ("certificate", "robustness", "start")
+    assert found.explain().endswith("after the start: interrupted.")
     back = sd.read_plan(save_plan(found, tmp_path / "plan.json"))
     assert back.verify()
     assert back.status == "interrupted"

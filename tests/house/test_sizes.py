@@ -2,6 +2,7 @@
 
 import ast
 import io
+import re
 import tokenize
 
 from tests.house.sources import PACKAGE, SOURCES, nodes
@@ -44,3 +45,11 @@ def test_functions_stay_small():
             assert len(body) <= FUNCTION_WALL, (
                 f"{path}:{function.lineno}: {function.name} has {len(body)} lines of code"
             )
+
+
+def test_the_way_in_for_a_new_maintainer_is_short():
+    """docs/architecture.md lists at most twelve files, under 3 000 lines together, each of them there."""
+    page = (PACKAGE.parent / "docs" / "architecture.md").read_text().split("**The way in.**")[1].split("**Adding")[0]
+    files = re.findall(r"^\| \d+ \| `([\w/]+\.py)` \|", page, re.MULTILINE)
+    assert 8 <= len(files) <= 12
+    assert sum((PACKAGE / file).read_text().count("\n") for file in files) < 3000

@@ -194,7 +194,7 @@ def test_bad_plants_and_schedules_are_refused():
         certify(OSCILLATOR, None)
     with pytest.raises(ArgumentError, match="`schedule` must hold a sample later than time 0"):
         given(schedule=Schedule([0.0]))
-    with pytest.raises(ArgumentError, match="`plant` must be a Plant or a LinearInclusion, got int"):
+    with pytest.raises(ArgumentError, match="`plant` must be a Plant or a plant of another kind, got int"):
         certify(3, EVERY)
     with pytest.raises(ArgumentError, match="`plant` must be a Plant, got str"):
         Certificate("x", EVERY, **ONES)

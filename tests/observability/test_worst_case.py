@@ -275,7 +275,7 @@ def test_record_shows_everything_and_is_plain_data():
 
 def test_bad_arguments_are_refused_in_words():
     family = SpacedWindows(4.0, 2, 0.5)
-    with pytest.raises(ArgumentError, match="`plant` must be a Plant or an UncertainPlant, got int"):
+    with pytest.raises(ArgumentError, match="`plant` must be a Plant or a plant of another kind, got int"):
         worst_case_sigma(3, family)
     with pytest.raises(ArgumentError, match="`family` must be a SpacedWindows, got tuple"):
         worst_case_sigma(chain(2), (4.0, 2, 0.5))

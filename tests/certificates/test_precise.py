@@ -91,14 +91,29 @@ def test_an_indefinite_weight_is_none():
         both(UNEVEN)[0].peaks(np.diag([1.0, -1.0]))
 
 
-@pytest.mark.parametrize("without", ["the extra", "work for a search", "work for a proof"])
+def test_a_search_that_has_used_its_work_looks_at_no_further_rate(monkeypatch):
+    tried = list[float]()
+
+    def fails(problem, choice, *rest):
+        tried.append(choice.eta)
+        raise UndecidedError("undecided: the proof is made to fail")
+
+    monkeypatch.setattr(precise, "_proven", fails)
+    weights, inner = weights_of(OSCILLATOR, None, None, None), inside(OSCILLATOR, UNEVEN)
+    for work, rates in ((1.0, 1), (1e6, 3)):
+        monkeypatch.setattr(precise, "PRECISE_WORK", work)
+        tried.clear()
+        with pytest.raises(UndecidedError, match="no proof closes in more digits than doubles have either"):
+            precisely_chosen((OSCILLATOR, UNEVEN, weights), inner, (0.1, 0.3), None, 3.0, Work(1e7))
+        assert len(tried) == rates
+
+
+@pytest.mark.parametrize("without", ["the extra", "work for a proof"])
 def test_what_cannot_be_proven_is_undecided(without, monkeypatch):
     if without == "the extra":
         monkeypatch.setattr(precise, "find_spec", lambda name: None)
     else:
-        monkeypatch.setattr(
-            precise, {"work for a search": "PRECISE_WORK", "work for a proof": "PRECISE_PROOF"}[without], 1.0
-        )
+        monkeypatch.setattr(precise, "PRECISE_PROOF", 1.0)
     weights = weights_of(OSCILLATOR, None, None, None)
     with pytest.raises(UndecidedError, match="no proof closes in more digits than doubles have either"):
         precisely_chosen((OSCILLATOR, UNEVEN, weights), inside(OSCILLATOR, UNEVEN), (0.3, 0.3), 0.3, 3.0, Work(1e7))

@@ -10,7 +10,6 @@ from sampling_design import Plant, Requirement, design_schedule, read_requiremen
 from sampling_design.design.bounds.weak_duality import best_choice
 from sampling_design.design.problem.requirement_file import write_requirement
 from sampling_design.errors import InfeasibleRequirementError
-from tests.cases import few
 from tests.oracles.design import is_allowed, window_sigma_scan
 
 A = np.kron(np.diag([1.0, 2.0]), [[0.0, 1.0], [-1.0, 0.0]])
@@ -85,23 +84,20 @@ def test_the_best_choice_is_the_best_by_enumeration():
 
 @pytest.mark.parametrize(
     ("changes", "words"),
-    few(
-        [
-            ({"cost_limit": 3.0}, "`cost_limit` 3 is less than 4 of the cheapest measurements cost"),
-            (
-                {
-                    "cost_limit": 5.0,
-                    "spacing": 0.9,
-                    "outputs": {
-                        "y1": {"cost": 5.0, "available": [[0.0, 2.0]]},
-                        "y2": {"cost": 1.0, "available": [[2.0, 4.0]]},
-                    },
+    [
+        ({"cost_limit": 3.0}, "`cost_limit` 3 is less than 4 of the cheapest measurements cost"),
+        (
+            {
+                "cost_limit": 5.0,
+                "spacing": 0.9,
+                "outputs": {
+                    "y1": {"cost": 5.0, "available": [[0.0, 2.0]]},
+                    "y2": {"cost": 1.0, "available": [[2.0, 4.0]]},
                 },
-                "`cost_limit` 5 is not kept by any schedule that was found",
-            ),
-        ],
-        0,
-    ),
+            },
+            "`cost_limit` 5 is not kept by any schedule that was found",
+        ),
+    ],
 )
 def test_a_limit_that_is_too_low_names_one_that_works(changes, words):
     requirement = asked(**changes)

@@ -126,6 +126,9 @@ def design(
 ) -> None:
     """Design an endless periodic schedule, with its proven sigma and a bound that none can beat.
 
+    The work ends by itself once the bound is at most 3 % above sigma, or where more cuts help little; Ctrl-C ends it at
+    any time (exit code 130). Files hold what is proven by then.
+
     Example: sampling-design design examples/plants/oscillator.toml examples/requirements/oscillator.toml -o out
     """
     plant = reading.plant(plant_file)

@@ -127,6 +127,8 @@ def losses(
             settings.show({"without": []}, design.explain())
             end_unseen(design)
             return
+        if design.status == "interrupted":
+            raise KeyboardInterrupt
         rng = np.random.default_rng(settings.seed)
         result = sd.sample_losses(design, every_period=every_period, rng=rng, budget=half, progress=progress)
     folder = settings.folder()

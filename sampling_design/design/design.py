@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.checkers.strict import Tree
 from sampling_design.design.bounds.branching import narrowed
-from sampling_design.design.bounds.evidence import UpperBound, first_bound, quick_bound
-from sampling_design.design.bounds.relaxation import Relaxation, relax_placed
+from sampling_design.design.bounds.evidence import UpperBound, quick_bound
+from sampling_design.design.bounds.relaxation import relax_placed
+from sampling_design.design.count_problem import CountProblem, bounded, brought_back, candidates
 from sampling_design.design.counts import rival_counts
 from sampling_design.design.folding import folded, parts, unfolded
-from sampling_design.design.problem.canonical import CanonicalDesign, canonical
+from sampling_design.design.problem.canonical import canonical
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.posing import pose, resolve
 from sampling_design.design.problem.requirement import Requirement
+from sampling_design.design.problem.stopping import Interrupted
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove
 from sampling_design.design.search.costs import affordable, relax_costly
-from sampling_design.design.search.fedorov_exchange import even, is_admissible, repaired
+from sampling_design.design.search.fedorov_exchange import even, is_admissible
 from sampling_design.design.search.local_search import search
 from sampling_design.design.sizes import check_size
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError, SolverError
@@ -31,7 +34,6 @@ from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.checks import Seed
-from sampling_design.records.evidence import SolverRecord
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import time_factor
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -39,6 +41,7 @@ from sampling_design.schedules.schedule import PeriodicSchedule
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Progress = Callable[[float, str], None]
+Held = TypeVar("Held")
 
 STARTS = 8
 """Starts that are refined by default."""
@@ -48,6 +51,9 @@ BRANCHES = 20
 
 PATIENCE = 150
 """Boxes that are cut by default where the gap is wide otherwise, as long as that helps."""
+
+GAP = 0.03
+"""Share of sigma by which the bound may lie above it where no number of cuts is asked for: cutting ends there."""
 
 MOST_TRIED = 100
 """Largest count that a target sigma is tried with where the requirement names none."""
@@ -87,15 +93,17 @@ def design_schedule(
     branches : int, optional
         Boxes of schedules that are cut in two to narrow the upper bound, where it is not more samples than that;
         0 keeps the plain relaxations' bound. More cuts, a narrower bound, at a cost that grows with
-        them. Default: 20 (of more than eight states fewer, each of which takes longer), and up to 150 as long as the
-        gap is above 3 % and falls.
+        them. Default: until the gap is at most 3 %, with 20 cuts, or up to 150 as long as it falls (of more than eight
+        states fewer, each of which takes longer).
     rtol : float
         Width of the bracket that proves sigma.
     budget : float, optional [seconds]
         Relaxations, search and branching stop then; what is there is proven, within half as much time again. The
-        bound holds but is wider, and `status` says "budget".
+        bound holds but is wider, and `status` says "budget". An interrupt (Ctrl-C) ends the work likewise, `status`
+        is "interrupted"; a second one, before the proof is made, is raised.
     progress : callable, optional
-        Called with the fraction done and a message.
+        Called with the fraction done and a message: sigma that is proven or was found, the bound, the gap between them,
+        and what is done. The first comes as soon as even spacing is proven.
 
     Returns
     -------
@@ -205,38 +213,9 @@ def _nothing(plant: Plant, split: ModalSplit, requirement: Requirement) -> Sched
     )
 
 
-@dataclass(frozen=True, eq=False)
-class CountProblem:
-    """One count of samples: its problem, the relaxation to round, and the smaller of the bounds.
-
-    The relaxation and `inner`, the bound as it was found, are in canonical units; `bound` is that of the problem.
-    """
-
-    canon: CanonicalDesign
-    relaxation: Relaxation
-    inner: UpperBound
-    bound: UpperBound
-    solver: tuple[SolverRecord, ...]
-
-    @property
-    def problem(self) -> DesignProblem:
-        """The problem as it was posed."""
-        return self.canon.outside
-
-
-def bounded(plant: Plant, requirement: Requirement, samples: int, deadline: float = np.inf) -> CountProblem:
-    """Relax and bound one count of samples; `requirement` is resolved, `plant` the one that is designed for."""
-    canon = canonical(pose(plant, requirement, samples))
-    left = deadline - time.perf_counter()
-    seconds = max(left / 3, 0.0) if np.isfinite(left) else None
-    placed = (relax_costly if canon.inside.is_costly else relax_placed)(canon.inside, seconds=seconds)
-    inner = first_bound(canon.inside, placed, deadline)
-    return CountProblem(canon, placed, inner, inner.brought_back(canon), (placed.record,))
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Run:
-    """One call of `design_schedule`: everything that its steps share."""
+    """One call of `design_schedule`: everything that its steps share, and what is known so far."""
 
     plant: Plant
     split: ModalSplit
@@ -250,14 +229,63 @@ class _Run:
     seconds: float
     progress: Progress | None
     began: float
+    late: str = "budget"
+    sigma: float = field(default=0.0, init=False)
+    bound: float = field(default=np.inf, init=False)
+
+    @property
+    def deadline(self) -> float:
+        return self.began + self.seconds
 
     @property
     def designed(self) -> Plant:
         return designed_plant(self.split)
 
     def say(self, fraction: float, message: str) -> None:
+        """Tell what is known of the count that is worked on, and what is done."""
         if self.progress:
-            self.progress(fraction, message)
+            known = [f"sigma {self.sigma:.5g}"] if self.sigma > 0 else []
+            known += [f"bound {self.bound:.5g}"] if np.isfinite(self.bound) else []
+            known += [f"gap {100 * max(1 - self.sigma / self.bound, 0.0):.1f} %"] if len(known) == 2 else []
+            self.progress(fraction, ", ".join([*known, message]))
+
+    def held(self, step: Callable[[], Held]) -> Held:
+        """What a step gives; after an interrupt what it has by then, and every later step as if time were up."""
+        try:
+            return step()
+        except Interrupted as stop:
+            self.interrupt()
+            found: Held = stop.held  # type: ignore[assignment]
+            return found
+        except KeyboardInterrupt:
+            self.interrupt()
+            return step()
+
+    def interrupt(self) -> None:
+        """Let time be up."""
+        self.late, self.seconds = "interrupted", min(self.seconds, time.perf_counter() - self.began)
+
+    def begin(self, samples: int, fraction: float) -> None:
+        """Prove even spacing and say so: the first answer, before anything is solved."""
+        self.sigma, self.bound = 0.0, np.inf
+        if self.progress and time.perf_counter() <= self.deadline:
+            problem = pose(self.designed, self.requirement, samples)
+            times = even(problem, 0.5)
+            if times is not None and is_admissible(problem, times):
+                self.sigma = self.proven(problem, times, problem.mask(times))[1].lower
+        self.say(fraction, f"bounding {samples} samples per period")
+
+    def sized(self, samples: int, fraction: float) -> CountProblem:
+        """Bound one count of samples, and say what is known of it as soon as it is."""
+
+        def told(bound: float) -> None:
+            self.bound = bound
+            self.say(fraction, f"bounding {samples} samples per period")
+
+        self.held(lambda: self.begin(samples, fraction))
+        found = self.held(lambda: bounded(self.designed, self.requirement, samples, self.deadline, told))
+        self.bound = found.bound.value
+        return found
 
     def best(self) -> ScheduleDesign:
         """The best of all counts that are asked for and that count; every other one is bounded, or sees no more."""
@@ -268,12 +296,11 @@ class _Run:
         sized: CountProblem | None = None
         for done, samples in enumerate(counts):
             low, high = done / len(counts), (done + 1) / len(counts)
-            self.say(low, f"bounding {samples} samples per period")
-            if best is not None and sized is not None and time.perf_counter() > self.began + self.seconds:
+            if best is not None and sized is not None and time.perf_counter() > self.deadline:
                 canon = canonical(pose(self.designed, self.requirement, samples))
                 bounds[samples] = quick_bound(canon.inside, sized.relaxation).brought_back(canon)
                 continue
-            sized = bounded(self.designed, self.requirement, samples, self.began + self.seconds)
+            sized = self.sized(samples, low)
             bounds[samples] = sized.bound
             if best is not None and sized.bound.value <= best.sigma:
                 continue
@@ -294,37 +321,44 @@ class _Run:
         own = len(best.schedule or ())
         others = {samples: bound for samples, bound in bounds.items() if samples != own}
         top = max(bound.value for bound in bounds.values())
-        late = time.perf_counter() > self.began + self.seconds
-        return replace(best, upper_bound=top, other_counts=others, status="budget" if late else best.status)
+        late = time.perf_counter() > self.deadline
+        return replace(best, upper_bound=top, other_counts=others, status=self.late if late else best.status)
 
     def searched(self, sized: CountProblem, low: float, high: float, known: float = 0.0) -> ScheduleDesign:
         """Search and prove where the bound is known already; none below a sigma that is `known` needs narrowing."""
         middle, near = low + 0.5 * (high - low), low + 0.95 * (high - low)
 
-        def inner(fraction: float, message: str) -> None:
-            self.say(low + fraction * (middle - low), message)
+        size, enough = sized.canon.size, sized.inner.value * (1 - _ENOUGH)
 
-        def cutting(fraction: float, message: str) -> None:
-            self.say(middle + fraction * (near - middle), message)
+        def inner(fraction: float, sigma: float) -> None:
+            self.sigma = max(self.sigma, sigma * size)
+            self.say(low + fraction * (middle - low), "refining schedules")
 
-        deadline, enough = self.began + self.seconds, sized.inner.value * (1 - _ENOUGH)
+        def cutting(fraction: float, bound: float) -> None:
+            self.bound = min(self.bound, bound * size)
+            self.say(middle + fraction * (near - middle), "narrowing the bound")
+
         rng = np.random.default_rng([self.seed, sized.problem.samples])  # the same for a count, whatever came before
         problem = sized.canon.inside
-        found = search(problem, sized.relaxation, rng, self.starts, deadline, inner, enough)
-        chosen = problem.mask(found.times)
+        first = self.held(lambda: search(problem, sized.relaxation, rng, self.starts, self.deadline, inner, enough))
+        found, chosen = first, problem.mask(first.times)
         if problem.is_costly:
-            found, chosen = affordable(problem, found, sized.relaxation, deadline, enough)
-        tied = self.tied(sized, rng, found.sigma, deadline)
+            found, chosen = self.held(lambda: affordable(problem, first, sized.relaxation, self.deadline, enough))
+        tied = self.held(lambda: self.tied(sized, rng, found.sigma))
         reached = max([found.sigma, *(sigma for _, _, sigma in tied)])
-        target = max(reached, known / sized.canon.size)
-        steps, most = _cuts(problem, self.branches)
-        bound = narrowed(problem, sized.inner, target, steps, deadline, cutting, most=most)
-        bound = sized.bound if bound is sized.inner else bound.brought_back(sized.canon)
-        time_left = time.perf_counter() <= deadline
-        self.say(near, "proving sigma over all window positions")
-        times, chosen = _brought_back(sized.canon, found.times, chosen)
-        candidates = [*_candidates(sized.problem, times, chosen), *((t, mask) for t, mask, _ in tied)]
-        proven = [self.proven(sized.problem, times, mask) for times, mask in candidates]
+        target = max(reached, known / size)
+        steps, most, gap = _cuts(problem, self.branches)
+        self.sigma = max(self.sigma, target * size)
+        bound = self.held(
+            lambda: narrowed(problem, sized.inner, target, steps, self.deadline, cutting, most=most, near=gap)
+        )
+        cut = bound
+        bound = sized.bound if cut is sized.inner else self.held(lambda: cut.brought_back(sized.canon))
+        time_left = time.perf_counter() <= self.deadline
+        self.held(lambda: self.say(near, "proving sigma over all window positions"))
+        times, chosen = brought_back(sized.canon, found.times, chosen)
+        asked = [*candidates(sized.problem, times, chosen), *((t, mask) for t, mask, _ in tied)]
+        proven = self.held(lambda: [self.proven(sized.problem, times, mask) for times, mask in asked])
         schedule, proof = max(proven, key=lambda pair: pair[1].lower)
         return ScheduleDesign(
             schedule=schedule,
@@ -338,17 +372,15 @@ class _Run:
             zero_count=self.zero_count,
             window=proof,
             bound=bound,
-            history=tuple(asdict(trial.in_units(sized.canon.size)) for trial in found.trials),
+            history=tuple(asdict(trial.in_units(size)) for trial in found.trials),
             solver=sized.solver,
-            status=_status(proof.lower, bound.value, found.complete and time_left),
+            status=_status(proof.lower, bound.value) if found.complete and time_left else self.late,
             notes=(self.used["notice"],) if "notice" in self.used else (),
         )
 
-    def tied(
-        self, sized: CountProblem, rng: np.random.Generator, reached: float, deadline: float
-    ) -> list[tuple[Array, Mask, float]]:
+    def tied(self, sized: CountProblem, rng: np.random.Generator, reached: float) -> list[tuple[Array, Mask, float]]:
         """Times that repeat within the period, what they measure and their sigma, where that could be better."""
-        part, enough = folded(sized.canon.inside), sized.inner.value * (1 - _ENOUGH)
+        part, enough, deadline = folded(sized.canon.inside), sized.inner.value * (1 - _ENOUGH), self.deadline
         if part is None or time.perf_counter() > deadline or reached >= enough:
             return []
         left = deadline - time.perf_counter()
@@ -374,7 +406,7 @@ class _Run:
             time_unit=self.plant.time_unit,
             output_names=self.plant.outputs.names,
         )
-        late = self.began + self.seconds - time.perf_counter()
+        late = self.deadline - time.perf_counter()
         seconds = max(late, _PROOF * self.seconds + _LEAST_SECONDS) / 2 if np.isfinite(late) else None
         return schedule, prove(self.split, schedule, self.requirement, self.rtol, budget=seconds)
 
@@ -386,7 +418,7 @@ class _Run:
         too_few: Tree = {}
         for samples in range(low, high + 1):
             try:
-                last = sized = bounded(self.designed, self.requirement, samples, self.began + self.seconds)
+                last = sized = self.sized(samples, (samples - low) / (high - low + 1))
             except InfeasibleRequirementError as error:
                 if error.obstacle != "samples":
                     if last is None:
@@ -394,7 +426,7 @@ class _Run:
                     break
                 ruled_out, too_few = samples, error.nearest  # not enough to see the state at all: go on
                 continue
-            if time.perf_counter() > self.began + self.seconds:
+            if time.perf_counter() > self.deadline:
                 break
             if sized.bound.value < target:
                 if ruled_out == samples - 1:
@@ -409,9 +441,9 @@ class _Run:
             best = found if best is None or found.sigma > best.sigma else best
         if best is None and last is not None:
             best = self.searched(last, 0.5, 1.0)
-        if best is not None and time.perf_counter() > self.began + self.seconds:
+        if best is not None and time.perf_counter() > self.deadline:
             note = f"the budget ran out before every count was tried; {target:g} is not reached yet"
-            return best if best.sigma >= target else replace(best, status="budget", notes=(*best.notes, note))
+            return best if best.sigma >= target else replace(best, status=self.late, notes=(*best.notes, note))
         raise _out_of_reach(target, high, best, too_few)
 
     def limits(self) -> tuple[int, int]:
@@ -430,45 +462,20 @@ class _Run:
         return min(low, high), high
 
 
-def _cuts(problem: DesignProblem, asked: int | None) -> tuple[int, int]:
-    """How many boxes are cut, and how many at most where the gap stays wide."""
+def _cuts(problem: DesignProblem, asked: int | None) -> tuple[int, int, float]:
+    """How many boxes are cut, how many at most where the gap stays wide, and the gap that ends it."""
     if asked is not None:
-        return asked, asked
+        return asked, asked, 0.0
     n = problem.plant.n_states
     share = min(1.0, (_PLAIN_STATES * (_PLAIN_STATES + 1) / (n * (n + 1))) ** 2)  # as inequalities have rows
-    return int(BRANCHES * share), int(PATIENCE * share)
+    return int(BRANCHES * share), int(PATIENCE * share), GAP
 
 
-def _status(sigma: float, bound: float, finished: bool) -> str:
-    """How a search for one count ended."""
-    if not finished:
-        return "budget"
+def _status(sigma: float, bound: float) -> str:
+    """How a search for one count ended that had all the time it needs."""
     if sigma > 0:
         return "complete"
     return "unseen" if bound == 0 else "blind"
-
-
-def _brought_back(canon: CanonicalDesign, found: Array, chosen: Mask) -> tuple[Array, Mask]:
-    """Times found in canonical units as those of the problem itself, pushed apart where rounding asks for it."""
-    times, chosen = canon.times(found, chosen)
-    if is_admissible(canon.outside, times):
-        return times, chosen
-    again = repaired(canon.outside, times)
-    return (times, chosen) if again is None else (again, chosen)
-
-
-def _candidates(problem: DesignProblem, times: Array, chosen: Mask) -> list[tuple[Array, Mask]]:
-    """What to prove: the best found, and even spacing where samples may enter at the instant at which others leave.
-
-    Even spacing is best there if its times are exact to the last bit; the search does not count on that.
-    """
-    candidates = [(times, chosen)]
-    ratio = problem.window * problem.samples / problem.period
-    exact = abs(ratio - round(ratio)) < 1e-9 and problem.window % problem.period > 0
-    if exact and problem.is_shift_invariant and not problem.is_costly:
-        spread = even(problem, 0.0)
-        candidates += [] if spread is None else [(spread, problem.mask(spread))]
-    return candidates
 
 
 def _out_of_reach(target: float, high: int, best: ScheduleDesign | None, too_few: Tree) -> InfeasibleRequirementError:

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.design.design import bounded, design_schedule
+from sampling_design.design.count_problem import bounded
+from sampling_design.design.design import design_schedule
 from sampling_design.design.problem.posing import pose, repeated
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove
@@ -192,7 +193,10 @@ def _fewer(design: ScheduleDesign, asked: Requirement, deadline: float, rng: See
         return 0.0
     left = max(deadline - time.perf_counter(), 0.0) if np.isfinite(deadline) else None
     asked = asked.replace(samples=count, target_sigma=None)
-    return design_schedule(design.plant, asked, rng=copy.deepcopy(rng), budget=left).upper_bound
+    found = design_schedule(design.plant, asked, rng=copy.deepcopy(rng), budget=left)
+    if found.status == "interrupted":
+        raise KeyboardInterrupt
+    return found.upper_bound
 
 
 def _periods(design: ScheduleDesign) -> int:

@@ -184,6 +184,8 @@ def _point(job: tuple[Plant, Requirement, int, Tree, float, float, float]) -> Pa
         design = design_schedule(plant, asked, **options)
     except InfeasibleRequirementError as error:
         return ParetoPoint(count, 0.0, 0.0, (), str(error))
+    if design.status == "interrupted":  # ends the front: what is finished is in `resume`
+        raise KeyboardInterrupt
     if design.schedule is None:
         return ParetoPoint(count, 0.0, 0.0, (), NO_NEED)
     unseen = "" if design.sigma > 0 else design.explain()

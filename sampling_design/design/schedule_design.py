@@ -57,8 +57,8 @@ class ScheduleDesign(Record):
     history : tuple of dict
         Every start of the search and where it led.
     status : str
-        "complete"; "budget", cut short; "unseen": no admissible schedule sees every state; "blind": none was found, and
-        the bound does not show that there is none; or "no samples needed".
+        "complete"; "budget" and "interrupted", cut short; "unseen": no admissible schedule sees every state; "blind":
+        none was found, and the bound does not show that there is none; or "no samples needed".
     other_counts : dict of int to UpperBound
         With "at_most": the bounds of the other counts of samples, as far as these need one of their own; every
         schedule of any count left out can take one sample more, and sees no less then.

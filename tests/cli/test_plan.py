@@ -1,6 +1,9 @@
 """info, design and sigma on the example plants, with right and with wrong input."""
 
 import json
+import os
+import signal
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 
@@ -9,6 +12,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design import read_schedule
+from sampling_design.cli.settings import Settings
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PLANTS, REQUIREMENTS = EXAMPLES / "plants", EXAMPLES / "requirements"
@@ -250,3 +254,28 @@ def test_counts_that_need_no_samples_are_met(shell):
     done = shell("pareto", plant("three_compartment"), "--counts", "1-2")
     assert done.code == 0
     assert "No samples needed" in done.out
+
+
+def test_an_interrupted_design_writes_what_is_proven(shell, tmp_path, monkeypatch):
+    """Ctrl-C while the bound is narrowed."""
+    calls = []
+
+    @contextmanager
+    def progress(self, label):
+        def call(fraction, message):
+            calls.append(message)
+            if len(calls) == 3:
+                os.kill(os.getpid(), signal.SIGINT)
+
+        yield call
+
+    monkeypatch.setattr(Settings, "progress", progress)
+    files = plant("oscillator"), REQUIREMENTS / "oscillator.toml"
+    before = signal.getsignal(signal.SIGINT)
+    result = shell("design", *files, "-o", tmp_path, "--no-picture", "--quiet")
+    signal.signal(signal.SIGINT, before)
+    assert (result.code, result.err) == (130, "sampling-design: interrupted.\n")
+    design = json.loads((tmp_path / "design.json").read_text())
+    assert design["status"] == "interrupted"
+    assert 0 < design["sigma"] <= design["upper_bound"]
+    assert len(read_schedule(tmp_path / "schedule.csv")) > 0

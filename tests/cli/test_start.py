@@ -22,6 +22,7 @@ finally:
 STANDARD = {*sys.stdlib_module_names, "__mp_main__", "sitecustomize"}
 ENDING = {
     "sampling_design",
+    "sampling_design.records",
     "sampling_design.records.lazy",
     *(f"sampling_design.{n}" for n in ("cli", "cli.ending", "cli.version")),
 }

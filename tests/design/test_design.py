@@ -8,7 +8,7 @@ import pytest
 
 from sampling_design import PeriodicSchedule, Plant, Requirement, design_schedule, window_sigma
 from sampling_design.design.bounds.evidence import UpperBound
-from sampling_design.design.design import _cuts
+from sampling_design.design.design import GAP, _cuts
 from sampling_design.design.problem.posing import pose
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.plants import library
@@ -212,5 +212,5 @@ def test_a_strongly_unstable_plant_does_not_break_the_solver():
 def test_cuts_that_take_longer_are_fewer(states, cuts):
     rule = Requirement(window=4.0, spacing=0.1, samples=4)
     problem = pose(Plant(np.zeros((states, states)), np.eye(states)), rule.replace(period=4.0), 4)
-    assert _cuts(problem, None) == cuts
-    assert _cuts(problem, 7) == (7, 7)
+    assert _cuts(problem, None) == (*cuts, GAP)
+    assert _cuts(problem, 7) == (7, 7, 0.0)

@@ -3,6 +3,8 @@
 Time is the process's own, so that a busy machine fails nothing.
 """
 
+import re
+
 import numpy as np
 import pytest
 
@@ -30,6 +32,7 @@ LARGE = {
     "many states": (THREE, {"window": 12.0, "spacing": 0.1, "samples": 80}),
     "a target": (OSCILLATOR, {"window": 60.0, "spacing": 0.5, "target_sigma": 6.0}),
 }
+SMALL = Requirement(window=4.0, spacing=0.5, samples=3)
 THOROUGH = {"starts": 50, "branches": 500}
 
 
@@ -70,3 +73,36 @@ def test_losses_end_in_time():
     assert seconds <= 1.5 * 1.0 + 2
     assert np.all(losses.lower <= losses.bound)
     assert np.all(np.isfinite(losses.bound))
+
+
+def interrupted_at(call):
+    """A design whose progress is interrupted at a call, and how often it was called."""
+    calls = []
+
+    def progress(fraction, message):
+        calls.append(message)
+        if len(calls) == call:
+            raise KeyboardInterrupt
+
+    return design_schedule(OSCILLATOR, SMALL, rng=0, starts=2, branches=8, progress=progress), calls
+
+
+def test_an_interrupt_at_any_call_leaves_a_design_that_proves_itself():
+    whole, calls = interrupted_at(0)
+    assert len(calls) > 4
+    for call in range(1, len(calls)):  # at the last one all work is done, and only the proof is left
+        design, _ = interrupted_at(call)
+        assert design.status == "interrupted"
+        assert 0 < design.sigma <= design.upper_bound
+        assert design.sigma <= whole.upper_bound
+        assert design.upper_bound >= whole.sigma
+        assert design.verify()
+
+
+def test_progress_tells_sigma_and_bound_from_the_first_call_on():
+    whole, calls = interrupted_at(0)
+    assert calls[0].startswith("sigma ")
+    told = [re.match(r"sigma (\S+), bound (\S+), gap (\S+) %", call) for call in calls[1:]]
+    assert all(told)
+    assert all(float(one[1]) <= whole.upper_bound * (1 + 1e-4) for one in told)
+    assert all(float(one[2]) >= whole.sigma * (1 - 1e-4) for one in told)

@@ -114,6 +114,8 @@ def test_boxes_cut_again_and_again_stay_above_every_schedule_of_a_grid(case, win
 class Scripted:
     """A tree of boxes whose bound falls as it is told, a cut at a time."""
 
+    deadline, bound = np.inf, branching._BoxTree.bound
+
     def __init__(self, values):
         self.values, self.spent, self.parts = values, 0, ()
 
@@ -130,7 +132,7 @@ class Scripted:
     ("falls", "cuts"),
     [
         (lambda done: 1.0 + 0.5 * 0.9**done, 27),  # wide at first: until it is within 3 %
-        (lambda done: 1.02, 20),  # near enough: the plain number
+        (lambda done: 1.02, 0),  # near enough
         (lambda done: 1.5 - 0.0001 * done, 40),  # hopeless: once more, and no more than that
         (lambda done: 1.3 - 0.0021 * done, 129),  # slow, and it helps
         (lambda done: 2.0 * 0.997**done, 150),  # for ever
@@ -140,7 +142,7 @@ def test_a_wide_gap_is_cut_on_as_long_as_that_helps(monkeypatch, falls, cuts):
     tree = Scripted(falls)
     monkeypatch.setattr(branching, "_rooted", lambda *given: tree)
     problem = pose(Plant(*OSCILLATOR), Requirement(window=4.0, period=4.0, spacing=0.4, samples=3), 3)
-    found = narrowed(problem, UpperBound(np.inf, ()), 1.0, 20, most=150)
+    found = narrowed(problem, UpperBound(np.inf, ()), 1.0, 20, most=150, near=0.03)
     assert tree.spent == cuts
     assert found.value == falls(cuts)
 

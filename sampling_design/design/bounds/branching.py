@@ -30,9 +30,11 @@ from sampling_design.design.bounds.zones import Side, halves, lateness, regions,
 from sampling_design.design.problem.choices import affordable_choices
 from sampling_design.design.problem.feasible import changed
 from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.stopping import Interrupted
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[float, str], None]
+ValueProgress = Callable[[float, float], None]
+"""Called with the fraction done and the bound."""
 
 _FIRST_CUT = 0.3  # of a mean gap: from there on a sample counts as late in the first cuts
 _FEW_STATES = 6  # beyond, from sooner on: what is seen is of so high a degree in the differences of times
@@ -41,7 +43,6 @@ _SMALL = 0.8  # of a mean gap: zones no wider than that are bounded by windows t
 _TINY_BOX = 0.1  # of a mean gap: by these alone
 _STEEP = 1.0  # exponent by which sigma^2 grows over a zone: from there on only such windows say much
 _CLEARLY = 0.9  # of the relaxation's bound: below, the parts of the box need no relaxation
-_WIDE = 0.03  # of the target: a bound farther away is worth more cuts
 _LOOK, _HELPS = 20, 0.05  # cuts after which a wide gap must have fallen by that share of itself
 _LOCAL_COST = 0.06  # of a cut: such a bound takes a fraction of a relaxation's time
 _INHERITS = 0.999  # of the wider box's bound: where a box gains less, the multipliers it came from are tried too
@@ -72,13 +73,15 @@ def narrowed(
     target: float,
     steps: int,
     deadline: float = np.inf,
-    progress: Progress | None = None,
+    progress: ValueProgress | None = None,
     rtol: float = 1e-3,
     most: int | None = None,
+    near: float = 0.0,
 ) -> UpperBound:
     """Cut boxes until the bound is within `rtol` of `target`, `steps` cuts are made or time is up.
 
-    Up to `most` cuts are made as long as the bound is farther than `_WIDE` from the target and comes nearer.
+    Where the bound is `near` is said, nothing is cut once it is that share above the target, and up to `most` cuts are
+    made before, as long as it comes nearer. An interrupt is raised as `Interrupted`, with the bound held by then.
     Nothing is cut where there are more samples than cuts: each sample wants one at least, and the plain
     bounds are near anyway where samples are many. Boxes know no price of cost: under a limit each choice of what the
     samples measure is bounded by itself, unless there are too many.
@@ -89,23 +92,36 @@ def narrowed(
     posed = [changed(problem, {"chosen": chosen}) for chosen in choices]
     if problem.is_costly and not posed:
         return bound
-    tree = _rooted(problem, posed or [problem], bound, target * (1 + rtol), deadline)
+    try:
+        tree = _rooted(problem, posed or [problem], bound, target * (1 + rtol), deadline)
+    except KeyboardInterrupt:
+        raise Interrupted(bound) from None
     if tree is None:
         return bound
+    try:
+        _cut_on(tree, target, steps, most, near, progress)
+    except KeyboardInterrupt:
+        raise Interrupted(tree.bound(bound)) from None
+    return tree.bound(bound)
+
+
+def _cut_on(
+    tree: _BoxTree, target: float, steps: int, most: int | None, near: float, progress: ValueProgress | None
+) -> None:
+    """Cut the box with the largest bound again and again."""
     limit, looked = float(steps), (0.0, np.inf)
-    while time.perf_counter() <= deadline:
+    while time.perf_counter() <= tree.deadline:
         away = tree.value / target - 1 if target > 0 else 0.0
         if tree.spent >= looked[0] + _LOOK:
             looked, helps = (tree.spent, away), away <= (1 - _HELPS) * looked[1]
             if tree.spent >= steps and not helps:
                 break
-        if tree.spent >= limit and away > _WIDE:
+        if tree.spent >= limit:
             limit = float(max(steps, most or 0))
-        if tree.spent >= limit or (tree.spent >= steps and away <= _WIDE) or not tree.cut():
-            break
         if progress:
-            progress(min(tree.spent / limit, 1.0), f"bound {tree.value:.6g}, found {target:.6g}")
-    return UpperBound(tree.value, tree.parts) if tree.value < bound.value else bound
+            progress(min(tree.spent / limit, 1.0), tree.value)
+        if tree.spent >= limit or away <= near or not tree.cut():
+            break
 
 
 def _rooted(
@@ -133,7 +149,7 @@ def _rooted(
         if turn(problem) == 0 and root.part.side != "sorted" and len(posed) == 1:
             tree.split_by_lateness(root)
         else:
-            tree.keep(root)
+            tree.keep(_evened(root) if root.part.value > enough else root)
     return tree
 
 
@@ -155,6 +171,10 @@ class _BoxTree:
     def value(self) -> float:
         """The bound of all parts."""
         return max(part.value for part in self.parts)
+
+    def bound(self, known: UpperBound) -> UpperBound:
+        """The bound of all parts, unless the one that is known is smaller."""
+        return UpperBound(self.value, self.parts) if self.value < known.value else known
 
     def split_by_lateness(self, root: _Box) -> None:
         """Cut the root by the first sample that comes late (or early) by more than a share of the mean gap."""
@@ -178,22 +198,30 @@ class _BoxTree:
         box = self.open[0]
         if box.width <= NARROW * box.problem.period / box.problem.samples:
             return False
-        heapq.heappop(self.open)
-        for half in halves(box.part.zones, box.index, box.at):
-            self.add(half, box)
+        made = [self.bounded(half, box) for half in halves(box.part.zones, box.index, box.at)]
+        for half in made:  # first the halves, then the whole is left out: an interrupt leaves no schedule uncovered
+            if half is not None:
+                self.keep(half)
+        self.open.remove(box)
+        heapq.heapify(self.open)
         return True
 
     def add(self, zones: Array, wider: _Box) -> None:
         """Bound the schedules in `zones`, part of the `wider` box, and keep them open where that is not enough."""
-        box = _box(wider.problem, zones, wider.part.side, self.enough, wider, self.deadline)
+        box = self.bounded(zones, wider)
         if box is not None:
-            self.spent += box.cost
             self.keep(box)
+
+    def bounded(self, zones: Array, wider: _Box) -> _Box | None:
+        """The schedules in `zones`, part of the `wider` box, bounded; None where there are none."""
+        box = _box(wider.problem, zones, wider.part.side, self.enough, wider, self.deadline)
+        if box is None:
+            return None
+        self.spent += box.cost
+        return _evened(box) if box.part.value > self.enough else box
 
     def keep(self, box: _Box) -> None:
         """Keep a bounded box, open where its bound is not enough."""
-        if box.part.value > self.enough:
-            box = _evened(box)
         self.made += 1
         if box.part.value > self.enough:
             heapq.heappush(self.open, replace(box, number=self.made))

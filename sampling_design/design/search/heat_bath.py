@@ -109,8 +109,8 @@ class HeatBath:
         shape = (times.size, -1, every.shape[-1])
         return every[:, :-1].reshape(shape), every[:, 1:].reshape(shape)
 
-    def seen(self, others: Array, early: Array, late: Array) -> Array:
-        """(m, k) at most the least eigenvalue of each window, one more sample at each of the places.
+    def seen(self, others: Array, early: Array, late: Array, free: npt.NDArray[np.intp]) -> Array:
+        """(m, k) at most the least eigenvalue of each window, one more sample at each of the `free` places.
 
         The windows begin just before each of the `others` (k - 1 of them, sorted, with their rows), and before it.
         """
@@ -119,10 +119,11 @@ class HeatBath:
         W = np.concatenate([np.zeros((1, n, n)), np.cumsum(moved - squares, axis=0)]) + squares.sum(axis=0)
         least = float(np.linalg.eigvalsh(W)[:, 0].min()) - _BELOW * self.unit
         inverse = np.linalg.inv(W - least * np.eye(n))
-        behind = np.searchsorted(others, self.places)
-        before = others[:, None] <= self.places
-        X = np.where(before[:, :, None, None], self.early, self.late)
-        traces = np.concatenate([_traces(inverse[:-1], X), _traces(inverse[behind], self.early[:, None]).T])
+        places, before_it, behind_it = self.places[free], self.early[free], self.late[free]
+        behind = np.searchsorted(others, places)
+        before = others[:, None] <= places
+        X = np.where(before[:, :, None, None], before_it, behind_it)
+        traces = np.concatenate([_traces(inverse[:-1], X), _traces(inverse[behind], before_it[:, None]).T])
         return np.asarray(least + 1 / traces.T)
 
     def room(self, others: Array) -> Mask:
@@ -143,7 +144,7 @@ class HeatBath:
             free = np.flatnonzero(self.room(others))
             if not free.size:
                 continue
-            seen = self.seen(others, early[rest], late[rest])[free] / self.unit
+            seen = self.seen(others, early[rest], late[rest], free) / self.unit
             least = seen.min(axis=1)
             soft = least - np.log(np.exp(-_SHARPNESS * (seen - least[:, None])).sum(axis=1)) / _SHARPNESS
             heat = _WARM * (_COOL / _WARM) ** (step / steps) / times.size

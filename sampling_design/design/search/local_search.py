@@ -14,6 +14,7 @@ from sampling_design.design.bounds.zones import turn
 from sampling_design.design.problem.gram import MANY_STATES
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
+from sampling_design.design.problem.stopping import Interrupted
 from sampling_design.design.problem.turning import TurningWindows
 from sampling_design.design.search.fedorov_exchange import (
     even,
@@ -31,7 +32,8 @@ from sampling_design.design.search.smooth import smoothed
 from sampling_design.errors import SolverError
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[float, str], None]
+ValueProgress = Callable[[float, float], None]
+"""Called with the fraction done and sigma of the best schedule."""
 
 DRAWS = 60
 """Random schedules that are looked at before the best few are refined."""
@@ -94,12 +96,13 @@ def search(
     rng: np.random.Generator,
     starts: int,
     deadline: float = np.inf,
-    progress: Progress | None = None,
+    progress: ValueProgress | None = None,
     enough: float = np.inf,
 ) -> FoundSchedule:
     """Refine the best starts and return the best schedule.
 
-    Stops at `deadline` (perf_counter seconds), and where sigma is `enough`: none can be better.
+    Stops at `deadline` (perf_counter seconds), and where sigma is `enough`: none can be better. An interrupt is raised
+    as `Interrupted`, with the best schedule found by then.
 
     Raises
     ------
@@ -114,6 +117,24 @@ def search(
             status="no start",
         )
     run = _Refinement(problem, deadline, enough, pool[0][1], 0.0, [])
+    try:
+        _search_from(run, relaxation, rng, pool, starts, progress)
+        _kick(run, rng, most)
+    except KeyboardInterrupt:
+        raise Interrupted(run.found(complete=False)) from None
+    return run.found(complete=run.is_best or time.perf_counter() <= deadline)
+
+
+def _search_from(
+    run: _Refinement,
+    relaxation: Relaxation,
+    rng: np.random.Generator,
+    pool: list[tuple[str, Array]],
+    starts: int,
+    progress: ValueProgress | None,
+) -> None:
+    """Refine the best starts, exchange samples of the best, and draw anew where all are blind."""
+    problem, deadline, enough = run.problem, run.deadline, run.enough
     if problem.turning is not None:
         pool = _led(run, problem.turning, pool, starts)
         if repeating(problem) and run.highest < (_NEAR * enough) ** 2:
@@ -130,16 +151,13 @@ def search(
             break
         run.refine(pool[i][0], pool[i][1], float(values[i]))
         if progress:
-            progress((done + 1) / (len(chosen) + 1), f"refined start {done + 1} of {len(chosen)}")
+            progress((done + 1) / (len(chosen) + 1), float(np.sqrt(max(run.value, 0.0))))
     if len(run.trials) == len(chosen) and not run.is_over:
         t, value = exchanged(problem, run.best, run.value, count=_places(problem), rounds=1, deadline=deadline)
         if value > run.value:
             run.refine("exchange", t, value)
     if run.value <= 0 and not run.is_over:
         _restart(run, rng)
-    _kick(run, rng, most)
-    complete = run.is_best or time.perf_counter() <= deadline
-    return FoundSchedule(run.best, float(np.sqrt(max(run.value, 0.0))), tuple(run.trials), complete)
 
 
 def _ranked(values: Array) -> npt.NDArray[np.intp]:
@@ -196,6 +214,10 @@ class _Refinement:
     def is_over(self) -> bool:
         """Whether there is nothing left to gain, or no time."""
         return self.is_best or time.perf_counter() > self.deadline
+
+    def found(self, complete: bool) -> FoundSchedule:
+        """The best schedule so far."""
+        return FoundSchedule(self.best, float(np.sqrt(max(self.value, 0.0))), tuple(self.trials), complete)
 
     def refine(self, name: str, times: Array, value: float, before: float | None = None) -> bool:
         """Refine one schedule and keep it if it is the best; `before` is sigma^2 before an earlier refinement."""

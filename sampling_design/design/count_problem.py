@@ -1,0 +1,87 @@
+"""One count of samples: its problem, relaxed and bounded, and schedules brought back to the units of the caller."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.design.bounds.evidence import UpperBound, first_bound, quick_bound
+from sampling_design.design.bounds.relaxation import Relaxation, relax_placed
+from sampling_design.design.problem.canonical import CanonicalDesign, canonical
+from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.posing import pose
+from sampling_design.design.problem.requirement import Requirement
+from sampling_design.design.search.costs import relax_costly
+from sampling_design.design.search.fedorov_exchange import even, is_admissible, repaired
+from sampling_design.plants.plant import Plant
+from sampling_design.records.evidence import SolverRecord
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class CountProblem:
+    """One count of samples: its problem, the relaxation to round, and the smaller of the bounds.
+
+    The relaxation and `inner`, the bound as it was found, are in canonical units; `bound` is that of the problem.
+    """
+
+    canon: CanonicalDesign
+    relaxation: Relaxation
+    inner: UpperBound
+    bound: UpperBound
+    solver: tuple[SolverRecord, ...]
+
+    @property
+    def problem(self) -> DesignProblem:
+        """The problem as it was posed."""
+        return self.canon.outside
+
+
+def bounded(
+    plant: Plant,
+    requirement: Requirement,
+    samples: int,
+    deadline: float = np.inf,
+    progress: Callable[[float], None] | None = None,
+) -> CountProblem:
+    """Relax and bound one count of samples; `requirement` is resolved, `plant` the one that is designed for.
+
+    `progress` is called with a first bound, before smaller ones are sought.
+    """
+    canon = canonical(pose(plant, requirement, samples))
+    left = deadline - time.perf_counter()
+    seconds = max(left / 3, 0.0) if np.isfinite(left) else None
+    placed = (relax_costly if canon.inside.is_costly else relax_placed)(canon.inside, seconds=seconds)
+    if progress:
+        progress(quick_bound(canon.inside, placed).value * canon.size)
+    inner = first_bound(canon.inside, placed, deadline)
+    return CountProblem(canon, placed, inner, inner.brought_back(canon), (placed.record,))
+
+
+def brought_back(canon: CanonicalDesign, found: Array, chosen: Mask) -> tuple[Array, Mask]:
+    """Times found in canonical units as those of the problem itself, pushed apart where rounding asks for it."""
+    times, chosen = canon.times(found, chosen)
+    if is_admissible(canon.outside, times):
+        return times, chosen
+    again = repaired(canon.outside, times)
+    return (times, chosen) if again is None else (again, chosen)
+
+
+def candidates(problem: DesignProblem, times: Array, chosen: Mask) -> list[tuple[Array, Mask]]:
+    """What to prove: the best found, and even spacing where samples may enter at the instant at which others leave.
+
+    Even spacing is best there if its times are exact to the last bit; the search does not count on that.
+    """
+    candidates = [(times, chosen)]
+    ratio = problem.window * problem.samples / problem.period
+    exact = abs(ratio - round(ratio)) < 1e-9 and problem.window % problem.period > 0
+    if exact and problem.is_shift_invariant and not problem.is_costly:
+        spread = even(problem, 0.0)
+        candidates += [] if spread is None else [(spread, problem.mask(spread))]
+    return candidates

@@ -28,6 +28,7 @@ ROOTS = {
     "planning.work_budget": "WorkSpentError",
     "certificates.exact.weight_choice": "_WorkExhausted",
     "records.signatures": "_Unchecked",
+    "design.problem.stopping": "Interrupted",
 }
 """Every exception that the house defines is one of these or inherits from one (a test walks the package)."""
 OTHERS = {"NotImplementedError", "AttributeError", "KeyboardInterrupt", "typer.Exit", "typer.BadParameter"}

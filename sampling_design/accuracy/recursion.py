@@ -115,7 +115,7 @@ class PeriodicGains:
     --------
     >>> from sampling_design import PeriodicSchedule, Plant, guaranteed_accuracy
     >>> plant = Plant([[0.0]], [[1.0]])
-    >>> found = accuracy(plant, PeriodicSchedule([1.0]), w_bound=0.1, v_bound=0.3)
+    >>> found = guaranteed_accuracy(plant, PeriodicSchedule([1.0]), w_bound=0.1, v_bound=0.3)
     >>> gains = PeriodicGains(found, initial_error=1.0)
     >>> [float(gains.update([y]).radii[0].round(4)) for y in (0.0,) * 12][-1]
     0.3

@@ -262,7 +262,7 @@ class MovingHorizonEstimator(WindowedEstimator):
     def _blame(
         self, window: EstimationWindow, terms: float, dual: float, numbers: dict[float, int]
     ) -> Contradiction | None:
-        """Return the output of a sample without which the data come nearest to the bounds."""
+        """Return the output of a sample without which the data come nearest to the bounds; None if there is none."""
         if not np.isfinite(terms):
             return None
         energies = self._kept_energy(window.masks) * window.discount
@@ -285,6 +285,8 @@ class MovingHorizonEstimator(WindowedEstimator):
             own, end = self._heard_means(window) - self._heard_means(rest), mean.end
             room = own if own > 0 else self._heard_means(window, end)
             found.append((self._over(rest, terms - own), end, mean.output, own, room))
+        if not found:  # limits alone contradict the bounds: no number is the one to blame
+            return None
         over, j, i, _, room = min(found)
         alone = over <= CONTRADICTION * terms
         room = np.float64(room if alone else terms)

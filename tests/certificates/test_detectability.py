@@ -156,7 +156,7 @@ def test_word_of_the_solver_is_not_believed(monkeypatch):
             variable.value = np.full(variable.shape, 1e3) if variable.ndim else 1.0
         return SolverRecord("liar", status="solved")
 
-    monkeypatch.setattr(room._conic, "solve", wrong)
+    monkeypatch.setattr(room.conic_programs, "solve", wrong)
     with pytest.raises(SolverError, match="fails the dissipation inequality"):
         certify_detectability(UNSEEN, method="lmi")
 

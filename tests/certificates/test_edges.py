@@ -80,7 +80,7 @@ def test_what_fails_at_every_rate_is_undecided(monkeypatch):
 
 def test_what_fails_with_given_weights_is_undecided(monkeypatch):
     def lost(problem, finer=1, deadline=None):
-        return (proof.Peak(np.inf, 0, 0.0, 0, 1.0),) * 2
+        return (proof.RiccatiPeak(np.inf, 0, 0.0, 0, 1.0),) * 2
 
     def unsettled(problem, finer=1, deadline=None):
         raise SolverError("the information did not settle", status="unsettled")
@@ -95,7 +95,7 @@ def test_what_fails_with_given_weights_is_undecided(monkeypatch):
 
 def test_a_proof_that_does_not_close_is_undecided(monkeypatch):
     def low(peaks):
-        return tuple(proof.Peak(peak.value / 2, *list(vars(peak).values())[1:]) for peak in peaks)
+        return tuple(proof.RiccatiPeak(peak.value / 2, *list(vars(peak).values())[1:]) for peak in peaks)
 
     found = proof.ScheduleProof.found
     monkeypatch.setattr(proof.ScheduleProof, "found", lambda self, finer: low(found(self, finer)))

@@ -198,7 +198,7 @@ CALLS = {
     "a file's name for a schedule": (lambda: sd.certify(sd.named_plant("oscillator"), "s.csv"), "read_schedule"),
     "arguments swapped": (
         lambda: sd.certify(sd.PeriodicSchedule([1.0]), sd.named_plant("oscillator")),
-        "got PeriodicSchedule",
+        "got Plant",
     ),
     "seconds for hours": (
         lambda: sd.observability.sigma_min(sd.named_plant("oscillator"), sd.Schedule([1.0, 2.0], time_unit="h")),

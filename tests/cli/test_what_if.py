@@ -57,7 +57,7 @@ def test_a_clock_ends_pareto_only_where_it_is_asked_to(shell, monkeypatch):
         given.append(budget)
         return ParetoFront((ParetoPoint(2, 1.0, 1.0, (0.0, 1.0)),))
 
-    monkeypatch.setattr(sd, "pareto", asked)
+    monkeypatch.setattr(sd, "pareto_front", asked)
     assert shell("pareto", OSCILLATOR, "--counts", "2").code == 0
     assert shell("pareto", OSCILLATOR, "--counts", "2", "--budget", "7").code == 0
     assert given == [None, 7.0]

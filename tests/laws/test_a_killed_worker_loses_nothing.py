@@ -14,7 +14,7 @@ import pytest
 import sampling_design as sd
 from sampling_design.cli.settings import workforce
 from sampling_design.errors import ArgumentError, FileFormatError, MissingExtraError, SolverError
-from sampling_design.records import workers
+from sampling_design.records import workers as workforces
 from sampling_design.records.journal import Journal, digest
 from sampling_design.records.sweeps import sweep
 from sampling_design.validation import monte_carlo
@@ -114,8 +114,8 @@ def killed():
     ],
 )
 def test_a_cluster_that_dies_leaves_what_it_did(fate, workers, told, give, tmp_path, monkeypatch):
-    monkeypatch.setattr(workers, "PATIENCE", 0.01)
-    monkeypatch.setattr(workers, "LONGEST_WITHOUT", 0.1)
+    monkeypatch.setattr(workforces, "PATIENCE", 0.01)
+    monkeypatch.setattr(workforces, "LONGEST_WITHOUT", 0.1)
     path = tmp_path / "sweep.journal"
     with pytest.raises(SolverError, match=told):
         sweep(QUESTION, SCHEDULES, workers=give(Cluster(fate, workers)), resume=path)
@@ -127,9 +127,9 @@ def test_a_cluster_that_dies_leaves_what_it_did(fate, workers, told, give, tmp_p
 
 def test_an_error_of_a_job_on_a_cluster_is_its_own():
     with pytest.raises(ZeroDivisionError, match="its own"):
-        list(workers.mapped(eval, ["1"], Cluster([ZeroDivisionError("its own")])))
+        list(workforces.mapped(eval, ["1"], Cluster([ZeroDivisionError("its own")])))
     with pytest.raises(IndexError, match="list index out of range"):  # it cannot be sent
-        list(workers.mapped(eval, ["1"], Cluster([])))
+        list(workforces.mapped(eval, ["1"], Cluster([])))
 
 
 @pytest.mark.long
@@ -147,8 +147,8 @@ def test_a_real_cluster_that_dies_leaves_what_it_did(dies, monkeypatch, tmp_path
         client = distributed.Client(scheduler_file=str(file), timeout=60)
         while not client.nthreads():
             time.sleep(0.1)
-        monkeypatch.setattr(workers, "PATIENCE", 0.2)
-        monkeypatch.setattr(workers, "LONGEST_WITHOUT", 1.0)
+        monkeypatch.setattr(workforces, "PATIENCE", 0.2)
+        monkeypatch.setattr(workforces, "LONGEST_WITHOUT", 1.0)
         jobs, found = [f"(__import__('time').sleep(0.3), {k})[1]" for k in range(9)], []
 
         def keep(result):
@@ -156,7 +156,7 @@ def test_a_real_cluster_that_dies_leaves_what_it_did(dies, monkeypatch, tmp_path
             started[dies == "workers"].kill()
 
         with pytest.raises(SolverError, match=r"`workers`: the Dask (scheduler was lost|cluster has had no worker)"):
-            list(map(keep, workers.mapped(eval, jobs, client)))
+            list(map(keep, workforces.mapped(eval, jobs, client)))
         assert found == list(range(len(found)))
         assert 0 < len(found) < 9
         client.close()
@@ -171,16 +171,16 @@ def test_processes_are_renewed(tmp_path):
     mark = str(tmp_path / "killed")
     lethal = f"9 if __import__('os').path.exists({mark!r}) else (open({mark!r}, 'w'), __import__('os')._exit(1))"
     jobs = ["0", "1", "2**2", lethal, "4**2", "5**2"]
-    assert list(workers.mapped(eval, jobs, 2)) == [k**2 for k in range(6)]
+    assert list(workforces.mapped(eval, jobs, 2)) == [k**2 for k in range(6)]
     assert os.path.exists(mark)
 
 
 def test_jobs_that_kill_every_process_are_an_error(monkeypatch):
-    monkeypatch.setattr(workers, "MOST_KILLED", 1)
+    monkeypatch.setattr(workforces, "MOST_KILLED", 1)
     with pytest.raises(
         SolverError, match="processes were killed 1 times before they finished anything, with 2 jobs left"
     ):
-        list(workers.mapped(os._exit, [1, 2], 1))
+        list(workforces.mapped(os._exit, [1, 2], 1))
 
 
 @pytest.mark.parametrize("whole", [0, 1, 2])
@@ -310,8 +310,8 @@ def test_where_no_scheduler_answers_is_said(monkeypatch):
     with monkeypatch.context() as patched:
         patched.setitem(sys.modules, "distributed", None)
         with pytest.raises(MissingExtraError, match="distributed"):
-            workers.cluster("tcp://127.0.0.1:9")
-    monkeypatch.setattr(workers, "PATIENCE", 0.2)
+            workforces.cluster("tcp://127.0.0.1:9")
+    monkeypatch.setattr(workforces, "PATIENCE", 0.2)
     with (
         pytest.raises(ArgumentError, match="`scheduler` must be the address of a running Dask scheduler"),
         workforce(1, "tcp://127.0.0.1:9"),

@@ -123,5 +123,5 @@ def test_ends_a_hundredth_off_are_told(monkeypatch):
     found, more = state_interval(plant, record, **given), 0.02 * (high - low)
     for lower, upper in ((found.lower - more, found.upper), (found.lower, found.upper - more), (found.lower, [np.inf])):
         other = replace(found, lower=np.asarray(lower), upper=np.asarray(upper))
-        monkeypatch.setitem(globals(), "interval", lambda *record, other=other, **given: other)
+        monkeypatch.setitem(globals(), "state_interval", lambda *record, other=other, **given: other)
         assert len([each for each in wrong(0) if "where the program has" in each]) == 1

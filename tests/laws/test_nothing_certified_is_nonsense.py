@@ -62,7 +62,7 @@ def sane(estimate, exact=True):
     if estimate.status == "bounds disproved":
         assert estimate.contradiction is not None
         assert estimate.contradiction.factor > 1
-        assert "reset(" in estimate.note
+        assert "start(" in estimate.note
 
 
 def answers(estimator, t, y, ahead, exact):
@@ -90,7 +90,7 @@ def test_whatever_the_data_and_however_far_ahead(name, maker):
             y[rng.random(y.size) < 0.2] = np.nan
             words = answers(estimator, t, y, t + 10.0 ** rng.uniform(-3, 5), seed in (1, 9))
             if words:
-                assert "grows beyond double precision. Start again near it: reset(" in words
+                assert "grows beyond double precision. Start again near it: start(" in words
                 refused += 1
                 estimator.start(prior_time=t)
                 sane(estimator.predict(t))
@@ -134,7 +134,7 @@ def test_growth_beyond_all_numbers_between_samples_is_refused_in_words(maker):
             t += gap
             words = answers(estimator, t, np.zeros(plant.n_outputs), t + growth, False)
             if words:
-                assert "grows beyond double precision. Start again near it: reset(" in words
+                assert "grows beyond double precision. Start again near it: start(" in words
                 refused += 1
                 estimator.start(prior_time=t)
                 sane(estimator.predict(t), False)

@@ -69,7 +69,7 @@ def test_bad_arguments_are_refused():
 
 
 def test_an_integrator_that_gives_up_is_named(monkeypatch):
-    for room in ("nonlinear", "plants"):
+    for room in ("nonlinear", "uncertain.plants"):
         monkeypatch.setattr(
             f"sampling_design.{room}.time_varying.solve_ivp", lambda *args, **options: SimpleNamespace(success=False)
         )

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from sampling_design import plotting
+from sampling_design.errors import ArgumentError
+from sampling_design.records import record
 from sampling_design.records.evidence import Claim, SolverRecord
 from sampling_design.records.record import Record, short
 
@@ -71,3 +73,9 @@ def test_solver_records_are_plain_data():
     told = {"name": "clarabel", "version": "0.9", "status": "Solved", "iterations": 7, "details": {}}
     assert SolverRecord("clarabel", "0.9", "Solved", 7).to_dict() == told
     assert SolverRecord(**told, seconds=0.1).to_dict()["seconds"] == 0.1
+
+
+def test_a_record_that_nothing_draws_says_so(monkeypatch):
+    monkeypatch.setattr(record, "offered", lambda *asked: None)
+    with pytest.raises(ArgumentError, match="`record` has no picture: nothing that draws a int is installed"):
+        record.draw(3)

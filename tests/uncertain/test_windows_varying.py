@@ -115,3 +115,8 @@ def test_bad_arguments_are_refused():
     huge = TimeVaryingPlant.from_table([0.0, 1.0], [[[1e9]]] * 2, [[[1.0]]] * 2)
     with pytest.raises(SolverError, match=r"comes to a stop at t = 0: \|A\| reaches 1e\+09 there"):
         sd.window_sigma(huge, sd.Schedule([0.0, 1.0]), 1.0)
+
+
+def test_matrices_that_are_no_functions_of_time_are_refused():
+    with pytest.raises(ArgumentError, match="`A` must be a function of time that returns a matrix, got list"):
+        TimeVaryingPlant([[0.0]], lambda t: [[1.0]], horizon=1.0)

@@ -146,9 +146,10 @@ class WeightSearch:
 
     def _driven(self, setting: RateWindows) -> Array:
         """The inverse of what the disturbance alone leaves, twice as much where the budget asks for the most."""
-        left = np.mean(setting.windows.long_run(np.zeros_like(setting.mean)), axis=0)
-        shape = symmetrise(np.linalg.inv(rounded(left, self.roundness)))
-        return shape + np.exp(setting.least(shape)) * symmetrise(setting.b @ setting.b.T)
+        left: Array = np.asarray(np.mean(setting.windows.long_run(np.zeros_like(setting.mean)), axis=0), dtype=float)
+        shape = symmetrise(np.asarray(np.linalg.inv(rounded(left, self.roundness)), dtype=np.float64))
+        driven: Array = shape + np.exp(setting.least(shape)) * symmetrise(setting.b @ setting.b.T)
+        return driven
 
     def best_guess(self, eta: float, budget: float) -> ChosenWeights | None:
         """The best of the guesses at a rate, None where the windows of that rate cannot be followed."""

@@ -58,8 +58,9 @@ class KalmanFilter(WindowedEstimator):
 
     Notes
     -----
-    A composite sample (`Mean`) is an exact row: the samples since it began are filtered again with the integral of the
-    output beside the state, so that they must be kept (`maximum_delay`; with bounds on w and v the last 24 are).
+    A composite sample (`CompositeReading`) is an exact row: the samples since it began are filtered again with the
+    integral of the output beside the state, so that they must be kept (`maximum_delay`; with bounds on w and v the last
+    24 are).
     Limits of detection are no Gaussian readings: state and ellipsoid leave them out; `interval`, `radii` and `centred`
     use them.
 

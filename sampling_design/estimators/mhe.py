@@ -105,9 +105,9 @@ class MovingHorizonEstimator(WindowedEstimator):
     checked by a dual bound, which also enters the radius. *Numerical aspects.* Unknown is the deviation from the
     online estimates; singular or ill-conditioned noise Gramians are used in factor form.
 
-    Limits of detection (`Below`, `Above`) are constraints on C x at their sample, the noise bound added, which the
-    truth keeps. Composite samples (`Mean`) are exact rows of the window in which their interval lies whole, the
-    disturbance inside it taken along; a limit on a mean enters `interval`, `radii` and `centred` only.
+    Limits of detection (`BelowDetection`, `AboveRange`) are constraints on C x at their sample, the noise bound added,
+    which the truth keeps. Composite samples (`CompositeReading`) are exact rows of the window in which their interval
+    lies whole, the disturbance inside it taken along; a limit on a mean enters `interval`, `radii` and `centred` only.
 
     References
     ----------

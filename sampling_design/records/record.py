@@ -50,7 +50,7 @@ class _Kind(ABCMeta):
 class Record(metaclass=_Kind):
     """Base of the frozen records: `repr` one line, `str` a small table, `_repr_html_` for notebooks.
 
-    Every public method of a record has a door before it (see `_door`).
+    Every public method of a record has a door before it (see `signatures`).
     """
 
     def __init_subclass__(cls, **options: object) -> None:

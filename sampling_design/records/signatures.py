@@ -1,6 +1,6 @@
 """The door: what every public function and method asks of its arguments before it begins, read off its annotations.
 
-An argument of another kind than the annotation says ends in one sentence (the grammar of `_checks`), not in whatever it
+An argument of another kind than the annotation says ends in one sentence (the grammar of `checks`), not in whatever it
 breaks inside; so does a call that does not fit, which names the nearest keyword. Arrays pass: their owners check shape
 and content. A number that leaves double precision or memory in the middle of a verb ends in one sentence too.
 """

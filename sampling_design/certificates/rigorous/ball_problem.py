@@ -45,7 +45,7 @@ class BallFailure(Exception):
 
 
 def positive_definite(name: str, M: Matrix) -> None:
-    """Raise Unproven unless M is certainly positive definite."""
+    """Raise BallFailure unless M is certainly positive definite."""
     found = definite(M)
     if not found:
         verdict, word = (REFUTED, "is not") if found is False else (UNDECIDED, "is not certainly")

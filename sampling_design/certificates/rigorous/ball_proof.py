@@ -1,6 +1,6 @@
 """Proof of Y <= I over all real window starts, all later times and all periods, in ball arithmetic.
 
-1. Along time and along the starts of a cell Y bulges over its chord by a bounded multiple of I (`_ball_flow`).
+1. Along time and along the starts of a cell Y bulges over its chord by a bounded multiple of I (`numerics.ball_flow`).
    Where Y rises, the end covers the stretch: what falls is added.
 2. With one and the same gain for a whole cell the recursion is affine in Y, and at least as large as with the best
    gains: the two ends of the chord cover the cell.

@@ -216,7 +216,7 @@ def replays_in_balls(data: Mapping[str, object]) -> bool:
 
 
 def attained(c: Sampled, clock: TimeBudget) -> None:
-    """Raise Unproven unless the witness, if there is one, reaches its ratio x'P2x / x'Pi(t)x, to `REPLAY` of it."""
+    """Raise BallFailure unless the witness, if there is one, reaches its ratio x'P2x / x'Pi(t)x, to `REPLAY` of it."""
     if c.witness is None:
         return
     weights = BallWeights(c.plant, c.weights)

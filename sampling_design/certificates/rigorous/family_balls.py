@@ -51,7 +51,7 @@ class BallIntervals:
         self.patterns, self.name, self.clock, self.reached = patterns, name, clock, 0.0
 
     def prove(self, P: Matrix, pattern: Pattern | None, low: Fraction, high: Fraction) -> None:
-        """Raise Unproven unless it holds from information P for all times in [low, high]."""
+        """Raise BallFailure unless it holds from information P for all times in [low, high]."""
         frame, flow = self.frame, self.frame.flow
         which = None if pattern is None or not any(pattern) else self.patterns.index(pattern)
         start = frame.L.transpose() * P.solve(frame.L)
@@ -84,7 +84,7 @@ class BallIntervals:
         return (largest(ends[0]).max(largest(ends[1])) + slope * bulge).upper()
 
     def _refute(self, Y: Matrix, at: Ball, which: int | None) -> None:
-        """Raise Unproven(REFUTED) if it certainly fails at one time."""
+        """Raise BallFailure(REFUTED) if it certainly fails at one time."""
         left = Y if which is None else self.frame.sampled(Y, which)
         if definite(self.frame.identity - left) is False:
             amount = 1 / float(np.linalg.eigvalsh(floats(left))[-1]) - 1

@@ -171,7 +171,7 @@ def fails_at(frame: ScheduleFrame, point: WindowPoint) -> bool:
 
 
 def refute(make: Callable[[], ScheduleFrame], clock: TimeBudget, samples_only: bool = False) -> None:
-    """Raise Unproven(REFUTED) if some window is found in which Y <= I certainly fails; `make()` makes the frame."""
+    """Raise BallFailure(REFUTED) if some window is found in which Y <= I certainly fails; `make()` makes the frame."""
     frame = make()
     search = RefutationSearch(frame, samples_only, clock)
     for found in search.grid()[:POLISHES]:

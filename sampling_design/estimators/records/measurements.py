@@ -63,8 +63,9 @@ class Measurements(Record):
         Date (ISO 8601) of time 0, if known.
     assumed_zone : str
         Zone in which dates without one were read; "" where there were none.
-    told : tuple of tuples of Told, optional
-        For each row its limits and means (`Below`, `Above`, `Mean`); y is NaN there. Default: none.
+    told : tuple of tuples of CensoredReading, optional
+        For each row its limits and means (`BelowDetection`, `AboveRange`, `CompositeReading`); y is NaN there.
+        Default: none.
 
     Raises
     ------

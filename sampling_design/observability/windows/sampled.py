@@ -47,7 +47,7 @@ def observability_matrix(plant: Plant, times: npt.ArrayLike | Schedule, outputs:
 
     Notes
     -----
-    *Method.* Rows C e^{A tau} come from the plant's flow, cached per matrix (see `_modal.exponential`).
+    *Method.* Rows C e^{A tau} come from the plant's flow, cached per matrix (see `modal_flow.exponential`).
     *Numerical aspects.* Each e^{A tau} is accurate normwise, to some 1e-12 of its norm.
 
     References

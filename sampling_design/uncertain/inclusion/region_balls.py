@@ -53,7 +53,7 @@ class JacobianCells:
         self.root = root
 
     def prove(self, name: str, forms: Forms, of_f: bool) -> float:
-        """Raise Unproven unless every form is positive; the slack is not measured: 0 stands for "some"."""
+        """Raise BallFailure unless every form is positive; the slack is not measured: 0 stands for "some"."""
         low = np.concatenate([self.region.low[key] for key in ("x", "u", "w")])
         high = np.concatenate([self.region.high[key] for key in ("x", "u", "w")])
         pending = [(low, high, 0)]
@@ -96,7 +96,7 @@ class JacobianCells:
         return True
 
     def refute(self, name: str, a: Array, b: Array, forms: Forms, of_f: bool) -> None:
-        """Raise Unproven(REFUTED) if a form certainly fails in the middle of a cell that lies in the region."""
+        """Raise BallFailure(REFUTED) if a form certainly fails in the middle of a cell that lies in the region."""
         with np.errstate(invalid="ignore"):
             at = np.where(np.isfinite(a) & np.isfinite(b), a / 2 + b / 2, np.clip(0.0, a, b))
         n = self.c.plant.n

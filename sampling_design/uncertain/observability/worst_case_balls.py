@@ -1,6 +1,6 @@
 """Lower bounds of sigma over all spaced schedules and every plant of a box, in ball arithmetic (extra `rigorous`).
 
-The proof is that of `cells_over_box.py`: sigma of the corners of a cell, proven as in `worst_case/balls.py`, and what
+The proof is that of `worst_case_cells.py`: sigma of the corners of a cell, proven as in `worst_case/balls.py`, and what
 the rows of all plants of the cell are beside those of its middle, to first order and beyond, in metrics of `box/`.
 """
 

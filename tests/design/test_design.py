@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sampling_design import PeriodicSchedule, Plant, Requirement, design_schedule, window_sigma
+from sampling_design.design.bounds import branching
 from sampling_design.design.bounds.evidence import UpperBound
 from sampling_design.design.design import GAP, _cuts
 from sampling_design.design.problem.posing import pose
@@ -169,6 +170,17 @@ def test_closed_times_are_branched_on_too():
     design = design_schedule(oscillator(), requirement, starts=2, branches=40)
     assert design.gap < 0.002
     assert design.bound.method == "zones"
+    assert design.verify()
+
+
+def test_an_interrupt_before_the_first_cut_leaves_the_design_with_its_first_bound(monkeypatch):
+    def interrupted(*asked):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(branching, "_rooted", interrupted)
+    requirement = Requirement(window=4.0, spacing=0.3, samples=5, forbidden=[[0.0, 1.2]])
+    design = design_schedule(oscillator(), requirement, starts=1, branches=40)
+    assert design.status == "interrupted"
     assert design.verify()
 
 

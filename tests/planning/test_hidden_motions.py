@@ -5,7 +5,7 @@ import pytest
 
 from sampling_design import PlanRequirement, Plant, guaranteed_accuracy, plan_samples
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError, UndecidedError
-from sampling_design.planning import plan_samples as room
+from sampling_design.planning import plan as room
 from sampling_design.planning.discrete_plant import hidden_at, motion_of
 from sampling_design.planning.problem import pose_plan
 

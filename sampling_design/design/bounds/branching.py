@@ -93,7 +93,7 @@ def narrowed(
     if problem.is_costly and not posed:
         return bound
     try:
-        tree = _rooted(problem, posed or [problem], bound, target * (1 + rtol), deadline)
+        tree = _rooted(problem, posed or [problem], bound, target * (1 + rtol), deadline, progress)
     except KeyboardInterrupt:
         raise Interrupted(bound) from None
     if tree is None:
@@ -125,7 +125,12 @@ def _cut_on(
 
 
 def _rooted(
-    problem: DesignProblem, posed: list[DesignProblem], bound: UpperBound, enough: float, deadline: float
+    problem: DesignProblem,
+    posed: list[DesignProblem],
+    bound: UpperBound,
+    enough: float,
+    deadline: float,
+    progress: ValueProgress | None,
 ) -> _BoxTree | None:
     """The tree before any cut, counted from the sample that promises most; None where time is up.
 
@@ -147,7 +152,7 @@ def _rooted(
     tree = _BoxTree(enough, deadline)
     for root in best:
         if turn(problem) == 0 and root.part.side != "sorted" and len(posed) == 1:
-            tree.split_by_lateness(root)
+            tree.split_by_lateness(root, progress)
         else:
             tree.keep(_evened(root) if root.part.value > enough else root)
     return tree
@@ -176,7 +181,7 @@ class _BoxTree:
         """The bound of all parts, unless the one that is known is smaller."""
         return UpperBound(self.value, self.parts) if self.value < known.value else known
 
-    def split_by_lateness(self, root: _Box) -> None:
+    def split_by_lateness(self, root: _Box, progress: ValueProgress | None) -> None:
         """Cut the root by the first sample that comes late (or early) by more than a share of the mean gap."""
         rest, late = root.part.zones, root.part.side == "late"
         mean, n = root.problem.period / root.problem.samples, root.problem.plant.n_states
@@ -185,6 +190,8 @@ class _BoxTree:
             cut = (index + (share if late else -share)) * mean
             if time.perf_counter() > self.deadline:
                 break
+            if progress:  # until the last one is bounded the root's bound holds
+                progress(0.0, root.part.value)
             if rest[index, 0] + NARROW * mean < cut < rest[index, 1] - NARROW * mean:
                 below, above = halves(rest, index, cut)
                 self.add(above if late else below, root)

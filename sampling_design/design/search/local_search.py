@@ -48,10 +48,12 @@ _STARTS_PER_BATH = 2  # where hours repeat
 _MORE_STEPS = 5.0  # times as many rotations are looked at then
 _KICKED = 3  # samples moved at once
 _PATIENCE = 12  # kicks in a row without gain, of many states or samples fewer
+_OTHER_OPTIMA = 0.02  # share of starts that may lead to an optimum not seen yet: from there on kicks find nothing
 _MANY_SAMPLES = 32  # from there on
 _CHEAPER = 10  # kicks that the quasi-Newton method refines for one of programs
 _GOOD, _ALIKE = 8, 1e-4  # schedules that are kept to go on from, and by what share of sigma^2 two must differ
 _EXCHANGED = 0.5  # of the kicks, where what is allowed repeats: two times of day are exchanged
+_BEFORE_KICKS = 0.6  # of the search, as progress counts it
 _NEAR = 0.997  # of the bound: from there on a kick, or a heat bath, costs more than it can gain
 _LED = 3  # times as many starts as are asked for are led on by the quasi-Newton method
 _FEW = 4  # starts that are refined by semidefinite programs, where the quasi-Newton method led more of them on
@@ -119,7 +121,7 @@ def search(
     run = _Refinement(problem, deadline, enough, pool[0][1], 0.0, [])
     try:
         _search_from(run, relaxation, rng, pool, starts, progress)
-        _kick(run, rng, most)
+        _kick(run, rng, most, progress)
     except KeyboardInterrupt:
         raise Interrupted(run.found(complete=False)) from None
     return run.found(complete=run.is_best or time.perf_counter() <= deadline)
@@ -151,7 +153,7 @@ def _search_from(
             break
         run.refine(pool[i][0], pool[i][1], float(values[i]))
         if progress:
-            progress((done + 1) / (len(chosen) + 1), float(np.sqrt(max(run.value, 0.0))))
+            progress(_BEFORE_KICKS * (done + 1) / len(chosen), run.sigma)
     if len(run.trials) == len(chosen) and not run.is_over:
         t, value = exchanged(problem, run.best, run.value, count=_places(problem), rounds=1, deadline=deadline)
         if value > run.value:
@@ -189,7 +191,8 @@ def _led(
 class _Refinement:
     """The best schedule so far, its sigma^2, and the trials that led there.
 
-    `good` are the best that the quasi-Newton method led to, with their sigma^2.
+    `good` are the best that the quasi-Newton method led to, with their sigma^2; `abandoned` counts the starts that were
+    not followed to their optimum.
     """
 
     problem: DesignProblem
@@ -199,11 +202,31 @@ class _Refinement:
     value: float
     trials: list[SearchTrial]
     good: list[tuple[float, Array]] = field(default_factory=list)
+    abandoned: int = 0
 
     @property
     def highest(self) -> float:
         """Sigma^2 of the best of those."""
         return self.good[0][0] if self.good else 0.0
+
+    @property
+    def sigma(self) -> float:
+        """Sigma of the best schedule so far."""
+        return float(np.sqrt(max(self.value, 0.0)))
+
+    @property
+    def other_optima(self) -> float:
+        """Expected share of starts that lead to an optimum not seen yet: w (w + 1) / (N (N - 1)) after N with w.
+
+        The estimate of Boender and Rinnooy Kan for multistart search (Mathematical Programming 37, 1987). Optima are
+        told apart by their sigma^2; what was abandoned counts as one more each.
+        """
+        ends = np.sort([trial.after**2 for trial in self.trials])
+        tried = ends.size + self.abandoned
+        if tried < 2:
+            return 1.0
+        optima = 1 + int(np.sum(np.diff(ends) > _ALIKE * ends[1:])) + self.abandoned
+        return optima * (optima + 1) / (tried * (tried - 1))
 
     @property
     def is_best(self) -> bool:
@@ -217,7 +240,7 @@ class _Refinement:
 
     def found(self, complete: bool) -> FoundSchedule:
         """The best schedule so far."""
-        return FoundSchedule(self.best, float(np.sqrt(max(self.value, 0.0))), tuple(self.trials), complete)
+        return FoundSchedule(self.best, self.sigma, tuple(self.trials), complete)
 
     def refine(self, name: str, times: Array, value: float, before: float | None = None) -> bool:
         """Refine one schedule and keep it if it is the best; `before` is sigma^2 before an earlier refinement."""
@@ -239,8 +262,11 @@ class _Refinement:
         return value
 
 
-def _kick(run: _Refinement, rng: np.random.Generator, most: int) -> None:
-    """Move a few samples of the best schedule, near or far, and refine; until nothing was gained for a while."""
+def _kick(run: _Refinement, rng: np.random.Generator, most: int, progress: ValueProgress | None = None) -> None:
+    """Move a few samples of the best schedule, near or far, and refine.
+
+    Until nothing was gained for a while, or all that was refined ends alike so often that no other optimum is expected.
+    """
     problem, idle = run.problem, 0
     free = problem.samples - problem.fixed.size
     patience = _PATIENCE * _share(problem) * min(1.0, _MANY_SAMPLES / problem.samples)
@@ -248,9 +274,13 @@ def _kick(run: _Refinement, rng: np.random.Generator, most: int) -> None:
         most, patience = most * _CHEAPER, patience * _CHEAPER
     if free == 0:
         return
-    for _ in range(most):
+    for done in range(most):
         if run.is_over or idle >= patience or run.value >= (_NEAR * run.enough) ** 2:
             return
+        if problem.turning is None and run.other_optima <= _OTHER_OPTIMA:
+            return
+        if progress:
+            progress(_BEFORE_KICKS + (1 - _BEFORE_KICKS) * done / most, run.sigma)
         idle += 1
         parent = run.good[rng.integers(len(run.good))][1] if run.good else run.best
         times = _kicked(problem, parent, rng)
@@ -258,7 +288,9 @@ def _kick(run: _Refinement, rng: np.random.Generator, most: int) -> None:
             continue
         before = float(worst_sigma2(problem, times[None, :])[0])
         made = _first_steps(run, times, before)
-        if made is not None and run.refine("kick", *made, before):
+        if made is None:
+            run.abandoned += 1
+        elif run.refine("kick", *made, before):
             idle = 0
 
 

@@ -213,3 +213,36 @@ def test_a_sample_fits_where_an_opening_and_a_fixed_time_leave_the_spacing_just_
         found = repaired(posed, np.sort(np.array([begin + 0.03, posed.fixed[0]])))
         assert np.abs(found - begin).min() < 1e-9
         assert is_admissible(posed, found)
+
+
+def trials(*sigmas):
+    return [local_search.SearchTrial("random", 0.0, sigma) for sigma in sigmas]
+
+
+def test_kicks_end_where_all_that_was_refined_ends_alike(monkeypatch):
+    tried = []
+
+    def the_same_again(case, times, value, **_):
+        tried.append(1)
+        return times, 4.0
+
+    monkeypatch.setattr(local_search, "refined", the_same_again)
+    case = problem(samples=4, spacing=0.05, window=12.0, period=11.0)
+    assert case.turning is None
+    times = spread(case, (np.arange(4) + 0.5) / 4)
+    for found, most in ((trials(*[2.0] * 11), 0), (trials(*[2.0] * 8), 2 * 3), (trials(1.0, 1.5, 1.8, 2.0), 2 * 12)):
+        tried.clear()
+        _kick(_Refinement(case, np.inf, np.inf, times, 4.0, found), np.random.default_rng(0), 100)
+        assert len(tried) == most  # a first refinement and a second one for each kick
+
+
+def test_the_share_of_starts_that_lead_to_other_optima():
+    def share(*sigmas, abandoned=0):
+        return _Refinement(
+            problem(), np.inf, np.inf, np.zeros(4), 4.0, trials(*sigmas), abandoned=abandoned
+        ).other_optima
+
+    assert share(2.0) == 1.0
+    assert share(*[2.0] * 8, 2.00001) == 2 / 72
+    assert share(*[2.0] * 8, 1.9) == 6 / 72
+    assert share(*[2.0] * 8, abandoned=1) == 6 / 72

@@ -21,6 +21,7 @@ Geman and Geman 1984.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -51,24 +52,31 @@ def annealed(
     starts: list[Array],
     rng: np.random.Generator,
     deadline: float = np.inf,
+    progress: Callable[[float], None] | None = None,
 ) -> list[Array]:
     """The best few schedules of a run from each of the `starts`, and of as many again from where the best ones led.
 
     None where flow or relaxation do not serve, or a run would not come to every sample. A run that is not over by the
-    `deadline` (perf_counter seconds) is cut short.
+    `deadline` (perf_counter seconds) is cut short. `progress` is called with the share that is done, after each run.
     """
     if problem.turning is None or problem.samples < 2 or not 0 < found.value < np.inf:
         return []
     bath = HeatBath(problem, problem.turning, places(problem, found), found.value)
     if bath.steps < problem.samples:
         return []
-    found_by = [bath.run(start, rng, bath.steps, deadline) for start in starts]
+    found_by: list[list[Valued]] = []
+    for start in starts:
+        found_by.append(bath.run(start, rng, bath.steps, deadline))
+        if progress:
+            progress(len(found_by) / (2 * len(starts)))
     parents = sorted([run[0] for run in found_by if run], key=lambda one: -one[0])[:_PARENTS]
     for i in range(len(starts) if parents else 0):
         parent = parents[i % len(parents)]
         run = bath.run(parent[1], rng, bath.steps, deadline)
         parents[i % len(parents)] = max([parent, *run[:1]], key=lambda one: one[0])
         found_by.append(run)
+        if progress:
+            progress(len(found_by) / (2 * len(starts)))
     return [times for run in found_by for _, times in run]
 
 

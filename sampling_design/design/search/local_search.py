@@ -139,9 +139,17 @@ def _search_from(
     problem, deadline, enough = run.problem, run.deadline, run.enough
     if problem.turning is not None:
         pool = _led(run, problem.turning, pool, starts)
+        if progress:
+            progress(0.0, run.reached)
         if repeating(problem) and run.highest < (_NEAR * enough) ** 2:
             begun = [times for _, times in run.good[: -(-starts // _STARTS_PER_BATH)]]
-            bathed = [("heat bath", times) for times in annealed(problem, relaxation, begun, rng, deadline)]
+
+            def cooled(share: float) -> None:
+                if progress:
+                    progress(_BEFORE_KICKS * share, run.reached)
+
+            led = annealed(problem, relaxation, begun, rng, deadline, cooled)
+            bathed = [("heat bath", times) for times in led]
             pool += _led(run, problem.turning, bathed, len(bathed)) if bathed else []
         starts = min(starts, _FEW)
     values = worst_sigma2(problem, np.array([t for _, t in pool]))
@@ -153,7 +161,7 @@ def _search_from(
             break
         run.refine(pool[i][0], pool[i][1], float(values[i]))
         if progress:
-            progress(_BEFORE_KICKS * (done + 1) / len(chosen), run.sigma)
+            progress(_BEFORE_KICKS * (done + 1) / len(chosen), run.reached)
     if len(run.trials) == len(chosen) and not run.is_over:
         t, value = exchanged(problem, run.best, run.value, count=_places(problem), rounds=1, deadline=deadline)
         if value > run.value:
@@ -213,6 +221,11 @@ class _Refinement:
     def sigma(self) -> float:
         """Sigma of the best schedule so far."""
         return float(np.sqrt(max(self.value, 0.0)))
+
+    @property
+    def reached(self) -> float:
+        """Sigma of the best schedule that was seen, refined or not yet."""
+        return float(np.sqrt(max(self.value if self.trials else 0.0, self.highest)))
 
     @property
     def other_optima(self) -> float:
@@ -280,7 +293,7 @@ def _kick(run: _Refinement, rng: np.random.Generator, most: int, progress: Value
         if problem.turning is None and run.other_optima <= _OTHER_OPTIMA:
             return
         if progress:
-            progress(_BEFORE_KICKS + (1 - _BEFORE_KICKS) * done / most, run.sigma)
+            progress(_BEFORE_KICKS + (1 - _BEFORE_KICKS) * done / most, run.reached)
         idle += 1
         parent = run.good[rng.integers(len(run.good))][1] if run.good else run.best
         times = _kicked(problem, parent, rng)

@@ -86,7 +86,9 @@ def _step(problem: DesignProblem, times: Array, sigma2: float, trust: float, dea
     cost[-1] = -1.0
     left = max(deadline - time.perf_counter(), 0.0)
     seconds = left if np.isfinite(left) else None
-    found = conic_programs.solve_cone_program(cost, blocks, tolerance=1e-6, iterations=60, budget=seconds, refined=False)
+    found = conic_programs.solve_cone_program(
+        cost, blocks, tolerance=1e-6, iterations=60, budget=seconds, refined=False
+    )
     if not conic_programs.usable(found.record) or not np.all(np.isfinite(found.x)):
         return None
     move = np.asarray(found.x[:-1] * trust)

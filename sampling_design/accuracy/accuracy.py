@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import overload
 
 import numpy as np
 import numpy.typing as npt
@@ -24,9 +23,8 @@ from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
-from sampling_design.records.dispatch import OpenPlant, registered
 from sampling_design.records.record import CurveRecord, Plain, Record, Variable, finite_or_nones, short
-from sampling_design.records.signatures import checked
+from sampling_design.records.signatures import open_verb
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
@@ -285,7 +283,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
         return data if self.deviation is None else data | {"deviation": self.deviation.to_dict()}
 
 
-@overload
+@open_verb(AccuracyBracket)
 def guaranteed_accuracy(
     plant: Plant,
     schedule: Schedule | PeriodicSchedule,
@@ -299,37 +297,7 @@ def guaranteed_accuracy(
     end: float | None = None,
     w_intensity: Intensity = None,
     v_deviation: Intensity = None,
-) -> Accuracy: ...
-@overload
-def guaranteed_accuracy(
-    plant: OpenPlant,
-    schedule: Schedule | PeriodicSchedule,
-    *,
-    w_bound: Bound = None,
-    v_bound: Bound = None,
-    of: Wanted = None,
-    rtol: float | None = None,
-    initial_error: InitialError = None,
-    start: float | None = None,
-    end: float | None = None,
-    w_intensity: Intensity = None,
-    v_deviation: Intensity = None,
-) -> AccuracyBracket: ...
-@checked
-def guaranteed_accuracy(
-    plant: Plant | OpenPlant,
-    schedule: Schedule | PeriodicSchedule,
-    *,
-    w_bound: Bound = None,
-    v_bound: Bound = None,
-    of: Wanted = None,
-    rtol: float | None = None,
-    initial_error: InitialError = None,
-    start: float | None = None,
-    end: float | None = None,
-    w_intensity: Intensity = None,
-    v_deviation: Intensity = None,
-) -> AccuracyBracket:
+) -> Accuracy:
     """Return the least error that any estimator can guarantee for wanted rows, at the worst time of a schedule.
 
         rho(c; t) = min over gains of  h(rest) + int h_W(G'g(s)) ds + sum h_V(lambda_j)
@@ -401,11 +369,6 @@ def guaranteed_accuracy(
     >>> found.verify()
     True
     """
-    if not isinstance(plant, Plant):
-        return registered("guaranteed_accuracy", plant, AccuracyBracket)(
-            plant, schedule, w_bound=w_bound, v_bound=v_bound, of=of, rtol=rtol, initial_error=initial_error,
-            start=start, end=end, w_intensity=w_intensity, v_deviation=v_deviation,
-        )  # fmt: skip
     tolerance = checks.positive("rtol", RTOL if rtol is None else rtol)
     schedule = meet(plant, schedule)
     rows = wanted_rows(plant, of)

@@ -9,13 +9,12 @@ from sampling_design.estimators.online.estimator import EstimateRecord, Estimato
 from sampling_design.estimators.online.in_order import listed, triple
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.dispatch import OpenPlant, registered
-from sampling_design.records.signatures import checked
+from sampling_design.records.signatures import open_verb
 
 
-@checked
+@open_verb(EstimateRecord)
 def estimate(
-    plant: Plant | OpenPlant,
+    plant: Plant,
     record: object,
     estimator: Estimator,
     *,
@@ -54,9 +53,6 @@ def estimate(
     >>> found.x.shape
     (2, 1)
     """
-    if not isinstance(plant, Plant):
-        verb = registered("estimate", plant, EstimateRecord)
-        return verb(plant, record, estimator, prior=prior, prior_time=prior_time)
     n = plant.n_states
     samples = [triple(item) for item in listed(record, plant)]
     begin = checks.vector("prior", np.zeros(n) if prior is None else prior, n)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from fractions import Fraction
 from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, TypeAlias
@@ -62,6 +63,12 @@ def precision(bits: int = BITS) -> Iterator[None]:
 def ball(x: float) -> Ball:
     """Return the double x as a ball of radius zero."""
     made: Ball = flint().arb(float(x))
+    return made
+
+
+def rational(x: Fraction) -> Ball:
+    """Return a rational number as a ball."""
+    made: Ball = flint().arb(x.numerator) / x.denominator
     return made
 
 

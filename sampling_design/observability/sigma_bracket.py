@@ -2,19 +2,43 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from dataclasses import dataclass, field, replace
+from typing import Protocol, TypeVar
 
 from sampling_design.records.record import Record, short
 
+UNSETTLED = ("budget", "rounding", "too many states", "sampled")
+"""Of a search: what ends it with a bracket that is wider than was asked."""
+Bracket = TypeVar("Bracket", bound="SigmaBracket")
 
+
+class ProvenBound(Protocol):
+    """A lower bound that balls proved, and why it is no nearer to what floats believed."""
+
+    @property
+    def lower(self) -> float:
+        """The bound."""
+
+    @property
+    def status(self) -> str:
+        """ "closed" where it is as near as can be."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class SigmaBracket(Record):
     """A proven lower and an attained upper bound of sigma, with why the search between them ended."""
 
-    lower: float
-    upper: float
-    status: str
-    rigorous: bool
-    coordinates: str
+    lower: float = field(kw_only=True)
+    upper: float = field(kw_only=True)
+    status: str = field(kw_only=True)
+    rtol: float = field(kw_only=True)
+    coordinates: str = field(default="physical", kw_only=True)
+    rigorous: bool = field(default=False, kw_only=True)
+
+    @property
+    def closed(self) -> bool:
+        """Whether the bracket is as narrow as was asked, or sigma is zero."""
+        return self.status not in UNSETTLED
 
     @property
     def _grounds(self) -> str:
@@ -36,6 +60,14 @@ class SigmaBracket(Record):
         if self.status not in reasons:
             return f"{claim} and {short(self.upper)} is attained. {where}."
         return f"{claim}; {short(self.upper)} is attained, and {reasons[self.status]}. {where}."
+
+
+def in_balls(found: Bracket, proof: ProvenBound, room: float = 1.0) -> Bracket:
+    """Return a bracket with the lower bound that ball arithmetic proves; `room`: how much wider it may stay."""
+    status = found.status
+    if status == "closed" and not proof.lower >= (1 - room * found.rtol) * found.upper:
+        status = proof.status if proof.status != "closed" else "rounding"
+    return replace(found, lower=proof.lower, status=status, rigorous=True)
 
 
 class HasScales(Protocol):

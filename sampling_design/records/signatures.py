@@ -17,16 +17,20 @@ import threading
 import types
 import typing
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, ParamSpec, TypeVar, Union
+from typing import Any, Concatenate, Literal, ParamSpec, Protocol, TypeVar, Union, overload
 
 import numpy as np
 
 from sampling_design.checkers.strict import likely
 from sampling_design.errors import ArgumentError, CallError, SolverError
 from sampling_design.records.checks import described
+from sampling_design.records.dispatch import OpenPlant, registered
 
 P = ParamSpec("P")
 T = TypeVar("T")
+Kind = TypeVar("Kind", contravariant=True)
+Own = TypeVar("Own", covariant=True)
+Common = TypeVar("Common", covariant=True)
 Check = Callable[[object], object]
 
 _NO = object()
@@ -49,6 +53,40 @@ class _Unchecked(Exception):
     """An annotation that says nothing a door could check."""
 
 
+class OpenVerb(Protocol[Kind, P, Own, Common]):
+    """A function of a plant that rings do for plants of other kinds, with a result that they have in common."""
+
+    @overload
+    def __call__(self, plant: Kind, *arguments: P.args, **options: P.kwargs) -> Own: ...
+    @overload
+    def __call__(self, plant: OpenPlant, *arguments: P.args, **options: P.kwargs) -> Common: ...
+
+
+def open_verb(result: type[Common]) -> Callable[[Callable[Concatenate[Kind, P], Own]], OpenVerb[Kind, P, Own, Common]]:
+    """Open a function to rings: a plant that is no `Kind` goes to what is registered for its own kind.
+
+    The arguments are those that the function documents, and they are checked once (`checked`); what a ring registers
+    takes them as they came.
+
+    Parameters
+    ----------
+    result : type
+        What the results for all kinds of plants have in common.
+    """
+
+    def opened(function: Callable[Concatenate[Kind, P], Own]) -> OpenVerb[Kind, P, Own, Common]:
+        own: list[type] = []
+
+        def chosen(plant: object) -> Callable[..., object]:
+            if not own:
+                own.append(typing.cast(type, hints_of(function)["plant"]))
+            return function if isinstance(plant, own[0]) else registered(function.__name__, plant, result)
+
+        return typing.cast(OpenVerb[Kind, P, Own, Common], _behind_a_door(function, chosen))
+
+    return opened
+
+
 def checked(function: Callable[P, T]) -> Callable[P, T]:
     """Return `function` behind a door: arguments are checked against its annotations before it begins.
 
@@ -61,6 +99,13 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
     SolverError
         If a number leaves the range of double precision, or an array does not fit into memory, inside.
     """
+    return typing.cast(Callable[P, T], _behind_a_door(function))
+
+
+def _arguments(
+    function: Callable[..., object], open_: bool
+) -> Callable[[tuple[object, ...], dict[str, object]], tuple[list[object], dict[str, object]]]:
+    """What checks the arguments of a call, by place and by name; `open_`: the first one may be any kind of plant."""
     checks: dict[str, Check] = {}
     places: list[tuple[int, Check]] = []
     ready: list[bool] = []
@@ -69,14 +114,15 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
         hints = hints_of(function)
         for place, parameter in enumerate(inspect.signature(function).parameters.values()):
             if parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
-                check = _check(parameter, hints.get(parameter.name, Any))
+                hint = hints.get(parameter.name, Any)
+                check = _check(parameter, typing.cast(type, hint) | OpenPlant if open_ and not place else hint)
                 if check is not None:
                     checks[parameter.name] = check
                     if parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD):
                         places.append((place, check))
         ready.append(True)
 
-    def enter(arguments: tuple[object, ...], options: dict[str, Any]) -> tuple[list[Any], dict[str, Any]]:
+    def enter(arguments: tuple[object, ...], options: dict[str, object]) -> tuple[list[object], dict[str, object]]:
         if not ready:
             prepare()
         given, named, foreign, count = list(arguments), options, False, len(arguments)
@@ -94,16 +140,29 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
             named = {k: value.taken(unit) if isinstance(value, _Foreign) else value for k, value in named.items()}
         return given, named
 
+    return enter
+
+
+def _behind_a_door(
+    function: Callable[..., object], chosen: Callable[[object], Callable[..., object]] | None = None
+) -> Callable[..., object]:
+    """The door; `chosen` says who does it for the plant that came as the first argument."""
+    enter = _arguments(function, chosen is not None)
+
+    def does(given: Sequence[object], named: Mapping[str, object]) -> Callable[..., object]:
+        plant = given[0] if given else named.get("plant", _NO)
+        return function if chosen is None or plant is _NO else chosen(plant)
+
     inside, failures, worded = _inside, (ArithmeticError, np.linalg.LinAlgError, MemoryError), _worded
     too_big, unfit = _too_big, misfit
 
     def entered(*arguments: Any, **options: Any) -> object:
         given, named = enter(arguments, options)
         if getattr(inside, "door", False):
-            return function(*given, **named)
+            return does(given, named)(*given, **named)
         inside.door = True
         try:
-            return function(*given, **named)
+            return does(given, named)(*given, **named)
         except failures as error:
             raise worded(function.__name__, error) from error
         except TypeError as error:
@@ -122,7 +181,7 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
     own = types.FunctionType(code, function.__globals__, function.__name__, None, closure)
     functools.update_wrapper(own, function)
     vars(own)["checked"] = True
-    return typing.cast(Callable[P, T], own)
+    return own
 
 
 def within() -> bool:

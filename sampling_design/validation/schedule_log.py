@@ -263,7 +263,6 @@ def _joint(one: WindowSigma, other: WindowSigma) -> WindowSigma:
         worst,
         lower=min(one.lower, other.lower),
         from_time=min(one.from_time, other.from_time),
-        closed=one.closed and other.closed,
         status=open_.status,
         rigorous=one.rigorous and other.rigorous,
         slack=max(one.slack, other.slack),

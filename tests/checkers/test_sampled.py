@@ -25,10 +25,14 @@ from sampling_design import (
     certify,
 )
 from sampling_design import checkers as checker
+from sampling_design.accuracy.interval import state_interval
 from sampling_design.certificates.detectability.best_rate import certify_detectability
 from sampling_design.certificates.families.certify_family import certify_family
 from sampling_design.certificates.form import digest
 from sampling_design.checkers import claims, outcome, sampled
+from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
+from sampling_design.uncertain.plants.parameter import UncertainParameter
+from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests.oracles import riccati as oracle
 
 ROOM = Path(checker.__file__).parent
@@ -287,7 +291,7 @@ BARE = """
 import runpy, sys
 class Nothing:
     def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in ("sampling_design", "scipy", "flint"):
+        if name.split(".")[0] not in {"numpy", "checkers", "auditor", *sys.stdlib_module_names}:
             raise ModuleNotFoundError(name)
 sys.meta_path.insert(0, Nothing())
 _, how, what, *sys.argv[1:] = sys.argv
@@ -299,19 +303,27 @@ else:
 """
 
 
-def test_the_copied_folder_takes_the_files_of_every_claim(tmp_path, copied):
-    made = {
-        "detectability": certify_detectability(OSCILLATOR),
-        "assumption-7": certificates()[0],
-        **{f"family {k}": certify_family(OSCILLATOR, family, eta=0.2) for k, family in enumerate(FAMILIES)},
-    }
-    for claim, certificate in made.items():
+BOXED = UncertainPlant(Plant([[0.0]], [[1.0]]), [UncertainParameter("theta", -1.0, 1.0, A=[[1.0]])])
+MEASURED = [(0.0, [1.0]), (0.7, [0.5]), (1.9, [-0.3])]
+OF_EACH_CLAIM = {
+    "detectability": lambda: [certify_detectability(OSCILLATOR)],
+    "assumption-7": lambda: certificates()[:1],
+    "family": lambda: [certify_family(OSCILLATOR, family, eta=0.2) for family in FAMILIES],
+    "interval": lambda: [state_interval(OSCILLATOR, MEASURED, w_bound=0.1, v_bound=0.2)],
+    "inclusion": lambda: [certify_inclusion(BOXED, GapRange(0.1, 0.2), eta=0.5, pieces=4)],
+}
+
+
+@pytest.mark.parametrize("claim", list(claims.CLAIMS))
+def test_the_copied_folder_takes_the_files_of_every_claim(claim, tmp_path, copied):
+    """Alone and under another name, with numpy and the standard library and nothing else to import."""
+    (copied / "checkers").rename(copied / "auditor")
+    for certificate in OF_EACH_CLAIM[claim]():
         path = certificate.save(tmp_path / "certificate.json")
-        runs = [bare(["-m", "checkers", path], copied)]
-        if claim == "family 0":
-            runs.append(bare(["file", "checkers/check.py"], copied, path.read_text()))
+        runs = [bare(["-m", "auditor", path], copied), bare(["file", "auditor/check.py"], copied, path.read_text())]
+        reason = checker.verdict(json.loads(path.read_text())).reason
         for done in runs:
-            assert (done.returncode, done.stdout.strip(), done.stderr) == (0, certificate.verify().reason, ""), claim
+            assert (done.returncode, done.stdout.strip(), done.stderr) == (0, reason, ""), claim
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ from sampling_design.uncertain.box.model import BoxModel
 from sampling_design.uncertain.existence.existence_over_box import existence_over_box
 from sampling_design.uncertain.existence.largest_box import largest_box
 from sampling_design.uncertain.observability import zero_count_over_box
-from sampling_design.uncertain.observability.worst_case_cells import least_over, points_of, whole
+from sampling_design.uncertain.observability.worst_case_cells import least_over, points_of
 from sampling_design.uncertain.plants.parameter import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests.oracles.boxes import random_box
@@ -143,7 +143,7 @@ def test_no_plant_of_a_cell_lies_below_what_its_corners_say(seed):
     model = BoxModel.of(random_box(rng), "worst_case_sigma")
     k = model.n + int(rng.integers(0, 3))
     family = SpacedWindows(0.4 * (k - 1) + 1e-9, k, 0.4)
-    cell = whole(model)._replace(half=rng.uniform(0.1, 1.0, (1, model.m)))
+    cell = BoxCells.whole(model.m)._replace(half=rng.uniform(0.1, 1.0, (1, model.m)))
     times = 0.4 * np.arange(k)
 
     def sigma(u, unit):
@@ -182,7 +182,7 @@ def test_corners_that_are_seen_prove_nothing_of_a_frequency_between_them_that_is
     corners = [worst_case_sigma(oscillator().at([x]), family).lower for x in (0.81, 1.21)]
     assert min(corners) > 0.1
     assert worst_case_sigma(oscillator().at([1.0]), family).upper < 1e-12
-    assert least_over(model, whole(model), family, min(corners)) == 0.0
+    assert least_over(model, BoxCells.whole(model.m), family, min(corners)) == 0.0
 
 
 def test_the_frechet_derivative_and_the_exponential_agree_with_fifty_digits():

@@ -9,12 +9,14 @@ import pytest
 from sampling_design import PeriodicSchedule, Plant, SpacedWindows, window_sigma, worst_case_sigma
 from sampling_design.errors import MissingExtraError
 from sampling_design.numerics.ball_flow import TimeBudget
-from sampling_design.numerics.balls import floats, matrix, precision
+from sampling_design.numerics.balls import ball, floats, matrix, precision
 from sampling_design.observability.windows.balls import exact_times
 from sampling_design.observability.windows.pieces import window_pieces
 from sampling_design.plants.plant import Signals
 from sampling_design.uncertain.box.balls import BallBox, largest_over
+from sampling_design.uncertain.box.expansion import BoxCells, bases, norms_in
 from sampling_design.uncertain.box.model import BoxModel
+from sampling_design.uncertain.box.norms import BALLS, CellNorms
 from sampling_design.uncertain.observability import window_balls
 from sampling_design.uncertain.observability import worst_case_balls as worst_over_box
 from sampling_design.uncertain.observability.window_balls import WindowCells, prove_over_box
@@ -25,6 +27,7 @@ from tests.cases import few
 from tests.observability.test_rigorous_sigma import sigma_at
 from tests.oracles.boxes import drawn_values, matrices, random_box
 
+KEYS = ("rate", "size", "moved", "seen", "shown")
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 FREQUENCY = UncertainParameter("omega^2", 0.81, 1.21, A=[[0.0, 0.0], [-1.0, 0.0]], nominal=1.0)
 GAIN = UncertainParameter("gain", 0.9, 1.1, C=[[1.0, 0.0]], nominal=1.0)
@@ -127,8 +130,8 @@ def test_a_norm_too_small_is_never_proven():
     with precision():
         box = BallBox(BoxModel.of(CASES["frequency"][0], "window_sigma"))
         for metric in box.metrics(box.cell(np.zeros(1), np.ones(1)), 3.0):
-            assert float(metric.rate) >= -1e-15
-            assert float(metric.moved) >= 0.19
+            assert float(metric.norms.rate) >= -1e-15
+            assert float(metric.norms.moved) >= 0.19
         W = matrix(np.diag([1.0, 4.0]))
         assert float(largest_over(matrix(np.diag([3.0, 4.0])), W)) == pytest.approx(3.0, rel=1e-11)
         assert largest_over(W, matrix(np.diag([1.0, -1.0]))) is None
@@ -161,3 +164,29 @@ def test_without_the_extra_the_refusal_names_it(monkeypatch):
         window_sigma(plant, schedule, window, rigorous=True)
     with pytest.raises(MissingExtraError, match="python-flint, which is not installed"):
         worst_case_sigma(plant, SpacedWindows(4.0, 3, 0.8), rtol=0.6, rigorous=True)
+
+
+@pytest.mark.parametrize("name", few(CASES, 1))
+def test_norms_of_a_cell_in_floats_are_those_of_balls(name):
+    """One formula for both: what it makes of the same numbers agrees, and floats give no smaller bound than balls."""
+    model = BoxModel.of(CASES[name][0], "window_sigma")
+    cell = BoxCells.whole(model.m)._replace(half=np.full((1, model.m), 0.5))
+    (A, C), longest = model.at(cell.u), 3.0
+    inverses = [np.linalg.inv(T).astype(complex) for T in bases(A, C, np.array([longest]))]
+    every = [
+        norms_in(model, cell, A, C, T, inverse)[0]
+        for T, inverse in zip(bases(A, C, np.array([longest])), inverses, strict=True)
+    ]
+    with precision():
+        box = BallBox(model)
+        metrics = box.metrics(box.cell(cell.u[0], cell.half[0]), longest)
+        for norms, metric in zip(every, metrics, strict=True):
+            for key in KEYS:
+                own, size = float(getattr(norms, key)[0, 0]), float(norms.size[0, 0])
+                assert own == pytest.approx(float(getattr(metric.norms, key)), rel=3e-5, abs=2e-5 * size), key
+            for r in (0.0, 1e-9, 1e-3, 1.0, 40.0):
+                same = CellNorms(*(ball(float(getattr(norms, k)[0, 0])) for k in KEYS), BALLS)
+                found = [*norms.rows(np.array([[r]]), norms.rate), norms.turned(np.array([[r]]))]
+                proven = [*same.rows(ball(r), same.rate), same.turned(ball(r))]
+                for value, exact in zip(found, proven, strict=True):
+                    assert float(exact) * (1 - 1e-13) <= float(value[0, 0]) <= float(exact) * (1 + 1e-3)

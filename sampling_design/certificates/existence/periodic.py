@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypedDict, overload
+from typing import TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -15,9 +15,8 @@ from sampling_design.observability.alignment import meet
 from sampling_design.observability.count.period_modes import LeastObservedMode, PeriodModes, period_modes
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant
-from sampling_design.records.dispatch import OpenPlant, registered
 from sampling_design.records.record import YesOrNo, short
-from sampling_design.records.signatures import checked
+from sampling_design.records.signatures import checked, open_verb
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
@@ -94,12 +93,8 @@ class Existence(ExistenceAnswer):
         return f"{'A' if self.exists else 'No'} certificate exists: {self.reason}."
 
 
-@overload
-def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta: float) -> Existence: ...
-@overload
-def certificate_exists(plant: OpenPlant, schedule: PeriodicSchedule | Schedule, eta: float) -> ExistenceAnswer: ...
-@checked
-def certificate_exists(plant: Plant | OpenPlant, schedule: PeriodicSchedule | Schedule, eta: float) -> ExistenceAnswer:
+@open_verb(ExistenceAnswer)
+def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta: float) -> Existence:
     """Decide whether some certificate with rate `eta` exists on a schedule, whatever the weights.
 
     Parameters
@@ -141,8 +136,6 @@ def certificate_exists(plant: Plant | OpenPlant, schedule: PeriodicSchedule | Sc
     >>> certificate_exists(oscillator, PeriodicSchedule([np.pi]), 0.4).exists
     False
     """
-    if not isinstance(plant, Plant):
-        return registered("certificate_exists", plant, ExistenceAnswer)(plant, schedule, eta)
     schedule = meet(plant, schedule)
     if isinstance(schedule, Schedule):
         return Existence(True, float("inf"), period=0.0, reason="a finite schedule is certified to its last time")

@@ -15,7 +15,18 @@ from sampling_design.checkers.outcome import REFUTED, UNDECIDED
 from sampling_design.checkers.parts import Plant, Weights
 from sampling_design.checkers.schedule_file import Times
 from sampling_design.numerics.ball_flow import BallFlow
-from sampling_design.numerics.balls import Matrix, ball, cholesky, definite, flint, floats, identity, matrix, symmetric
+from sampling_design.numerics.balls import (
+    Matrix,
+    ball,
+    cholesky,
+    definite,
+    flint,
+    floats,
+    identity,
+    matrix,
+    rational,
+    symmetric,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -100,7 +111,7 @@ def noise(G: Array, Qw: Array) -> Matrix:
             drive[i] = [x - share * y for x, y in zip(drive[i], drive[k], strict=True)]
     if not n:
         return matrix(np.zeros((0, 0)))
-    made: Matrix = flint().arb_mat([[flint().arb(x.numerator) / x.denominator for x in row] for row in found])
+    made: Matrix = flint().arb_mat([[rational(x) for x in row] for row in found])
     return made
 
 

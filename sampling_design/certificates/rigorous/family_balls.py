@@ -27,10 +27,10 @@ from sampling_design.numerics.balls import (
     Matrix,
     ball,
     definite,
-    flint,
     floats,
     largest,
     positive_part,
+    rational,
     spectral,
     symmetric,
 )
@@ -55,7 +55,7 @@ class BallIntervals:
         frame, flow = self.frame, self.frame.flow
         which = None if pattern is None or not any(pattern) else self.patterns.index(pattern)
         start = frame.L.transpose() * P.solve(frame.L)
-        first, length = _ball(low), _ball(high - low)
+        first, length = rational(low), rational(high - low)
         pending = [(flow.step(start, first), first, length, 0)]
         while pending:
             self.clock.check(150 + frame.n**3)
@@ -90,11 +90,6 @@ class BallIntervals:
             amount = 1 / float(np.linalg.eigvalsh(floats(left))[-1]) - 1
             reason = f"{self.name} fails by {-amount:.3g} at gap {float(at):.6g}"
             raise BallFailure(REFUTED, self.name, reason, amount=amount, time=float(at))
-
-
-def _ball(time: Fraction) -> Ball:
-    made: Ball = flint().arb(time.numerator) / time.denominator
-    return made
 
 
 def family(c: OfFamily, stated: list[StatedInequality], clock: TimeBudget) -> BallDecision:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import overload
 
 import numpy as np
 
@@ -14,10 +13,9 @@ from sampling_design.observability.count.pbh import observable_rank, require_obs
 from sampling_design.plants.clusters import EigenvalueCluster, eigenvalue_clusters
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.dispatch import OpenPlant, registered
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import Plain, Record, short
-from sampling_design.records.signatures import checked
+from sampling_design.records.signatures import open_verb
 
 ROUNDING_GUARD = 1e-9
 """k* within this of a whole number (relative above 1) counts as that number: floor(k* + guard) + 1, never ceil(k*)."""
@@ -129,12 +127,8 @@ class ZeroCountBound(SampleCount):
         )
 
 
-@overload
-def zero_count_bound(plant: Plant, duration: float) -> ZeroCountBound: ...
-@overload
-def zero_count_bound(plant: OpenPlant, duration: float) -> SampleCount: ...
-@checked
-def zero_count_bound(plant: Plant | OpenPlant, duration: float) -> SampleCount:
+@open_verb(SampleCount)
+def zero_count_bound(plant: Plant, duration: float) -> ZeroCountBound:
     """Return how many samples in a closed window of length `duration` determine the state, whatever the times.
 
         k* = r - 1 + T delta/(2 pi),    delta = 2 max |Im lambda|
@@ -181,8 +175,6 @@ def zero_count_bound(plant: Plant | OpenPlant, duration: float) -> SampleCount:
     (2.0, 3, 'zero count')
     """
     T = checks.nonnegative("duration", duration)
-    if not isinstance(plant, Plant):
-        return registered("zero_count_bound", plant, SampleCount)(plant, T)
     n, p = plant.n_states, plant.n_outputs
     if not n:
         return _record(plant, T, -1.0, 0, 0, 0.0, None, 0)
@@ -190,11 +182,24 @@ def zero_count_bound(plant: Plant | OpenPlant, duration: float) -> SampleCount:
     clusters = eigenvalue_clusters(plant.A)
     order, spread = _order_and_spread(clusters)
     value = order - 1 + T * spread / (2 * np.pi)
-    if not value < MOST_SAMPLES:
-        raise ArgumentError(f"`duration` must hold fewer than {MOST_SAMPLES:.0e} samples by the count, got {T!r}.")
-    needed = int(np.floor(value + ROUNDING_GUARD * max(1.0, value))) + 1
+    needed = samples_above(value, T)
     length = search(spectrum(clusters)) if p == 1 else None
     return _record(plant, T, value, needed, order, spread, length, _least(plant))
+
+
+def samples_above(value: float, duration: float) -> int:
+    """Return floor(k*) + 1, the samples in a window of length `duration` that suffice.
+
+    Raises
+    ------
+    ArgumentError
+        If there are so many that the next whole number is no double.
+    """
+    if not value < MOST_SAMPLES:
+        raise ArgumentError(
+            f"`duration` must hold fewer than {MOST_SAMPLES:.0e} samples by the count, got {duration!r}."
+        )
+    return int(np.floor(value + ROUNDING_GUARD * max(1.0, value))) + 1
 
 
 def _record(

@@ -7,6 +7,7 @@ Sigma is at least mu along the piece iff Y <= I/mu^2 there.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.numerics.ball_flow import BallFlow, OutOfTime, TimeBudget, highest
-from sampling_design.numerics.balls import Ball, Matrix, ball, flint, floats, matrix, precision
+from sampling_design.numerics.balls import Matrix, ball, flint, floats, matrix, precision, rational
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.plants.plant import Plant
@@ -26,7 +27,7 @@ PLACES = 33
 """Positions per piece at which sigma is looked at where floats saw nothing."""
 ZOOMS = 3
 """Nearer looks around the least of them, each `PLACES`/2 times as near."""
-BITS = (160, 400, 1200)
+PRECISIONS = (160, 400, 1200)
 """Precisions: the inverse of an ill-conditioned Gramian may need the second, growth beyond e^100 the third."""
 
 
@@ -39,64 +40,36 @@ class ProvenSigma(NamedTuple):
 
 
 def nearest_proven(
-    guess: float, slack: float, begin: Callable[[], Callable[[float], bool]], shaves: tuple[float, ...] = SHAVES
+    guess: float,
+    seconds: float,
+    begin: Callable[[TimeBudget], Callable[[float], bool]],
+    *,
+    slack: float = 0.0,
+    shaves: tuple[float, ...] = SHAVES,
+    precisions: tuple[int, ...] = PRECISIONS[:1],
 ) -> ProvenSigma:
-    """The first of guess (1 - shave) that a search proves.
+    """Prove a lower bound of sigma as near to what floats believe as can be: the first of guess (1 - shave).
 
     Parameters
     ----------
     guess : float
         What floats believe; where it is 0 or infinite there is nothing to prove.
+    seconds : float
+        Budget.
+    begin : callable
+        Sets the search up within a precision of balls, given the clock, and returns what decides whether sigma >= mu,
+        given mu. Both may raise `OutOfTime`, and ZeroDivisionError where a matrix is not certainly invertible.
     slack : float
         By which the windows' ends are moved outward.
-    begin : callable
-        Sets the search up and returns what decides whether sigma >= mu, given mu; called once, within the precision
-        of balls. Both may raise `OutOfTime`.
     shaves : tuple of float
         One after the other.
+    precisions : tuple of int
+        Bits, the next ones where a matrix is not certainly invertible with those before.
 
     Returns
     -------
     ProvenSigma
         lower = 0 where nothing is proven: "budget" or "rounding".
-    """
-    if not 0 < guess < np.inf:
-        return ProvenSigma(guess, slack, "closed")
-    with precision():
-        try:
-            proves = begin()
-            for mu in (guess * (1 - shave) for shave in shaves):
-                if proves(mu):
-                    return ProvenSigma(mu, slack, "closed")
-        except OutOfTime:
-            return ProvenSigma(0.0, slack, "budget")
-    return ProvenSigma(0.0, slack, "rounding")
-
-
-def prove_window_sigma(
-    plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, guess: float, seconds: float = 60.0
-) -> ProvenSigma:
-    """Prove a lower bound of sigma over all real window positions, as near to `guess` as can be.
-
-        sigma_n(rows C e^{A (tau - s)}, tau in [s - slack, s + T + slack]) >= lower    for all real s
-
-    Parameters
-    ----------
-    plant : Plant
-    schedule : Schedule or PeriodicSchedule
-        Its `times` and `period` are the doubles that the theorem is about.
-    pieces : Pieces
-        Of that schedule.
-    guess : float
-        What floats believe.
-    seconds : float
-        Budget.
-
-    Returns
-    -------
-    ProvenSigma
-        lower = 0 where nothing is proven in time. `slack` is zero where no two events were joined: samples that
-        leave and arrive within rounding of each other count as one event, and `slack` is that distance.
 
     Raises
     ------
@@ -104,19 +77,47 @@ def prove_window_sigma(
         If python-flint is not installed.
     """
     flint()
-    clock, exact = TimeBudget(seconds), exact_times(schedule, pieces)
-    slack = needed_slack(schedule, pieces, exact)
     if not 0 < guess < np.inf:
         return ProvenSigma(guess, slack, "closed")
-    for bits in BITS:
-        with precision(bits):
+    clock = TimeBudget(seconds)
+    for bits in precisions:
+        with precision(bits), suppress(ZeroDivisionError):
             try:
-                return ProvenSigma(_proven(plant, schedule, pieces, exact, guess, clock), slack, "closed")
+                proves = begin(clock)
+                proven = next((mu for mu in (guess * (1 - shave) for shave in shaves) if proves(mu)), None)
             except OutOfTime:
-                break
-            except ZeroDivisionError:  # the Gramian is not certainly invertible at this precision
-                continue
-    return ProvenSigma(0.0, slack, "budget" if bits < BITS[-1] else "rounding")
+                return ProvenSigma(0.0, slack, "budget")
+            return ProvenSigma(0.0, slack, "rounding") if proven is None else ProvenSigma(proven, slack, "closed")
+    return ProvenSigma(0.0, slack, "rounding")
+
+
+def prove_window_sigma(
+    plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, guess: float, seconds: float = 60.0
+) -> ProvenSigma:
+    """Prove a lower bound of sigma over all real window positions: see `nearest_proven`.
+
+        sigma_n(rows C e^{A (tau - s)}, tau in [s - slack, s + T + slack]) >= lower    for all real s
+
+    `times` and `period` of the schedule are the doubles that the theorem is about. `slack` is zero where no two events
+    were joined: samples that leave and arrive within rounding of each other count as one event, and `slack` is that
+    distance.
+    """
+    exact = exact_times(schedule, pieces)
+
+    def begin(clock: TimeBudget) -> Callable[[float], bool]:
+        flow, rows, starts = BallFlow(matrix(plant.A), matrix(np.zeros_like(plant.A))), BallRows(plant), []
+        for g in range(len(pieces)):
+            left, right = piece_ends(schedule, pieces, g)
+            span = slice(int(pieces.first[g]), int(pieces.stop[g]))
+            starts.append((rows.gramian(flow, exact[span], left, pieces.measured(g)).inv(), rational(right - left)))
+
+        def proves(mu: float) -> bool:
+            limit = (1 / ball(mu) ** 2).lower()
+            return all(highest(flow, Y, length, clock, limit=limit) is not None for Y, length in starts)
+
+        return proves
+
+    return nearest_proven(guess, seconds, begin, slack=needed_slack(schedule, pieces, exact), precisions=PRECISIONS)
 
 
 class BallSigma(NamedTuple):
@@ -137,7 +138,7 @@ def see_in_balls(
     """
     clock, exact = TimeBudget(seconds), exact_times(schedule, pieces)
     least = plant.n_states * float(np.finfo(float).eps) * float(np.linalg.norm(plant.C))
-    for bits in BITS:
+    for bits in PRECISIONS:
         with precision(bits):
             try:
                 seen = _seen(plant, schedule, pieces, exact, clock)
@@ -160,7 +161,7 @@ def _seen(
         nonlocal best
         span = slice(int(pieces.first[g]), int(pieces.stop[g]))
         Y, step = rows.gramian(flow, exact[span], left, pieces.measured(g)).inv(), (right - left) / (PLACES - 1)
-        E = flow.over(fraction(step))[0]
+        E = flow.over(rational(step))[0]
         for k in range(PLACES):
             values, vectors = np.linalg.eigh(symmetrise(floats(Y)))
             sigma = float(1 / np.sqrt(values[-1])) if values[-1] > 0 else 0.0
@@ -219,39 +220,6 @@ def piece_ends(schedule: Schedule | PeriodicSchedule, pieces: Pieces, g: int) ->
     return Fraction(float(pieces.left[g])), right
 
 
-def _proven(
-    plant: Plant,
-    schedule: Schedule | PeriodicSchedule,
-    pieces: Pieces,
-    exact: list[Fraction],
-    guess: float,
-    clock: TimeBudget,
-) -> float:
-    """The largest of the shaved guesses that holds on every piece, or 0."""
-    n = plant.n_states
-    zero = matrix(np.zeros((n, n)))
-    flow, rows = BallFlow(matrix(plant.A), zero), BallRows(plant)
-    starts = []
-    for g in range(len(pieces)):
-        left, right = piece_ends(schedule, pieces, g)
-        span = slice(int(pieces.first[g]), int(pieces.stop[g]))
-        mask = pieces.measured(g)
-        gramian = rows.gramian(flow, exact[span], left, mask)
-        starts.append((gramian.inv(), fraction(right - left)))
-    for shave in SHAVES:
-        mu = guess * (1 - shave)
-        limit = (1 / ball(mu) ** 2).lower()
-        if all(highest(flow, Y, length, clock, limit=limit) is not None for Y, length in starts):
-            return mu
-    return 0.0
-
-
-def fraction(time: Fraction) -> Ball:
-    """A rational number as a ball."""
-    made: Ball = flint().arb(time.numerator) / time.denominator
-    return made
-
-
 class BallRows:
     """C'C of each set of outputs, in balls."""
 
@@ -275,6 +243,6 @@ class BallRows:
         G, whole = matrix(np.zeros((n, n))), np.ones(self.C.shape[0], dtype=bool)
         for k in range(len(times) - 1, -1, -1):
             G = G + self.of(whole if mask is None else mask[k])
-            E = flow.over(fraction(times[k] - (times[k - 1] if k else start)))[0]
+            E = flow.over(rational(times[k] - (times[k - 1] if k else start)))[0]
             G = E.transpose() * G * E
         return G

@@ -5,22 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
-from typing import overload
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import meet
-from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of
+from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
 from sampling_design.observability.windows.bracket import WindowBracket, bracket_sigma
 from sampling_design.observability.windows.pieces import Pieces, window_pieces
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.records.dispatch import OpenPlant, registered
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import CurveRecord, Plain, Record, TableRecord, Variable, short
-from sampling_design.records.signatures import checked
+from sampling_design.records.signatures import open_verb
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
@@ -134,18 +132,11 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
         arrive within rounding of each other, which count as one event.
     """
 
-    lower: float
-    upper: float
     witness: WindowWitness
-    closed: bool
-    status: str
     window: float
-    rtol: float
     profile: WindowProfile
     from_time: float = field(default=0.0, kw_only=True)
-    coordinates: str = field(default="physical", kw_only=True)
     time_unit: str = field(default="s", kw_only=True)
-    rigorous: bool = field(default=False, kw_only=True)
     slack: float = field(default=0.0, kw_only=True)
 
     @property
@@ -235,7 +226,7 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
         return self._concluded(proven, where, _REASONS)
 
 
-@overload
+@open_verb(SigmaBracket)
 def window_sigma(
     plant: Plant,
     schedule: Schedule | PeriodicSchedule,
@@ -245,29 +236,7 @@ def window_sigma(
     progress: Progress | None = None,
     rigorous: bool = False,
     start: float | None = None,
-) -> WindowSigma: ...
-@overload
-def window_sigma(
-    plant: OpenPlant,
-    schedule: Schedule | PeriodicSchedule,
-    window: float,
-    rtol: float | None = None,
-    budget: float | None = None,
-    progress: Progress | None = None,
-    rigorous: bool = False,
-    start: float | None = None,
-) -> SigmaBracket: ...
-@checked
-def window_sigma(
-    plant: Plant | OpenPlant,
-    schedule: Schedule | PeriodicSchedule,
-    window: float,
-    rtol: float | None = None,
-    budget: float | None = None,
-    progress: Progress | None = None,
-    rigorous: bool = False,
-    start: float | None = None,
-) -> SigmaBracket:
+) -> WindowSigma:
     """Bound sigma over all real positions of a sliding window.
 
         sigma = inf over real t of sigma_n(rows C e^{A (tau - (t - T))}, tau in [t - T, t])
@@ -337,9 +306,6 @@ def window_sigma(
     >>> window_sigma(plant, PeriodicSchedule([1.0]), 1.0).upper
     0.0
     """
-    if not isinstance(plant, Plant):
-        other = registered("window_sigma", plant, SigmaBracket)
-        return other(plant, schedule, window, rtol, budget, progress, rigorous, start)
     aligned = meet(plant, schedule)
     pieces, tolerance, seconds = asked(aligned, window, start, RTOL if rtol is None else rtol, budget)
     return sigma_of_pieces(plant, aligned, pieces, tolerance, seconds, progress, rigorous=rigorous)
@@ -404,13 +370,9 @@ def _in_balls(
         if seen is not None:
             end, side = seen.start + result.window, pieces.side(seen.piece, seen.start)
             witness = WindowWitness(end, side, pieces.samples(seen.piece), seen.direction, seen.sigma)
-            result = replace(result, lower=seen.sigma, upper=seen.sigma, witness=witness, status="closed", closed=True)
+            result = replace(result, lower=seen.sigma, upper=seen.sigma, witness=witness, status="closed")
     proof = prove_window_sigma(plant, schedule, pieces, result.lower, seconds)
-    status = result.status
-    if status == "closed" and not proof.lower >= (1 - result.rtol) * result.upper:
-        status = proof.status if proof.status != "closed" else "rounding"
-    closed = result.closed and status == result.status
-    return replace(result, lower=proof.lower, status=status, closed=closed, rigorous=True, slack=proof.slack)
+    return replace(in_balls(result, proof), slack=proof.slack)
 
 
 def record_of(found: WindowBracket, rtol: float, time_unit: str, coordinates: str) -> WindowSigma:
@@ -420,15 +382,6 @@ def record_of(found: WindowBracket, rtol: float, time_unit: str, coordinates: st
     left, right = found.pieces.left + window, found.pieces.right + window
     profile = WindowProfile(found.nodes + window, found.sigma, found.owner, left, right, found.piece_lower)
     return WindowSigma(
-        found.lower,
-        found.upper,
-        witness,
-        found.status not in ("budget", "rounding", "sampled"),
-        found.status,
-        window,
-        rtol,
-        profile,
-        from_time=found.pieces.start,
-        coordinates=coordinates,
-        time_unit=time_unit,
-    )
+        witness, window, profile, lower=found.lower, upper=found.upper, status=found.status, rtol=rtol,
+        from_time=found.pieces.start, coordinates=coordinates, time_unit=time_unit,
+    )  # fmt: skip

@@ -24,8 +24,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.numerics.ball_flow import BallFlow, OutOfTime, TimeBudget
-from sampling_design.numerics.balls import Ball, ball, definite, flint, matrix
-from sampling_design.observability.windows.balls import SHAVES, ProvenSigma, fraction, nearest_proven
+from sampling_design.numerics.balls import Ball, ball, definite, flint, matrix, rational
+from sampling_design.observability.windows.balls import SHAVES, ProvenSigma, nearest_proven
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.spaced_windows import SpacedWindows
@@ -111,12 +111,12 @@ class WorstCase:
         return self._tables[cells]
 
     def _made(self, cells: int) -> BallTable:
-        step = fraction(self.slack / cells)
+        step = rational(self.slack / cells)
         E = self.flow.over(step)[0]
         y = np.empty((self.k, cells + 1, 5, self.p, self.n))
         for i, offset in enumerate(self.offsets):
             self.clock.check()
-            at = self.rows * self.flow.over(fraction(offset))[0]
+            at = self.rows * self.flow.over(rational(offset))[0]
             for j in range(cells + 1):
                 y[i, j] = np.array([float(x) for x in at.entries()]).reshape(5, self.p, self.n)
                 at = at * E
@@ -179,7 +179,7 @@ class WorstCase:
         total = matrix(np.zeros((self.n, self.n)))
         first = flint().arb_mat(self.rows.tolist()[: self.p])
         for offset in self.offsets:
-            at = first * self.flow.over(fraction(offset))[0]
+            at = first * self.flow.over(rational(offset))[0]
             total = total + at.transpose() * at
         return definite(total - ball(mu) * self.basis.transpose() * self.basis) is True
 
@@ -245,40 +245,17 @@ def prove_worst_sigma(
     seconds: float = 60.0,
     shaves: tuple[float, ...] = SHAVES,
 ) -> ProvenSigma:
-    """Prove a lower bound of sigma over all schedules of a family, as near to `guess` as can be.
+    """Prove a lower bound of sigma over all schedules of a family: see `nearest_proven`.
 
-    Parameters
-    ----------
-    plant : Plant
-    family : SpacedWindows
-        Window, count and spacing are the doubles that the theorem is about.
-    guess : float
-        What floats believe.
-    worst : (k,) array
-        Times of a bad schedule: they choose the coordinates, nothing else.
-    seconds : float
-        Budget.
-    shaves : tuple of float
-        Fractions taken off the guess, one after the other.
-
-    Returns
-    -------
-    ProvenSigma
-        lower = 0 where nothing is proven in time.
-
-    Raises
-    ------
-    MissingExtraError
-        If python-flint is not installed.
+    Window, count and spacing are the doubles that the theorem is about; `worst` (k,), the times of a bad schedule,
+    chooses the coordinates, nothing else.
     """
-    flint()
     if plant.n_states > MOST_STATES:
         return ProvenSigma(0.0, 0.0, "too many states")
-    clock = TimeBudget(seconds)
 
-    def begin() -> Callable[[float], bool]:
+    def begin(clock: TimeBudget) -> Callable[[float], bool]:
         rows = SpacedRows(plant, family.window, family.count, family.spacing)
         basis, _ = rows.coordinates(np.clip(worst - rows.offsets, 0.0, None))
         return WorstCase(plant, family, basis, clock).proves
 
-    return nearest_proven(guess, 0.0, begin, shaves)
+    return nearest_proven(guess, seconds, begin, shaves=shaves)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import overload
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
-from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of
+from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
 from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.sampled import sigma_min
 from sampling_design.observability.worst_case.periodicity import within_periods
@@ -21,10 +20,10 @@ from sampling_design.observability.worst_case.spaced_sphere import MOST_STATES, 
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.checks import Seed
-from sampling_design.records.dispatch import OpenPlant, registered
+from sampling_design.records.dispatch import OpenPlant
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import Plain, counted, short
-from sampling_design.records.signatures import checked
+from sampling_design.records.signatures import open_verb
 from sampling_design.schedules.spaced_windows import SpacedWindows
 
 Array = npt.NDArray[np.float64]
@@ -89,24 +88,13 @@ class WorstCaseSigma(SigmaBracket):
         Whether `lower` is proven in ball arithmetic, a theorem about the stated doubles.
     """
 
-    lower: float
-    upper: float
     witness: Array
     direction: Array
-    status: str
     method: str
     cells: int
     family: SpacedWindows
-    rtol: float
     profile: WorstCaseProfile
-    coordinates: str = field(default="physical", kw_only=True)
     time_unit: str = field(default="s", kw_only=True)
-    rigorous: bool = field(default=False, kw_only=True)
-
-    @property
-    def closed(self) -> bool:
-        """Whether the bracket is as narrow as was asked, or sigma is zero."""
-        return self.status not in _REASONS
 
     @property
     def claim(self) -> Claim:
@@ -169,7 +157,7 @@ class WorstCaseSigma(SigmaBracket):
         return self._concluded(proven, where, _REASONS)
 
 
-@overload
+@open_verb(SigmaBracket)
 def worst_case_sigma(
     plant: Plant,
     family: SpacedWindows,
@@ -178,27 +166,7 @@ def worst_case_sigma(
     rng: Seed = None,
     progress: Progress | None = None,
     rigorous: bool = False,
-) -> WorstCaseSigma: ...
-@overload
-def worst_case_sigma(
-    plant: OpenPlant,
-    family: SpacedWindows,
-    rtol: float | None = None,
-    budget: float | None = 60.0,
-    rng: Seed = None,
-    progress: Progress | None = None,
-    rigorous: bool = False,
-) -> SigmaBracket: ...
-@checked
-def worst_case_sigma(
-    plant: Plant | OpenPlant,
-    family: SpacedWindows,
-    rtol: float | None = None,
-    budget: float | None = 60.0,
-    rng: Seed = None,
-    progress: Progress | None = None,
-    rigorous: bool = False,
-) -> SigmaBracket:
+) -> WorstCaseSigma:
     """Bracket the least sigma over all schedules with k samples, epsilon apart, in a window.
 
         sigma_bar = min of sigma_n(rows C e^{A tau_i}) over 0 <= tau_1, tau_i + epsilon <= tau_{i+1}, tau_k <= T
@@ -269,9 +237,6 @@ def worst_case_sigma(
     >>> bool(0.99 * sigma.upper <= sigma.lower <= sigma.upper)
     True
     """
-    if not isinstance(plant, Plant):
-        other = registered("worst_case_sigma", plant, SigmaBracket)
-        return other(plant, family, rtol, budget, rng, progress, rigorous)
     tolerance, seconds = asked(plant, family, RTOL if rtol is None else rtol, budget)
     generator = checks.generator(rng)
     require_moderate(plant)
@@ -279,7 +244,10 @@ def worst_case_sigma(
     own = plant.scaled() if plant.has_scales else plant
     result = _bracketed(own, within_periods(plant, family), tolerance, seconds, generator, progress)
     if rigorous:
-        result = _in_balls(result, own, seconds)
+        from sampling_design.observability.worst_case.balls import prove_worst_sigma
+
+        proof = prove_worst_sigma(own, result.family, result.lower, result.witness, seconds)
+        result = in_balls(result, proof)
     return replace(result, family=family, coordinates=coordinates_of(plant))
 
 
@@ -310,17 +278,6 @@ def _require_memory(plant: Plant, family: SpacedWindows) -> None:
             f"`family` asks for {family.count} samples in a window, which would take {need:.3g} GiB; at most "
             f"{MOST_MEMORY:g} GiB are taken. Look at a shorter window with fewer samples."
         )
-
-
-def _in_balls(result: WorstCaseSigma, plant: Plant, seconds: float) -> WorstCaseSigma:
-    """The record with the lower bound that ball arithmetic proves."""
-    from sampling_design.observability.worst_case.balls import prove_worst_sigma
-
-    proof = prove_worst_sigma(plant, result.family, result.lower, result.witness, seconds)
-    status = result.status
-    if status == "closed" and not proof.lower >= (1 - result.rtol) * result.upper:
-        status = proof.status if proof.status != "closed" else "rounding"
-    return replace(result, lower=proof.lower, status=status, rigorous=True)
 
 
 def _bracketed(

@@ -16,6 +16,7 @@ from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, 
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.uncertain.box.expansion import bases
 from sampling_design.uncertain.box.model import BoxModel
+from sampling_design.uncertain.box.norms import BALLS, CellNorms
 
 Array = npt.NDArray[np.float64]
 
@@ -33,15 +34,11 @@ class BallCell(NamedTuple):
 
 
 class CellMetric(NamedTuple):
-    """Proven of every plant of a cell, in the metric W of its states."""
+    """Norms that are proven of every plant of a cell in the metric W of its states, and |unit x| <= whole |x|."""
 
     W: Matrix
-    rate: Ball  # |e^{A r} x| <= e^{rate r} |x| for the centre's A, r >= 0
-    size: Ball  # |A x| <= size |x|
-    moved: Ball  # |(A(theta) - A) x| <= moved |x|
-    seen: Ball  # |C x| <= seen |x|, outputs in the plain norm
-    shown: Ball  # |(C(theta) - C) x| <= shown |x|
-    whole: Ball  # |unit x| <= whole |x|, states in the plain norm
+    norms: CellNorms[Ball]
+    whole: Ball
 
 
 class BallBox:
@@ -102,7 +99,8 @@ class BallBox:
             return None
         m, zero = self.m, flint().arb(0)
         moved, shown = sum(norms[1 : m + 1], zero), sum(norms[m + 2 : 2 * m + 2], zero)
-        return CellMetric(W, rate, norms[0], moved.upper(), norms[m + 1], shown.upper(), norms[-1])
+        found = CellNorms(rate, norms[0], moved.upper(), norms[m + 1], shown.upper(), BALLS)
+        return CellMetric(W, found, norms[-1])
 
 
 def largest_over(form: Matrix, W: Matrix, size: float = 0.0) -> Ball | None:
@@ -123,11 +121,6 @@ def largest_over(form: Matrix, W: Matrix, size: float = 0.0) -> Ball | None:
         if definite(W * bound - form):
             return bound
     return None
-
-
-def beyond_first_in_balls(x: Ball) -> Ball:
-    """e^x - 1 - x for x >= 0."""
-    return x.expm1() - x
 
 
 def _diagonal(d: Array) -> Matrix:

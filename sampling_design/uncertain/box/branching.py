@@ -27,6 +27,8 @@ UNSEEN = 1e-8
 DESCENTS = 3
 """Rounds between two descents."""
 STEPS = 400
+BALL_ROOM = 1.001
+"""Of the tolerance: how much of it a bracket may be open, what balls give away included."""
 
 
 class BoxBounds(NamedTuple):
@@ -79,7 +81,7 @@ def branch(
             progress(min(0.95, rounds / 40), f"{len(open_.s)} cells of the box open")
         open_, rounds = halved(open_, effect), rounds + 1
     best = descended(best, value, ends)
-    if status == "closed" and not min(closed, best[0]) >= (1 - 1.001 * rtol) * best[0]:
+    if status == "closed" and not min(closed, best[0]) >= (1 - BALL_ROOM * rtol) * best[0]:
         status = "rounding"
     return BoxBounds(min(closed, best[0]), *best, status, judged)
 

@@ -1,16 +1,13 @@
 """Rows C(theta) e^{A(theta) r} over a cell of parameters: value, first derivatives, bound of the rest.
 
-With A(theta) = A0 + E, |E| <= e and |e^{A0 t}| <= e^{mu t} in coordinates T (mu the logarithmic norm there),
-
-    e^{(A0 + E) r} = e^{A0 r} + D + X,    |D| <= e r e^{mu r},    |X| <= e^{mu r} (e^{e r} - 1 - e r),
-
-D the Frechet derivative, linear in E. Several T are tried, none is trusted. Another window start turns all rows by one
-e^{-A(theta) s}, |e^{-A(theta) s} - I + A0 s| <= e |s| + e^{a |s|} - 1 - a |s|, a = |A0| + e.
+The first order is the Frechet derivative; the rest is that of `norms.py` in coordinates T, the rate there the
+logarithmic norm. Several T are tried, none is trusted.
 """
 
 from __future__ import annotations
 
 import math
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +15,7 @@ import numpy.typing as npt
 from scipy import linalg
 
 from sampling_design.uncertain.box.model import BoxModel
+from sampling_design.uncertain.box.norms import FLOATS, CellNorms
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
@@ -46,6 +44,17 @@ class BoxCells(NamedTuple):
     def take(self, index: npt.NDArray[np.int_] | Mask) -> BoxCells:
         """The cells at `index`."""
         return BoxCells._make(part[index] for part in self)
+
+    @classmethod
+    def whole(cls, m: int) -> BoxCells:
+        """The box of m parameters as one cell, of one window position."""
+        box = np.zeros((1, m))
+        return cls(box, box + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
+
+
+def signs(m: int) -> Array:
+    """The corners (2^m, m) of [-1, 1]^m."""
+    return np.array(list(product((-1.0, 1.0), repeat=m))).reshape(2**m, m)
 
 
 class ExpansionRemainder(NamedTuple):
@@ -103,29 +112,31 @@ def expanded(model: BoxModel, cells: BoxCells, times: Array, measured: Mask) -> 
     return Expansion(A, rows.reshape(K, N * p, n), slopes.reshape(K, m, N * p, n), tuple(rests))
 
 
+def norms_in(
+    model: BoxModel, cells: BoxCells, A: Array, C: Array, T: Complex, inverse: Complex
+) -> tuple[CellNorms[Array], Array, Array]:
+    """The norms of cells in coordinates T, and what each parameter (K, m) by itself does to A and to C there."""
+    B, seen = inverse @ A @ T, np.linalg.norm(C @ T, 2, axis=(1, 2))
+    size = np.linalg.norm(B, 2, axis=(1, 2))
+    rate = np.linalg.eigvalsh((B + np.conj(np.swapaxes(B, 1, 2))) / 2)[:, -1]
+    rate = rate + 64 * len(model.A) * EPS * np.linalg.cond(T) * size
+    parts = np.linalg.norm(inverse[:, None] @ model.parts_A @ T[:, None], 2, axis=(2, 3))
+    shown = np.linalg.norm(model.parts_C @ T[:, None], 2, axis=(2, 3))
+    moved, more = (UP * np.sum(cells.half * each, axis=1)[:, None] for each in (parts, shown))
+    return CellNorms(rate[:, None], size[:, None], moved, seen[:, None], more, FLOATS), parts, shown
+
+
 def _rest(
     model: BoxModel, cells: BoxCells, A: Array, C: Array, T: Complex, inverse: Complex, r: Array, there: Mask
 ) -> tuple[Array, Array, Array]:
     """In coordinates T: the square of the rows' rest, the rest of what moves the window, and relative effects."""
-    B, seen = inverse @ A @ T, np.linalg.norm(C @ T, 2, axis=(1, 2))[:, None]
-    mu = np.linalg.eigvalsh((B + np.conj(np.swapaxes(B, 1, 2))) / 2)[:, -1][:, None]
-    mu = mu + 64 * len(model.A) * EPS * (np.linalg.cond(T) * np.linalg.norm(B, 2, axis=(1, 2)))[:, None]
-    parts = np.linalg.norm(inverse[:, None] @ model.parts_A @ T[:, None], 2, axis=(2, 3))
-    moved = np.linalg.norm(model.parts_C @ T[:, None], 2, axis=(2, 3))
-    e, size = UP * np.sum(cells.half * parts, axis=1), np.linalg.norm(B, 2, axis=(1, 2))
-    c, along = UP * np.sum(cells.half * moved, axis=1)[:, None], e[:, None] * r
+    norms, parts, shown = norms_in(model, cells, A, C, T, inverse)
     with np.errstate(over="ignore", invalid="ignore"):
-        grown, second = np.exp(mu * r), beyond_first(along)
-        rest = UP * grown * (seen * second + c * (along + second))
+        rest = UP * norms.rows(r, norms.rate)[1]
         squared = np.sum(np.where(there, rest, 0.0) ** 2, axis=1)
-        beyond = UP * (e * cells.h + beyond_first((size + e) * cells.h))
-    effect = cells.half * (parts * r.max(axis=1, initial=0.0)[:, None] + moved / np.maximum(seen, 1e-300))
-    return squared, beyond, np.column_stack([effect, size * cells.h])
-
-
-def beyond_first(x: Array) -> Array:
-    """e^x - 1 - x for x >= 0, no smaller than it is."""
-    return np.where(x < 1e-3, 0.5 * x * x * (1 + 0.34 * x), np.expm1(x) - x + 1e-15 * x)
+        beyond = UP * norms.turned(cells.h[:, None])[:, 0]
+    effect = cells.half * (parts * r.max(axis=1, initial=0.0)[:, None] + shown / np.maximum(norms.seen, 1e-300))
+    return squared, beyond, np.column_stack([effect, norms.size[:, 0] * cells.h])
 
 
 def bases(A: Array, C: Array, longest: Array) -> list[Complex]:

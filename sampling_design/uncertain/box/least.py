@@ -10,13 +10,12 @@ s later sees |O e^{A s} x|, and |x| is convex in s to first order: its ends deci
 
 from __future__ import annotations
 
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.uncertain.box.expansion import BoxCells, Expansion, expanded
+from sampling_design.uncertain.box.expansion import BoxCells, Expansion, expanded, signs
 from sampling_design.uncertain.box.model import BoxModel
 
 Array = npt.NDArray[np.float64]
@@ -87,8 +86,7 @@ def _lower(H: Array, N: Array, window: tuple[Array, Array, Array | Complex], rou
     (K, m, n, _), (unit, turn, beyond) = H.shape, window
     eye = np.eye(n)
     if m <= MOST_CORNERS:
-        signs = np.array(list(product((-1.0, 1.0), repeat=m))).reshape(2**m, m)
-        corners = eye + np.einsum("cj,kjab->kcab", signs, H)
+        corners = eye + np.einsum("cj,kjab->kcab", signs(m), H)
     else:
         values, vectors = np.linalg.eigh(H)
         sizes = (vectors * np.abs(values)[..., None, :]) @ np.swapaxes(vectors, 2, 3)

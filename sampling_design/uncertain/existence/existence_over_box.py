@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +19,7 @@ from sampling_design.records import checks
 from sampling_design.records.record import short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.branching import halved
-from sampling_design.uncertain.box.expansion import UP, BoxCells, expanded
+from sampling_design.uncertain.box.expansion import UP, BoxCells, expanded, signs
 from sampling_design.uncertain.box.model import BoxModel
 from sampling_design.uncertain.box.question import at_parameters
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
@@ -111,9 +110,8 @@ def existence_over_box(
         return ExistenceOverBox(True, nominal, np.inf, "a finite schedule is certified to its last time", 0, plant)
     model, margin = BoxModel.of(plant, "certificate_exists"), margin_on(schedule, eta)
     gaps, began = GainedGaps(model, schedule, eta), time.monotonic()
-    cells = BoxCells(np.zeros((1, model.m)), np.ones((1, model.m)), np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
     worst, proven, looked = looked_at(model, margin, model.start, None), 0, 0
-    stack = [cells]
+    stack = [BoxCells.whole(model.m)]
     while stack:
         if not worst[1]:
             return ExistenceOverBox(False, model.values(worst[2]), worst[0], worst[3], proven, plant)
@@ -197,7 +195,6 @@ class GainedGaps:
         bare = replace(self.model, C=self.identity, parts_C=np.zeros((m, n, n)), unit=np.ones(n))
         flows = expanded(bare, many, self.gaps[:, None], np.ones((count, 1, n), dtype=bool))
         turned = cell.half[0][:, None, None] * self.model.parts_C / self.size[:, None]
-        signs = np.array(list(product((-1.0, 1.0), repeat=m))).reshape(2**m, m)
         total = 0.0
         for i, gap in enumerate(self.gaps.tolist()):
             after, before, rows = roots[(i + 1) % count], roots[i], self.measured[i]
@@ -206,7 +203,7 @@ class GainedGaps:
             moved = -(after @ gains[i]) @ turned[:, rows]
             flow, slopes = flows.rows[i] @ back, flows.slopes[i] @ back
             linear = moved @ flow + keep @ slopes
-            corners = keep @ flow + np.einsum("cm,mij->cij", signs, linear)
+            corners = keep @ flow + np.einsum("cm,mij->cij", signs(m), linear)
             left = np.linalg.norm(moved, axis=(1, 2)).sum()
             rest = min(float(np.sqrt(max(np.linalg.eigvalsh(back.T @ r.N[i] @ back)[-1], 0.0)))
                        if np.isfinite(r.N[i]).all() else np.inf for r in flows.rest)  # fmt: skip

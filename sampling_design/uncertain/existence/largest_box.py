@@ -177,8 +177,7 @@ def largest_box(
             )
         rate = checks.nonnegative("eta", eta)
         question = f"a certificate with rate {short(rate)} exists"
-        start = np.zeros((1, model.m))
-        cells = BoxCells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
+        cells = BoxCells.whole(model.m)
         judge = _ByGains(model, aligned, rate)
     return _searched(model, cells, judge, tolerance, checks.positive("budget", budget), question)
 

@@ -19,20 +19,20 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.numerics.ball_flow import TimeBudget
-from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix
+from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, rational
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.observability.windows.balls import (
     ProvenSigma,
     exact_times,
-    fraction,
     nearest_proven,
     needed_slack,
     piece_ends,
 )
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-from sampling_design.uncertain.box.balls import BallBox, BallCell, CellMetric, beyond_first_in_balls
+from sampling_design.uncertain.box.balls import BallBox, BallCell
 from sampling_design.uncertain.box.branching import TOGETHER, halved
 from sampling_design.uncertain.box.expansion import BoxCells
+from sampling_design.uncertain.box.norms import CellNorms
 from sampling_design.uncertain.observability.windows_over_box import WindowsOverBox
 
 Array = npt.NDArray[np.float64]
@@ -46,34 +46,13 @@ SMALLEST = 2.0**-40
 def prove_over_box(
     asked: WindowsOverBox, schedule: Schedule | PeriodicSchedule, guess: float, seconds: float
 ) -> ProvenSigma:
-    """Prove a lower bound of sigma over a box and all real window positions, as near to `guess` as can be.
+    """Prove a lower bound of sigma over a box and all real window positions: see `nearest_proven`.
 
-    Parameters
-    ----------
-    asked : WindowsOverBox
-        Box and pieces; its floats choose the cells and prove nothing.
-    schedule : Schedule or PeriodicSchedule
-        That of the pieces: its doubles are what the theorem is about.
-    guess : float
-        What floats believe.
-    seconds : float
-        Budget.
-
-    Returns
-    -------
-    ProvenSigma
-        lower = 0 where nothing is proven in time.
-
-    Raises
-    ------
-    MissingExtraError
-        If python-flint is not installed.
+    The floats of `asked` choose the cells and prove nothing; the doubles of its schedule are what the theorem is about.
     """
-    flint()
     exact = exact_times(schedule, asked.pieces)
     slack = needed_slack(schedule, asked.pieces, exact)
-    clock = TimeBudget(seconds)
-    return nearest_proven(guess, slack, lambda: WindowCells(asked, schedule, exact, clock).proves)
+    return nearest_proven(guess, seconds, lambda clock: WindowCells(asked, schedule, exact, clock).proves, slack=slack)
 
 
 class WindowCells:
@@ -128,9 +107,9 @@ class WindowCells:
         left, right = self.ends[g]
         half = (right - left) / 2
         middle = left + half + half * Fraction(float(one.s[0]))
-        h = fraction(half * Fraction(float(one.h[0])))
+        h = rational(half * Fraction(float(one.h[0])))
         cell = self.box.cell(one.u[0], one.half[0])
-        after = [fraction(t - middle) for t in self.times[g]]
+        after = [rational(t - middle) for t in self.times[g]]
         G, slopes = self._gram(cell, self.times[g], middle, self.asked.pieces.measured(g))
         eye = identity(self.box.n)
         moved = [self.box.unit * (eye + cell.A * h * sign) for sign in ((1, -1) if h > 0 else (1,))]
@@ -138,13 +117,12 @@ class WindowCells:
         found = [
             (float(_worth(floats(G), floats(metric.W), rest)), metric, rest)
             for metric in self.box.metrics(cell, max([float(r) for r in after], default=0.0))
-            for rest in [_rest(metric, after)]
+            for rest in [_rest(metric.norms, after)]
         ]
         if not found:
             return False
         _, metric, rest = min(found, key=lambda each: each[0])
-        along = metric.moved * h + beyond_first_in_balls((metric.size + metric.moved) * h)
-        beyond = (metric.whole * along).upper()
+        beyond = (metric.whole * metric.norms.turned(h)).upper()
         corners = [sum((S * sign for S, sign in zip(slopes, signs, strict=True)), G) for signs in self.signs]
         return _hold(corners, starts, (metric.W, rest, beyond), ball(mu))
 
@@ -162,7 +140,7 @@ class WindowCells:
         flows: dict[Fraction, Matrix] = {}
         for i, t in enumerate(times):
             if t - at not in flows:
-                flows[t - at] = (B * fraction(t - at)).exp()
+                flows[t - at] = (B * rational(t - at)).exp()
             rows, at = rows * flows[t - at], t
             seen = flint().arb_mat([row for j, row in enumerate(rows.tolist()) if mask is None or mask[i, j]])
             total = total + seen.transpose() * seen
@@ -176,15 +154,11 @@ def _beside(blocks: list[Matrix]) -> list[list[Ball]]:
     return [[x for part in row for x in part] for row in zip(*(M.tolist() for M in blocks), strict=True)]
 
 
-def _rest(metric: CellMetric, after: list[Ball]) -> Ball:
+def _rest(norms: CellNorms[Ball], after: list[Ball]) -> Ball:
     """At least |X z|^2 over z'Wz: what the rows of all samples are beyond the first order."""
     total = flint().arb(0)
     for r in after:
-        size = abs(r)
-        rate = metric.rate if r >= 0 else metric.size
-        along = metric.moved * size
-        second = beyond_first_in_balls(along)
-        row = (rate * size).exp() * (metric.seen * second + metric.shown * (along + second))
+        _, row = norms.rows(abs(r), norms.rate if r >= 0 else norms.size)
         total += row * row
     made: Ball = total.upper()
     return made

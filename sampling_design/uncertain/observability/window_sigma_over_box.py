@@ -9,14 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.observability.alignment import meet
-from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of
+from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
 from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.observability.windows.window_sigma import asked
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import Plain, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-from sampling_design.uncertain.box.branching import BoxBounds, branch
+from sampling_design.uncertain.box.branching import BALL_ROOM, BoxBounds, branch
 from sampling_design.uncertain.box.model import BoxModel
 from sampling_design.uncertain.box.question import REASONS, at_parameters
 from sampling_design.uncertain.observability.windows_over_box import WindowsOverBox
@@ -60,30 +60,19 @@ class WindowSigmaOverBox(SigmaBracket):
         With `rigorous`: as for `WindowSigma`, zero unless samples leave and arrive within rounding of each other.
     """
 
-    lower: float
-    upper: float
     worst: Mapping[str, float]
     window_start: float
     samples: Array
-    status: str
     window: float
-    rtol: float
     cells: int
     plant: UncertainPlant
     from_time: float = field(default=0.0, kw_only=True)
-    coordinates: str = field(default="physical", kw_only=True)
-    rigorous: bool = field(default=False, kw_only=True)
     slack: float = field(default=0.0, kw_only=True)
 
     @property
     def time_unit(self) -> str:
         """Unit of all times."""
         return self.plant.time_unit
-
-    @property
-    def closed(self) -> bool:
-        """Whether the bracket is as narrow as was asked, or sigma is zero."""
-        return self.status not in REASONS
 
     @property
     def sees_every_plant(self) -> bool | None:
@@ -164,20 +153,12 @@ def window_sigma_over_box(
     require_moderate(plant.nominal)
     model = BoxModel.of(plant, "window_sigma")
     found = _record(_searched(model, pieces, tolerance, seconds, progress), model, pieces, tolerance)
-    return _in_balls(found, model, aligned, pieces, seconds) if rigorous else found
-
-
-def _in_balls(
-    result: WindowSigmaOverBox, model: BoxModel, schedule: Schedule | PeriodicSchedule, pieces: Pieces, seconds: float
-) -> WindowSigmaOverBox:
-    """The record with the lower bound that ball arithmetic proves."""
+    if not rigorous:
+        return found
     from sampling_design.uncertain.observability.window_balls import prove_over_box
 
-    proof = prove_over_box(WindowsOverBox(model, pieces), schedule, result.lower, seconds)
-    status = result.status
-    if status == "closed" and not proof.lower >= (1 - 1.001 * result.rtol) * result.upper:
-        status = proof.status if proof.status != "closed" else "rounding"
-    return replace(result, lower=proof.lower, status=status, rigorous=True, slack=proof.slack)
+    proof = prove_over_box(WindowsOverBox(model, pieces), aligned, found.lower, seconds)
+    return replace(in_balls(found, proof, BALL_ROOM), slack=proof.slack)
 
 
 def _record(found: BoxBounds, model: BoxModel, pieces: Pieces, rtol: float) -> WindowSigmaOverBox:

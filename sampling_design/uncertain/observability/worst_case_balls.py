@@ -7,11 +7,13 @@ the rows of all plants of the cell are beside those of its middle, to first orde
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.numerics.ball_flow import OutOfTime, TimeBudget
+from sampling_design.numerics.ball_flow import TimeBudget
 from sampling_design.numerics.balls import (
     Ball,
     ball,
@@ -21,13 +23,12 @@ from sampling_design.numerics.balls import (
     largest,
     matrix,
     positive_part,
-    precision,
 )
-from sampling_design.observability.windows.balls import SHAVES, ProvenSigma
+from sampling_design.observability.windows.balls import SHAVES, ProvenSigma, nearest_proven
 from sampling_design.observability.worst_case.balls import prove_worst_sigma
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.spaced_windows import SpacedWindows
-from sampling_design.uncertain.box.balls import BallBox, CellMetric, beyond_first_in_balls, largest_over
+from sampling_design.uncertain.box.balls import BallBox, CellMetric, largest_over
 from sampling_design.uncertain.box.expansion import BoxCells
 from sampling_design.uncertain.box.model import BoxModel
 from sampling_design.uncertain.observability.worst_case_cells import SigmaOfOne, parts_of, points_of
@@ -49,83 +50,75 @@ def prove_worst_over_box(
     one: SigmaOfOne,
     seconds: float,
 ) -> ProvenSigma:
-    """Prove a lower bound of sigma over a box and all schedules of a family, as near to `guess` as can be.
+    """Prove a lower bound of sigma over a box and all schedules of a family: see `nearest_proven`.
 
-    Parameters
-    ----------
-    model : BoxModel
-    family : SpacedWindows
-        Window, count and spacing are the doubles that the theorem is about.
-    guess : float
-        What floats believe.
-    rtol : float
-        Tolerance of the search of one plant, whose worst times the proof begins with.
-    cells : list of BoxCells
-        Of which floats believe it; together the box.
-    one : callable
-        Sigma of one plant in floats, with its worst times.
-    seconds : float
-        Budget.
-
-    Returns
-    -------
-    ProvenSigma
-        lower = 0 where nothing is proven in time.
-
-    Raises
-    ------
-    MissingExtraError
-        If python-flint is not installed.
+    Floats believe it of `cells`, which together are the box; `one` is sigma of one plant in floats with its worst
+    times, to a tolerance `rtol`, from which its proof begins.
     """
-    flint()
-    if not 0 < guess < np.inf:
-        return ProvenSigma(guess, 0.0, "closed")
-    clock, mu = TimeBudget(seconds), guess * (1 - SHAVES[0])
-    box, pending = BallBox(model), [part.take(np.array([k])) for part in cells for k in range(len(part.s))]
-    known = dict[tuple[float, ...], float]()
-    try:
+
+    def begin(clock: TimeBudget) -> Callable[[float], bool]:
+        return SpacedCells(model, family, (one, rtol), cells, clock).proves
+
+    return nearest_proven(guess, seconds, begin, shaves=SHAVES[:1])
+
+
+class SpacedCells:
+    """Cells of parameters, each judged by a few of its plants."""
+
+    def __init__(
+        self,
+        model: BoxModel,
+        family: SpacedWindows,
+        search: tuple[SigmaOfOne, float],
+        cells: list[BoxCells],
+        clock: TimeBudget,
+    ) -> None:
+        self.model, self.family, self.search, self.cells, self.clock = model, family, search, cells, clock
+        self.box, self.known = BallBox(model), dict[tuple[float, ...], float]()
+
+    def proves(self, mu: float) -> bool:
+        """Whether sigma >= mu is proven for all plants and schedules."""
+        pending = [part.take(np.array([k])) for part in self.cells for k in range(len(part.s))]
         while pending:
             cell = pending.pop()
             points = points_of(cell)
-            plants = [model.plant.at(model.values(u)) for u in points]
-            needed = _needed(box, cell, (points, plants), family, mu)
-            for u, plant in zip(points, plants, strict=True):
-                clock.check()
-                at = tuple(u.tolist())
-                if known.get(at, 0.0) < needed < np.inf:
-                    lower, _, worst = one(plant, rtol, np.inf)
-                    left = max(0.0, clock.end - time.monotonic())
-                    if lower >= needed:
-                        known[at] = prove_worst_sigma(plant, family, needed * UP, worst, left, (0.0,)).lower
-                if not known.get(at, 0.0) >= needed:
-                    break
-            else:
+            plants = [self.model.plant.at(self.model.values(u)) for u in points]
+            needed = _needed(self.box, cell, (points, plants), self.family, mu)
+            if all(self.reaches(u, plant, needed) for u, plant in zip(points, plants, strict=True)):
                 continue
-            clock.check()
+            self.clock.check()
             if cell.half.max(initial=0.0) < SMALLEST:
-                return ProvenSigma(0.0, 0.0, "rounding")
-            parts = parts_of(model, cell, family)
+                return False
+            parts = parts_of(self.model, cell, self.family)
             pending += [parts.take(np.array([k])) for k in range(len(parts.s))]
-    except OutOfTime:
-        return ProvenSigma(0.0, 0.0, "budget")
-    return ProvenSigma(mu, 0.0, "closed")
+        return True
+
+    def reaches(self, u: Array, plant: Plant, needed: float) -> bool:
+        """Whether sigma >= needed is proven of one plant."""
+        self.clock.check()
+        at, (one, rtol) = tuple(u.tolist()), self.search
+        if self.known.get(at, 0.0) < needed < np.inf:
+            lower, _, worst = one(plant, rtol, np.inf)
+            left = max(0.0, self.clock.end - time.monotonic())
+            if lower >= needed:
+                self.known[at] = prove_worst_sigma(plant, self.family, needed * UP, worst, left, (0.0,)).lower
+        return self.known.get(at, 0.0) >= needed
 
 
 def _needed(box: BallBox, one: BoxCells, judged: tuple[Array, list[Plant]], family: SpacedWindows, mu: float) -> float:
     """What sigma of the plants by which a cell is judged must be for sigma >= mu all over it; infinity if unknown."""
     least, points = np.inf, judged[0]
-    with precision():
-        cell, off_A, off_C = box.cell(one.u[0], one.half[0]), flint().arb(0), flint().arb(0)
-        for u, plant in zip(*judged, strict=True):
-            exact, (A, C) = box.cell(u, 0 * u), box.balanced(matrix(plant.A), matrix(plant.C))
-            off_A, off_C = off_A.max(frobenius(exact.A - A)), off_C.max(frobenius(exact.C - C))
-        for metric in box.metrics(cell, family.window):
-            spread = _spread(box, metric, (off_A, off_C), family)
-            if spread is not None:
-                first, second = spread
-                corners = ((second + mu) ** 2 + first * first).sqrt() + second
-                found = corners if len(points) > 1 else first + second + mu
-                least = min(least, float(found.upper()) * UP)
+    cell, off_A, off_C = box.cell(one.u[0], one.half[0]), flint().arb(0), flint().arb(0)
+    for u, plant in zip(*judged, strict=True):
+        exact, (A, C) = box.cell(u, 0 * u), box.balanced(matrix(plant.A), matrix(plant.C))
+        off_A, off_C = off_A.max(frobenius(exact.A - A)), off_C.max(frobenius(exact.C - C))
+    for metric in box.metrics(cell, family.window):
+        spread = _spread(box, metric, (off_A, off_C), family)
+        if spread is not None:
+            first, second = spread
+            corners = ((second + mu) ** 2 + first * first).sqrt() + second
+            found = corners if len(points) > 1 else first + second + mu
+            least = min(least, float(found.upper()) * UP)
     return least
 
 
@@ -139,14 +132,12 @@ def _spread(
     there = largest_over(metric.W, box.unit.transpose() * box.unit)
     if rounded is None or shown is None or there is None:
         return None
-    rounded, shown = rounded.sqrt(), shown.sqrt()
-    first, second = flint().arb(0), flint().arb(0)
+    norms = metric.norms
+    lost = replace(norms, moved=rounded.sqrt(), shown=shown.sqrt())
+    both = replace(norms, moved=norms.moved + lost.moved, shown=norms.shown + lost.shown)
+    first, second, rate = flint().arb(0), flint().arb(0), positive_part(norms.rate)
     for j in range(family.count):
         t = positive_part(ball(family.window) - ball(family.spacing) * j)
-        grown, along = (positive_part(metric.rate) * t).exp(), metric.moved * t
-        beyond = beyond_first_in_balls(along + rounded * t)
-        off_first = metric.seen * (rounded * t) + shown
-        rest = metric.seen * beyond + (metric.shown + shown) * (along + rounded * t + beyond) + off_first
-        first += (grown * (metric.seen * along + metric.shown)) ** 2
-        second += (grown * rest) ** 2
+        first += norms.rows(t, rate)[0] ** 2
+        second += (lost.rows(t, rate)[0] + both.rows(t, rate)[1]) ** 2
     return (first * there).sqrt().upper(), (second * there).sqrt().upper()

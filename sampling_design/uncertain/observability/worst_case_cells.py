@@ -19,7 +19,6 @@ with sigma_z of the corners there and f = first_z/sigma_z, g = second_z/sigma_z,
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +26,7 @@ import numpy.typing as npt
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.spaced_windows import SpacedWindows
 from sampling_design.uncertain.box.branching import halved
-from sampling_design.uncertain.box.expansion import UP, BoxCells, bases, beyond_first
+from sampling_design.uncertain.box.expansion import UP, BoxCells, bases, norms_in, signs
 from sampling_design.uncertain.box.model import BoxModel
 
 Array = npt.NDArray[np.float64]
@@ -40,12 +39,6 @@ WIDE = 10.0
 """Units this far apart, in balanced coordinates, are told by what sigma is there."""
 FINER = 0.25
 """Share of the tolerance that the bracket of each single plant may take."""
-
-
-def whole(model: BoxModel) -> BoxCells:
-    """The box as one cell."""
-    start = np.zeros((1, model.m))
-    return BoxCells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
 
 
 def parts_of(model: BoxModel, cell: BoxCells, family: SpacedWindows) -> BoxCells:
@@ -61,8 +54,7 @@ def points_of(cell: BoxCells) -> Array:
     u, half = cell.u[0], cell.half[0]
     if u.size > MOST_CORNERS:
         return np.asarray(cell.u)
-    signs = np.array(list(product((-1.0, 1.0), repeat=u.size))).reshape(2**u.size, u.size)
-    return np.asarray(u + signs * half)
+    return np.asarray(u + signs(u.size) * half)
 
 
 def least_over(model: BoxModel, cell: BoxCells, family: SpacedWindows, least: float, balanced: float = 0.0) -> float:
@@ -73,17 +65,11 @@ def least_over(model: BoxModel, cell: BoxCells, family: SpacedWindows, least: fl
     A, C = model.at(cell.u)
     ends, found = latest(family), 0.0
     for T in bases(A, C, np.array([family.window])):
-        inverse = np.linalg.inv(T)
-        B = inverse @ A @ T
-        mu = float(np.linalg.eigvalsh((B + np.conj(np.swapaxes(B, 1, 2))) / 2)[0, -1])
-        e = UP * float(np.sum(cell.half * np.linalg.norm(inverse @ model.parts_A @ T, 2, axis=(1, 2))))
-        c = UP * float(np.sum(cell.half * np.linalg.norm(model.parts_C @ T, 2, axis=(1, 2))))
-        seen = float(np.linalg.norm(C @ T, 2, axis=(1, 2))[0])
+        inverse = np.linalg.inv(T).astype(complex)
+        norms, _, _ = norms_in(model, cell, A, C, T, inverse)
         with np.errstate(over="ignore", invalid="ignore"):
-            grown, along = np.exp(max(mu, 0.0) * ends), e * ends
-            beyond = beyond_first(along)
-            first = UP * float(np.linalg.norm(grown * (seen * along + c)))
-            second = UP * float(np.linalg.norm(grown * (seen * beyond + c * (along + beyond))))
+            rows = norms.rows(ends[None], np.maximum(norms.rate, 0.0))
+            first, second = (UP * float(np.linalg.norm(part)) for part in rows)
             own, there = (float(np.linalg.norm(X, 2, axis=(1, 2))[0]) for X in (inverse, inverse / model.unit))
             shares = [left(least, there * first, there * second, cell.u.shape[1])]
             if balanced > 0:

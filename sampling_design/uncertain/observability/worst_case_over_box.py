@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of
+from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
 from sampling_design.observability.worst_case.worst_case_sigma import LEAST_SEARCH, asked, worst_case_sigma
 from sampling_design.plants.plant import Plant
 from sampling_design.records.checks import Seed
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import Plain, short
 from sampling_design.schedules.spaced_windows import SpacedWindows
+from sampling_design.uncertain.box.branching import BALL_ROOM
 from sampling_design.uncertain.box.expansion import UP, BoxCells
 from sampling_design.uncertain.box.model import BoxModel
 from sampling_design.uncertain.box.question import REASONS, at_parameters
@@ -26,7 +27,6 @@ from sampling_design.uncertain.observability.worst_case_cells import (
     least_over,
     parts_of,
     points_of,
-    whole,
 )
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
@@ -60,22 +60,11 @@ class WorstCaseOverBox(SigmaBracket):
         Whether `lower` was proven in ball arithmetic: a theorem about the doubles of plant, parameters and family.
     """
 
-    lower: float
-    upper: float
     worst: Mapping[str, float]
     witness: Array
-    status: str
     family: SpacedWindows
-    rtol: float
     plants: int
     plant: UncertainPlant
-    coordinates: str = field(default="physical", kw_only=True)
-    rigorous: bool = field(default=False, kw_only=True)
-
-    @property
-    def closed(self) -> bool:
-        """Whether the bracket is as narrow as was asked, or sigma is zero."""
-        return self.status not in REASONS
 
     @property
     def claim(self) -> Claim:
@@ -145,7 +134,12 @@ def worst_case_over_box(
 
     settled: list[BoxCells] = []
     found = _searched(model, family, tolerance, seconds, one, settled)
-    return _in_balls(found, model, settled, seconds, one) if rigorous else found
+    if not rigorous:
+        return found
+    from sampling_design.uncertain.observability.worst_case_balls import prove_worst_over_box
+
+    proof = prove_worst_over_box(model, family, found.lower, FINER * tolerance, settled, one, seconds)
+    return in_balls(found, proof, BALL_ROOM)
 
 
 def _searched(
@@ -154,7 +148,7 @@ def _searched(
     """The bracket; `settled` takes the cells that were proven."""
     began, closed, judged = time.monotonic(), np.inf, dict[tuple[float, ...], tuple[float, float]]()
     wide = bool(np.ptp(np.log(model.unit)) > np.log(WIDE))
-    open_, bound, best = whole(model), np.zeros(1), (np.inf, model.start, np.zeros(family.count))
+    open_, bound, best = BoxCells.whole(model.m), np.zeros(1), (np.inf, model.start, np.zeros(family.count))
     while len(open_.s):
         k = int(np.argmin(bound))
         cell, rest = open_.take(np.array([k])), np.flatnonzero(np.arange(len(bound)) != k)
@@ -188,19 +182,6 @@ def _searched(
         settled.append(open_.take(done))
         open_, bound = open_.take(~done), bound[~done]
     return _record(model, family, rtol, "closed", len(judged), closed, best)
-
-
-def _in_balls(
-    result: WorstCaseOverBox, model: BoxModel, settled: list[BoxCells], seconds: float, one: SigmaOfOne
-) -> WorstCaseOverBox:
-    """The record with the lower bound that ball arithmetic proves."""
-    from sampling_design.uncertain.observability.worst_case_balls import prove_worst_over_box
-
-    proof = prove_worst_over_box(model, result.family, result.lower, FINER * result.rtol, settled, one, seconds)
-    status = result.status
-    if status == "closed" and not proof.lower >= (1 - 1.001 * result.rtol) * result.upper:
-        status = proof.status if proof.status != "closed" else "rounding"
-    return replace(result, lower=proof.lower, status=status, rigorous=True)
 
 
 def _record(

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.errors import ArgumentError, NotObservableError, UndecidedError
-from sampling_design.observability.count.zero_count import SampleCount
+from sampling_design.errors import NotObservableError, UndecidedError
+from sampling_design.observability.count.zero_count import SampleCount, samples_above
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import Plain, short
 from sampling_design.uncertain.box.branching import BoxBounds, branch
-from sampling_design.uncertain.box.expansion import UP, BoxCells, bases
+from sampling_design.uncertain.box.expansion import UP, BoxCells, bases, signs
 from sampling_design.uncertain.box.least import least_sigma
 from sampling_design.uncertain.box.model import BoxModel
 from sampling_design.uncertain.box.question import at_parameters
@@ -27,8 +27,6 @@ SLOWEST = 1e-3
 """Frequencies below this share of |A| are not told from none: the count is taken with this much more."""
 CLOSE = 1e-3
 SECONDS = 60.0
-ROUNDING_GUARD = 1e-9
-MOST_SAMPLES = 1e15
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,18 +100,14 @@ def zero_count_over_box(plant: UncertainPlant, duration: float) -> ZeroCountOver
     UndecidedError
         If this could not be decided.
     """
-    model = BoxModel.of(plant, "zero_count_bound")
+    duration, model = checks.nonnegative("duration", duration), BoxModel.of(plant, "zero_count_bound")
     if not model.n:
         return ZeroCountOverBox(-1.0, 0, 0.0, 0.0, {}, duration, 0, plant)
     require_every_plant_observable(model)
     found, floor = _frequencies(model)
     top = max(1 / found.lower - floor, 0.0) if found.lower > 0 else np.inf
     value = model.n - 1 + duration * top / np.pi
-    if not value < MOST_SAMPLES:
-        raise ArgumentError(
-            f"`duration` must hold fewer than {MOST_SAMPLES:.0e} samples by the count, got {duration!r}."
-        )
-    needed = int(np.floor(value + ROUNDING_GUARD * max(1.0, value))) + 1
+    needed = samples_above(value, duration)
     reached = 2 * max(1 / found.upper - floor, 0.0)
     return ZeroCountOverBox(
         float(value), needed, 2 * float(top), reached, model.values(found.u), duration, found.cells, plant
@@ -127,12 +121,11 @@ def _frequencies(model: BoxModel) -> tuple[BoxBounds, float]:
     corners decide.
     """
     floor = SLOWEST * max(float(np.linalg.norm(model.A, 2)), 1e-300)
-    signs = np.array(list(product((-1.0, 1.0), repeat=model.m))).reshape(2**model.m, model.m)
 
     def judge(cells: BoxCells) -> tuple[Array, Array, Array]:
         A, C = model.at(cells.u)
         parts = cells.half[:, :, None, None] * model.parts_A
-        corners = A[:, None] + np.einsum("cm,kmij->kcij", signs, parts)
+        corners = A[:, None] + np.einsum("cm,kmij->kcij", signs(model.m), parts)
         top, effect = np.full(len(A), np.inf), np.zeros((len(A), model.m + 1))
         for T in bases(A, C, np.zeros(len(A))):
             inverse = np.linalg.inv(T)
@@ -147,10 +140,8 @@ def _frequencies(model: BoxModel) -> tuple[BoxBounds, float]:
         A, _ = model.at(u[None])
         return float(1 / (floor + np.abs(np.linalg.eigvals(A[0]).imag).max()))
 
-    start = np.zeros((1, model.m))
-    cells = BoxCells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
     ends = (np.zeros(1), np.zeros(1))
-    return branch(cells, judge, value, lambda *_: False, CLOSE, SECONDS, ends, None), floor
+    return branch(BoxCells.whole(model.m), judge, value, lambda *_: False, CLOSE, SECONDS, ends, None), floor
 
 
 def require_every_plant_observable(model: BoxModel) -> None:
@@ -183,10 +174,8 @@ def require_every_plant_observable(model: BoxModel) -> None:
     def unseen(u: Array, s: float, piece: int) -> bool:
         return bool(np.linalg.svd(rows(u), compute_uv=False)[n - 1] <= SEEN * np.linalg.norm(model.C))
 
-    start = np.zeros((1, model.m))
-    cells = BoxCells(start, start + 1, np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
     ends = (np.zeros(1), np.zeros(1))
-    found = branch(cells, judge, value, unseen, 0.9, SECONDS, ends, None)
+    found = branch(BoxCells.whole(model.m), judge, value, unseen, 0.9, SECONDS, ends, None)
     if found.lower > 0:
         return
     values = model.values(found.u)

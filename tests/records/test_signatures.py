@@ -23,7 +23,8 @@ from sampling_design.nonlinear import from_expressions, from_linear
 from sampling_design.nonlinear.report import ThyroidReport
 from sampling_design.observability.count.critical_length import critical_length
 from sampling_design.plotting import draw
-from sampling_design.records.signatures import _Foreign, _kinds, checked, checked_methods, hints_of
+from sampling_design.records import dispatch
+from sampling_design.records.signatures import _Foreign, _kinds, checked, checked_methods, hints_of, open_verb
 from tests.front_door import DOORS
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -339,3 +340,46 @@ def test_a_gap_beyond_all_count_is_one_sentence():
     made = sd.MovingHorizonEstimator(OSCILLATOR, certificate, w_bound=0.1, v_bound=0.1, initial_error=2.0)
     with pytest.raises(SolverError, match="a gap is too long to be counted in the plant's fastest units"):
         made.update(1e308, [0.3])
+
+
+class Own:
+    """A plant as far as an opened verb knows it."""
+
+    time_unit = "h"
+
+
+class Other:
+    time_unit = "h"
+
+
+@open_verb(float)
+def opened(plant: Own, x: float, *, scale: float = 1.0) -> float:
+    """Return x in some unit."""
+    return x * scale
+
+
+def test_an_opened_verb_hands_another_kind_of_plant_to_what_is_registered(monkeypatch):
+    monkeypatch.setattr(dispatch, "_OFFERED", dict(dispatch._OFFERED))
+    assert opened(Own(), 2.0, scale=3.0) == opened(plant=Own(), x=2.0, scale=3.0) == 6.0
+    with pytest.raises(ArgumentError, match="`plant` must be a Plant, got Other"):
+        opened(Other(), 2.0)
+    dispatch.register("opened", Other, lambda plant, *placed, **named: (plant.time_unit, placed, named))
+    assert opened(Other(), 2, scale=3.0) == ("h", (2,), {"scale": 3.0})
+    assert opened(plant=Other(), x=2.0) == ("h", (), {"x": 2.0})
+
+
+def test_an_opened_verb_checks_the_arguments_of_every_kind(monkeypatch):
+    monkeypatch.setattr(dispatch, "_OFFERED", dict(dispatch._OFFERED))
+    dispatch.register("opened", Other, lambda plant, *placed, **named: None)
+    for plant in (Own(), Other()):
+        with pytest.raises(ArgumentError, match=r"`x` must be a number, got str 'text'"):
+            opened(plant, "text")
+    with pytest.raises(ArgumentError, match=r"`plant` must be (an|a) Own or a plant of another kind, got 3"):
+        opened(3, 1.0)
+    for call in (lambda: opened(), lambda: opened(x=1.0)):
+        with pytest.raises(CallError, match="`opened` needs `plant`"):
+            call()
+    with pytest.raises(CallError, match=r"`opened` has no argument `scal`"):
+        opened(Own(), 1.0, scal=2.0)
+    assert opened.__doc__ == "Return x in some unit."
+    assert next(iter(inspect.signature(opened).parameters)) == "plant"

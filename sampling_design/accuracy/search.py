@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -92,8 +93,14 @@ class RowSearch:
 class ChainSearch:
     """Windows of a chain, made once for each phase, and what was found after each sample: atoms and strikes."""
 
-    def __init__(self, chain: SampleChain, atoms: list[BoundedDirections], solved: Callable[[], None] = lambda: None):
-        self.chain, self._tell = chain, solved
+    def __init__(
+        self,
+        chain: SampleChain,
+        atoms: list[BoundedDirections],
+        solved: Callable[[], None] = lambda: None,
+        deadline: float = np.inf,
+    ):
+        self.chain, self._tell, self.deadline = chain, solved, deadline
         self._windows: dict[tuple[int, int, bool, bool], ConeWindow] = {}
         self.back = self.deep = 8
         self.cell_loss = CELL_LOSS
@@ -105,6 +112,11 @@ class ChainSearch:
         self._long = chain.start is None and chain.memory > LASTING and boxed(chain, list(range(len(chain))))
         if self._long:
             self.deep, self.back = chain.memory, chain.memory // 2
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the deadline (perf_counter seconds) is over: what is proven by then stays."""
+        return time.perf_counter() > self.deadline
 
     @cached_property
     def _coarse(self) -> SampleChain:
@@ -268,6 +280,12 @@ class ChainSearch:
                 return found
             if self.solves >= limit:
                 return found
+            if self.is_late:
+                if found.lower > 0:
+                    return found
+                self._attack(found, j, panel, rough=True)  # one, so that the bracket says something
+                limit = self.solves
+                continue
             ends = np.where(np.isfinite(found.nodes[j]), found.nodes[j], 0.0)[panel : panel + 2]
             offset = panel + int(ends[1] > ends[0])
             high, at, peak = self._highest(found)
@@ -352,6 +370,8 @@ class ChainSearch:
         """Smooth the upper curve, then attack every gap where the two bounds are furthest apart."""
         gaps = range(len(found.opened))
         for j in gaps:
+            if self.is_late:
+                return
             known = PROFILE * float(self.attained(found, j)[0]) if self._long else 0.0
             if 0 not in found.solved[j] and known < found.nodes[j][0] < np.inf:
                 self._node(found, j, 0, known)
@@ -361,7 +381,7 @@ class ChainSearch:
         slack = [self._slack(found, j) for j in gaps]  # a solve on one gap changes that of no other
         for _ in range(max(FILLED, 2 * len(gaps))):
             ratio, j, offset = max((r, j, o) for j, (r, o) in enumerate(slack))
-            if ratio <= PROFILE:
+            if ratio <= PROFILE or self.is_late:
                 break
             if (j, offset) in found.combined or not self.atoms[j].gains:
                 self._node(found, j, offset)
@@ -373,7 +393,7 @@ class ChainSearch:
         )
         for _ in range(ATTACKS[small]):
             ratio, j, offset = max((r, j, o) for j, (r, o) in enumerate(self._apart(found, j) for j in gaps))
-            if ratio <= PROFILE:
+            if ratio <= PROFILE or self.is_late:
                 break
             deep = self.deep
             self.deep = deep if small else min(deep, 2 * self.back)
@@ -386,7 +406,7 @@ class ChainSearch:
         for attacked in [True] * ATTACKS_LONG + [False] * ATTACKS_LONG:
             apart = [self._apart(found, k) for k in range(len(found.opened))]
             ratio, j, offset = max((r, k, o) for k, (r, o) in enumerate(apart))
-            if ratio <= PROFILE:
+            if ratio <= PROFILE or self.is_late:
                 break
             found.tried.add((j, offset))
             if attacked:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, overload
 
 import numpy as np
@@ -34,6 +34,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.dispatch import OpenPlant, registered
 from sampling_design.records.evidence import SolverRecord
+from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -42,7 +43,6 @@ if TYPE_CHECKING:  # the families' programs are loaded when one is asked for
     from sampling_design.certificates.families.family_certificate import FamilyCertificate
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 
 def certify_given(

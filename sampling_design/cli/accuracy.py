@@ -8,12 +8,13 @@ import numpy as np
 import typer
 
 import sampling_design as sd
-from sampling_design.accuracy.accuracy import Accuracy
+from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.projection import Projection
 from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for
 from sampling_design.cli.settings import Settings, numbers, record_table
 from sampling_design.errors import ArgumentError
+from sampling_design.records.checks import positive
 
 NUMBERS = "One number bounds the norm; numbers with commas between bound each entry; 0 for none."
 
@@ -50,6 +51,10 @@ def accuracy(
     shadow: Annotated[
         str, typer.Option("--shadow", help="Two states, FIRST,SECOND: the exact set of their errors, drawn with -o.")
     ] = "",
+    budget: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="Seconds after which brackets stay as they are. Default: none."),
+    ] = None,
 ) -> None:
     """Bracket the least error that any estimator can guarantee, at the worst time of a schedule.
 
@@ -60,7 +65,7 @@ def accuracy(
     names = [name.strip() for name in of.split(",") if name.strip()]
     pair = _pair(shadow)
     wanted = _wanted(numbers("--tolerance", tolerance), len(names) or plant.n_states)
-    with settings.progress("accuracy"):
+    with settings.progress("accuracy") as progress:
         found = sd.guaranteed_accuracy(
             plant,
             schedule,
@@ -71,6 +76,8 @@ def accuracy(
             initial_error=numbers("--initial-error", initial_error, plant.states.names),
             w_intensity=numbers("--w-intensity", w_intensity, plant.disturbances.names),
             v_deviation=numbers("--v-deviation", v_deviation, plant.outputs.names),
+            budget=None if budget is None else positive("budget", budget),
+            progress=progress,
         )
         cast = None if pair is None else found.shadow(*pair)
     _told(settings, found, cast, wanted)

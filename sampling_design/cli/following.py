@@ -24,10 +24,10 @@ from sampling_design.estimators.estimate_file import (
 from sampling_design.estimators.online.curve import CurveCollector
 from sampling_design.estimators.online.envelope import EstimateEnvelope
 from sampling_design.estimators.online.estimate import Estimate
-from sampling_design.estimators.online.estimator import Progress
 from sampling_design.estimators.online.in_order import AHEAD
 from sampling_design.estimators.online.tally import EstimateCounts
 from sampling_design.records.file_io import AtomicWriter
+from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 
 Array = npt.NDArray[np.float64]

@@ -19,6 +19,7 @@ from sampling_design.cli.version import show_version
 from sampling_design.errors import ArgumentError
 from sampling_design.records.checks import positive, whole
 from sampling_design.records.file_io import AtomicWriter, json_pieces
+from sampling_design.records.progress import Progress, progress_bar
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
     from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseSigma
     from sampling_design.records.record import Record
     from sampling_design.records.workers import Workers
-
-ProgressCall = Callable[[float, str], None]
 
 
 _COMMON: dict[str, tuple[object, object]] = {
@@ -137,25 +136,13 @@ class Settings:
             self.notice("Written: " + ", ".join(str(f) for f in self.files))
 
     @contextmanager
-    def progress(self, label: str) -> Iterator[ProgressCall]:
-        """Yield a callback (fraction, message) that draws a bar on stderr, if that is a terminal."""
-        from rich.console import Console
-
-        console = Console(stderr=True)
-        if self.quiet or not console.is_terminal:
+    def progress(self, label: str) -> Iterator[Progress]:
+        """Yield a callback (fraction, message) that draws a bar on stderr, if that is a terminal, unless --quiet."""
+        if self.quiet:
             yield lambda fraction, message: None
             return
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[note]}"),
-        )
-        with Progress(*columns, console=console, transient=True) as bar:
-            task = bar.add_task(label, total=1.0, note="")
-            yield lambda fraction, message: bar.update(task, completed=fraction, note=message)
+        with progress_bar(label) as told:
+            yield told
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:

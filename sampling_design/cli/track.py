@@ -27,8 +27,8 @@ from sampling_design.cli.settings import (
     workforce,
 )
 from sampling_design.errors import ArgumentError, MathematicsError, SolverError
-from sampling_design.estimators.online.estimator import Progress
 from sampling_design.records.file_io import write_text
+from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.report import ValidationReport

@@ -34,13 +34,13 @@ from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.checks import Seed
+from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import time_factor
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-Progress = Callable[[float, str], None]
 Held = TypeVar("Held")
 
 STARTS = 8

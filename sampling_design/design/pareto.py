@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -22,11 +22,11 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.checks import Seed
 from sampling_design.records.file_io import from_json, read_text, to_json, write_text
+from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, TableRecord, counted, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.workers import Workers, check_workers, mapped
 
-Progress = Callable[[float, str], None]
 FORMAT = "sampling-design/pareto/1"
 NO_NEED = "no samples needed"
 NO_TIME = "not designed: the budget ran out"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -20,11 +19,10 @@ from sampling_design.observability.windows.window_sigma import WindowSigma, wind
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 from sampling_design.records.evidence import Claim, SolverRecord
+from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, Record, counted, short
 from sampling_design.schedules.files import schedule_to_dict
 from sampling_design.schedules.schedule import PeriodicSchedule
-
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

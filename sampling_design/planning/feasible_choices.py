@@ -12,7 +12,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.accuracy import Accuracy
+from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.deviation import StandardDeviation
 from sampling_design.errors import UndecidedError
 from sampling_design.planning.problem import PlanProblem

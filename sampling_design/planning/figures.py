@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.accuracy import Accuracy
+from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.deviation import StandardDeviation
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.planning.accuracy_oracle import AccuracyOracle

@@ -37,13 +37,13 @@ from sampling_design.planning.undetected_modes import finer_raster, modes_of
 from sampling_design.planning.work_budget import AFTER, CERTIFIED, GAINS, WorkBudget, WorkSpentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-Progress = Callable[[float, str], None]
 Made = TypeVar("Made")
 
 MARGIN = 0.004

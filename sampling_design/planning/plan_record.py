@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.accuracy import Accuracy
+from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.deviation import StandardDeviation, standard_deviation
 from sampling_design.errors import NotDetectableError
 from sampling_design.planning.comparison import PlanComparison

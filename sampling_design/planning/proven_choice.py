@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.accuracy import Accuracy, guaranteed_accuracy
+from sampling_design.accuracy.accuracy import guaranteed_accuracy
+from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.errors import NotDetectableError
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.feasible_choices import GoalProofs

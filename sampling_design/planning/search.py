@@ -7,7 +7,6 @@ there is none. Nothing here is a claim: the plan is proven afterwards, and so is
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,10 +22,10 @@ from sampling_design.planning.hitting_set import HittingSet, hit
 from sampling_design.planning.narrowing import narrowed
 from sampling_design.planning.problem import PlanProblem
 from sampling_design.planning.work_budget import WEIGHED
+from sampling_design.records.progress import Progress
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-Progress = Callable[[float, str], None]
 
 GRID = 120
 """Steps at which a faint motion is held down, about."""

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
-from sampling_design.accuracy.accuracy import Accuracy
+from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.projection import Projection
 from sampling_design.plotting import style
 from sampling_design.records.record import short

@@ -1,1 +1,6 @@
-"""What every room uses: argument checks, records, files, units, workers and sweeps."""
+"""What every room uses: argument checks, records, files, units, workers, sweeps and progress."""
+
+from sampling_design.records.lazy import lazy
+
+_NAMES = {"progress": ("progress_bar",)}
+__getattr__, __dir__, __all__ = lazy(__name__, _NAMES)

@@ -11,12 +11,12 @@ from sampling_design.errors import ArgumentError, FileFormatError, SamplingDesig
 from sampling_design.records import checks
 from sampling_design.records.file_io import from_json, to_json
 from sampling_design.records.journal import Journal, digest
+from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, Record
 from sampling_design.records.signatures import checked
 from sampling_design.records.workers import Workers, check_workers, numbered
 
 Item = TypeVar("Item")
-Progress = Callable[[float, str], None]
 
 
 @runtime_checkable

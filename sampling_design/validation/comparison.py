@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import platform
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ from sampling_design.records import checks
 from sampling_design.records.checks import Seed
 from sampling_design.records.dispatch import OpenPlant, registered
 from sampling_design.records.journal import Journal, digest
+from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked
 from sampling_design.records.workers import Workers, check_workers
 from sampling_design.schedules.family import AnySchedule
@@ -31,7 +32,6 @@ from sampling_design.validation.study import SCENARIOS, Study
 from sampling_design.validation.timeline import Timeline, build_timeline, default_duration
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 
 @checked

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,13 +13,13 @@ from sampling_design.observability.windows.pieces import window_pieces
 from sampling_design.observability.windows.window_sigma import RTOL, WindowSigma, sigma_of_pieces
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, Record, finite_or_nones, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 STRETCH = 4000
 """Samples whose windows are judged at a time: what is held does not grow with the record."""

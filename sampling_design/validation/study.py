@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.evidence import Strength
 from sampling_design.records.journal import Journal
+from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.records.workers import Workers
 from sampling_design.schedules.family import AnySchedule
@@ -39,7 +40,6 @@ from sampling_design.validation.trials import EstimatedRun, driven, extent, real
 from sampling_design.validation.worst_disturbance import worst_energy, worst_push
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[float, str], None]
 Seeds = Sequence[np.random.SeedSequence]
 
 SCENARIOS: tuple[str, ...] = ("pairs", "random", "worst", "resonant", "initial", "estimator", "constraints", "paper")

@@ -263,3 +263,38 @@ def test_states_that_a_motion_does_not_move_close_none_of_it_open():
     unattained = replace(found, lower=np.zeros(1)).explain()
     assert "brackets" in found.explain()
     assert "0: nothing was attained" in unattained
+
+
+def test_a_bracket_that_had_no_time_is_proven_and_says_that_it_is_wide(found):
+    told = []
+    short = sd.guaranteed_accuracy(
+        OSCILLATOR, GAPS, w_bound=0.02, v_bound=0.4, rtol=1e-5, budget=1e-9, progress=lambda *one: told.append(one)
+    )
+    assert short.verify()
+    assert not short.closed.any()
+    assert np.all(short.lower <= found.upper)
+    assert np.all(found.lower <= short.upper)
+    assert np.all(short.upper < np.inf)
+    assert [share for share, _ in told] == [0.5, 1.0]
+    assert told[0][1].startswith("position ")
+    with pytest.raises(ArgumentError, match="budget"):
+        sd.guaranteed_accuracy(OSCILLATOR, GAPS, w_bound=0.02, v_bound=0.4, budget=0.0)
+
+
+@pytest.mark.parametrize("at", [0, 1, 3, 6])
+def test_an_interrupt_leaves_what_is_proven(at, found, monkeypatch):
+    calls, attack = [], search.ChainSearch.attack
+
+    def interrupted(*given):
+        calls.append(1)
+        if len(calls) == at + 1:
+            raise KeyboardInterrupt
+        return attack(*given)
+
+    monkeypatch.setattr(search.ChainSearch, "attack", interrupted)
+    left = sd.guaranteed_accuracy(OSCILLATOR, GAPS, w_bound=0.02, v_bound=0.4, rtol=1e-5)
+    assert left.verify()
+    assert np.all(left.lower <= found.upper)
+    assert np.all(found.lower <= left.upper)
+    assert np.all(left.upper < np.inf)
+    assert not left.closed.all()

@@ -93,6 +93,9 @@ VERBS = {
     "certify_family": lambda b: sd.certificates.certify_family(OSCILLATOR, sd.GapRange(0.05, 1.5), budget=b),
     "find_counterexample": lambda b: sd.certificates.find_counterexample(HARD, sd.GapRange(0.5, 40.0), 0.1, budget=b),
     "sample_losses": lambda b: sd.sample_losses(designed(), budget=b / 4),
+    "guaranteed_accuracy": lambda b: sd.guaranteed_accuracy(
+        HARD, sd.PeriodicSchedule([0.9, 1.4, 1.1, 0.8]), w_bound=0.1, v_bound=0.1, rtol=1e-6, budget=b
+    ),
     "compare_schedule": lambda b: sd.compare_schedule(HARD, EASY, EASY.between(0, 600.0).times, 100.0, budget=b),
     "largest_box": lambda b: sd.uncertain.largest_box(
         MANY, EASY, window=40.0, rtol=1e-9, budget=b / 16
@@ -204,6 +207,7 @@ COMMANDS = {
     "losses": ["losses", "plant.toml", "requirement.toml"],
     "survive": ["survive", "oscillator.toml", "certificate.json"],
     "verify": ["verify", "certificate.json", "--rigorous"],
+    "accuracy": ["accuracy", "oscillator.toml", "schedule.csv", "--w", "0.1", "--v", "0.1", "--rtol", "1e-6"],
     "log": ["log", "plant.toml", "schedule.csv", "measurements.csv", "--window", "100"],
 }
 

@@ -374,7 +374,7 @@ def test_an_opened_verb_checks_the_arguments_of_every_kind(monkeypatch):
     for plant in (Own(), Other()):
         with pytest.raises(ArgumentError, match=r"`x` must be a number, got str 'text'"):
             opened(plant, "text")
-    with pytest.raises(ArgumentError, match=r"`plant` must be (an|a) Own or a plant of another kind, got 3"):
+    with pytest.raises(ArgumentError, match=r"`plant` must be (an|a) Own or a plant of another kind, got int 3"):
         opened(3, 1.0)
     for call in (lambda: opened(), lambda: opened(x=1.0)):
         with pytest.raises(CallError, match="`opened` needs `plant`"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Protocol
 
@@ -19,6 +19,7 @@ from sampling_design.certificates.form.digest import RESOLUTION
 from sampling_design.errors import ArgumentError, SamplingDesignError
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.records import checks
+from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, Record, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily
@@ -26,8 +27,6 @@ from sampling_design.schedules.jitter import Jitter
 from sampling_design.schedules.lost_samples import LostSamples
 from sampling_design.schedules.sampling_set import SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-
-Progress = Callable[[float, str], None]
 
 RADIUS_RTOL = 0.02
 """Width of the bisection on the radius, as a fraction of the largest one that keeps the order of samples."""

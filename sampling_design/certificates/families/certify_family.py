@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -36,12 +35,12 @@ from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.evidence import SolverRecord
+from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 LARGEST_LAM = 1e8
 """Beyond this lambda a certificate is of no use and the conditions are lost in the solver's rounding."""

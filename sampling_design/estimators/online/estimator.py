@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -20,7 +20,6 @@ from sampling_design.records.checks import freeze
 from sampling_design.records.record import CurveRecord, Plain, TableRecord, Variable, finite_or_nones
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 
 class GuaranteeWarning(UserWarning):

@@ -14,12 +14,13 @@ from sampling_design.accuracy.readings import CensoredReading, as_typed, told
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.online.estimate import Estimate
-from sampling_design.estimators.online.estimator import CheckedSample, EstimateRecord, Progress, Sample
+from sampling_design.estimators.online.estimator import CheckedSample, EstimateRecord, Sample
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.records.measurement_table import MeasuredPlant
 from sampling_design.estimators.records.measurements import DataFrame, read_measurements
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked_methods
 
 Array = npt.NDArray[np.float64]

@@ -7,7 +7,6 @@ An upper bound on a norm is what follows, and norms are convex.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,10 +15,10 @@ import numpy.typing as npt
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.plants.plant import Plant
+from sampling_design.records.progress import Progress
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int_]
-Progress = Callable[[float, str], None]
 
 # relative error granted to C e^{A tau}, of |C||e^{A tau}|, for tau |A| up to 200 and in proportion beyond;
 # the tests of the exponentials hold them to it against 50-digit arithmetic

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 
@@ -17,12 +17,12 @@ from sampling_design.observability.windows.pieces import Pieces, window_pieces
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.evidence import Claim
+from sampling_design.records.progress import Progress
 from sampling_design.records.record import CurveRecord, Plain, Record, TableRecord, Variable, short
 from sampling_design.records.signatures import open_verb
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 
 RTOL = 0.001

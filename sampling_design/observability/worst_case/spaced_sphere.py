@@ -19,7 +19,6 @@ So does every sample: times at which one alone would see more of every state of 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from itertools import product
 from typing import NamedTuple
 
@@ -30,10 +29,10 @@ from sampling_design.observability.worst_case.spaced_paths import so_far, sums_s
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.observability.worst_case.spaced_search import AttainedSchedule, search_from
 from sampling_design.observability.worst_case.spaced_tables import MOST_CELLS, CurveTable, SphereTables, StartTable
+from sampling_design.records.progress import Progress
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int_]
-Progress = Callable[[float, str], None]
 
 MOST_STATES = 12
 """A cell has 2^{n-1} corners: beyond this many states a proof by cells of directions is not tried."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,12 +21,12 @@ from sampling_design.records import checks
 from sampling_design.records.checks import Seed
 from sampling_design.records.dispatch import OpenPlant
 from sampling_design.records.evidence import Claim
+from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, counted, short
 from sampling_design.records.signatures import open_verb
 from sampling_design.schedules.spaced_windows import SpacedWindows
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 MOST_MEMORY = 2.0
 """GiB that a search over the times of all samples may take."""

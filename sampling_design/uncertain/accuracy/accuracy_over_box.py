@@ -10,7 +10,8 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.accuracy import AccuracyBracket, guaranteed_accuracy
+from sampling_design.accuracy.accuracy import guaranteed_accuracy
+from sampling_design.accuracy.accuracy_record import AccuracyBracket
 from sampling_design.accuracy.bounds import Bound
 from sampling_design.accuracy.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.errors import ArgumentError, UndecidedError
@@ -18,6 +19,7 @@ from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records import checks
 from sampling_design.records.evidence import Claim
+from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, finite_or_nones, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.model import require_constant_box
@@ -113,6 +115,8 @@ def accuracy_over_box(
     v_bound: Bound = None,
     of: Wanted = None,
     rtol: float | None = None,
+    budget: float | None = None,
+    progress: Progress | None = None,
     **others: object,
 ) -> AccuracyOverBox:
     """Bracket the worst accuracy over a box: see `guaranteed_accuracy`.
@@ -138,7 +142,8 @@ def accuracy_over_box(
     v = _entries("v_bound", v_bound, plant.nominal.n_outputs)
     rows = wanted_rows(plant.nominal, of)
     one = one_plant(schedule)
-    began, middle = time.monotonic(), plant.low / 2 + plant.high / 2
+    began, middle = time.perf_counter(), plant.low / 2 + plant.high / 2
+    seconds = SECONDS if budget is None else checks.positive("budget", budget)
     whole = plant.high / 2 - plant.low / 2
     open_ = [(middle, whole, np.full(len(rows), np.inf))]
     lower, worst = np.zeros(len(rows)), [middle] * len(rows)
@@ -150,7 +155,9 @@ def accuracy_over_box(
     while open_:
         theta, half, before = open_.pop(int(np.argmax([float(np.max(each[2])) for each in open_])))
         small = cells > 0 and bool(np.all(half <= SMALLEST * whole))
-        if time.monotonic() - began > SECONDS or small:
+        if progress is not None and cells:
+            progress(min(1.0, (time.perf_counter() - began) / seconds), f"{cells} cells")
+        if time.perf_counter() - began > seconds or small:
             top = np.maximum(top, np.max([before, *(each[2] for each in open_)], axis=0))
             break
         cells += 1
@@ -161,13 +168,7 @@ def accuracy_over_box(
         if np.all(up * (1 - rtol) <= lower):
             top = np.maximum(top, up)
             continue
-        widest = int(np.argmax(half * _weights(plant)))
-        for sign in (-1.0, 1.0):
-            less = half.copy()
-            less[widest] /= 2
-            at = theta.copy()
-            at[widest] += sign * less[widest]
-            open_.append((at, less, up))
+        open_ += [(at, less, up) for at, less in _halves(plant, theta, half)]
     if not np.all(np.isfinite(top)):
         raise UndecidedError(
             f"undecided: some plant of the box near {at_parameters(_named(plant, worst[0]))} could not be bounded in "
@@ -176,6 +177,13 @@ def accuracy_over_box(
     closed = top * (1 - 1.001 * rtol) <= lower
     where = tuple(_named(plant, each) for each in worst)
     return AccuracyOverBox(rows, lower, top, where, closed, cells, plant, schedule)
+
+
+def _halves(plant: UncertainPlant, theta: Array, half: Array) -> list[Both]:
+    """A cell cut in two along the parameter that moves the plant most: middles and half widths."""
+    less = half.copy()
+    less[np.argmax(half * _weights(plant))] /= 2
+    return [(theta + sign * (half - less), less) for sign in (-1.0, 1.0)]
 
 
 def _corners(plant: UncertainPlant) -> list[Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -9,7 +10,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.accuracy import RTOL, AccuracyBracket
+from sampling_design.accuracy.accuracy import RTOL
+from sampling_design.accuracy.accuracy_record import AccuracyBracket
 from sampling_design.accuracy.bounds import Bound, SignalBounds
 from sampling_design.accuracy.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.accuracy.start import InitialError, InitialSet
@@ -18,6 +20,7 @@ from sampling_design.observability.alignment import meet
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
 from sampling_design.records.evidence import Claim
+from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, finite_or_nones, short
 from sampling_design.schedules.schedule import Schedule
 from sampling_design.uncertain.accuracy.accuracy_over_box import refuse_others
@@ -140,6 +143,8 @@ def accuracy_along(
     initial_error: InitialError = None,
     start: float | None = None,
     end: float | None = None,
+    budget: float | None = None,
+    progress: Progress | None = None,
     **others: object,
 ) -> AccuracyAlong:
     """Bracket the least guaranteed error at the samples and in between: see `accuracy`.
@@ -156,6 +161,7 @@ def accuracy_along(
     """
     refuse_others("of a plant that varies", **others)
     rtol = checks.positive("rtol", RTOL if rtol is None else rtol)
+    deadline = time.perf_counter() + (np.inf if budget is None else checks.positive("budget", budget))
     problem = _Problem(plant, schedule, w_bound, v_bound, of, initial_error, (start, end))
     lower, upper = (np.zeros((len(problem.rows), len(problem.looked))) for _ in range(2))
     for k, (gap, part, taken) in enumerate(problem.looked):
@@ -166,7 +172,11 @@ def accuracy_along(
                 lower[i, k], upper[i, k] = low, up
                 if not np.isfinite(up) or up <= (1 + rtol) * low or up > (1 - rtol) * before:
                     break
+                if time.perf_counter() > deadline:  # the coarsest cells prove a bracket, too
+                    break
                 before = up
+        if progress is not None:
+            progress((k + 1) / len(problem.looked), f"{k + 1} of {len(problem.looked)} times")
     at = _worst(upper)
     index = np.arange(len(at))
     least, most = lower[index, at], upper[index, at]

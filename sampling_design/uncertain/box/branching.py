@@ -10,13 +10,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy import optimize
 
+from sampling_design.records.progress import Progress
 from sampling_design.uncertain.box.expansion import BoxCells
 
 Array = npt.NDArray[np.float64]
 Judge = Callable[[BoxCells], tuple[Array, Array, Array]]
 Value = Callable[[Array, float, int], float]
 Unseen = Callable[[Array, float, int], bool]
-Progress = Callable[[float, str], None]
 
 MOST_CELLS = 100_000
 """BoxCells after which a search without a budget ends as well."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import TypedDict, Unpack
 
 import numpy as np
@@ -17,6 +17,7 @@ from sampling_design.certificates.form.verdict import Verification
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily
@@ -27,8 +28,6 @@ from sampling_design.uncertain.inclusion.layout import Schedules, graph_for, lay
 from sampling_design.uncertain.inclusion.members import InclusionWeights
 from sampling_design.uncertain.inclusion.search import InclusionSearch
 from sampling_design.uncertain.plants.inclusion import LinearInclusion
-
-Progress = Callable[[float, str], None]
 
 PIECES = (8, 16, 32)
 """Pieces of P(tau) that are tried one after the other where a number is not given."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.observability.windows.window_sigma import asked
 from sampling_design.records.evidence import Claim
+from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.branching import BALL_ROOM, BoxBounds, branch
@@ -23,7 +24,6 @@ from sampling_design.uncertain.observability.windows_over_box import WindowsOver
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[float, str], None]
 RTOL = 0.01
 """Default width of the bracket, relative."""
 

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import meet
 from sampling_design.observability.sigma_bracket import coordinates_of
 from sampling_design.observability.windows.window_sigma import WindowSigma, asked, record_of
 from sampling_design.records import checks
+from sampling_design.records.progress import Progress
 from sampling_design.schedules.schedule import Schedule
 from sampling_design.uncertain.observability.bracket_varying import bracket_varying
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
 
-Progress = Callable[[float, str], None]
 RTOL = 0.01
 """Default width of the bracket, relative."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from sampling_design.observability.worst_case.worst_case_sigma import LEAST_SEAR
 from sampling_design.plants.plant import Plant
 from sampling_design.records.checks import Seed
 from sampling_design.records.evidence import Claim
+from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, short
 from sampling_design.schedules.spaced_windows import SpacedWindows
 from sampling_design.uncertain.box.branching import BALL_ROOM
@@ -31,7 +32,6 @@ from sampling_design.uncertain.observability.worst_case_cells import (
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[float, str], None]
 RTOL = 0.1
 """Default width of the bracket, relative."""
 

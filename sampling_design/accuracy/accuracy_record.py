@@ -1,0 +1,270 @@
+"""What `guaranteed_accuracy` returns: brackets of the least guaranteed error, verified without a solver."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.accuracy_profile import AccuracyProfile, GapProof
+from sampling_design.accuracy.bounds import SignalBounds
+from sampling_design.accuracy.deviation import StandardDeviation
+from sampling_design.accuracy.projection import Projection, shadow
+from sampling_design.accuracy.question import AccuracyQuestion
+from sampling_design.accuracy.rows import WantedRows
+from sampling_design.accuracy.search import ChainSearch
+from sampling_design.accuracy.undetectable import DetectablePart
+from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains
+from sampling_design.errors import ArgumentError
+from sampling_design.plants.plant import Plant
+from sampling_design.records.record import CurveRecord, Plain, Record, Variable, finite_or_nones, short
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+Array = npt.NDArray[np.float64]
+
+
+class AccuracyBracket(Record):
+    """The least guaranteed error of each wanted row, bracketed: `lower` attained, `upper` guaranteed."""
+
+    rows: WantedRows
+    lower: Array
+    upper: Array
+    closed: npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Accuracy(AccuracyBracket, CurveRecord):
+    """The least guaranteed error of each wanted row, bracketed, at the worst time of a schedule.
+
+        lower <= sup over t of rho(c; t) <= upper
+
+    Attributes
+    ----------
+    plant : Plant
+    schedule : PeriodicSchedule or Schedule
+    rows : WantedRows
+        Matrix, names and units of what is wanted.
+    lower : (r,) array
+        No estimator whatsoever guarantees less: attained by `witnesses`.
+    upper : (r,) array
+        Proven for all real times by gains: of an endless schedule whatever the error was in the distant past, of a
+        finite one for all times at which the row is known at all.
+    worst : (r,) array
+        A time at which `lower` is attained; of an endless schedule not beyond its period.
+    offset : (r,) array
+        What the best estimate adds to its weighted data at that time since the bounds are not centred at 0; its
+        error is then within `upper` on both sides.
+    known_from : (r,) array
+        From when on the row is known; minus infinity on an endless schedule, infinite if never.
+    closed : (r,) bool array
+        Whether the bracket met the tolerance asked for.
+    at_samples : (r, N) array
+        What gains prove at each sample, the sample included.
+    profile : AccuracyProfile
+    deviation : StandardDeviation or None
+        The same rows for white noise, if its size was given.
+    witnesses : tuple of AccuracyWitness
+        In the coordinates of the known part where something is unknown; None for an infinite row.
+    unknown : tuple of str
+        Eigenvalues of the modes that no sample shows and that do not decay, or that the samples of a finite schedule do
+        not determine: rows that they touch are infinite.
+    """
+
+    question: AccuracyQuestion
+    rows: WantedRows
+    lower: Array
+    upper: Array
+    worst: Array
+    offset: Array
+    known_from: Array
+    closed: npt.NDArray[np.bool_]
+    at_samples: Array
+    profile: AccuracyProfile
+    witnesses: tuple[AccuracyWitness | None, ...]
+    unknown: tuple[str, ...]
+    proof: tuple[GapProof, ...] = field(repr=False)
+    deviation: StandardDeviation | None = None
+
+    @property
+    def plant(self) -> Plant:
+        """The plant."""
+        return self.question.plant
+
+    @property
+    def schedule(self) -> Schedule | PeriodicSchedule:
+        """The schedule."""
+        return self.question.schedule
+
+    @property
+    def bounds(self) -> SignalBounds:
+        """Bounds on w and v; one row of v for each sample, and an empty one for a start that is no sample."""
+        return self.question.bounds
+
+    def shadow(self, first: str, second: str, t: float | None = None, directions: int = 24) -> Projection:
+        """Return the exact set of what data may leave possible of two rows at one time (`accuracy.projection`)."""
+        return shadow(self, first, second, t, directions)
+
+    def verify(self, rigorous: bool = False) -> bool:
+        """Whether both sides hold, recomputed from gains and witnesses without a solver.
+
+        rigorous : bool
+            In ball arithmetic (extra `rigorous`): True is then a theorem about the doubles of this record; False
+            says that it was not decided, as for exact sensors. For endless schedules that show every mode.
+
+        Raises
+        ------
+        ArgumentError
+            If a rigorous proof is asked of a finite schedule, or where a mode is unknown.
+        """
+        known = self.question.known()
+        if rigorous:
+            if self.question.initial is not None or self.unknown:
+                raise ArgumentError(
+                    "`rigorous` is for endless schedules that show every mode; what else is known is decided "
+                    "numerically. Leave it out."
+                )
+            return self._proven()
+        return self._upper_holds(known) and all(self._lower_holds(k, known) for k in range(len(self.rows)))
+
+    def _proven(self) -> bool:
+        """Both sides in ball arithmetic."""
+        from sampling_design.accuracy.rigorous import proven_above, proven_below
+
+        chain, _ = self.question.chain(self.plant)
+        below = all(
+            bool(lower == 0) if witness is None else proven_below(witness, self.bounds, float(lower))
+            for witness, lower in zip(self.witnesses, self.lower, strict=True)
+        )
+        return below and proven_above(chain, self.rows.matrix, self.upper, self.proof)
+
+    def _upper_holds(self, known: DetectablePart) -> bool:
+        lost = np.array([known.touches(row) for row in self.rows.matrix])
+        if not np.all(np.isinf(self.upper[lost])):
+            return False
+        if lost.all():
+            return True
+        search = ChainSearch(*self.question.chain(known.plant, known.moving))
+        for part in self.proof:
+            for mu, gains in zip(part.directions, part.gains, strict=True):
+                search.restore(part.sample, mu, gains)
+        tops = []
+        for k in np.flatnonzero(~lost):
+            found = search.opened(self.rows.matrix[k] @ known.lift)
+            open_ends = not any(np.isfinite(nodes).any() for nodes in found.nodes)
+            tops.append(np.inf if open_ends else search.top(found)[0])
+        return bool(np.all(tops <= self.upper[~lost] * (1 + KEPT)))
+
+    def _lower_holds(self, k: int, known: DetectablePart) -> bool:
+        witness = self.witnesses[k]
+        if witness is None:
+            return known.touches(self.rows.matrix[k]) or self.lower[k] == 0 or self.question.initial is not None
+        value, excess = attains(witness, self.bounds, self.question.initial)
+        return excess <= 1 + KEPT and value >= self.lower[k] * (1 - KEPT)
+
+    def _rows(self) -> list[tuple[str, str]]:
+        unit = self.plant.time_unit
+        if isinstance(self.schedule, PeriodicSchedule):
+            lines = [("samples per period", f"{len(self.schedule)} in {short(self.schedule.period)} {unit}")]
+        else:
+            span = f"from {short(self.question.nodes[0])} to {short(self.question.end)} {unit}"
+            lines = [("samples", f"{len(self.schedule)}, {span}")]
+        for k, label in enumerate(self.rows.labels()):
+            text = f"{short(self.lower[k])} to {short(self.upper[k])}, worst at {short(self.worst[k])} {unit}"
+            if not np.isfinite(self.upper[k]):
+                text = f"without bound: {self._why()}"
+            elif np.isinf(self.known_from[k]) and self.question.initial is not None:
+                text += ", at single times only"
+            elif self.known_from[k] > self.question.nodes[0]:
+                text += f", unknown before {short(self.known_from[k])} {unit}"
+            lines.append((label, text + ("" if self.closed[k] else " (not closed)")))
+            if self.offset[k]:
+                lines.append((f"offset of {label}", short(self.offset[k])))
+        if self.notice:
+            lines.append(("notice", self.notice))
+        return lines + ([] if self.deviation is None else self.deviation.lines())
+
+    def _why(self) -> str:
+        names = ", ".join(self.unknown)
+        if self.question.initial is not None:
+            return f"the samples do not determine what belongs to the eigenvalue{'s' * (len(self.unknown) > 1)} {names}"
+        return f"no sample shows {names}"
+
+    @property
+    def notice(self) -> str:
+        """Say where the program is degenerate: exact sensors leave what is possible without interior."""
+        exact = np.any(self.bounds.v == 0, axis=0)
+        names = [name for name, zero in zip(self.plant.outputs.names, exact, strict=True) if zero]
+        if not names:
+            return ""
+        return (
+            f"Samples of {', '.join(names)} count as exact (noise bound 0): what is possible has no interior there, so "
+            "that the program is degenerate. Both bounds hold; that they meet is not guaranteed."
+        )
+
+    def explain(self) -> str:
+        """Say what can be guaranteed."""
+        known = np.isfinite(self.upper)
+        parts = [
+            f"{n} within {short(u, 4)}" for n, u in zip(self.rows.labels(), self.upper, strict=True) if np.isfinite(u)
+        ]
+        lost = [name for name, sure in zip(self.rows.names, known, strict=True) if not sure]
+        text = f"Of {', '.join(lost)} no bound holds at all times: {self._why()}. " if lost else ""
+        if not parts:
+            return text.strip()
+        low, up = self.lower[known], self.upper[known]
+        widths = np.divide(up, low, out=np.where(up > 0, np.inf, 1.0), where=low > 0) - 1
+        width = float(np.max(widths))
+        late = [k for k in np.flatnonzero(known) if self.known_from[k] > self.question.nodes[0]]
+        within = f"brackets within {100 * width:.2g} %" if np.isfinite(width) else "0: nothing was attained"
+        when = "At all times"
+        if any(np.isinf(self.known_from[k]) for k in late):
+            when = "Where the samples determine them"
+        elif late:
+            when = f"From {short(max(self.known_from[k] for k in late))} {self.plant.time_unit} on"
+        return (
+            f"{text}{when}, some estimator guarantees {', '.join(parts)}; none guarantees less than "
+            f"{short(low, 4)} ({within})."
+            + (f" {self.notice}" if self.notice else "")
+            + ("" if self.deviation is None else f" {self.deviation.explain()}")
+        )
+
+    def _variables(self) -> dict[str, Variable]:
+        profile, time = self.profile, self.plant.time_unit
+        return {
+            "row": Variable(("row",), np.array(self.rows.names, dtype=str)),
+            "unit": Variable(("row",), np.array(self.rows.units, dtype=str)),
+            "start": Variable(("cell",), profile.edges[:-1], time),
+            "stop": Variable(("cell",), profile.edges[1:], time),
+            "lower": Variable(("row", "cell"), profile.lower),
+            "upper": Variable(("row", "cell"), profile.upper),
+            "sample": Variable(("sample",), profile.samples, time),
+            "worst": Variable(("row",), self.worst, time),
+        }
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data; what is infinite becomes None."""
+        data: dict[str, Plain] = {
+            "rows": {
+                "names": list(self.rows.names),
+                "units": list(self.rows.units),
+                "matrix": self.rows.matrix.tolist(),
+            },
+            "time_unit": self.plant.time_unit,
+            "schedule": self.schedule.to_dict(),
+            "lower": finite_or_nones(self.lower),
+            "upper": finite_or_nones(self.upper),
+            "unknown": list(self.unknown),
+            "worst": self.worst.tolist(),
+            "offset": self.offset.tolist(),
+            "known_from": finite_or_nones(self.known_from),
+            "closed": self.closed.tolist(),
+            "at_samples": [finite_or_nones(row) for row in self.at_samples],
+            "profile": {
+                "edges": self.profile.edges.tolist(),
+                "lower": [finite_or_nones(row) for row in self.profile.lower],
+                "upper": [finite_or_nones(row) for row in self.profile.upper],
+            },
+            "witnesses": [None if witness is None else witness.to_dict() for witness in self.witnesses],
+        }
+        return data if self.deviation is None else data | {"deviation": self.deviation.to_dict()}

@@ -1,0 +1,2 @@
+# Written from the table in __init__.py by `python -m tests.house.front_door`.
+from sampling_design.records.progress import progress_bar as progress_bar

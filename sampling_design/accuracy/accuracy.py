@@ -149,6 +149,8 @@ def guaranteed_accuracy(
     deviation = None
     if w_intensity is not None or v_deviation is not None:
         deviation = deviations(question, rows, w_intensity, v_deviation)
+    asked = question
+    question = asked.primitive()
     known = question.known()
     safe = [k for k, row in enumerate(rows.matrix) if not known.touches(row)]
     search = ChainSearch(*question.chain(known.plant, known.moving), deadline=deadline) if safe else None
@@ -159,7 +161,12 @@ def guaranteed_accuracy(
             if progress is not None:
                 between = f"{short(found[k].lower)} to {short(found[k].upper)}"
                 progress(done / len(safe), f"{rows.labels()[k]} {between}")
-    return replace(_record(question, rows, known, search, found, tolerance), deviation=deviation)
+    record = replace(_record(question, rows, known, search, found, tolerance), deviation=deviation)
+    if question is asked:
+        return record
+    count = len(asked.schedule) // len(question.schedule)
+    at_samples = freeze(np.tile(record.at_samples, count))
+    return replace(record, question=asked, at_samples=at_samples, profile=record.profile.repeated(asked.nodes))
 
 
 def _bracketed(search: ChainSearch, row: Array, tolerance: float) -> RowSearch:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.records.checks import freeze
+
 Array = npt.NDArray[np.float64]
 
 
@@ -48,3 +50,12 @@ class AccuracyProfile:
     lower: Array
     upper: Array
     samples: Array
+
+    def repeated(self, times: Array) -> AccuracyProfile:
+        """The profile of one period over as many of them as `times` (sample times from the same first one on) fill."""
+        count = times.size // self.samples.size
+        starts = times[:: self.samples.size] - times[0]
+        edges = np.append((self.edges[:-1] + starts[:, None]).ravel(), self.edges[-1] + starts[-1])
+        return AccuracyProfile(
+            freeze(edges), freeze(np.tile(self.lower, count)), freeze(np.tile(self.upper, count)), times
+        )

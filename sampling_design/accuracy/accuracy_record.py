@@ -84,6 +84,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
     witnesses: tuple[AccuracyWitness | None, ...]
     unknown: tuple[str, ...]
     proof: tuple[GapProof, ...] = field(repr=False)
+    """Over the shortest period that the question has (`AccuracyQuestion.primitive`)."""
     deviation: StandardDeviation | None = None
 
     @property
@@ -117,34 +118,35 @@ class Accuracy(AccuracyBracket, CurveRecord):
         ArgumentError
             If a rigorous proof is asked of a finite schedule, or where a mode is unknown.
         """
-        known = self.question.known()
+        asked = self.question.primitive()
+        known = asked.known()
         if rigorous:
             if self.question.initial is not None or self.unknown:
                 raise ArgumentError(
                     "`rigorous` is for endless schedules that show every mode; what else is known is decided "
                     "numerically. Leave it out."
                 )
-            return self._proven()
-        return self._upper_holds(known) and all(self._lower_holds(k, known) for k in range(len(self.rows)))
+            return self._proven(asked)
+        return self._upper_holds(asked, known) and all(self._lower_holds(k, known) for k in range(len(self.rows)))
 
-    def _proven(self) -> bool:
+    def _proven(self, asked: AccuracyQuestion) -> bool:
         """Both sides in ball arithmetic."""
         from sampling_design.accuracy.rigorous import proven_above, proven_below
 
-        chain, _ = self.question.chain(self.plant)
+        chain, _ = asked.chain(self.plant)
         below = all(
             bool(lower == 0) if witness is None else proven_below(witness, self.bounds, float(lower))
             for witness, lower in zip(self.witnesses, self.lower, strict=True)
         )
         return below and proven_above(chain, self.rows.matrix, self.upper, self.proof)
 
-    def _upper_holds(self, known: DetectablePart) -> bool:
+    def _upper_holds(self, asked: AccuracyQuestion, known: DetectablePart) -> bool:
         lost = np.array([known.touches(row) for row in self.rows.matrix])
         if not np.all(np.isinf(self.upper[lost])):
             return False
         if lost.all():
             return True
-        search = ChainSearch(*self.question.chain(known.plant, known.moving))
+        search = ChainSearch(*asked.chain(known.plant, known.moving))
         for part in self.proof:
             for mu, gains in zip(part.directions, part.gains, strict=True):
                 search.restore(part.sample, mu, gains)

@@ -90,6 +90,21 @@ class AccuracyQuestion:
             times = np.append(first, times)
         return cls(plant, schedule, bounds, InitialSet.of(plant, initial_error), times, last)
 
+    def primitive(self) -> AccuracyQuestion:
+        """The same question over the shortest period that samples and bounds on their noise have."""
+        if not isinstance(self.schedule, PeriodicSchedule):
+            return self
+        found, count = self.schedule.primitive(), len(self.schedule)
+        part = len(found)
+        for rows in (self.bounds.v, self.bounds.v_centre):
+            if rows is not None and not np.array_equal(np.tile(rows[:part], (count // part, 1)), rows):
+                return self
+        if part == count:
+            return self
+        middle = None if self.bounds.v_centre is None else freeze(self.bounds.v_centre[:part])
+        bounds = replace(self.bounds, v=freeze(self.bounds.v[:part]), v_centre=middle)
+        return AccuracyQuestion(self.plant, found, bounds, None, found.times, float(found.times[0] + found.period))
+
     @property
     def samples(self) -> npt.NDArray[np.intp]:
         """Nodes that are samples."""

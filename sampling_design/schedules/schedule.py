@@ -298,6 +298,20 @@ class PeriodicSchedule(_Sampled):
         """Return the number of samples in [start, stop]; `closed` as for `between`."""
         return len(self.between(start, stop, closed))
 
+    def primitive(self) -> PeriodicSchedule:
+        """Return the same samples with the shortest period that gaps and outputs have, to the last bit; else itself."""
+        count, masks = len(self), self.outputs
+        for part in (k for k in range(1, count) if count % k == 0):
+            gaps, times = self.gaps[:part], self.times[:part]
+            same = np.array_equal(np.tile(gaps, count // part), self.gaps)
+            if masks is not None:
+                same = same and np.array_equal(np.tile(masks[:part], (count // part, 1)), masks)
+            if same and self.first <= gaps.sum():
+                mask = None if masks is None else masks[:part]
+                found = PeriodicSchedule(gaps, self.first, mask, **self._details())
+                return found if np.array_equal(found.times, times) else self
+        return self
+
     def in_unit(self, unit: str) -> PeriodicSchedule:
         """Return the same schedule with times in `unit`; its own unit must be known."""
         c = time_factor(self.time_unit or "", unit)

@@ -298,3 +298,39 @@ def test_an_interrupt_leaves_what_is_proven(at, found, monkeypatch):
     assert np.all(found.lower <= left.upper)
     assert np.all(left.upper < np.inf)
     assert not left.closed.all()
+
+
+@pytest.mark.parametrize("v_bound", [0.4, [[0.4], [0.3]] * 3, {"y1": (-0.1, 0.5)}])
+def test_a_period_given_several_times_over_is_asked_once(v_bound, monkeypatch):
+    """At no cost beside one period, with the same numbers, a proof that holds and every sample in its place."""
+    solves, gains = [], search.ChainSearch.gains
+    monkeypatch.setattr(search.ChainSearch, "gains", lambda *given: solves.append(1) or gains(*given))
+    gaps = np.array([0.75, 1.5])
+    once = sd.guaranteed_accuracy(
+        OSCILLATOR,
+        sd.PeriodicSchedule(gaps),
+        w_bound=0.02,
+        v_bound=v_bound[:2] if isinstance(v_bound, list) else v_bound,
+    )
+    alone = len(solves)
+    thrice = sd.guaranteed_accuracy(OSCILLATOR, sd.PeriodicSchedule(np.tile(gaps, 3)), w_bound=0.02, v_bound=v_bound)
+    assert len(solves) == 2 * alone
+    assert thrice.upper.tolist() == once.upper.tolist()
+    assert thrice.lower.tolist() == once.lower.tolist()
+    assert thrice.at_samples.tolist() == np.tile(once.at_samples, 3).tolist()
+    assert len(thrice.schedule) == 6
+    assert thrice.profile.samples.tolist() == thrice.schedule.times.tolist()
+    assert thrice.profile.edges[0] == thrice.schedule.times[0]
+    assert thrice.profile.edges[-1] == pytest.approx(thrice.schedule.times[0] + 3 * gaps.sum())
+    assert np.all(np.diff(thrice.profile.edges) > 0)
+    assert thrice.verify()
+    assert thrice.verify(rigorous=True)
+    assert not replace(thrice, upper=thrice.upper * 0.99).verify()
+
+
+def test_a_period_whose_noise_differs_is_not_shortened():
+    v = np.full((4, 1), 0.4)
+    v[2] = 0.1
+    schedule = sd.PeriodicSchedule([0.75] * 4)
+    one = sd.guaranteed_accuracy(OSCILLATOR, schedule, w_bound=0.02, v_bound=v)
+    assert len(set(one.at_samples[1].round(6))) == 4

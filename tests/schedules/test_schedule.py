@@ -133,3 +133,19 @@ def test_plain_data_is_exact():
 def test_bad_input(build, message):
     with pytest.raises(ArgumentError, match=message):
         build()
+
+
+def test_the_shortest_period_keeps_the_samples():
+    long = PeriodicSchedule(
+        [1.0, 0.5] * 3, 0.25, [[True, False], [True, True]] * 3, time_unit="h", output_names=["a", "b"]
+    )
+    short = long.primitive()
+    assert (len(short), short.period, short.time_unit) == (2, 1.5, "h")
+    assert short.between(0, 20).times.tolist() == long.between(0, 20).times.tolist()
+    assert short.between(0, 20).outputs.tolist() == long.between(0, 20).outputs.tolist()
+    for alone in (
+        PeriodicSchedule([1.0, 0.5]),
+        PeriodicSchedule([0.5] * 4, 1.5),
+        PeriodicSchedule([0.5] * 2, outputs=[[True, False], [True, True]]),
+    ):
+        assert alone.primitive() is alone

@@ -24,7 +24,7 @@ from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
-from sampling_design.uncertain.inclusion.layout import Schedules, graph_for, layout_of, primitive
+from sampling_design.uncertain.inclusion.layout import Schedules, graph_for, layout_of
 from sampling_design.uncertain.inclusion.members import InclusionWeights
 from sampling_design.uncertain.inclusion.search import InclusionSearch
 from sampling_design.uncertain.plants.inclusion import LinearInclusion
@@ -241,7 +241,7 @@ def in_terms(plant: LinearInclusion, schedule: object, **others: object) -> Sche
         return in_plant_terms(plant.centre, schedule)
     known = met(plant.centre, schedule)
     assert isinstance(known, PeriodicSchedule)
-    return primitive(known)
+    return known.primitive()
 
 
 def choose_rate(search: InclusionSearch, pieces: int, arrival: bool, report: Progress) -> float:

@@ -49,19 +49,6 @@ def graph_for(schedules: Schedules, memory: int, outputs: int) -> PathCompleteGr
     return graph_of(family, memory, outputs)
 
 
-def primitive(schedule: PeriodicSchedule) -> PeriodicSchedule:
-    """The same schedule with the shortest period that its gaps and outputs have."""
-    count = len(schedule)
-    for part in (k for k in range(1, count) if count % k == 0):
-        gaps, masks = schedule.gaps[:part], None if schedule.outputs is None else schedule.outputs[:part]
-        same = np.array_equal(np.tile(gaps, count // part), schedule.gaps)
-        if masks is not None and schedule.outputs is not None:
-            same = same and np.array_equal(np.tile(masks, (count // part, 1)), schedule.outputs)
-        if same and schedule.first <= gaps.sum():
-            return PeriodicSchedule(gaps, schedule.first, masks, time_unit=schedule.time_unit)
-    return schedule
-
-
 def longer(graph: PathCompleteGraph, first: Edge) -> bool:
     """Whether a first gap is the end of another one of the graph."""
     return any(

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.sample_chain import SampleChain
-from sampling_design.numerics.linalg import expm_batch
+from sampling_design.numerics.linalg import expm_batch, forced_flow
 
 Array = npt.NDArray[np.float64]
 
@@ -105,9 +105,7 @@ def _open_integrals(chain: SampleChain, d: Array, row: Array) -> Integrals:
     turned = (row * chain.D) @ expm_batch(A, (d[1:] + d[:-1]) / 2) @ (A @ A @ A)
     middle = np.linalg.norm(turned, axis=1) * np.exp(float(np.linalg.norm(A, 2)) * step / 2)
     third = middle * np.linalg.norm(G, 2)
-    joint = np.zeros((n + G.shape[1], n + G.shape[1]))
-    joint[:n, :n], joint[:n, n:] = A, G
-    mean = flown[:-1] @ expm_batch(joint, [step])[0, :n, n:]
+    mean = flown[:-1] @ forced_flow(A, G, [step])[0, :, n:]
     if chain.bounds.w_ball:
         value, curve, least = np.linalg.norm(p, axis=1), np.linalg.norm(bend, axis=1), np.linalg.norm(mean, axis=1)
         curve = np.maximum(curve[1:], curve[:-1]) + step / 2 * third

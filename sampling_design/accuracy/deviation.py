@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sampling_design.accuracy.finite import DIFFUSE
 from sampling_design.accuracy.question import AccuracyQuestion
-from sampling_design.accuracy.riccati import CovarianceMap, RootedPeriod, noise_root, strong
+from sampling_design.accuracy.riccati import CovarianceMap, RootedPeriod, in_turn, noise_root, strong
 from sampling_design.accuracy.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.accuracy.start import SEMIDEFINITE
 from sampling_design.errors import ArgumentError, UndecidedError
@@ -232,10 +232,7 @@ class _Curves:
             step, noise = np.linalg.solve(following, F @ L), np.linalg.solve(following, W)
             noise = np.linalg.solve(following, noise.T)
             maps.append(CovarianceMap(step[:r, :r], ((H @ L).T @ (H @ L))[:r, :r], symmetrise(noise[:r, :r])))
-        period = maps[0]
-        for following_map in maps[1:]:
-            period = period.then(following_map)
-        P = strong(period, np.eye(r) * DIFFUSE, WALK)
+        P = strong(in_turn(maps), np.eye(r) * DIFFUSE, WALK)
         seen = [H @ L[:, :r] for H, L in zip(rows, bases, strict=True)]
         rooted = RootedPeriod([m.F for m in maps], seen, [noise_root(m.Q) for m in maps])
         root = psd_root(P)

@@ -23,7 +23,7 @@ from sampling_design.accuracy.sample_chain import (
 )
 from sampling_design.accuracy.start import InitialSet
 from sampling_design.errors import UndecidedError
-from sampling_design.numerics.linalg import discounted_flow
+from sampling_design.numerics.linalg import discounted_flow, filter_gain
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 
@@ -52,10 +52,10 @@ def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, i
     """Return the chain of nodes `times`, the first of which is the start; rows of `bounds.v` say what each measures."""
     lengths, last = np.diff(times), float(end - times[-1])
     refuse_growth(plant, lengths, last)
+    steps = np.append(lengths, last) if last or not lengths.size else lengths
     balance = balanced_schur(plant.A).d
     A = plant.A * balance / balance[:, None]
     G = plant.G * bounds.w / balance[:, None]
-    steps = np.append(lengths, last) if last or not lengths.size else lengths
     F, W = discounted_flow(A, G @ G.T, steps)
     W = W * float(np.mean(steps))
     rows, sizes, exact = noise_units(plant.C * balance, bounds, W)
@@ -74,8 +74,7 @@ def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, i
     L = np.array([covariance_root(X) for X in after])
     samples = []
     for j, H in enumerate(rows):
-        gain = np.linalg.solve(H @ before[j] @ H.T + np.eye(len(H)), H @ before[j]).T
-        K = np.asarray(np.linalg.solve(L[j], gain), dtype=np.float64)
+        K = np.asarray(np.linalg.solve(L[j], filter_gain(before[j], H)))
         samples.append(ChainSample(bounds.measured(j), sizes[j], H @ L[j], exact[j], K))
     known: dict[float, LengthFlow] = {}
     gaps = tuple(make_gap(A, G, float(h), L[j], L[j + 1], F[j], known) for j, h in enumerate(lengths))

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sampling_design.accuracy.sample_chain import ChainGap, SampleChain, noise_cost
 from sampling_design.accuracy.start import StartSet
-from sampling_design.numerics.linalg import expm_batch
+from sampling_design.numerics.linalg import forced_flow
 
 Array = npt.NDArray[np.float64]
 
@@ -141,12 +141,8 @@ def centre_offset(chain: SampleChain, row: Array, j: int, d: float, gains: tuple
     bounds, n = chain.bounds, chain.D.size
     if bounds.w_centre is None and bounds.v_centre is None:
         return 0.0
-    joint = np.zeros((n + 1, n + 1))
-    joint[:n, :n] = chain.A
-    if bounds.w_centre is not None:
-        joint[:n, n] = chain.plant.G @ bounds.w_centre / chain.D
-    lengths = [d, *(gap.length for gap in chain.gaps)]
-    flows = expm_batch(joint, lengths)[:, :n]
+    force = np.zeros(n) if bounds.w_centre is None else chain.plant.G @ bounds.w_centre / chain.D
+    flows = forced_flow(chain.A, force[:, None], [d, *(gap.length for gap in chain.gaps)])
     total = float(row * chain.D @ flows[0, :, n])
     g = row * chain.D @ flows[0, :, :n]
     nodes = chain.nodes(j, len(gains))

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.sample_chain import state_scales
-from sampling_design.numerics.linalg import discounted_flow, expm_batch
+from sampling_design.accuracy.sample_chain import cell_rate, state_scales
+from sampling_design.numerics.linalg import discounted_flow, forced_flow
 from sampling_design.plants.grouping import balanced_schur
 
 Array = npt.NDArray[np.float64]
@@ -85,12 +85,10 @@ class GapTable:
 
     def __init__(self, A: Array, G: Array, D: Array):
         self.D, self.A, self.G = D, A * D / D[:, None], G / D[:, None]
-        n, q = self.G.shape
+        n = len(self.A)
         self._size = float(np.linalg.norm(self.A, 2)) if n else 0.0
         self._second = self.A @ (self.A @ self.G)
         self._third = self.A @ self._second
-        self._joint = np.zeros((n + q, n + q))
-        self._joint[:n, :n], self._joint[:n, n:] = self.A, self.G
         self._known: dict[float, FlownGap] = {}
         self._open: tuple[float, FlownGap] | None = None
 
@@ -141,9 +139,9 @@ class GapTable:
     def _make_alike(self, lengths: Array, number: int) -> dict[float, FlownGap]:
         """Gaps with equally many panels."""
         n, step = len(self.A), lengths / number
-        first = expm_batch(self._joint, step)
+        first = forced_flow(self.A, self.G, step)
         E = np.empty((lengths.size, number + 1, n, n))
-        E[:, 0], E[:, 1] = np.eye(n), first[:, :n, :n]
+        E[:, 0], E[:, 1] = np.eye(n), first[:, :, :n]
         known = 1
         while known < number:
             np.matmul(E[:, known, None], E[:, 1 : known + 1], out=E[:, known + 1 : 2 * known + 1])
@@ -151,7 +149,7 @@ class GapTable:
         flown, bend = E @ self.G, E @ self._second
         grown = np.exp(self._size * step)[:, None]
         third = np.linalg.norm(E[:, :-1] @ self._third, axis=(2, 3)) * grown
-        inner = E[:, :-1] @ first[:, None, :n, n:]
+        inner = E[:, :-1] @ first[:, None, :, n:]
         marks = self._marks(flown, bend, step)
         return {
             h: FlownGap(E[k, -1].copy(), float(step[k]), flown[k], bend[k], third[k], inner[k], marks[k])
@@ -160,8 +158,7 @@ class GapTable:
 
     def _marks(self, flown: Array, bend: Array, step: Array) -> Array:
         """Middles of panels, counted in cells so short that delta^2/24 |M''|/|M| <= LOSS."""
-        size, curve = np.linalg.norm(flown, axis=(2, 3)), np.linalg.norm(bend, axis=(2, 3))
-        rate = np.sqrt(np.divide(curve, size, out=np.zeros_like(size), where=size > 0) / (24 * LOSS))
+        rate = cell_rate(flown, bend, LOSS)
         panels = (rate[:, 1:] + rate[:, :-1]) / 2 * step[:, None]
         total = panels.sum(axis=1, keepdims=True)
         fine = (total > 0) & np.isfinite(total)

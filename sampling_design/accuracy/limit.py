@@ -16,7 +16,7 @@ from sampling_design.accuracy.search import ChainSearch
 from sampling_design.accuracy.undetectable import GOLDEN, DetectablePart, known_part
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains, physical
 from sampling_design.errors import ArgumentError
-from sampling_design.numerics.linalg import expm_batch
+from sampling_design.numerics.linalg import forced_flow
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -221,10 +221,15 @@ def _zones(zones: Zones, period: float | None) -> Array | None:
     return freeze(table)
 
 
+def _time_constant(plant: Plant) -> float:
+    """1/|A| in balanced coordinates, 1 where A is zero."""
+    size = float(np.linalg.norm(plant.A * (d := balanced_schur(plant.A).d) / d[:, None], 2))
+    return 1 / size if size > 0 else 1.0
+
+
 def _known(plant: Plant) -> DetectablePart:
     """The plant without what not even continuous measurement shows."""
-    size = float(np.linalg.norm(plant.A * (d := balanced_schur(plant.A).d) / d[:, None], 2))
-    length = 0.1 / size if size > 0 else 1.0
+    length = 0.1 * _time_constant(plant)
     count = 3 * plant.n_states
     times = length * (np.arange(count) / count) ** GOLDEN
     return known_part(plant, times, length, [np.arange(plant.n_outputs)] * count)
@@ -249,8 +254,7 @@ def _question(plant: Plant, bounds: SignalBounds, nodes: Array, period: float) -
 
 def _step(plant: Plant, bounds: SignalBounds, allowed: Array | None, period: float) -> float:
     """A step over which the filter's fastest error shrinks by about a quarter."""
-    size = float(np.linalg.norm(plant.A * (d := balanced_schur(plant.A).d) / d[:, None], 2))
-    step = 1 / size if size > 0 else 1.0
+    step = _time_constant(plant)
     for _ in range(SCALINGS):
         chain, _ = _question(plant, bounds, np.zeros(1), step).chain(plant)
         sample, F = chain.samples[0], chain.gaps[0].F
@@ -319,10 +323,7 @@ def _attack(
     value, excess = _kept(witness, question.bounds, allowed, period)
     if not value > 0 or not np.isfinite(excess):
         return LimitWitness(None, 0.0), np.inf if value > 0 else 1.0
-    factor = max(excess, 1.0)
-    w, states = freeze(attack.w / factor), freeze(attack.states / factor)
-    smaller = replace(attack, w=w, states=states, value=value / factor, last=0)
-    return replace(witness, attack=smaller), factor
+    return replace(witness, attack=replace(attack.within(excess, value), last=0)), max(excess, 1.0)
 
 
 def _kept(witness: LimitWitness, bounds: SignalBounds, zones: Array | None, period: float) -> tuple[float, float]:
@@ -359,11 +360,8 @@ def _between(witness: AccuracyWitness, bounds: SignalBounds, looked: npt.NDArray
     A, G = plant.A * scale / scale[:, None], plant.G / scale[:, None]
     measured = np.isfinite(bounds.v[0])
     C = plant.C[measured] * scale / bounds.v[0, measured, None]
-    n, q = G.shape
-    joint = np.zeros((n + q, n + q))
-    joint[:n] = np.hstack([A, G])
     lengths = np.diff(witness.edges)
-    flows = expm_batch(joint, lengths)[:, :n]
+    flows = forced_flow(A, G, lengths)
     ends = np.searchsorted(witness.edges, [*witness.samples, witness.edges[-1]])
     size, bend, third = np.linalg.norm(A, 2), C @ A, np.linalg.norm(C @ A @ A, axis=1)
     largest = 0.0

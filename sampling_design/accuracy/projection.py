@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sampling_design.accuracy.accuracy_profile import GapProof
 from sampling_design.accuracy.finite import DIFFUSE
 from sampling_design.accuracy.question import AccuracyQuestion
-from sampling_design.accuracy.riccati import CovarianceMap, strong, updated
+from sampling_design.accuracy.riccati import CovarianceMap, in_turn, strong, updated
 from sampling_design.accuracy.rows import WantedRows, wanted_rows
 from sampling_design.accuracy.sample_chain import SampleChain
 from sampling_design.accuracy.search import ChainSearch
@@ -287,13 +287,8 @@ def _ellipsoid(
         information.append(share / parts * H.T @ H)
     kept = [1 - share if len(s.H) else 1.0 for s in chain.samples]
     if initial is None:
-        maps = [
-            CovarianceMap(f / np.sqrt(k), G / k, w)
-            for f, w, G, k in zip(F[:-1], W[:-1], information, kept, strict=True)
-        ]
-        period = maps[0]
-        for following in maps[1:]:
-            period = period.then(following)
+        steps = zip(F[:-1], W[:-1], information, kept, strict=True)
+        period = in_turn(CovarianceMap(f / np.sqrt(k), G / k, w) for f, w, G, k in steps)
         X = strong(period, np.eye(n) * DIFFUSE, WALK)
     else:
         S = initial.S * chain.D

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
-from sampling_design.numerics.linalg import expm_batch
+from sampling_design.numerics.linalg import forced_flow
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -352,11 +352,9 @@ class Readings:
         n, m, d = len(self.A), self.plant.n_states, self._balance
         A = self.A * d / d[:, None]
         rate = float(np.max(np.abs(A).sum(axis=0), initial=0.0)) or 1.0  # forces weigh what the states do
-        joint = np.zeros((n + m, n + m))
-        joint[:n, :n], joint[:m, n:] = A, rate * np.eye(m)
         different, at = np.unique(np.asarray(lengths, dtype=np.float64), return_inverse=True)
         with np.errstate(over="ignore", invalid="ignore"):
-            flow = expm_batch(joint, different)[:, :n] * d[:, None]
+            flow = forced_flow(A, rate * np.eye(n, m), different) * d[:, None]
             return np.asarray(flow / np.concatenate([d, rate * d[:m]]))[at]
 
     @cached_property

@@ -13,7 +13,7 @@ from sampling_design.accuracy.sample_chain import SampleChain
 from sampling_design.accuracy.search import ChainSearch
 from sampling_design.accuracy.start import InitialError, InitialSet, StartSet
 from sampling_design.errors import ArgumentError
-from sampling_design.numerics.linalg import expm_batch
+from sampling_design.numerics.linalg import forced_flow
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
@@ -232,10 +232,8 @@ class PeriodicGains:
 def _phase(search: ChainSearch, plant: Plant, found: Accuracy, j: int) -> _Phase:
     chain, bounds, n, m = search.chain, search.chain.bounds, plant.n_states, plant.n_inputs
     sample, before = chain.samples[j], chain.gaps[j - 1]
-    joint = np.zeros((n + m + 1, n + m + 1))
     scaled = np.hstack([plant.B, np.zeros((n, 1)) if bounds.w_centre is None else (plant.G @ bounds.w_centre)[:, None]])
-    joint[:n, :n], joint[:n, n:] = chain.A, scaled / chain.D[:, None]
-    flow = expm_batch(joint, [before.length])[0, :n]
+    flow = forced_flow(chain.A, scaled / chain.D[:, None], [before.length])[0]
     flow = chain.D[:, None] * flow / np.concatenate([chain.D, np.ones(m + 1)])
     mu = chain.mu(j, found.rows.matrix)
     made = [search.window(j, search.back, False).gains(column) for column in mu.T]

@@ -6,7 +6,9 @@ Every map is three matrices (F, G, Q), G and Q positive semidefinite; two of the
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 import numpy.typing as npt
@@ -61,6 +63,18 @@ class CovarianceMap:
         mid = later.G - later.G @ root @ solved @ later.G
         return CovarianceMap(F, symmetrise(self.G + self.F.T @ mid @ self.F), symmetrise(Q))
 
+    def repeated(self) -> CovarianceMap:
+        """Return the map applied as many times as there are states, or more."""
+        several = self
+        for _ in range(int(np.ceil(np.log2(len(self.F) + 1)))):
+            several = several.then(several)
+        return several
+
+
+def in_turn(maps: Iterable[CovarianceMap]) -> CovarianceMap:
+    """Return the map that applies all of them, the first one first."""
+    return reduce(CovarianceMap.then, maps)
+
 
 def strong(period: CovarianceMap, start: Array, share: float) -> Array:
     """Return the limit of repeated periods from any P > 0: that from 0 unless it lets an error grow.
@@ -72,10 +86,7 @@ def strong(period: CovarianceMap, start: Array, share: float) -> Array:
     closed = period.F @ np.linalg.inv(np.eye(len(P)) + P @ period.G)
     if np.max(np.abs(np.linalg.eigvals(closed)), initial=0.0) <= 1 + UNSTABLE:
         return P
-    several = period
-    for _ in range(int(np.ceil(np.log2(len(P) + 1)))):
-        several = several.then(several)
-    return limit(CovarianceMap(period.F, period.G, period.Q + share * several(start)))
+    return limit(CovarianceMap(period.F, period.G, period.Q + share * period.repeated()(start)))
 
 
 def updated(P: Array, G: Array) -> Array:

@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.bounds import SignalBounds
-from sampling_design.accuracy.riccati import CovarianceMap, RootedPeriod, limit, noise_root, updated
+from sampling_design.accuracy.riccati import CovarianceMap, RootedPeriod, in_turn, limit, noise_root, updated
 from sampling_design.accuracy.start import StartSet
 from sampling_design.errors import UndecidedError
-from sampling_design.numerics.linalg import discounted_flow, expm_batch, psd_root
+from sampling_design.numerics.linalg import discounted_flow, expm_batch, filter_gain, forced_flow, psd_root
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 
@@ -326,8 +326,7 @@ def endless_chain(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Array
         seen = H @ N[j]
         root = roots[j]
         L[j, :, :r], L[j, :, r:] = N[j] @ root, bases[j][:, r:]
-        gain = np.linalg.solve(seen @ P[j] @ seen.T + np.eye(len(H)), seen @ P[j]).T
-        K = np.vstack([np.linalg.solve(root, gain), np.zeros((len(A) - r, len(H)))])
+        K = np.vstack([np.linalg.solve(root, filter_gain(P[j], seen)), np.zeros((len(A) - r, len(H)))])
         shown = H @ L[j]
         shown[:, r:] = 0.0
         samples.append(ChainSample(bounds.measured(j), sizes[j], shown, exact[j], K))
@@ -400,12 +399,8 @@ def _covariances(F: Array, W: Array, rows: list[Array]) -> tuple[list[Array], li
     rooted = RootedPeriod(list(F), rows, [noise_root(w) for w in W])
     start = np.eye(F.shape[1])
     try:
-        period = maps[0]
-        for following in maps[1:]:
-            period = period.then(following)
-        several = period
-        for _ in range(int(np.ceil(np.log2(F.shape[1] + 1)))):
-            several = several.then(several)
+        period = in_turn(maps)
+        several = period.repeated()
         known = np.diag(several.G)
         start = np.diag(1 / np.where(known > 0, 1e-9 * known, 1.0))
         walk = RANDOM_WALK * several(start)
@@ -484,17 +479,20 @@ def make_gap(
     )
 
 
+def cell_rate(M: Array, bend: Array, loss: float) -> Array:
+    """Cells per time so short that delta^2/24 |M''|/|M| <= loss, along stacks of M and M'' (..., n, m)."""
+    size, curve = (np.linalg.norm(X, axis=(-2, -1)) for X in (M, bend))
+    return np.asarray(np.sqrt(np.divide(curve, size, out=np.zeros_like(size), where=size > 0) / (24 * loss)))
+
+
 def _cells(A: Array, G: Array, following: Array, panels: GapPanels, loss: float) -> tuple[Array, Array]:
     """Edges and integrals of cells short enough for the curvature of M: delta^2/24 |M''|/|M| <= loss."""
-    s, n, q = panels.s, len(A), G.shape[1]
-    size, curve = (np.linalg.norm(X, axis=(1, 2)) for X in (panels.M, panels.bend))
-    rate = np.sqrt(np.divide(curve, size, out=np.zeros_like(size), where=size > 0) / (24 * loss))
+    s, n = panels.s, len(A)
+    rate = cell_rate(panels.M, panels.bend, loss)
     marks = np.concatenate([[0.0], np.cumsum(np.diff(s) * (rate[1:] + rate[:-1]) / 2)])
     number = max(2, int(np.ceil(marks[-1])))
     even = np.linspace(0.0, s[-1], number + 1)
     edges = np.unique(np.interp(np.linspace(0.0, marks[-1], number + 1), marks, s)) if marks[-1] > 0 else even
     edges[0], edges[-1] = 0.0, s[-1]
-    joint = np.zeros((n + q, n + q))
-    joint[:n, :n], joint[:n, n:] = A, G
-    inner = expm_batch(joint, np.diff(edges))[:, :n, n:]
+    inner = forced_flow(A, G, np.diff(edges))[:, :, n:]
     return edges, np.asarray(np.linalg.solve(following, expm_batch(A, edges[:-1]) @ inner), dtype=np.float64)

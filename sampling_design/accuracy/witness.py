@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ from sampling_design.accuracy.between_samples import RowBetweenSamples
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.search import RowAdversary
 from sampling_design.accuracy.start import InitialSet
-from sampling_design.numerics.linalg import discounted_flow, expm_batch
+from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records.checks import freeze
@@ -94,10 +94,7 @@ class AccuracyWitness(Record):
         size = np.max(np.abs(self.w), axis=0, initial=0.0) if units is None else units
         A, G = plant.A * scale / scale[:, None], plant.G * size / scale[:, None]  # what is 0 cannot close a gap
         size = np.where(size > 0, size, 1.0)
-        n, q = G.shape
-        joint = np.zeros((n + q, n + q))
-        joint[:n] = np.hstack([A, G])
-        flows = expm_batch(joint, np.diff(self.edges))[:, :n]
+        flows = forced_flow(A, G, np.diff(self.edges))
         ends = np.searchsorted(self.edges, [*self.samples, self.edges[-1]])
         z, w = self.states / scale, self.w / size
         cells = np.diff(ends)
@@ -115,10 +112,15 @@ class AccuracyWitness(Record):
             change = _least_change(flat / unit[:, :, None], left / unit)
             open_still = np.abs(left - _times(flat, change))
             change[~np.all(open_still <= CLOSED * terms, axis=1)] = np.nan
-            w[inside] += change.reshape(len(at), count, q)
+            w[inside] += change.reshape(len(at), count, -1)
         ahead, flat = _flown(flows[None, ends[-2] :])
         x = ahead[0] @ z[-1] + flat[0] @ w[ends[-2] :].ravel()
         return WitnessRun(np.where(self.outputs, -self.states @ plant.C.T, np.nan), scale * x, w * size)
+
+    def within(self, excess: float, value: float) -> AccuracyWitness:
+        """Return the witness made so small that bounds which it exceeds by a factor are kept; `value` is its row."""
+        factor = max(excess, 1.0)
+        return replace(self, w=freeze(self.w / factor), states=freeze(self.states / factor), value=value / factor)
 
     def scales(self) -> Array:
         """How far w carries each state over the longest cell, so that units play no part in the flow."""
@@ -236,10 +238,9 @@ def physical(row: Array, opened: RowBetweenSamples, strike: RowAdversary, offset
     if offset:
         d = opened.d[: offset + 1]
         step = d[1] - d[0]
-        n = chain.D.size
-        joint = np.zeros((n + chain.G.shape[1],) * 2)
-        joint[:n] = np.hstack([chain.A, chain.G])
-        mean = (row * chain.D) @ expm_batch(chain.A, d[:-1]) @ expm_batch(joint, [step])[0, :n, n:]
+        mean = (
+            (row * chain.D) @ expm_batch(chain.A, d[:-1]) @ forced_flow(chain.A, chain.G, [step])[0, :, len(chain.D) :]
+        )
         if chain.bounds.w_ball:
             size = np.linalg.norm(mean, axis=1, keepdims=True)
             u = np.divide(mean, size, out=np.zeros_like(mean), where=size > 0)

@@ -11,7 +11,6 @@ from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.search import ChainSearch, RowSearch
 from sampling_design.accuracy.undetectable import open_modes
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains, physical
-from sampling_design.records.checks import freeze
 
 Array = npt.NDArray[np.float64]
 
@@ -46,9 +45,7 @@ def strongest_witness(
         closed = witness.simulate(question.bounds.w).w
         witness = replace(witness, w=closed) if np.isfinite(closed).all() else witness
         value, excess = attains(witness, question.bounds, question.initial)
-        factor = max(excess, 1.0)
-        w, states = freeze(witness.w / factor), freeze(witness.states / factor)
-        witness = replace(witness, w=w, states=states, value=value / factor)
+        witness = witness.within(excess, value)
         if best is None or witness.value > best[0].value * (1 + KEPT):
             best = witness, strike.sample, offset
     assert best is not None

@@ -67,6 +67,14 @@ def _squared(A: Array, norm: float, t: Array) -> Array:
     return np.asarray(result)
 
 
+def forced_flow(A: Array, B: Array, times: npt.ArrayLike) -> Array:
+    """Return e^{A t} and int_0^t e^{A s} B ds side by side, (N, n, n + q), for every t in `times`; B is (n, q)."""
+    n, q = B.shape
+    joint = np.zeros((n + q, n + q))
+    joint[:n, :n], joint[:n, n:] = A, B
+    return expm_batch(joint, times)[:, :n]
+
+
 def rows_ahead(C: Array, A: Array, times: Array) -> Array:
     """Return C e^{A t} (N, p, n) for many times t >= 0; short ones cost no exponential of their own."""
     norm = float(np.linalg.norm(A, 1))
@@ -225,6 +233,11 @@ def generalised_max(P: Array, Q: Array) -> float:
     half = np.linalg.solve(L, P)
     full = np.linalg.solve(L, np.swapaxes(half, -1, -2))
     return float(np.max(np.linalg.eigvalsh((full + np.swapaxes(full, -1, -2)) / 2)))
+
+
+def filter_gain(P: Array, H: Array) -> Array:
+    """Return P H'(H P H' + I)^-1, a filter's gain at a sample whose rows H are in units of their noise."""
+    return np.asarray(np.linalg.solve(H @ P @ H.T + np.eye(len(H)), H @ P).T, dtype=np.float64)
 
 
 def symmetrise(matrix: Array) -> Array:

@@ -13,7 +13,7 @@ from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.sample_chain import endless_chain
 from sampling_design.accuracy.undetectable import known_part
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
-from sampling_design.numerics.linalg import expm_batch
+from sampling_design.numerics.linalg import forced_flow
 from sampling_design.planning.problem import MOST_STEPS, PlanProblem
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.records.record import short
@@ -99,10 +99,7 @@ class DiscretePlant:
         return self._joint(self.step)
 
     def _joint(self, length: float) -> Array:
-        n, q = self.G.shape
-        joint = np.zeros((n + q, n + q))
-        joint[:n, :n], joint[:n, n:] = self.A, self.G
-        return np.asarray(expm_batch(joint, [length])[0, :n])
+        return np.asarray(forced_flow(self.A, self.G, [length])[0])
 
     @property
     def F(self) -> Array:

@@ -22,7 +22,7 @@ from sampling_design.accuracy.sample_chain import (
 )
 from sampling_design.accuracy.start import StartSet
 from sampling_design.errors import NotDetectableError
-from sampling_design.numerics.linalg import discounted_flow
+from sampling_design.numerics.linalg import discounted_flow, filter_gain
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.sequence_deviation import SampleSequence
 from sampling_design.records.checks import freeze
@@ -148,5 +148,5 @@ def _fresh(plan: PlanFigures, own: SampleChain, P: Array, seen: npt.NDArray[np.b
     bounds = replace(own.bounds, v=freeze(v[None]))
     (H,), (size,), (exact,) = noise_units(plan.plant.C * own.D, bounds, P[None])
     root = covariance_root(updated(P, H.T @ H))
-    gain = np.linalg.solve(H @ P @ H.T + np.eye(len(H)), H @ P).T
-    return root, ChainSample(bounds.measured(0), size, H @ root, exact, np.linalg.solve(root, gain))
+    K = np.asarray(np.linalg.solve(root, filter_gain(P, H)), dtype=np.float64)
+    return root, ChainSample(bounds.measured(0), size, H @ root, exact, K)

@@ -21,7 +21,7 @@ from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.online.evidence import Assumptions
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
-from sampling_design.numerics.linalg import discounted_flow, expm_batch
+from sampling_design.numerics.linalg import discounted_flow, forced_flow
 from sampling_design.plants.plant import Signals
 from sampling_design.records import checks
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
@@ -199,11 +199,9 @@ class NominalFilter(KalmanFilter):
 
     def _stepped(self, x: Array, Y: Array, beta: float, push: Array, step: float) -> tuple[Array, Array, float] | None:
         """State, covariance and radius after a step; None if no bound of the mismatch holds itself up over it."""
-        A, eta, rows, n = self.plant.A, self.weights.eta, self._rows, len(x)
+        A, eta, rows = self.plant.A, self.weights.eta, self._rows
         F, W = (M[0] for M in discounted_flow(A, self.weights.noise, [step], eta))
-        block = np.zeros((n + 1, n + 1))
-        block[:n, :n], block[:n, n] = A, push
-        x_next = (expm_batch(block, [step])[0] @ np.append(x, 1.0))[:n]
+        x_next = forced_flow(A, push[:, None], [step])[0] @ np.append(x, 1.0)
         Y_next = np.exp(eta * step) * F @ Y @ F.T + W
         try:
             L = np.linalg.cholesky(Y)

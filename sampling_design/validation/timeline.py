@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.composed_flow import state_units
-from sampling_design.numerics.linalg import expm_batch
+from sampling_design.numerics.linalg import forced_flow
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -119,16 +119,14 @@ def default_duration(schedule: Schedule | PeriodicSchedule, horizon: float) -> f
 
 def exact_flow(plant: Plant, lengths: Array, through: Array) -> tuple[Array, Array]:
     """Return e^{Ah} and int_0^h e^{As} ds `through`, one pair per length, from one augmented exponential."""
-    n, m = through.shape
+    n = len(through)
     s = state_units(plant.A, plant.states.scales)
     pushed = through / s[:, None]
     size = np.linalg.norm(pushed, axis=0)
     c = np.where(size > 0, size, 1.0)
-    block = np.zeros((n + m, n + m))
-    block[:n, :n], block[:n, n:] = plant.A * s / s[:, None], pushed / c
     unique, place = np.unique(lengths, return_inverse=True)
-    whole = expm_batch(block, unique)[place]
-    return whole[:, :n, :n] * (s[:, None] / s), whole[:, :n, n:] * (s[:, None] * c)
+    whole = forced_flow(plant.A * s / s[:, None], pushed / c, unique)[place]
+    return whole[:, :, :n] * (s[:, None] / s), whole[:, :, n:] * (s[:, None] * c)
 
 
 def _sampled(starts: Array, times: Array) -> Array:

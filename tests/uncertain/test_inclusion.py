@@ -592,7 +592,7 @@ def test_sets_of_outputs_that_no_halving_decides_are_undecided(monkeypatch):
         with pytest.raises(BallFailure, match="could not be decided: it is tight or nearly so"):
             inclusion_balls.inclusion(tight, TimeBudget(60.0))
         with pytest.raises(BallFailure, match="x > 0 could not be decided: it is tight or nearly so"):
-            inclusion_balls.positive("x > 0", balls.matrix([[1.0, 1.0], [1.0, 1.0]]), balls.identity(2))
+            inclusion_balls.positive("x > 0", balls.matrix([[1.0, 1.0], [1.0, 1.0]]), [balls.ball(1.0)] * 2)
 
 
 def test_numbers_whose_products_leave_all_doubles_are_undecided():

@@ -16,6 +16,7 @@ from sampling_design.checkers.parts import Plant, Weights
 from sampling_design.checkers.schedule_file import Times
 from sampling_design.numerics.ball_flow import BallFlow
 from sampling_design.numerics.balls import (
+    Ball,
     Matrix,
     ball,
     cholesky,
@@ -61,6 +62,33 @@ def positive_definite(name: str, M: Matrix) -> None:
     if not found:
         verdict, word = (REFUTED, "is not") if found is False else (UNDECIDED, "is not certainly")
         raise BallFailure(verdict, f"{name} > 0", f"{name} {word} positive definite")
+
+
+def in_units(form: Matrix, sizes: list[Ball]) -> Matrix:
+    """A form in units in which entries of the size of `sizes` on its diagonal become 1."""
+    roots, n = [(size if size > 0 else ball(1.0)).sqrt() for size in sizes], len(sizes)
+    made: Matrix = flint().arb_mat([[form[i, j] / roots[i] / roots[j] for j in range(n)] for i in range(n)])
+    return made
+
+
+def proven_slack(M: Matrix, shares: tuple[float, ...]) -> float | None:
+    """A proven s >= 0 with M >= s I: the first of these shares of the guessed least eigenvalue that is, or None."""
+    guess = float(np.linalg.eigvalsh(floats(M))[0])
+    tried = [*((share * guess for share in shares) if guess > 0 else ()), 0.0]
+    return next((slack for slack in tried if definite(M - identity(M.nrows()) * ball(slack))), None)
+
+
+def dissipation(P: Matrix, slope: Matrix, A: Matrix, G: Matrix, Qw: Matrix, rate: Ball) -> tuple[Matrix, list[Ball]]:
+    """[-(slope + A'P + PA + rate P), -PG; -G'P, Qw], and the sum of the sizes of the terms of each diagonal entry."""
+    n, q, drift, off = P.nrows(), Qw.nrows(), P * A, P * G
+    corner = slope + drift + drift.transpose() + P * rate
+    rows = [[*(-corner[i, j] for j in range(n)), *(-off[i, k] for k in range(q))] for i in range(n)]
+    rows += [[*(-off[i, k] for i in range(n)), *(Qw[k, j] for j in range(q))] for k in range(q)]
+    sizes = []
+    for i in range(n):
+        drifts = sum((abs(A[j, i]) * abs(P[j, i]) for j in range(n)), ball(0.0))
+        sizes.append(abs(slope[i, i]) + 2 * drifts + abs(rate * P[i, i]))
+    return flint().arb_mat(rows), [*sizes, *(Qw[k, k] for k in range(q))]
 
 
 class BallWeights:

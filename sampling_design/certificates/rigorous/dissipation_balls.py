@@ -11,11 +11,17 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.certificates.rigorous.ball_problem import BallDecision, BallFailure
+from sampling_design.certificates.rigorous.ball_problem import (
+    BallDecision,
+    BallFailure,
+    dissipation,
+    in_units,
+    proven_slack,
+)
 from sampling_design.checkers.detectability import INEQUALITY, Detectability
 from sampling_design.checkers.outcome import REFUTED, UNDECIDED
 from sampling_design.numerics.ball_flow import TimeBudget
-from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, symmetric
+from sampling_design.numerics.balls import Ball, Matrix, ball, floats, identity, matrix, symmetric
 from sampling_design.records.record import short
 
 Array = npt.NDArray[np.float64]
@@ -36,34 +42,20 @@ def detectability(c: Detectability, clock: TimeBudget) -> BallDecision:
     if not c.plant.n:
         return BallDecision(INEQUALITY, "a plant without states", 1.0)
     P = symmetric(c.P)
-    form, sizes = negative(c, P)
+    A, C = matrix(c.plant.A), matrix(c.plant.C)
+    seen, bound = C.transpose() * C * ball(c.c_y), identity(c.plant.G.shape[1]) * ball(c.c_w)
+    form, sizes = dissipation(P, -seen, A, matrix(c.plant.G), bound, (1 + ball(c.margin)) * ball(c.eta))
     decided("P > 0", P, [abs(P[i, i]) for i in range(c.plant.n)])
     return BallDecision(INEQUALITY, "every state and disturbance", decided(INEQUALITY, form, sizes))
 
 
-def negative(c: Detectability, P: Matrix) -> tuple[Matrix, list[Ball]]:
-    """N, and for each diagonal entry the sum of the sizes of its terms."""
-    A, C, n, q = matrix(c.plant.A), matrix(c.plant.C), c.plant.n, c.plant.G.shape[1]
-    rate, c_w = (1 + ball(c.margin)) * ball(c.eta), ball(c.c_w)
-    drift, seen, off = A.transpose() * P, C.transpose() * C * ball(c.c_y), P * matrix(c.plant.G)
-    corner = seen - drift - drift.transpose() - P * rate
-    rows = [[*corner.tolist()[i], *(-off[i, k] for k in range(q))] for i in range(n)]
-    rows += [[*(-off[i, k] for i in range(n)), *(c_w if k == j else ball(0.0) for j in range(q))] for k in range(q)]
-    sizes = []
-    for i in range(n):
-        drifts = [abs(A[j, i]) * abs(P[j, i]) for j in range(n)]
-        sizes.append(sum(drifts, ball(0.0)) * 2 + seen[i, i] + rate * abs(P[i, i]))
-    return flint().arb_mat(rows), [*sizes, *([c_w] * q)]
-
-
 def decided(name: str, form: Matrix, sizes: list[Ball]) -> float:
     """Return a proven slack of form > 0 relative to `sizes`; Unproven where there is none."""
-    roots, n = [(size if size > 0 else ball(1.0)).sqrt() for size in sizes], len(sizes)
-    M = flint().arb_mat([[form[i, j] / roots[i] / roots[j] for j in range(n)] for i in range(n)])
-    values, vectors = np.linalg.eigh(floats(M))
-    for slack in [share * float(values[0]) for share in SHARES if values[0] > 0] + [0.0]:
-        if definite(M - identity(n) * ball(slack)):
-            return slack
+    M = in_units(form, sizes)
+    slack = proven_slack(M, SHARES)
+    if slack is not None:
+        return slack
+    vectors = np.linalg.eigh(floats(M))[1]
     found = downhill(M)
     if found is None:
         raise BallFailure(UNDECIDED, name, f"{name} could not be decided: it is tight or nearly so")
@@ -72,7 +64,7 @@ def decided(name: str, form: Matrix, sizes: list[Ball]) -> float:
     quotient = (guess.transpose() * M * guess)[0, 0] / (guess.transpose() * guess)[0, 0]
     if quotient < value:
         value, z = quotient, vectors[:, 0]
-    along = z / np.array([float(root) for root in roots])
+    along = z / np.array([np.sqrt(float(size)) if size > 0 else 1.0 for size in sizes])
     amount, along = float(value.upper()), (along / np.linalg.norm(along)).tolist()
     reason = f"{name} fails by {-amount:.3g}, an eigenvalue relative to the size of its terms, along {short(along, 3)}"
     raise BallFailure(REFUTED, name, reason, amount=amount, direction=along)

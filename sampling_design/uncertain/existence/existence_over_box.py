@@ -12,7 +12,7 @@ from scipy import optimize
 
 from sampling_design.certificates.existence.periodic import ExistenceAnswer, certificate_exists, judged
 from sampling_design.errors import UndecidedError
-from sampling_design.numerics.linalg import positive_or_one
+from sampling_design.numerics.linalg import filter_gain, positive_or_one
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -232,7 +232,7 @@ class GainedGaps:
             for i, F in enumerate(flows):
                 infos.append(Y)
                 X, rows = F @ Y @ F.T + noise[i] * self.identity, C[self.measured[i]]
-                K = np.linalg.solve(rows @ X @ rows.T + np.eye(len(rows)), rows @ X).T
+                K = filter_gain(X, rows)
                 keep = self.identity - K @ rows
                 Y = keep @ X @ keep.T + K @ K.T
                 Y = (Y + Y.T) / 2

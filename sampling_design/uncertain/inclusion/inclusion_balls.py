@@ -14,20 +14,27 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.certificates.form.digest import RESOLUTION
-from sampling_design.certificates.rigorous.ball_problem import BallDecision, BallFailure, positive_definite
+from sampling_design.certificates.rigorous.ball_problem import (
+    BallDecision,
+    BallFailure,
+    dissipation,
+    in_units,
+    positive_definite,
+    proven_slack,
+)
 from sampling_design.checkers.cover import judge
 from sampling_design.checkers.inclusion import FLOW, SUBJECT, broken, pieces
 from sampling_design.checkers.inclusion_file import Box, Inclusion, Region, Vertices, moved
 from sampling_design.checkers.jumps import JUMP
 from sampling_design.checkers.outcome import REFUTED, UNDECIDED, Refused
 from sampling_design.numerics.ball_flow import TimeBudget
-from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, symmetric
+from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, matrix, symmetric
 from sampling_design.uncertain.inclusion.region_balls import JacobianCells, mid, parted
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Jumps = list[tuple[Matrix, Matrix, float]]
-SHARES = (0.9, 0.0)
+SHARES = (0.9,)
 """Parts of the guessed least eigenvalue that are tried as a proven slack."""
 PRICE = 200
 """Work, about microseconds, of one inequality, beside that of its size."""
@@ -55,30 +62,33 @@ def inclusion(c: Inclusion, clock: TimeBudget) -> BallDecision:
     for key, M in (("P1", P1), ("Qw", Qw), ("R", R), ("Qv", Qv)):
         positive_definite(key, M)
     low = P1 * (ball(1.0) + ball(w.margin))
-    slacks = [positive("(1 + margin) P1 < P(tau)", M - low, M) for M in P]
-    slacks += [positive("P(tau) < P2", P2 - M, P2) for M in P]
+    slacks = [positive("(1 + margin) P1 < P(tau)", M - low, diagonal(M)) for M in P]
+    slacks += [positive("P(tau) < P2", P2 - M, diagonal(P2)) for M in P]
     top = P1 * ball(w.lam)
-    slacks.append(positive("(1 - 1e-3) P2 < lam P1", top - P2 * (ball(1.0) - ball(RESOLUTION)), top))
+    slacks.append(positive("(1 - 1e-3) P2 < lam P1", top - P2 * (ball(1.0) - ball(RESOLUTION)), diagonal(top)))
     Rt = R * (R + Qv).solve(Qv)
     slacks.append(jumps(c, P, Rt, clock))
     slacks.append(flows(c, P, Qw, clock))
     return BallDecision(name, SUBJECT, min(slacks))
 
 
-def positive(name: str, form: Matrix, size: Matrix, when: float | None = None) -> float:
-    """A proven slack of form > 0 relative to the diagonal of `size`; Unproven where there is none."""
-    n = form.nrows()
-    roots = [abs(size[i, i]).sqrt() if abs(size[i, i]) > 0 else ball(1.0) for i in range(n)]
-    M = flint().arb_mat([[form[i, j] / roots[i] / roots[j] for j in range(n)] for i in range(n)])
+def positive(name: str, form: Matrix, sizes: list[Ball], when: float | None = None) -> float:
+    """A proven slack of form > 0 relative to `sizes`; BallFailure where there is none."""
+    M = in_units(form, sizes)
+    slack = proven_slack(M, SHARES)
+    if slack is not None:
+        return slack
     guess = float(np.linalg.eigvalsh(floats(M))[0])
-    for share in SHARES if guess > 0 else (0.0,):
-        if definite(M - identity(n) * ball(share * guess)):
-            return share * guess
     if definite(M) is False:
         raise BallFailure(REFUTED, name, f"{name} certainly fails by {-guess:.3g}", amount=guess, time=when)
     raise BallFailure(
         UNDECIDED, name, f"{name} could not be decided: it is tight or nearly so", amount=guess, time=when
     )
+
+
+def diagonal(M: Matrix) -> list[Ball]:
+    """The sizes of the entries on the diagonal."""
+    return [abs(M[i, i]) for i in range(M.nrows())]
 
 
 # --- members of a box or a list --------------------------------------------------------------------------------------
@@ -108,36 +118,13 @@ def ends_of(c: Inclusion, P: list[Matrix]) -> list[tuple[Matrix, Matrix, float]]
     return found
 
 
-def flow(P: Matrix, slope: Matrix, A: Matrix, G: Matrix, Qw: Matrix, eta: Ball) -> Matrix:
-    """[-(P' + A'P + PA + eta P), -PG; -G'P, Qw]."""
-    drift, off = P * A, P * G
-    corner = (slope + drift + drift.transpose() + P * eta).tolist()
-    side, n, q = off.tolist(), P.nrows(), Qw.nrows()
-    rows = [[*(-x for x in corner[i]), *(-x for x in (side[i] if q else []))] for i in range(n)]
-    rows += [[*(-side[i][k] for i in range(n)), *Qw.tolist()[k]] for k in range(q)]
-    made: Matrix = flint().arb_mat(rows)
-    return made
-
-
-def sized(P: Matrix, slope: Matrix, A: Matrix, Qw: Matrix, eta: Ball) -> Matrix:
-    """A diagonal with the size of the terms of each entry."""
-    n, q = P.nrows(), Qw.nrows()
-    values = []
-    for i in range(n):
-        drift = sum((abs(A[j, i]) * abs(P[j, i]) for j in range(n)), ball(0.0))
-        values.append(abs(slope[i, i]) + 2 * drift + eta * abs(P[i, i]))
-    values += [Qw[k, k] for k in range(q)]
-    made: Matrix = flint().arb_mat([[values[i] if i == j else ball(0.0) for j in range(n + q)] for i in range(n + q)])
-    return made
-
-
 def flows(c: Inclusion, P: list[Matrix], Qw: Matrix, clock: TimeBudget) -> float:
     """The flow condition for every member."""
     eta, every = ball(c.weights.eta), ends_of(c, P)
     if isinstance(c.model, Region):
 
         def slacks(A: Matrix, G: Matrix) -> Iterator[Matrix]:
-            return (flow(p, slope, A, G, Qw, eta) for p, slope, _ in every)
+            return (dissipation(p, slope, A, G, Qw, eta)[0] for p, slope, _ in every)
 
         return JacobianCells(c, c.model, clock).prove(FLOW, lambda M, _: slacks(*parted(M, c.plant.n)), True)
     if c.multipliers is not None:
@@ -146,7 +133,7 @@ def flows(c: Inclusion, P: list[Matrix], Qw: Matrix, clock: TimeBudget) -> float
     for A, G in members(c, "AG"):
         for p, slope, tau in every:
             clock.check(PRICE + (c.plant.n + len(c.weights.Qw)) ** 3)
-            slack = min(slack, positive(FLOW, flow(p, slope, A, G, Qw, eta), sized(p, slope, A, Qw, eta), tau))
+            slack = min(slack, positive(FLOW, *dissipation(p, slope, A, G, Qw, eta), tau))
     return slack
 
 
@@ -167,19 +154,18 @@ def multiplied(c: Inclusion, every: list[tuple[Matrix, Matrix, float]], Qw: Matr
     eta, slack, m = ball(c.weights.eta), 1.0, len(columns)
     for (p, slope, tau), weights in zip(every, c.multipliers.reshape(len(every), m), strict=True):
         clock.check(PRICE + (n + q + m) ** 3)
-        form, size = flow(p, slope, A, G, Qw, eta).tolist(), sized(p, slope, A, Qw, eta).tolist()
+        flow, sizes = dissipation(p, slope, A, G, Qw, eta)
+        form = flow.tolist()
         for k, z in enumerate(chosen):
             form[z][z] -= ball(weights[k])
-            size[z][z] += ball(weights[k])
+            sizes[z] += ball(weights[k])
         sides = [(p * column).entries() for column in columns]
         rows = [[*form[i], *(-side[i] if i < n else ball(0.0) for side in sides)] for i in range(n + q)]
-        sizes = [[*size[i], *([ball(0.0)] * m)] for i in range(n + q)]
         for k, side in enumerate(sides):
             own = [ball(weights[k]) if j == k else ball(0.0) for j in range(m)]
             rows.append([*(-side[i] if i < n else ball(0.0) for i in range(n + q)), *own])
-            sizes.append([*([ball(0.0)] * (n + q)), *own])
         try:
-            slack = min(slack, positive(FLOW, flint().arb_mat(rows), flint().arb_mat(sizes), tau))
+            slack = min(slack, positive(FLOW, flint().arb_mat(rows), [*sizes, *map(ball, weights)], tau))
         except BallFailure as error:
             raise multipliers_fail(c, error) from None
     return slack
@@ -210,7 +196,7 @@ def jumps(c: Inclusion, P: list[Matrix], Rt: Matrix, clock: TimeBudget) -> float
         ]
         if not seen.any():
             for later, base, tau in every:
-                slack = min(slack, positive(JUMP, later - base, later + base, tau))
+                slack = min(slack, positive(JUMP, later - base, diagonal(later + base), tau))
         elif isinstance(c.model, Region):
             rows = np.flatnonzero(seen).tolist()
 
@@ -304,7 +290,7 @@ class OutputSets:
             exact = [gained + tangent(C, C, Y) for C in Cs]
             sizes = [later + base + tangent(C, C, Y) for C in Cs]
             if len(points) == 1:
-                slack = min(slack, positive(JUMP, exact[0], sizes[0], tau))
+                slack = min(slack, positive(JUMP, exact[0], diagonal(sizes[0]), tau))
                 continue
             least = [float(np.linalg.eigvalsh(floats(M))[0]) for M in exact]
             weakest = int(np.argmin(least))

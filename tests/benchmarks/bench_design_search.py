@@ -1,14 +1,11 @@
 """Designs against differential evolution and SHGO, each with ten times the design's CPU time.
 
-python -m tests.benchmarks.bench_design_search [KIND ...] writes docs/design_search.md, or the rows of those kinds in it
+python -m tests.benchmarks.bench_design_search [ROW ...] writes docs/design_search.md, or those rows in it
 """
 
-import os
 import sys
 import time
-from datetime import date
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,13 +18,9 @@ from sampling_design.design.schedule_design import designed_plant
 from sampling_design.plants import library
 from sampling_design.plants.modes import split_modes
 from tests.benchmarks.design_bounds import PROBLEMS
+from tests.benchmarks.pages import MeasuredPage, Table
 
-DOCS = Path(__file__).parents[2] / "docs"
 TIMES = 10
-NOTE = (
-    "Sigma of each best schedule found, attained, in the coordinates that are designed for. No bound was beaten: "
-    "a search that finds more ends the program. Rows that a run does not name stay as an earlier run left them."
-)
 CASES = {
     "oscillator, 3 samples": (library.oscillator(), Requirement(window=4.0, spacing=0.5, samples=3)),
     "double integrator, 4 samples": (library.double_integrator(), Requirement(window=4.0, spacing=0.5, samples=4)),
@@ -56,7 +49,7 @@ class Objective:
     def __init__(self, plant, requirement, seconds):
         split = split_modes(plant)
         asked = resolve(split, requirement).requirement
-        self.plant = designed_plant(split, asked)
+        self.plant = designed_plant(split)
         self.problem = pose(self.plant, asked, asked.samples["exactly"])
         self.best, self.times, self.used, self.calls = 0.0, None, None, 0
         self.until = time.process_time() + seconds
@@ -159,8 +152,9 @@ def test_design(benchmark, name):
     assert 0 < design.sigma <= design.upper_bound
 
 
-def row(name, plant, requirement):
-    """One row: the design, what the searchers find in ten times its CPU time, and whether they beat it."""
+def cells(name):
+    """The design, what the searchers find in ten times its CPU time, and whether they beat it."""
+    plant, requirement = EVERY[name]
     began = time.process_time()
     design = design_schedule(plant, requirement)
     seconds = time.process_time() - began
@@ -170,30 +164,32 @@ def row(name, plant, requirement):
     found = [searched(each, plant, requirement, TIMES * seconds).proven() for each in names]
     assert max(found) <= design.upper_bound * (1 + 1e-9), name
     more = max(found) / design.sigma_attained - 1
-    cells = [name, f"{seconds:.2f}", f"{design.sigma:.6g}", f"{design.upper_bound:.6g}", f"{100 * design.gap:.2f} %"]
-    cells += (
-        [f"{value:.6g}" for value in found] + ["-"] * (2 - len(found)) + [f"{100 * more:.3f} %" if more > 0 else "-"]
-    )
-    return "| " + " | ".join(cells) + " |"
+    best = [f"{value:.6g}" for value in found] + ["-"] * (2 - len(found))
+    told = f"{design.sigma:.6g}", f"{design.upper_bound:.6g}", f"{100 * design.gap:.2f} %"
+    return f"{seconds:.2f}", *told, *best, f"{100 * more:.3f} %" if more > 0 else "-"
 
 
-def main(kinds):
-    """Measure all kinds, or those that are named, and write the page; rows of other kinds stay as they are."""
-    page = DOCS / "design_search.md"
-    every = CASES | PROBLEMS
-    rows = {line.split("|")[1].strip(): line for line in page.read_text().splitlines()[8:] if line.startswith("|")}
-    designed("oscillator, 3 samples")  # the first call loads the solver
-    for name, problem in every.items():
-        if not kinds or any(kind in name for kind in kinds):
-            rows[name] = row(name, *problem)
-            print(rows[name], flush=True)
-            made = f"Made by `python -m tests.benchmarks.bench_design_search`, last on {date.today()}"
-            lines = ["# Designs against global searches", "", __doc__.split("\n\n")[0], ""]
-            lines += [f"{made}; CPU seconds, {os.cpu_count()} cores, one BLAS thread.", NOTE, ""]
-            lines += ["| case | CPU s | sigma proven | bound | gap | differential evolution | SHGO | beaten by |"]
-            lines += ["|---|---|---|---|---|---|---|---|", *(rows[each] for each in every if each in rows)]
-            page.write_text("\n".join(lines) + "\n")
-
+EVERY = CASES | PROBLEMS
+NOTE = (
+    "Sigma of each best schedule found, attained, in the coordinates that are designed for. No bound was beaten: "
+    "a search that finds more ends the program. Rows that a run does not name stay as an earlier run left them."
+)
+RIVALS = ("differential evolution", "SHGO", "beaten by")
+TABLE = Table(
+    ("case", "CPU s", "sigma proven", "bound", "gap", *RIVALS),
+    list(EVERY),
+    cells,
+    clocked=frozenset({"CPU s", *RIVALS}),
+)
+PAGE = MeasuredPage(
+    "design_search.md",
+    "Designs against global searches",
+    __doc__.split("\n\n")[0],
+    "python -m tests.benchmarks.bench_design_search",
+    NOTE,
+    [TABLE],
+)
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    designed("oscillator, 3 samples")  # the first call loads the solver
+    PAGE.run(sys.argv[1:])

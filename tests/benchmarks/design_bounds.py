@@ -1,15 +1,12 @@
 """How close the bound of a design is, kind by kind, beside the gap that an independent attack found for such problems.
 
-python -m tests.benchmarks.design_bounds [--random 59] [KIND ...] writes docs/design_bounds.md, or those rows in it
+python -m tests.benchmarks.design_bounds [ROW ...] writes docs/design_bounds.md, or those rows in it
 """
 
 from __future__ import annotations
 
-import argparse
-import os
+import sys
 import time
-from datetime import date
-from pathlib import Path
 
 import numpy as np
 
@@ -17,6 +14,7 @@ from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.errors import InfeasibleRequirementError
 from sampling_design.plants import library
 from tests.benchmarks.bench_design import daylight, oscillators
+from tests.benchmarks.pages import MeasuredPage, Table
 from tests.oracles.requirements import random_problem
 
 PAIR = oscillators(4)
@@ -130,16 +128,6 @@ def random_ones(count):
             yield seed - 1, plant, requirement, design, seconds
 
 
-PAGE = Path(__file__).parents[2] / "docs" / "design_bounds.md"
-HEADS = (
-    "| problem | attacked | gap | sigma | bound | by, parts | processor time | loop |",
-    "| random problems | above 3 %, attacked | above 3 % | which, gap in % | processor time | loop |",
-)
-NOTE = """The attack's problems were of these kinds, not always these very ones. Sigma and bound are those that are
-designed for (in scaled coordinates where the plant has scales). Processor seconds with default cuts; the last column is
-what an empty loop of five million turns took just after, by which figures of other days can be compared. What closes
-each kind, and what stays open, stands [in the theory](theory/sigma.md#bound-table)."""
-SWEEP_ATTACKED = "29 of 59"
 WIDE = 0.03
 
 
@@ -151,58 +139,41 @@ def loop():
     return time.process_time() - began
 
 
-def line(name, design, seconds):
-    """One row of the table."""
+def cells(name):
+    """The columns of a problem after its name."""
+    design, seconds = measured(*PROBLEMS[name])
     bounds = [design.bound, *design.other_counts.values()]
     widest = max(bounds, key=lambda bound: bound.value)
     before = next((gap for kind, gap in ATTACKED.items() if name.startswith(kind)), "")
-    return (
-        f"| {name} | {before} | {100 * design.gap:.2f} % | {design.sigma:.4g} | {design.upper_bound:.4g} | "
-        f"{widest.method}, {len(widest.parts)} | {seconds:.1f} s | {loop():.2f} s |"
-    )
+    found = before, f"{100 * design.gap:.2f} %", f"{design.sigma:.4g}", f"{design.upper_bound:.4g}"
+    return *found, f"{widest.method}, {len(widest.parts)}", f"{seconds:.1f} s", f"{loop():.2f} s"
 
 
-def sweep_line(found):
-    """The row of a random sweep."""
-    wide = [f"{seed} ({100 * gap:.1f})" for seed, gap, _ in found if gap > WIDE]
-    seconds = sum(each for _, _, each in found)
-    return (
-        f"| {len(found)} small ones | {SWEEP_ATTACKED} | {len(wide)} of {len(found)} | {', '.join(wide)} | "
-        f"{seconds:.0f} s | {loop():.2f} s |"
-    )
+def sweep_cells(name):
+    """The columns of a random sweep after its name."""
+    wide, seconds, count = [], 0.0, int(name.split()[0])
+    for seed, _, _, design, spent in random_ones(count):
+        seconds += spent
+        if design.gap > WIDE:
+            wide.append(f"{seed} ({100 * design.gap:.1f})")
+    return "29 of 59", f"{len(wide)} of {count}", ", ".join(wide), f"{seconds:.0f} s", f"{loop():.2f} s"
 
 
-def write(rows):
-    """The page, from rows by the name of their problem."""
-    made = f"Made by `python -m tests.benchmarks.design_bounds --random 59`, last on {date.today()}"
-    text = ["# How close the bounds are", "", __doc__.split("\n\n")[0], "", f"{made}; {os.cpu_count()} cores.", NOTE]
-    for heads, names in zip(HEADS, ([*PROBLEMS], [name for name in rows if name not in PROBLEMS]), strict=True):
-        text += ["", heads, "|---" * (heads.count("|") - 1) + "|", *(rows[name] for name in names if name in rows)]
-    PAGE.write_text("\n".join(text) + "\n")
-
-
-def main():
-    """Measure all problems, or those that are named, and write the page; rows of others stay as they are."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("kinds", nargs="*")
-    parser.add_argument("--random", type=int, default=0)
-    given = parser.parse_args()
-    lines = PAGE.read_text().splitlines() if PAGE.exists() else []
-    rows = {line.split("|")[1].strip(): line for line in lines if line[:2] == "| " and line not in HEADS}
-    for name, (plant, requirement) in PROBLEMS.items():
-        if (given.kinds or given.random) and not any(kind in name for kind in given.kinds):
-            continue
-        rows[name] = line(name, *measured(plant, requirement))
-        print(rows[name], flush=True)
-        write(rows)
-    found = []
-    for seed, _, _, design, seconds in random_ones(given.random):
-        found.append((seed, design.gap, seconds))
-        print(line(f"random {seed}", design, seconds), flush=True)
-    if found:
-        rows[f"{len(found)} small ones"] = sweep_line(found)
-        write(rows)
-
+NOTE = """The attack's problems were of these kinds, not always these very ones. Sigma and bound are those that are
+designed for (in scaled coordinates where the plant has scales). Processor seconds with default cuts; the last column is
+what an empty loop of five million turns took just after, by which figures of other days can be compared. What closes
+each kind, and what stays open, stands [in the theory](theory/sigma.md#bound-table). Rows that a run does not
+name stay as an earlier run left them."""
+KINDS = ("problem", "attacked", "gap", "sigma", "bound", "by, parts", "processor time", "loop")
+SWEEP = ("random problems", "above 3 %, attacked", "above 3 %", "which, gap in %", "processor time", "loop")
+PAGE = MeasuredPage(
+    "design_bounds.md",
+    "How close the bounds are",
+    __doc__.split("\n\n")[0],
+    "python -m tests.benchmarks.design_bounds",
+    NOTE,
+    [Table(KINDS, list(PROBLEMS), cells), Table(SWEEP, ["59 small ones"], sweep_cells)],
+)
 
 if __name__ == "__main__":
-    main()
+    PAGE.run(sys.argv[1:])

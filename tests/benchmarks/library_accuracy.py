@@ -1,8 +1,9 @@
-"""Accuracy of every state of every library plant to one per cent: `python -m tests.benchmarks.library_accuracy NAME`.
+"""Accuracy of every state of every library plant to one per cent.
 
-Each plant has the period and the number of samples of its example requirement, evenly spaced; the tidal gauge's thirty
-readings go round the daylight, since one a day at one clock time would alias. w is bounded by the plant's own scales of
-its disturbances, the noise by a twentieth of each output's scale. Process time.
+python -m tests.benchmarks.library_accuracy [PLANT ...] writes docs/library_accuracy.md, or the rows of those plants in
+it. Each plant has the period and the number of samples of its example requirement, evenly spaced; the tidal gauge's
+thirty readings go round the daylight, since one a day at one clock time would alias. w is bounded by the plant's own
+scales of its disturbances, the noise by a twentieth of each output's scale.
 """
 
 import sys
@@ -12,6 +13,7 @@ import numpy as np
 
 from sampling_design import PeriodicSchedule, guaranteed_accuracy
 from sampling_design.plants import library
+from tests.benchmarks.pages import MeasuredPage, Table
 
 SCHEDULES = {
     "double_integrator": (4, 10.0),
@@ -48,10 +50,28 @@ def measured(name, rtol=0.01):
     return found, time.process_time() - before
 
 
+def cells(name):
+    """The columns of a plant after its name."""
+    found, taken = measured(name)
+    loose = float(np.max(found.upper / found.lower)) - 1
+    rows = ", ".join(
+        f"{row} {low:.5g} to {high:.5g}"
+        for row, low, high in zip(found.rows.names, found.lower, found.upper, strict=True)
+    )
+    return str(len(found.schedule.gaps)), rows, f"{100 * loose:.2f} %", f"{taken:.1f}"
+
+
+WHAT = """How well every state of the library's plants can be known at the worst time: evenly spaced samples of its
+example period (the tidal gauge's go round the daylight), $w$ bounded by the scales of the disturbances and $v$ by a
+twentieth of those of the outputs, asked to 1 %; [accuracy](#accuracy-library)."""
+PAGE = MeasuredPage(
+    "library_accuracy.md",
+    "What samples tell of the library's plants",
+    WHAT,
+    "python -m tests.benchmarks.library_accuracy",
+    "Both ends are proven. Rows that a run does not name stay as an earlier run left them.",
+    [Table(("plant", "samples", "worst errors", "widest bracket", "CPU s"), [*SCHEDULES, "tidal_gauge"], cells)],
+)
+
 if __name__ == "__main__":
-    for name in sys.argv[1:] or [*SCHEDULES, "tidal_gauge"]:
-        found, taken = measured(name)
-        loose = float(np.max(found.upper / found.lower)) - 1
-        print(f"{name}: {len(found.upper)} rows, widest bracket {100 * loose:.2f} %, {taken:.1f} s", flush=True)
-        for row, low, high in zip(found.rows.names, found.lower, found.upper, strict=True):
-            print(f"    {row:24s} {low:.5g} to {high:.5g}", flush=True)
+    PAGE.run(sys.argv[1:])

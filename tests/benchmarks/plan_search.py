@@ -1,8 +1,6 @@
 """Rivals of a plan: differential evolution and random search with ten times its CPU time.
 
-    python -m tests.benchmarks.plan_search [TIMES] [CASE or RIVAL ...]
-
-One line for each case and rival, so that they can be run one by one. Both look for times on the raster, judged by the
+Both look for times on the raster, judged by the
 search's own program; their best is then proven by `accuracy`: it must neither lie below what the plan says is out of
 reach, nor below the plan by more than its gap.
 """
@@ -10,7 +8,6 @@ reach, nor below the plan by more than its gap.
 from __future__ import annotations
 
 import contextlib
-import sys
 import time
 
 import numpy as np
@@ -24,7 +21,7 @@ from tests.benchmarks.plan_gaps import posed
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])
 INTEGRATOR = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], states=["place", "speed"], outputs=["y"])
-FOUR = 4
+FOUR, TIMES = 4, 10.0
 
 
 def wanted(plant, row, period, steps, samples, noise):
@@ -81,26 +78,28 @@ class Rival:
 RIVALS = {"differential evolution": Rival.evolved, "random search": Rival.drawn}
 
 
-def main(times, told):
-    """Print what the plan, its bound and the rivals reach."""
-    print("| | plan | none below | CPU [s] | rival | reached | tried |\n|---|---|---|---|---|---|---|")
-    for name in [n for n in CASES if n in told] or list(CASES):
-        plant, requirement = CASES[name]()
-        began = time.process_time()
-        found = sd.plan_samples(plant, requirement, certificate=False, robustness=False)
-        spent, level = time.process_time() - began, found.bound.ratio.level
-        for how in [r for r in RIVALS if r in told] or list(RIVALS):
-            rival = Rival(found.problem, times * spent)
-            RIVALS[how](rival, requirement.samples)
-            proof, goal = accuracy_of(found.problem, rival.chosen), found.problem.goals[0].tolerance
-            assert proof.upper[0] >= level * goal
-            assert proof.lower[0] >= found.ratio * (1 - found.gap) * goal * (1 - 1e-9)
-            figures = (
-                f"{found.ratio:.4f} | {level:.4f} | {spent:.1f} | {how} | {proof.upper[0] / goal:.4f} | {rival.tried}"
-            )
-            print(f"| {name} | {figures} |", flush=True)
+def spaced(problem, samples):
+    """The choice whose samples are evenly spaced, as far as the raster allows."""
+    chosen = np.zeros(problem.allowed.shape, dtype=bool)
+    chosen[np.round(np.arange(samples) * problem.steps / samples).astype(int)] = True
+    return chosen
 
 
-if __name__ == "__main__":
-    given = sys.argv[1:]
-    main(next((float(x) for x in given if x[0].isdigit()), 10.0), given)
+def contest(name):
+    """Ratios of a plan, of what is out of reach, of even spacing and of each rival after TIMES its CPU time."""
+    plant, requirement = CASES[name]()
+    began = time.process_time()
+    found = sd.plan_samples(plant, requirement, certificate=False, robustness=False)
+    spent, level = time.process_time() - began, found.bound.ratio.level
+    choices = [spaced(found.problem, requirement.samples)]
+    for rival in RIVALS.values():
+        search = Rival(found.problem, TIMES * spent)
+        rival(search, requirement.samples)
+        choices.append(search.chosen)
+    goal, reached = found.problem.goals[0].tolerance, []
+    for chosen in choices:
+        proof = accuracy_of(found.problem, chosen)
+        assert proof.upper[0] >= level * goal
+        assert proof.lower[0] >= found.ratio * (1 - found.gap) * goal * (1 - 1e-9)
+        reached.append(proof.upper[0] / goal)
+    return found.ratio, level, *reached, spent

@@ -1,6 +1,5 @@
 """The first hour can be typed as it stands."""
 
-import json
 import re
 import shlex
 from pathlib import Path
@@ -24,9 +23,5 @@ def test_every_command_of_the_first_hour_runs(monkeypatch, tmp_path, shell):
             (tmp_path / "hormone" / "blood.csv").write_text(measured)
         done = shell(*words, *(["--idle", "0.3", "--no-browser"] if words[0] == "explore" else []))
         assert done.code == 0, f"{line}: {done.err or done.out}"
-    design = json.loads((tmp_path / "hormone" / "design.json").read_text())
-    sigma, bound = map(float, re.search(r"sigma=([\d.]+)\$.*? bound ([\d.]+),", PAGE, re.DOTALL).groups())
-    assert 0 <= design["sigma"] - sigma < 1e-4  # what is proven is rounded down, and the bound up
-    assert 0 <= bound - design["upper_bound"] < 1e-4
     written = {path.name for path in (tmp_path / "hormone").iterdir()}
     assert {"plant.toml", "schedule.csv", "design.png", "schedule.ics", "certificate.json", "estimates.csv"} <= written

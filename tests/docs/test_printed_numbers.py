@@ -5,8 +5,6 @@ figures in running text: `tests/docs/figures` says from what each comes, a modul
 tolerance, a bound) is an input and stands in a code span or a formula, which are not counted.
 """
 
-import contextlib
-import io
 import re
 from pathlib import Path
 
@@ -16,7 +14,7 @@ from tests.docs.figures import Figure, all_figures
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs" / "theory").glob("*.md"))]
-UNTIED = 494
+UNTIED = 237
 """Figures with decimals or percents in running text that nothing recomputes: lower this where there are fewer."""
 FIGURES = all_figures()
 
@@ -53,25 +51,6 @@ def test_a_wrong_figure_is_found():
     wrong = Figure("numerics.md", r"\| (\d*\.?\d+) where (\d*\.?\d+) is true", lambda: (13.1, 30.0))
     with pytest.raises(AssertionError, match=r"31.2 is 30.0"):
         test_figures_in_the_text_are_what_the_package_says(wrong)
-
-
-@pytest.mark.long
-def test_a_researchers_journey_prints_what_its_table_says(tmp_path, monkeypatch):
-    """Every figure of its table but the seconds stands in what its code prints, more digits there or none."""
-    part = text_of("journeys.md").split("## A researcher", 1)[1].split("## A lecturer", 1)[0]
-    code, table = re.search(r"```python\n(.*?)```", part, re.DOTALL)[1], part.split("| step |", 1)[1]
-    said = " ".join(row.split("|")[2] for row in table.splitlines()[2:] if row.count("|") == 4)
-    monkeypatch.chdir(tmp_path)
-    printed = io.StringIO()
-    with contextlib.redirect_stdout(printed):
-        exec(compile(code, "journeys.md", "exec"), {})
-    numbers = [float(text) for text in re.findall(r"\d+\.?\d*(?:e-?\d+)?", printed.getvalue())]
-    figures = re.findall(r"(?<![\d.])\d+(?:\.\d+)?", said)
-    assert len(figures) > 10
-    lost = [
-        text for text in figures if not any(abs(float(text) - n) <= 0.5001 * 10.0 ** -decimals(text) for n in numbers)
-    ]
-    assert lost == [], printed.getvalue()
 
 
 def running_text(page):

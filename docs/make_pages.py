@@ -32,12 +32,11 @@ ROOMS = {
 FLOORS = (
     ("plants", "schedules"),
     ("observability",),
-    ("accuracy",),
-    ("design", "certificates"),
-    ("estimators",),
-    ("uncertain", "planning", "validation"),
+    ("accuracy", "certificates", "design"),
+    ("estimators", "planning"),
+    ("validation", "uncertain", "explorer"),
     ("nonlinear",),
-    ("plotting", "explorer"),
+    ("plotting",),
     ("cli",),
 )
 WRITTEN = {

@@ -261,6 +261,11 @@ def special() -> dict[str, dict[str, Any]]:
         "weights_from_bounds": {},
         "information_curve": {"samples": 2},
         "simulate_record": {"inputs": ()},
+        "estimate_curve": {"estimator": owner("KalmanFilter"), "points": 2},
+        "error_map": {"cost": "certificate"},
+        "plant_along": {"plant": t["nonlinear"], "start": [0.5, 0.2], "horizon": 1.0},
+        "cost_from_deviations": {"plant": t["nonlinear"], "prior": [0.1, 0.1], "v": [0.1], "w": [0.1, 0.1]},
+        "sweep": {"question": sd.plants.split_modes, "items": [plant]},
         "Measurements": {"times": [0.5, 1.0], "y": [[0.1], [0.2]]},
         "Signals": {},
         "Plant": {"states": ["p", "v"], "outputs": ["y"], "inputs": ["u"], "disturbances": ["a", "b"],
@@ -300,7 +305,7 @@ OWNERS = {
     "InformationCurve": "curve", "ValidationReport": "report", "ScheduleLog": "log",
     "DetectabilityEvidence": "evidence",
     "UnobservableModes": "unseen", "Counterexample": "counterexample", "ConvexSet": "set",
-    "Constraints": "held", "CostFunction": "cost", "Collocation": "pieces",
+    "Constraints": "held", "Sweep": None, "CostFunction": "cost", "Collocation": "pieces",
     "SparsePlant": "sparse", "UncertainPlant": "uncertain", "UncertainParameter": None,
     "TimeVaryingPlant": None, "InclusionCertificate": "inclusion",
     "Horizon": None, "Finding": None,
@@ -337,6 +342,7 @@ def owner(name: str) -> Any:
             t["nonlinear"], horizon=2.0, cost=sd.CostFunction(P2=np.eye(2), Qw=np.eye(2), R=np.eye(1))
         ),
         "ThyroidReport": lambda: _thyroid_report(),
+        "Sweep": lambda: sd.records.sweep(sd.plants.split_modes, [plant]),
     }
     key = OWNERS[name]
     return t[key] if key else fresh[name]()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -164,16 +164,3 @@ def bounds_from_record(
     program = RecordProgram(readings)
     factor, enough, gains = program.least_multiple(GROWS[grow])
     return RecordBounds(readings, grow, factor, enough, freeze(gains), program.table.D)
-
-
-def multiplied(found: RecordBounds, factor: float) -> Readings:
-    """Return the readings of a record under a multiple of its bounds."""
-    readings = found.readings
-    if found.grow != "v":
-        readings = replace(readings, push=replace(readings.push, root=readings.push.root * factor))
-    if found.grow == "both" and readings.start.root is not None:
-        readings = replace(readings, start=replace(readings.start, root=readings.start.root * factor))
-    if found.grow != "w":
-        rows = tuple(tuple(row._replace(size=row.size * factor) for row in rows) for rows in readings.rows)
-        readings = replace(readings, rows=rows)
-    return readings

@@ -4,7 +4,7 @@ from sampling_design.records.lazy import lazy
 
 _NAMES = {
     "certification": ("certify",),
-    "compare.contraction": ("least_contracting", "spectral_radius"),
+    "compare.contraction": ("error_map", "least_contracting", "spectral_radius"),
     "compare.four_horizons": ("FourHorizons", "four_horizons"),
     "compare.robustness": ("Robustness", "robustness"),
     "compare.tradeoff": ("TradeoffCurve", "tradeoff_curve"),

@@ -8,6 +8,7 @@ from sampling_design.certificates import form as form
 from sampling_design.certificates import paper as paper
 from sampling_design.certificates import rigorous as rigorous
 from sampling_design.certificates.certification import certify as certify
+from sampling_design.certificates.compare.contraction import error_map as error_map
 from sampling_design.certificates.compare.contraction import least_contracting as least_contracting
 from sampling_design.certificates.compare.contraction import spectral_radius as spectral_radius
 from sampling_design.certificates.compare.four_horizons import FourHorizons as FourHorizons

@@ -80,14 +80,8 @@ def earlier(value: object, place: str, at: int) -> int:
     return k
 
 
-def run(program: Program, inputs: Mapping[str, list[Interval]], along: tuple[str, ...]) -> list[Both]:
-    """Values and derivatives with respect to the inputs in `along`, of every output."""
-    done = every(program, inputs, along)
-    return [done[k] for k in program.outputs]
-
-
 def every(program: Program, inputs: Mapping[str, list[Interval]], along: tuple[str, ...]) -> list[Both]:
-    """The same of every instruction."""
+    """Values and derivatives with respect to the inputs in `along`, of every instruction."""
     done: list[Both] = []
     like = next(item for items in inputs.values() for item in items)
     for each in program.code:

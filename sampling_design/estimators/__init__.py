@@ -10,6 +10,7 @@ _NAMES = {
     "gap_flows.cost_function": ("CostFunction",),
     "kalman": ("KalmanFilter",),
     "mhe": ("MovingHorizonEstimator",),
+    "online.curve": ("estimate_curve",),
     "online.estimate": ("Estimate",),
     "online.estimator": ("EstimateRecord", "Estimator", "GuaranteeWarning", "Sample"),
     "records.measurements": ("Measurements", "read_measurements", "write_measurements"),

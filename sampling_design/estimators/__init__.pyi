@@ -11,6 +11,7 @@ from sampling_design.estimators.estimation import estimate as estimate
 from sampling_design.estimators.gap_flows.cost_function import CostFunction as CostFunction
 from sampling_design.estimators.kalman import KalmanFilter as KalmanFilter
 from sampling_design.estimators.mhe import MovingHorizonEstimator as MovingHorizonEstimator
+from sampling_design.estimators.online.curve import estimate_curve as estimate_curve
 from sampling_design.estimators.online.estimate import Estimate as Estimate
 from sampling_design.estimators.online.estimator import EstimateRecord as EstimateRecord
 from sampling_design.estimators.online.estimator import Estimator as Estimator

@@ -10,5 +10,7 @@ _NAMES = {
     "mhe": ("NonlinearMovingHorizonEstimator",),
     "model": ("NonlinearPlant",),
     "report": ("ThyroidReport",),
+    "time_varying": ("plant_along",),
+    "weights": ("cost_from_deviations",),
 }
-__getattr__, __dir__, __all__ = lazy(__name__, _NAMES, modules=("examples", "thyroid"))
+__getattr__, __dir__, __all__ = lazy(__name__, _NAMES, modules=("examples", "thyroid", "thyroid_logs"))

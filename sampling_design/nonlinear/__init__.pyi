@@ -1,6 +1,7 @@
 # Written from the table in __init__.py by `python -m tests.house.front_door`.
 from sampling_design.nonlinear import examples as examples
 from sampling_design.nonlinear import thyroid as thyroid
+from sampling_design.nonlinear import thyroid_logs as thyroid_logs
 from sampling_design.nonlinear.collocation import Collocation as Collocation
 from sampling_design.nonlinear.conversion import from_expressions as from_expressions
 from sampling_design.nonlinear.conversion import from_linear as from_linear
@@ -10,3 +11,5 @@ from sampling_design.nonlinear.experiment import thyroid_experiment as thyroid_e
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator as NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant as NonlinearPlant
 from sampling_design.nonlinear.report import ThyroidReport as ThyroidReport
+from sampling_design.nonlinear.time_varying import plant_along as plant_along
+from sampling_design.nonlinear.weights import cost_from_deviations as cost_from_deviations

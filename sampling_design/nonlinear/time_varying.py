@@ -12,13 +12,30 @@ from sampling_design.errors import SolverError
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.records import checks
+from sampling_design.records.signatures import checked
 from sampling_design.uncertain.plants.time_varying import TOLERANCE, IntegrationEffort, MatrixOfTime, TimeVaryingPlant
 
 Array = npt.NDArray[np.float64]
 
 
+@checked
 def plant_along(plant: NonlinearPlant, start: npt.ArrayLike, horizon: float, u: npt.ArrayLike = ()) -> TimeVaryingPlant:
     """Return the small deviations from a nonlinear plant's trajectory from `start`, with constant u and w = 0.
+
+        d' = f_x(t, x(t)) d + f_w w,    y = h_x(t, x(t)) d + h_v v,    d the deviation from x(t)
+
+    Parameters
+    ----------
+    plant : NonlinearPlant
+    start : (n,) array
+    horizon : float [time]
+    u : (m,) array, optional
+        Default 0.
+
+    Returns
+    -------
+    TimeVaryingPlant
+        With the plant's names, units and scales.
 
     Raises
     ------

@@ -15,7 +15,6 @@ from sampling_design.planning.filter_deviation import RasterFilter
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories, HiddenTrajectory, peaks_of
 from sampling_design.planning.problem import PlanProblem
 
-Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 KEPT = 1e-7

@@ -110,9 +110,3 @@ class PlanFigures(Record):
         """The share of its accuracy that a plan of this cost could at most gain; 1 where nothing is proven."""
         proof = self.bound.ratio
         return 1.0 if proof is None or not self.goals else max(0.0, 1 - proof.level / self.ratio)
-
-    @property
-    def cost_gap(self) -> float | None:
-        """The share of its cost that another plan could at most save; None where no such bound was asked for."""
-        proof = self.bound.cost
-        return None if proof is None else max(0.0, 1 - proof.value / self.cost)

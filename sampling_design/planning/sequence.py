@@ -23,7 +23,6 @@ from sampling_design.planning.transient_bound import settled_factors
 from sampling_design.planning.work_budget import BETWEEN, CHAIN, GAINS, STARTED
 
 Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 SHARPER = 40
 """Offsets of a gap that are solved, at most."""

@@ -7,7 +7,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.accuracy.interval import prove
-from sampling_design.accuracy.record_bounds import bounds_from_record, multiplied
+from sampling_design.accuracy.record_bounds import bounds_from_record
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.accuracy.rows import wanted_rows
 from sampling_design.errors import ArgumentError
@@ -40,6 +40,19 @@ def test_no_multiple_explains_what_nothing_pushes():
     assert np.isinf(found.factor)
     assert "No multiple of the bound on w" in found.explain()
     assert found.to_dict()["factor"] is None
+
+
+def multiplied(found, factor):
+    """The readings of a record under a multiple of its bounds."""
+    readings = found.readings
+    if found.grow != "v":
+        readings = replace(readings, push=replace(readings.push, root=readings.push.root * factor))
+    if found.grow == "both" and readings.start.root is not None:
+        readings = replace(readings, start=replace(readings.start, root=readings.start.root * factor))
+    if found.grow != "w":
+        rows = tuple(tuple(row._replace(size=row.size * factor) for row in rows) for rows in readings.rows)
+        readings = replace(readings, rows=rows)
+    return readings
 
 
 @pytest.mark.parametrize("grow", ["both", "w", "v"])

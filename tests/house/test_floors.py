@@ -14,18 +14,20 @@ FLOORS = {
     "schedules": 1,
     "observability": 2,
     "accuracy": 3,
-    "design": 4,
-    "certificates": 4,
-    "estimators": 5,
-    "uncertain": 6,
-    "planning": 6,
-    "validation": 6,
-    "nonlinear": 7,
-    "explorer": 8,
-    "plotting": 8,
-    "cli": 9,
-    "__main__": 10,
+    "certificates": 3,
+    "design": 3,
+    "estimators": 4,
+    "planning": 4,
+    "explorer": 5,
+    "uncertain": 5,
+    "validation": 5,
+    "nonlinear": 6,
+    "plotting": 7,
+    "cli": 8,
+    "__main__": 8,
 }
+"""Each room on the lowest floor that what it imports allows; `__main__` is the same door as `cli`."""
+MOST_FLOORS = 9
 GROUND = {"errors", "numerics", "records"}
 RINGS = {"uncertain", "nonlinear", "planning", "cli", "plotting", "explorer"}
 """What stands around the core, which imports nothing of it: a ring registers with the verbs (`records/dispatch.py`)."""
@@ -65,11 +67,40 @@ def test_imports_go_down_only():
         floor = FLOORS.get(room, 0)
         for module in imports(path):
             other = room_of(module) if module.startswith("sampling_design") else ""
-            if other in ("", "__version__") or other == room:
+            if other in ("", "__version__") or other == room or (room, other) == ("__main__", "cli"):
                 continue
             target = FLOORS.get(other, 0)
             assert other in FLOORS or other in GROUND, f"{here} imports {module}, which is on no floor"
             assert target < floor or (target == floor == 0), f"{here} (floor {floor}) imports {module} (floor {target})"
+
+
+def lowest(below: dict[str, set[str]]) -> dict[str, int]:
+    """The lowest floor of each: one above the highest that it imports."""
+    found: dict[str, int] = {}
+    while ready := [one for one, others in below.items() if one not in found and others & set(below) <= found.keys()]:
+        found |= {one: 1 + max((found[other] for other in below[one] & set(below)), default=-1) for one in ready}
+    return found
+
+
+def test_nine_floors_and_no_room_higher_than_it_must_be():
+    below = {room: set[str]() for room in FLOORS.keys() - {"__main__"}}
+    for path in sources():
+        here = path.relative_to(PACKAGE).parts[0]
+        if here in below:
+            others = {room_of(module) for module in imports(path) if module.startswith("sampling_design.")} - {here}
+            below[here] |= {"checkers" if other in GROUND else other for other in others}
+    assert lowest(below) == {room: floor for room, floor in FLOORS.items() if room != "__main__"}
+    assert len(set(FLOORS.values())) <= MOST_FLOORS
+
+
+MOST_INSIDE = 5
+
+
+def test_inside_a_room_the_rooms_stand_on_few_floors():
+    inside = {place: others for place, others in arrows().items() if "/" in place}
+    for room in FLOORS:
+        own = {place: others for place, others in inside.items() if place.startswith(f"{room}/")}
+        assert max(lowest(own).values(), default=0) < MOST_INSIDE, (room, lowest(own))
 
 
 def test_the_core_imports_no_ring():

@@ -24,6 +24,7 @@ MOST_AT_ONCE = 4096
 """Windows that are followed side by side: a few megabytes."""
 
 
+@checked
 def error_map(certificate: Certificate, start: float, length: float, cost: str = "certificate") -> Array:
     """Return the map e(start) -> e(start + length) of the estimator without noise and constraints.
 

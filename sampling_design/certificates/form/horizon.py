@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,6 @@ from sampling_design.records.evidence import Claim
 from sampling_design.records.record import Record, short
 
 Array = npt.NDArray[np.float64]
-Theorem = Literal["sharp", "paper"]
 
 _CONTRACTION = 4.0
 """By default a window shrinks the squared error at least by this factor (formats.md, Defaults)."""

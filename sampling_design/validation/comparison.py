@@ -31,8 +31,6 @@ from sampling_design.validation.scenario import ScenarioBounds
 from sampling_design.validation.study import SCENARIOS, Study
 from sampling_design.validation.timeline import Timeline, build_timeline, default_duration
 
-Array = npt.NDArray[np.float64]
-
 
 @checked
 def validate(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +22,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
@@ -133,7 +133,7 @@ def guaranteed_accuracy(
     True
     """
     tolerance = checks.positive("rtol", RTOL if rtol is None else rtol)
-    deadline = time.perf_counter() + (np.inf if budget is None else checks.positive("budget", budget))
+    limit = Budget(None if budget is None else checks.positive("budget", budget))
     schedule = meet(plant, schedule)
     rows = wanted_rows(plant, of)
     if isinstance(schedule, PeriodicSchedule):
@@ -153,7 +153,7 @@ def guaranteed_accuracy(
     question = asked.primitive()
     known = question.known()
     safe = [k for k, row in enumerate(rows.matrix) if not known.touches(row)]
-    search = ChainSearch(*question.chain(known.plant, known.moving), deadline=deadline) if safe else None
+    search = ChainSearch(*question.chain(known.plant, known.moving), budget=limit) if safe else None
     found: dict[int, RowSearch] = {}
     if search is not None:
         for done, k in enumerate(safe, 1):
@@ -175,7 +175,7 @@ def _bracketed(search: ChainSearch, row: Array, tolerance: float) -> RowSearch:
         found = search.row(row, tolerance, MOST_SOLVES)
         search.profile(found)
     except KeyboardInterrupt:
-        search.deadline = -np.inf
+        search.budget.stop()
         found = search.row(row, tolerance, MOST_SOLVES)
     return found
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,6 +15,7 @@ from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.gains import Gains, centre_offset, evaluated
 from sampling_design.accuracy.sample_chain import CELL_LOSS, SampleChain
 from sampling_design.accuracy.start import StartSet
+from sampling_design.records.budget import ENDLESS, Budget
 
 Array = npt.NDArray[np.float64]
 
@@ -98,9 +98,9 @@ class ChainSearch:
         chain: SampleChain,
         atoms: list[BoundedDirections],
         solved: Callable[[], None] = lambda: None,
-        deadline: float = np.inf,
+        budget: Budget = ENDLESS,
     ):
-        self.chain, self._tell, self.deadline = chain, solved, deadline
+        self.chain, self._tell, self.budget = chain, solved, budget
         self._windows: dict[tuple[int, int, bool, bool], ConeWindow] = {}
         self.back = self.deep = 8
         self.cell_loss = CELL_LOSS
@@ -112,11 +112,6 @@ class ChainSearch:
         self._long = chain.start is None and chain.memory > LASTING and boxed(chain, list(range(len(chain))))
         if self._long:
             self.deep, self.back = chain.memory, chain.memory // 2
-
-    @property
-    def is_late(self) -> bool:
-        """Whether the deadline (perf_counter seconds) is over: what is proven by then stays."""
-        return time.perf_counter() > self.deadline
 
     @cached_property
     def _coarse(self) -> SampleChain:
@@ -280,7 +275,7 @@ class ChainSearch:
                 return found
             if self.solves >= limit:
                 return found
-            if self.is_late:
+            if self.budget.over:
                 if found.lower > 0:
                     return found
                 self._attack(found, j, panel, rough=True)  # one, so that the bracket says something
@@ -370,7 +365,7 @@ class ChainSearch:
         """Smooth the upper curve, then attack every gap where the two bounds are furthest apart."""
         gaps = range(len(found.opened))
         for j in gaps:
-            if self.is_late:
+            if self.budget.over:
                 return
             known = PROFILE * float(self.attained(found, j)[0]) if self._long else 0.0
             if 0 not in found.solved[j] and known < found.nodes[j][0] < np.inf:
@@ -381,7 +376,7 @@ class ChainSearch:
         slack = [self._slack(found, j) for j in gaps]  # a solve on one gap changes that of no other
         for _ in range(max(FILLED, 2 * len(gaps))):
             ratio, j, offset = max((r, j, o) for j, (r, o) in enumerate(slack))
-            if ratio <= PROFILE or self.is_late:
+            if ratio <= PROFILE or self.budget.over:
                 break
             if (j, offset) in found.combined or not self.atoms[j].gains:
                 self._node(found, j, offset)
@@ -393,7 +388,7 @@ class ChainSearch:
         )
         for _ in range(ATTACKS[small]):
             ratio, j, offset = max((r, j, o) for j, (r, o) in enumerate(self._apart(found, j) for j in gaps))
-            if ratio <= PROFILE or self.is_late:
+            if ratio <= PROFILE or self.budget.over:
                 break
             deep = self.deep
             self.deep = deep if small else min(deep, 2 * self.back)
@@ -406,7 +401,7 @@ class ChainSearch:
         for attacked in [True] * ATTACKS_LONG + [False] * ATTACKS_LONG:
             apart = [self._apart(found, k) for k in range(len(found.opened))]
             ratio, j, offset = max((r, k, o) for k, (r, o) in enumerate(apart))
-            if ratio <= PROFILE or self.is_late:
+            if ratio <= PROFILE or self.budget.over:
                 break
             found.tried.add((j, offset))
             if attacked:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sampling_design import __version__
 from sampling_design.certificates.exact.canonical import NoiseWeights, ScaledProblem, canonical, evened, followed, slip
 from sampling_design.certificates.exact.certificate import Certificate, SampledCertificate
-from sampling_design.certificates.exact.efforts import ALL_WORK, BEYOND, LOOK_WORK, SearchEffort, TimeLimit
+from sampling_design.certificates.exact.efforts import ALL_WORK, BEYOND, LOOK_WORK, SEARCHED, SearchEffort
 from sampling_design.certificates.exact.given_weights import met, weights_of
 from sampling_design.certificates.exact.own_decay import own_decay
 from sampling_design.certificates.exact.precise import precisely_chosen
@@ -32,6 +32,7 @@ from sampling_design.errors import ArgumentError, CertificateError, UndecidedErr
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.records.dispatch import OpenPlant, registered
 from sampling_design.records.evidence import SolverRecord
 from sampling_design.records.progress import Progress
@@ -55,7 +56,7 @@ def certify_given(
     eta: float,
     solver: SolverRecord,
     exists: bool = False,
-    limit: TimeLimit | None = None,
+    limit: Budget = ENDLESS,
 ) -> Certificate:
     """Return the certificate with the best P1 for given weights and rate, proven.
 
@@ -75,8 +76,9 @@ def certify_given(
             plant, schedule, P1=P2, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=eta, lam=1.0, lam_samples=1.0, solver=solver
         )
     with np.errstate(all="ignore"):  # what overflows is not finite, and then undecided
-        stop = None if limit is None else limit.over
-        proof = ScheduleProof(plant, schedule, weights, eta, SearchEffort(Work(ALL_WORK, stop=stop), alone=True))
+        proof = ScheduleProof(
+            plant, schedule, weights, eta, SearchEffort(Work(ALL_WORK, stop=lambda: limit.over), alone=True)
+        )
         followed(proof.canon, eta * proof.canon.time)
         if not exists:
             _require(plant, schedule, eta, proof.canon)
@@ -225,14 +227,14 @@ def certify(
         raise ArgumentError(f"`memory` is for families of schedules, got {memory!r} with a {type(schedule).__name__}.")
     if not checks.number("noise_gain", noise_gain) > 1:
         raise ArgumentError(f"`noise_gain` must be above 1, got {noise_gain!r}: no P2 attains the least noise gain.")
-    limit = TimeLimit(None if budget is None else checks.positive("budget", budget))
+    limit = Budget(None if budget is None else checks.positive("budget", budget))
     try:
         return _of_schedule(plant, met(plant, schedule), (Qw, R, Qv), P2, eta, noise_gain, progress, limit)
     except UndecidedError as error:
-        if not limit.over():
+        if not limit.over:
             raise
         raise UndecidedError(
-            f"undecided: no certificate was proven within `budget` = {limit.budget:g} s. Give it more time, or a rate "
+            f"undecided: no certificate was proven within `budget` = {limit.seconds:g} s. Give it more time, or a rate "
             "`eta`.", **{**error.details, "status": "budget"},
         ) from None  # fmt: skip
 
@@ -245,7 +247,7 @@ def _of_schedule(
     eta: float | None,
     noise_gain: float,
     progress: Progress | None,
-    limit: TimeLimit,
+    limit: Budget,
 ) -> Certificate:
     """The certificate of one schedule: for the weights that are given, others chosen."""
     weights = weights_of(plant, *given)
@@ -260,7 +262,7 @@ def _of_schedule(
         canon = canonical(plant, schedule, weights, prior)
         with np.errstate(all="ignore"):
             bounds = _bounds(plant, schedule, canon)
-            rate = choose_rate(canon, canon.inside(prior), bounds, progress, limit.half) / canon.time
+            rate = choose_rate(canon, canon.inside(prior), bounds, progress, limit.share(SEARCHED)) / canon.time
         how = "least horizon for given P2"
     solver, known = SolverRecord("sampling_design", __version__, "given", 0, {"weights": how}), bool(plant.n_states)
     return certify_given(plant, schedule, prior, *weights, rate, solver, exists=searched and known, limit=limit)
@@ -273,7 +275,7 @@ def chosen(
     eta: float | None,
     gains: list[float],
     progress: Progress | None = None,
-    limit: TimeLimit | None = None,
+    limit: Budget = ENDLESS,
 ) -> list[Certificate]:
     """Return a certificate for each noise gain, P2 (and eta where it is None) chosen for the least horizon.
 
@@ -305,10 +307,9 @@ def chosen(
         canon = canon if sizes is None else canonical(plant, schedule, weights, log_sizes=sizes)
         longer, canon = canon.time, evened(canon)
         bounds = (bounds[0] * canon.time / longer, bounds[1] * canon.time / longer)
-        limit = TimeLimit(None) if limit is None else limit
-        problem = (plant, schedule, weights)
-        asked = [(gain, SearchEffort(Work(ALL_WORK, stop=limit.over))) for gain in gains]
-        alone = own_decay(canon, bounds, gains, Work(SEARCH_WORK, stop=limit.half))
+        problem, searching = (plant, schedule, weights), limit.share(SEARCHED)
+        asked = [(gain, SearchEffort(Work(ALL_WORK, stop=lambda: limit.over))) for gain in gains]
+        alone = own_decay(canon, bounds, gains, Work(SEARCH_WORK, stop=lambda: searching.over))
         try:  # lambda is one: no search finds a shorter horizon
             proven = [
                 _first_proven(problem, canon, [choice], eta, *each)
@@ -320,7 +321,7 @@ def chosen(
         except UndecidedError:
             pass
         try:
-            found = zip(choose_weights(canon, bounds, gains, progress, limit.half), asked, strict=True)
+            found = zip(choose_weights(canon, bounds, gains, progress, searching), asked, strict=True)
             return [_best_proven(problem, canon, choices, eta, *each) for choices, each in found]
         except UndecidedError as error:
             if slip(plain):  # dates are asked for their origin, and not followed from time 0

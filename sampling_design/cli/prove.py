@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
@@ -19,6 +18,7 @@ from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile, schedule_for
 from sampling_design.cli.settings import Settings, record_table, table
 from sampling_design.errors import ArgumentError
+from sampling_design.records.budget import Budget
 from sampling_design.records.checks import positive
 from sampling_design.records.file_io import write_text
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
@@ -90,7 +90,7 @@ def certify(
         _detectability(settings, plant, certificate_file, eta, noise_gain)
         return
     times = _times(settings, plant, schedule_file, families)
-    ends = time.perf_counter() + settings.budget
+    budget = Budget(settings.budget)
     with settings.progress("certify") as progress:
         certificate = sd.certify(
             plant, times, eta=eta, noise_gain=NOISE_GAIN if noise_gain is None else noise_gain,
@@ -98,7 +98,7 @@ def certify(
         )  # fmt: skip
     horizons = None
     if isinstance(times, (sd.Schedule, sd.PeriodicSchedule)) and isinstance(certificate, sd.Certificate):
-        left = max(ends - time.perf_counter(), LEAST_LEFT)
+        left = max(budget.left, LEAST_LEFT)
         horizons = sd.certificates.four_horizons(plant, times, certificate, budget=left)
     if certificate_file is not None:
         settings.wrote(certificate.save(certificate_file))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -18,6 +17,7 @@ from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.search.costs import relax_costly
 from sampling_design.design.search.fedorov_exchange import even, is_admissible, repaired
 from sampling_design.plants.plant import Plant
+from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.records.evidence import SolverRecord
 
 Array = npt.NDArray[np.float64]
@@ -47,7 +47,7 @@ def bounded(
     plant: Plant,
     requirement: Requirement,
     samples: int,
-    deadline: float = np.inf,
+    budget: Budget = ENDLESS,
     progress: Callable[[float], None] | None = None,
 ) -> CountProblem:
     """Relax and bound one count of samples; `requirement` is resolved, `plant` the one that is designed for.
@@ -55,12 +55,12 @@ def bounded(
     `progress` is called with a first bound, before smaller ones are sought.
     """
     canon = canonical(pose(plant, requirement, samples))
-    left = deadline - time.perf_counter()
-    seconds = max(left / 3, 0.0) if np.isfinite(left) else None
-    placed = (relax_costly if canon.inside.is_costly else relax_placed)(canon.inside, seconds=seconds)
+    placed = (relax_costly if canon.inside.is_costly else relax_placed)(
+        canon.inside, seconds=budget.seconds_left(share=1 / 3)
+    )
     if progress:
         progress(quick_bound(canon.inside, placed).value * canon.size)
-    inner = first_bound(canon.inside, placed, deadline)
+    inner = first_bound(canon.inside, placed, budget)
     return CountProblem(canon, placed, inner, inner.brought_back(canon), (placed.record,))
 
 

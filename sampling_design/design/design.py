@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from typing import TypeVar
@@ -33,6 +32,7 @@ from sampling_design.observability.windows.window_sigma import WindowSigma
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed
 from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked
@@ -144,7 +144,7 @@ def design_schedule(
     wanted = Requirement() if requirement is None else requirement
     starts = checks.whole("starts", min(starts, _MOST_STARTS), 1)
     cuts = None if branches is None else checks.whole("branches", min(branches, _MOST_STARTS))
-    seconds = np.inf if budget is None else checks.nonnegative("budget", budget)
+    given = Budget(None if budget is None else checks.nonnegative("budget", budget))
     if checks.positive("rtol", rtol) >= 1:
         raise ArgumentError(f"`rtol` must be less than 1, got {rtol!r}.")
     split = split_modes(plant, _rate(wanted, plant))
@@ -165,9 +165,8 @@ def design_schedule(
         starts=starts,
         branches=cuts,
         rtol=rtol,
-        seconds=seconds,
+        budget=given,
         progress=progress,
-        began=time.perf_counter(),
     )
     return _aimed(run) if resolved.target_sigma is not None else run.best()
 
@@ -226,16 +225,11 @@ class _Run:
     starts: int
     branches: int | None
     rtol: float
-    seconds: float
+    budget: Budget
     progress: Progress | None
-    began: float
     late: str = "budget"
     sigma: float = field(default=0.0, init=False)
     bound: float = field(default=np.inf, init=False)
-
-    @property
-    def deadline(self) -> float:
-        return self.began + self.seconds
 
     @property
     def designed(self) -> Plant:
@@ -263,12 +257,13 @@ class _Run:
 
     def interrupt(self) -> None:
         """Let time be up."""
-        self.late, self.seconds = "interrupted", min(self.seconds, time.perf_counter() - self.began)
+        self.late = "interrupted"
+        self.budget.stop()
 
     def begin(self, samples: int, fraction: float) -> None:
         """Prove even spacing and say so: the first answer, before anything is solved."""
         self.sigma, self.bound = 0.0, np.inf
-        if self.progress and time.perf_counter() <= self.deadline:
+        if self.progress and not self.budget.over:
             problem = pose(self.designed, self.requirement, samples)
             times = even(problem, 0.5)
             if times is not None and is_admissible(problem, times):
@@ -283,7 +278,7 @@ class _Run:
             self.say(fraction, f"bounding {samples} samples per period")
 
         self.held(lambda: self.begin(samples, fraction))
-        found = self.held(lambda: bounded(self.designed, self.requirement, samples, self.deadline, told))
+        found = self.held(lambda: bounded(self.designed, self.requirement, samples, self.budget, told))
         self.bound = found.bound.value
         return found
 
@@ -296,7 +291,7 @@ class _Run:
         sized: CountProblem | None = None
         for done, samples in enumerate(counts):
             low, high = done / len(counts), (done + 1) / len(counts)
-            if best is not None and sized is not None and time.perf_counter() > self.deadline:
+            if best is not None and sized is not None and self.budget.over:
                 canon = canonical(pose(self.designed, self.requirement, samples))
                 bounds[samples] = quick_bound(canon.inside, sized.relaxation).brought_back(canon)
                 continue
@@ -321,7 +316,7 @@ class _Run:
         own = len(best.schedule or ())
         others = {samples: bound for samples, bound in bounds.items() if samples != own}
         top = max(bound.value for bound in bounds.values())
-        late = time.perf_counter() > self.deadline
+        late = self.budget.over
         return replace(best, upper_bound=top, other_counts=others, status=self.late if late else best.status)
 
     def searched(self, sized: CountProblem, low: float, high: float, known: float = 0.0) -> ScheduleDesign:
@@ -340,21 +335,21 @@ class _Run:
 
         rng = np.random.default_rng([self.seed, sized.problem.samples])  # the same for a count, whatever came before
         problem = sized.canon.inside
-        first = self.held(lambda: search(problem, sized.relaxation, rng, self.starts, self.deadline, inner, enough))
+        first = self.held(lambda: search(problem, sized.relaxation, rng, self.starts, self.budget, inner, enough))
         found, chosen = first, problem.mask(first.times)
         if problem.is_costly:
-            found, chosen = self.held(lambda: affordable(problem, first, sized.relaxation, self.deadline, enough))
+            found, chosen = self.held(lambda: affordable(problem, first, sized.relaxation, self.budget, enough))
         tied = self.held(lambda: self.tied(sized, rng, found.sigma))
         reached = max([found.sigma, *(sigma for _, _, sigma in tied)])
         target = max(reached, known / size)
         steps, most, gap = _cuts(problem, self.branches)
         self.sigma = max(self.sigma, target * size)
         bound = self.held(
-            lambda: narrowed(problem, sized.inner, target, steps, self.deadline, cutting, most=most, near=gap)
+            lambda: narrowed(problem, sized.inner, target, steps, self.budget, cutting, most=most, near=gap)
         )
         cut = bound
         bound = sized.bound if cut is sized.inner else self.held(lambda: cut.brought_back(sized.canon))
-        time_left = time.perf_counter() <= self.deadline
+        time_left = not self.budget.over
         self.held(lambda: self.say(near, "proving sigma over all window positions"))
         times, chosen = brought_back(sized.canon, found.times, chosen)
         asked = [*candidates(sized.problem, times, chosen), *((t, mask) for t, mask, _ in tied)]
@@ -380,17 +375,16 @@ class _Run:
 
     def tied(self, sized: CountProblem, rng: np.random.Generator, reached: float) -> list[tuple[Array, Mask, float]]:
         """Times that repeat within the period, what they measure and their sigma, where that could be better."""
-        part, enough, deadline = folded(sized.canon.inside), sized.inner.value * (1 - _ENOUGH), self.deadline
-        if part is None or time.perf_counter() > deadline or reached >= enough:
+        part, enough = folded(sized.canon.inside), sized.inner.value * (1 - _ENOUGH)
+        if part is None or self.budget.over or reached >= enough:
             return []
-        left = deadline - time.perf_counter()
-        seconds = max(left / 3, _LEAST_SECONDS) if np.isfinite(left) else None
+        seconds = self.budget.seconds_left(_LEAST_SECONDS, 1 / 3)
         placed = (relax_costly if part.is_costly else relax_placed)(part, seconds=seconds)
         try:
-            found = search(part, placed, rng, self.starts, deadline, enough=enough)
+            found = search(part, placed, rng, self.starts, self.budget, enough=enough)
             chosen = part.mask(found.times)
             if part.is_costly:
-                found, chosen = affordable(part, found, placed, deadline, enough)
+                found, chosen = affordable(part, found, placed, self.budget, enough)
         except (InfeasibleRequirementError, SolverError):  # none of these repeats, or none was found
             return []
         inside = sized.canon.inside
@@ -406,8 +400,8 @@ class _Run:
             time_unit=self.plant.time_unit,
             output_names=self.plant.outputs.names,
         )
-        late = self.deadline - time.perf_counter()
-        seconds = max(late, _PROOF * self.seconds + _LEAST_SECONDS) / 2 if np.isfinite(late) else None
+        least = _PROOF * min(self.budget.seconds, self.budget.spent) + _LEAST_SECONDS
+        seconds = self.budget.seconds_left(least / 2, 1 / 2)
         return schedule, prove(self.split, schedule, self.requirement, self.rtol, budget=seconds)
 
     def fewest(self) -> ScheduleDesign:
@@ -426,7 +420,7 @@ class _Run:
                     break
                 ruled_out, too_few = samples, error.nearest  # not enough to see the state at all: go on
                 continue
-            if time.perf_counter() > self.deadline:
+            if self.budget.over:
                 break
             if sized.bound.value < target:
                 if ruled_out == samples - 1:
@@ -441,7 +435,7 @@ class _Run:
             best = found if best is None or found.sigma > best.sigma else best
         if best is None and last is not None:
             best = self.searched(last, 0.5, 1.0)
-        if best is not None and time.perf_counter() > self.deadline:
+        if best is not None and self.budget.over:
             note = f"the budget ran out before every count was tried; {target:g} is not reached yet"
             return best if best.sigma >= target else replace(best, status=self.late, notes=(*best.notes, note))
         raise _out_of_reach(target, high, best, too_few)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,6 +17,7 @@ from sampling_design.design.schedule_design import ScheduleDesign, designed_plan
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.windows.window_sigma import WindowSigma
 from sampling_design.records import checks
+from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, TableRecord, short
@@ -141,20 +141,19 @@ def sample_losses(
     if not design.sigma > 0:
         raise ArgumentError(f"`design` must see every state, or there is nothing to lose. {design.explain()}")
     checks.positive("rtol", rtol)
-    seconds = np.inf if budget is None else checks.nonnegative("budget", budget)
-    began, count = time.perf_counter(), len(design.schedule)
+    given = Budget(None if budget is None else checks.nonnegative("budget", budget))
+    proving, count = given.share(0.7), len(design.schedule)
     proofs: list[WindowSigma | None] = []
     for i in range(count):
         rest = _without(design, i, every_period)
-        left = max(began + 0.7 * seconds - time.perf_counter(), 0.0) / (count - i)
-        share = left if np.isfinite(left) else None
+        share = proving.seconds_left(share=1 / (count - i))
         asked = design.requirement
         proofs.append(None if rest is None else prove(design.split, rest, asked, rtol, budget=share))
         if progress:
             progress((i + 1) / len(design.schedule), f"without sample {i + 1}")
     lower, upper = (np.array([0.0 if w is None else getattr(w, key) for w in proofs]) for key in ("lower", "upper"))
     bound = np.maximum(
-        _bounds(design, every_period, began + seconds, rng), lower
+        _bounds(design, every_period, given, rng), lower
     )  # a bound may round to just below a tight proof
     lower, upper, bound = (checks.freeze(a) for a in (lower, upper, bound))
     return SampleLosses(
@@ -162,7 +161,7 @@ def sample_losses(
     )
 
 
-def _bounds(design: ScheduleDesign, every_period: bool, deadline: float, rng: Seed) -> Array:
+def _bounds(design: ScheduleDesign, every_period: bool, budget: Budget, rng: Seed) -> Array:
     """The bound with one sample fewer, for each sample that is lost: one for all that are not fixed."""
     schedule, requirement = design.schedule, design.requirement
     assert schedule is not None
@@ -175,9 +174,9 @@ def _bounds(design: ScheduleDesign, every_period: bool, deadline: float, rng: Se
         asked = repeated(requirement, periods).replace(fixed=fixed if key is None else fixed[fixed != key])
         try:
             if every_period:
-                found = _fewer(design, asked, deadline, rng)
+                found = _fewer(design, asked, budget, rng)
             else:
-                found = bounded(plant, asked, periods * len(schedule) - 1, deadline).bound.value
+                found = bounded(plant, asked, periods * len(schedule) - 1, budget).bound.value
             whole = pose(plant, asked, periods * len(schedule), check=False)
             roomy = key is None and periods == 1 and whole.always_has_room  # else fewer may see more than the design
             known[key] = min(found, design.upper_bound) if roomy else found
@@ -186,14 +185,13 @@ def _bounds(design: ScheduleDesign, every_period: bool, deadline: float, rng: Se
     return np.array([known[key] for key in keys])
 
 
-def _fewer(design: ScheduleDesign, asked: Requirement, deadline: float, rng: Seed) -> float:
+def _fewer(design: ScheduleDesign, asked: Requirement, budget: Budget, rng: Seed) -> float:
     """The bound of a design with one sample fewer in every period; 0 where none is left."""
     count = len(design.schedule or ()) - 1
     if count == 0:
         return 0.0
-    left = max(deadline - time.perf_counter(), 0.0) if np.isfinite(deadline) else None
     asked = asked.replace(samples=count, target_sigma=None)
-    found = design_schedule(design.plant, asked, rng=copy.deepcopy(rng), budget=left)
+    found = design_schedule(design.plant, asked, rng=copy.deepcopy(rng), budget=budget.seconds_left())
     if found.status == "interrupted":
         raise KeyboardInterrupt
     return found.upper_bound

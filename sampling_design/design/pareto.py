@@ -6,7 +6,6 @@ import copy
 import hashlib
 import json
 import os
-import time
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed
 from sampling_design.records.file_io import from_json, read_text, to_json, write_text
 from sampling_design.records.progress import Progress
@@ -141,16 +141,16 @@ def pareto_front(
     wanted = sorted({checks.whole("counts", c, 1) for c in counts})
     if not wanted:
         raise ArgumentError("`counts` must hold at least one number of samples.")
-    seconds = np.inf if budget is None else checks.nonnegative("budget", budget)
+    seconds = None if budget is None else checks.nonnegative("budget", budget)
     if rng is not None:
         options = {**options, "rng": rng}
     key = _key(plant, requirement, options if budget is None else {**options, "budget": budget})
     known = {} if resume is None else _load(resume, key)
     todo = [c for c in wanted if c not in known]
     check_workers(workers)
-    stop = time.time() + seconds
+    given = Budget(seconds)
     rounds = [_rest(place, len(todo), workers) for place in range(len(todo))]
-    jobs = [(plant, requirement, c, options, stop, seconds, left) for c, left in zip(todo, rounds, strict=True)]
+    jobs = [(plant, requirement, c, options, given, left) for c, left in zip(todo, rounds, strict=True)]
     for done, point in enumerate(mapped(_point, jobs, workers, ordered=False)):
         known[point.samples] = point
         if resume is not None:
@@ -170,14 +170,13 @@ def _rest(place: int, jobs: int, workers: Workers) -> float:
     return max(1.0, (jobs - place) / hands)
 
 
-def _point(job: tuple[Plant, Requirement, int, Tree, float, float, float]) -> ParetoPoint:
+def _point(job: tuple[Plant, Requirement, int, Tree, Budget, float]) -> ParetoPoint:
     """One count, in its share of the time that is left; an impossible one is a point that says why."""
-    plant, requirement, count, options, stop, seconds, rounds = job
-    left = stop - time.time()
-    if left < _LEAST_SHARE * seconds / rounds:
+    plant, requirement, count, options, budget, rounds = job
+    if np.isfinite(budget.seconds) and budget.left < _LEAST_SHARE * budget.seconds / rounds:
         return ParetoPoint(count, 0.0, 0.0, (), NO_TIME)
-    if np.isfinite(seconds):
-        options = {**options, "budget": left / rounds}
+    if np.isfinite(budget.seconds):
+        options = {**options, "budget": budget.left / rounds}
     options = {key: copy.deepcopy(value) for key, value in options.items()}  # threads share what they were given
     asked = requirement.replace(samples=count, target_sigma=None)
     try:

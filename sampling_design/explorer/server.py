@@ -6,7 +6,6 @@ import secrets
 import socket
 import sys
 import threading
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -17,6 +16,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.explorer.bench import Bench
 from sampling_design.explorer.socket_frames import TEXT, accepted, frame, messages
 from sampling_design.records import checks
+from sampling_design.records.budget import now
 
 MODULE = Path(__file__).with_name("explorer.js")
 LARGEST = 1_000_000
@@ -73,7 +73,7 @@ class Server(ThreadingHTTPServer):
         super().__init__(("127.0.0.1", port), Handler)
         self.bench, self.token = bench, secrets.token_urlsafe(24)
         self.turn = threading.Lock()
-        self.asked = time.monotonic()
+        self.asked = now()
         self.timeout = 0.2
 
     def handle_error(self, request: object, client_address: object) -> None:
@@ -84,10 +84,10 @@ class Server(ThreadingHTTPServer):
     def shutdown_request(self, request: socket.socket | tuple[bytes, socket.socket]) -> None:
         """End a connection once its peer has: closed with bytes unread it is reset, and the last answer is lost."""
         assert isinstance(request, socket.socket)  # a pair is what servers of datagrams are given
-        until, unread = time.monotonic() + _LINGER, _UNREAD
+        until, unread = now() + _LINGER, _UNREAD
         with suppress(OSError):  # gone, or silent for too long
             request.shutdown(socket.SHUT_WR)
-            while unread > 0 and (left := until - time.monotonic()) > 0:
+            while unread > 0 and (left := until - now()) > 0:
                 request.settimeout(left)
                 thrown = len(request.recv(_BLOCK))
                 if not thrown:
@@ -171,7 +171,7 @@ class Handler(BaseHTTPRequestHandler):
         # a page may lie open for long between two questions
         self.connection.settimeout(None)
         for text in messages(self.rfile, self.wfile, LARGEST):
-            self.server.asked = time.monotonic()
+            self.server.asked = now()
             self.wfile.write(frame(TEXT, self._answer(text)))
             self.wfile.flush()
 
@@ -185,7 +185,7 @@ class Handler(BaseHTTPRequestHandler):
         own = {f"127.0.0.1:{self.server.server_port}", f"localhost:{self.server.server_port}"}
         good = self.headers.get("Host") in own and secrets.compare_digest(token.encode(), self.server.token.encode())
         if good:
-            self.server.asked = time.monotonic()
+            self.server.asked = now()
         else:
             self._send(403, "text/plain", b"Open the address that the explorer printed when it began.\n")
         return good
@@ -229,5 +229,5 @@ def serve(bench: Bench, port: int = 0, idle: float = 3600.0, ready: Callable[[st
         raise ArgumentError(f"`port` {port} cannot be used here ({error}). Take another, or 0 for any.") from None
     with opened as server:
         ready(server.address)
-        while time.monotonic() - server.asked < idle:
+        while now() - server.asked < idle:
             server.handle_request()

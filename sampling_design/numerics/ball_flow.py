@@ -7,7 +7,6 @@ below its end plus h N, where N >= -Y' all along: a stretch along which Y rises 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from functools import cached_property
 
@@ -27,6 +26,7 @@ from sampling_design.numerics.balls import (
     positive_part,
     spectral,
 )
+from sampling_design.records.budget import Budget
 
 Array = npt.NDArray[np.float64]
 
@@ -38,22 +38,6 @@ WORST_CONDITION = 1e6
 """Modal coordinates worse than this are not used to bound |e^{As}|: the logarithmic norm does better."""
 HALVINGS = 50
 """Most halvings of a step: what is left then is below the resolution of a double."""
-
-
-class OutOfTime(Exception):
-    """The budget is spent."""
-
-
-class TimeBudget:
-    """A budget in seconds."""
-
-    def __init__(self, seconds: float) -> None:
-        self.end = time.monotonic() + seconds
-
-    def check(self, price: float = 0.0) -> None:
-        """Raise OutOfTime once the budget is spent; `price`, about microseconds, is for clocks that count."""
-        if time.monotonic() > self.end:
-            raise OutOfTime("the budget ran out")
 
 
 def split_bases(A: Array) -> Iterator[tuple[Array, int]]:
@@ -272,7 +256,7 @@ def highest(
     flow: BallFlow,
     Y: Matrix,
     duration: Ball,
-    clock: TimeBudget,
+    clock: Budget,
     top: Callable[[Matrix], Ball] = largest,
     slope: Ball | None = None,
     limit: Ball | None = None,

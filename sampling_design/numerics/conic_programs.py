@@ -7,7 +7,6 @@ stated margin. Nothing here loads before the first problem is posed, for cvxpy a
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -20,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import SolverError
+from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import SolverRecord
 
 if TYPE_CHECKING:
@@ -198,12 +198,12 @@ def solve_cone_program(
     if budget is not None:
         settings.time_limit = float(budget)
     parts = sparse.csc_matrix((len(cost), len(cost))), np.asarray(cost, dtype=float), A, b, cones
-    started = time.perf_counter()
+    given = Budget(budget)
     found = cl.DefaultSolver(*parts, settings).solve()
     if not refined and str(found.status) not in ("Solved", "MaxTime"):
         settings.iterative_refinement_enable = True
         if budget is not None:
-            settings.time_limit = max(float(budget) - (time.perf_counter() - started), 0.0)
+            settings.time_limit = given.left
         found = cl.DefaultSolver(*parts, settings).solve()
     raw = str(found.status)
     record = SolverRecord(

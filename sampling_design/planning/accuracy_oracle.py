@@ -14,7 +14,8 @@ from sampling_design.planning.discrete_plant import DiscretePlant, UndetectedMod
 from sampling_design.planning.filter_deviation import RasterFilter
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory, peaks_of
 from sampling_design.planning.problem import PlanProblem, RowGoal
-from sampling_design.planning.work_budget import FAINT, WorkBudget
+from sampling_design.planning.work_prices import FAINT
+from sampling_design.records.budget import Budget
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -55,7 +56,7 @@ class AccuracyOracle:
     def __init__(self, problem: PlanProblem, motion: DiscretePlant):
         self.problem, self.motion = problem, motion
         self.back = 0
-        self.work = WorkBudget()
+        self.work = Budget(counted=True)
         self.rows = motion.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(motion.T)))
         self.few = int(problem.allowed.sum()) <= FEW
         """Whether so little may be measured that it can be gone through one by one."""
@@ -67,9 +68,9 @@ class AccuracyOracle:
         """The goal that was broken last."""
         self._open: list[list[tuple[Array, float]]] = [[(row, 0.0)] for row in self.rows]
 
-    def count(self, work: WorkBudget) -> None:
+    def count(self, work: Budget) -> None:
         """Count what was done and what is done from now on as part of some other work."""
-        work.add((self.work.spent, 0.0), 0.0)
+        work.spend(self.work.spent)
         self.work = work
         if self.spread is not None:
             self.spread.work = work

@@ -17,7 +17,7 @@ from sampling_design.accuracy.start import StartSet
 from sampling_design.numerics.conic_programs import INFEASIBLE, SOLVED, UNBOUNDED, ConeSolver
 from sampling_design.numerics.stage_programs import StageProgram
 from sampling_design.planning.discrete_plant import DiscretePlant
-from sampling_design.planning.work_budget import CONE, STAGES
+from sampling_design.planning.work_prices import CONE, STAGES
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

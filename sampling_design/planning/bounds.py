@@ -16,7 +16,8 @@ from sampling_design.planning.cost_proof import CostBranch, CostLeaf, CostProof,
 from sampling_design.planning.covering import CoveringRows, CoverModel, Key, relaxed
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
 from sampling_design.planning.hitting_set import hit
-from sampling_design.planning.work_budget import RELAXED, WorkBudget
+from sampling_design.planning.work_prices import RELAXED
+from sampling_design.records.budget import Budget
 
 Array = npt.NDArray[np.float64]
 
@@ -65,7 +66,7 @@ def separated(
     pool: HiddenTrajectories,
     level: float,
     keys: list[Key],
-    work: WorkBudget,
+    work: Budget,
     below: float = np.inf,
 ) -> tuple[list[Key], Array]:
     """Rows of the pool until the relaxation keeps them all, and its point, among choices below a cost."""
@@ -88,7 +89,7 @@ def separated(
     return keys, x
 
 
-def _relaxed(model: CoverModel, low: Array, high: Array, price: float, work: WorkBudget) -> tuple[Array, Array, float]:
+def _relaxed(model: CoverModel, low: Array, high: Array, price: float, work: Budget) -> tuple[Array, Array, float]:
     """The relaxation, counted."""
     work.add(RELAXED, model.A.nnz)
     return relaxed(model, low, high, price)
@@ -127,7 +128,7 @@ def prove_cost(
     pool: HiddenTrajectories,
     level: float,
     target: float,
-    work: WorkBudget,
+    work: Budget,
     keys: list[Key] | None = None,
     *,
     find: Finder | None = None,
@@ -148,7 +149,7 @@ def prove_cost(
 
 
 def _counted(
-    cover: CoveringRows, pool: HiddenTrajectories, level: float, target: float, work: WorkBudget, find: Finder | None
+    cover: CoveringRows, pool: HiddenTrajectories, level: float, target: float, work: Budget, find: Finder | None
 ) -> CostProof | None:
     """The proof where nothing but the number of samples counts, or None."""
     known = -1
@@ -170,7 +171,7 @@ class _Prover:
         level: float,
         target: float,
         keys: list[Key],
-        work: WorkBudget,
+        work: Budget,
         *,
         find: Finder | None,
         decide: bool,
@@ -242,7 +243,7 @@ def out_of_reach(
     width: float,
     *,
     keys: list[Key],
-    work: WorkBudget,
+    work: Budget,
     find: Finder | None = None,
 ) -> CostProof | None:
     """The proof with the highest level at which every choice costs more than `limit`; None if there is no work for one.

@@ -19,7 +19,8 @@ from scipy import sparse
 
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.planning.problem import PlanProblem
-from sampling_design.planning.work_budget import COVER, NODE, WorkBudget
+from sampling_design.planning.work_prices import COVER, NODE
+from sampling_design.records.budget import Budget
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -261,7 +262,7 @@ def _is_whole(problem: PlanProblem) -> bool:
 
 
 def cheapest(
-    cover: CoveringRows, model: CoverModel, tie: Array, work: WorkBudget, below: float = np.inf, nodes: int = NODES
+    cover: CoveringRows, model: CoverModel, tie: Array, work: Budget, below: float = np.inf, nodes: int = NODES
 ) -> tuple[Mask | None, bool]:
     """Return a cheap choice that keeps every row, and whether the solver says that there is none.
 

@@ -10,7 +10,7 @@ from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.robustness import PlanRobustness
 from sampling_design.planning.sequence import proven_ratio, settles, worst_ratio
 from sampling_design.planning.sequence_deviation import SampleSequence, planned
-from sampling_design.planning.work_budget import WorkBudget
+from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
 
 Array = npt.NDArray[np.float64]
@@ -26,18 +26,18 @@ SAME = 1e-4
 """Figures worked out anew may be larger by this share: solvers of other machines."""
 
 
-def plan_robustness(plan: PlanFigures, work: WorkBudget | None = None) -> PlanRobustness | None:
+def plan_robustness(plan: PlanFigures, work: Budget | None = None) -> PlanRobustness | None:
     """Return what a plan bears; None where it keeps nothing, or where nothing bounds what a change does.
 
     Raises
     ------
-    WorkSpentError
+    BudgetSpentError
         If that takes more work than there is left.
     """
     if not plan.keeps:
         return None
     N = plan.samples
-    plan.oracle.count(work or WorkBudget())
+    plan.oracle.count(work or Budget(counted=True))
     try:
         late, step, late_ratio = zip(*(_late(plan, k) for k in range(N)), strict=True)
         single = [_judged(plan, without(plan, k, 1)) for k in range(N)]

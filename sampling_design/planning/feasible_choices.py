@@ -16,7 +16,7 @@ from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.deviation import StandardDeviation
 from sampling_design.errors import UndecidedError
 from sampling_design.planning.problem import PlanProblem
-from sampling_design.planning.work_budget import WorkBudget
+from sampling_design.records.budget import Budget
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -43,7 +43,7 @@ class ProvenChoice:
 class FeasibleChoices:
     """Choices of one problem, each proven once at most."""
 
-    def __init__(self, problem: PlanProblem, work: WorkBudget, prove: Callable[[Mask], tuple[GoalProofs, Array]]):
+    def __init__(self, problem: PlanProblem, work: Budget, prove: Callable[[Mask], tuple[GoalProofs, Array]]):
         self.problem, self.work, self._prove = problem, work, prove
         self._known: dict[bytes, ProvenChoice] = {}
 

@@ -16,7 +16,8 @@ from sampling_design.numerics.linalg import discounted_flow, symmetrise
 from sampling_design.planning.discrete_plant import DiscretePlant
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.planning.problem import PlanProblem, RowGoal
-from sampling_design.planning.work_budget import FILTER, WorkBudget
+from sampling_design.planning.work_prices import FILTER
+from sampling_design.records.budget import Budget
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -46,9 +47,9 @@ MOST_REACH = 1e9
 class RasterFilter:
     """Variances of the goals that are standard deviations, on the raster of one problem."""
 
-    def __init__(self, problem: PlanProblem, motion: DiscretePlant, work: WorkBudget | None = None):
+    def __init__(self, problem: PlanProblem, motion: DiscretePlant, work: Budget | None = None):
         self.problem, self.motion = problem, motion
-        self.work = WorkBudget() if work is None else work
+        self.work = Budget(counted=True) if work is None else work
         F, Q = discounted_flow(motion.A, motion.N @ motion.N.T, [motion.step])
         self.F, self.Q = F[0], symmetrise(Q[0])
         self.rows = motion.rows(np.array([goal.row for goal in problem.goals]).reshape(-1, len(motion.T)))

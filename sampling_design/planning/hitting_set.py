@@ -18,7 +18,8 @@ import numpy.typing as npt
 from sampling_design.planning.cost_proof import CostBranch, CostLeaf, CostProof, CostTree, proven_cost
 from sampling_design.planning.covering import CoveringRows, Key
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
-from sampling_design.planning.work_budget import MEETING, WorkBudget
+from sampling_design.planning.work_prices import MEETING
+from sampling_design.records.budget import Budget
 
 Array32 = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
@@ -62,7 +63,7 @@ def hit(
     pool: HiddenTrajectories,
     level: float,
     below: float,
-    work: WorkBudget,
+    work: Budget,
     blind: Sequence[Mask] = (),
 ) -> HittingSet | None:
     """A choice below a cost, within the limits, that sees every motion at a level, or that there is none.
@@ -101,7 +102,7 @@ class _Search:
         below: float,
         most: int,
         reaching: list[int],
-        work: WorkBudget,
+        work: Budget,
     ):
         self.cover, self.pool, self.level, self.below, self.most, self.work = cover, pool, level, below, most, work
         self.left, self.found, self.frame = MOST_NODES, False, cover.frame[0].shape[0]

@@ -34,9 +34,10 @@ from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.search import PlanSearch
 from sampling_design.planning.start import plan_start
 from sampling_design.planning.undetected_modes import finer_raster, modes_of
-from sampling_design.planning.work_budget import AFTER, CERTIFIED, GAINS, WorkBudget, WorkSpentError
+from sampling_design.planning.work_prices import AFTER, CERTIFIED, GAINS
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.budget import Budget, BudgetSpentError
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
@@ -151,16 +152,16 @@ def plan_samples(
     work, left_out = run.oracle.work, list[str]()
     if found.bound.ratio is None and (work.over or found.status == "interrupted"):
         left_out.append("bound")
-    work.until(*AFTER[2], firm=True)
+    work.extend(*AFTER[2], firm=True)
 
-    def room_for(name: str, make: Callable[[Plan, WorkBudget], Made | None]) -> Made | None:
+    def room_for(name: str, make: Callable[[Plan, Budget], Made | None]) -> Made | None:
         nonlocal found
         try:
             if found.status != "interrupted":
                 if progress:
                     progress(0.9, name)
                 return make(found, work)
-        except WorkSpentError:
+        except BudgetSpentError:
             pass
         except KeyboardInterrupt:
             found = replace(found, status="interrupted")
@@ -173,15 +174,15 @@ def plan_samples(
     return replace(found, certificate=certified, start=begins, robustness=bears, left_out=tuple(left_out))
 
 
-def plan_certificate(found: Plan, work: WorkBudget | None = None) -> Certificate | None:
+def plan_certificate(found: Plan, work: Budget | None = None) -> Certificate | None:
     """That the samples show the whole state, or None.
 
     Raises
     ------
-    WorkSpentError
+    BudgetSpentError
         If it takes more work than there is left.
     """
-    (work or WorkBudget()).add(CERTIFIED, found.samples * found.plant.n_states**2)
+    (work or Budget(counted=True)).add(CERTIFIED, found.samples * found.plant.n_states**2)
     try:
         return certify(found.plant, found.schedule)
     except (CertificateError, UndecidedError, NotDetectableError):
@@ -195,7 +196,7 @@ class _Planning:
         self.problem, self.progress, self.first = problem, progress, first
         self.motion = motion_of(problem)
         self.oracle = AccuracyOracle(problem, self.motion)
-        self.oracle.work.limit = self.oracle.work.budget = work
+        self.oracle.work.seconds = self.oracle.work.limit = work
         self.search = PlanSearch(problem, self.oracle, progress)
         self.held = FeasibleChoices(problem, self.oracle.work, self._ratios)
 
@@ -208,7 +209,7 @@ class _Planning:
         if coarse is None:
             return []
         try:
-            run = _Planning(coarse, self.first * work.budget, self.progress, 1.0)
+            run = _Planning(coarse, self.first * work.seconds, self.progress, 1.0)
         except (ArgumentError, MathematicsError):  # it is too coarse to be looked at
             return []
         try:
@@ -218,7 +219,7 @@ class _Planning:
             raise
         except (MathematicsError, UndecidedError):  # what cannot be kept there may be kept here
             pass
-        work.spent += run.oracle.work.spent
+        work.spend(run.oracle.work.spent)
         return self._lifted(run.search)
 
     def _lifted(self, coarse: PlanSearch) -> list[Mask]:
@@ -266,12 +267,12 @@ class _Planning:
         sure, cost = best is last, self.problem.cost(best.chosen)
         frame = CoveringRows(without_limits(self.problem), fixed=is_free(self.problem))
         search.sharpen(1 / EASED**2, cost)
-        self.oracle.work.until(*AFTER[0])
+        self.oracle.work.extend(*AFTER[0])
         least = prove_cost(frame, search.pool, 1 / EASED**2, cost, self.oracle.work, find=search.find)
         rival = self._better(best, cost)
         best = self.held.sharpest(rival.held, best)
         known, keys = rival.found.out_of_reach, rival.found.keys
-        self.oracle.work.until(*AFTER[1])
+        self.oracle.work.extend(*AFTER[1])
         ratio = out_of_reach(
             frame, search.pool, cost, known, best.worst, WIDTH, keys=keys, work=self.oracle.work, find=search.find
         )
@@ -288,7 +289,7 @@ class _Planning:
         held, work = self.search.held, self.oracle.work
         if not held:
             raise KeyboardInterrupt
-        work.limit, work.firm = 0.0, False
+        work.stop()
         if self.problem.requirement.aim == "cheapest":
             best = self.held.cheapest([chosen for chosen, _ in held], self._densest())
         else:
@@ -358,7 +359,7 @@ class _Planning:
         best = self.held.sharpest(search.held, self._most_accurate())
         limit, known, keys = limit_of(self.problem, 0.0), search.found.out_of_reach, search.found.keys
         work = self.oracle.work
-        work.until(*AFTER[1])
+        work.extend(*AFTER[1])
         ratio = out_of_reach(
             search.cover, search.pool, limit, known, best.worst, WIDTH, keys=keys, work=work, find=search.find
         )

@@ -21,7 +21,7 @@ from sampling_design.planning.hidden_trajectories import MOST_ENDS, HiddenTrajec
 from sampling_design.planning.hitting_set import HittingSet, hit
 from sampling_design.planning.narrowing import narrowed
 from sampling_design.planning.problem import PlanProblem
-from sampling_design.planning.work_budget import WEIGHED
+from sampling_design.planning.work_prices import WEIGHED
 from sampling_design.records.progress import Progress
 
 Array = npt.NDArray[np.float64]
@@ -100,7 +100,7 @@ class PlanSearch:
     def late(self) -> bool:
         """Whether the work is spent; where something is held, its share of it."""
         work = self.oracle.work
-        return work.over or (bool(self.held) and work.spent > self.share * work.budget)
+        return work.over or (bool(self.held) and work.spent > self.share * work.seconds)
 
     def add(self, attacks: list[HiddenTrajectory], level: float) -> None:
         """Keep attacks that reach a level."""
@@ -356,7 +356,8 @@ class PlanSearch:
     def _swapped(self, rest: Mask, options: list[tuple[int, int]]) -> Array:
         """What the attacks so far prove of a choice with each option added, counted."""
         ends = min(self.problem.steps, MOST_ENDS)
-        self.oracle.work.add_each(len(self.pool.attacks), WEIGHED, ends * len(options))
+        attacks = len(self.pool.attacks)
+        self.oracle.work.add((attacks * WEIGHED[0], attacks * WEIGHED[1]), ends * len(options))
         return self.pool.swaps(rest, options)
 
     def _exchanged(self, chosen: Mask, options: list[tuple[int, int]]) -> Mask:

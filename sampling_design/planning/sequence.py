@@ -20,7 +20,7 @@ from sampling_design.planning.problem import WHOLE, RowGoal
 from sampling_design.planning.sequence_chain import phase_of, plan_chain, sequence_chain
 from sampling_design.planning.sequence_deviation import SampleSequence, asked, departs_and_returns, spread_of
 from sampling_design.planning.transient_bound import settled_factors
-from sampling_design.planning.work_budget import BETWEEN, CHAIN, GAINS, STARTED
+from sampling_design.planning.work_prices import BETWEEN, CHAIN, GAINS, STARTED
 
 Array = npt.NDArray[np.float64]
 
@@ -191,7 +191,7 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, told: dict[int, 
         if not here <= max(min(worst, 1.0), usual * (1 + FADED)):
             here, skipped = 0.0, sequence.skipped(k)
             for goal, known in goals:
-                work.add((BETWEEN, 0.0), 0.0)
+                work.spend(BETWEEN)
                 opened = open_row(search.chain, k, goal.row, known=known).since(skipped)
                 at = [offset for offset in asked(plan, sequence, k, goal) if offset >= skipped]
                 here = max(here, _gap_bound(search, opened, k, goal, at) / goal.tolerance)

@@ -19,7 +19,7 @@ from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.filter_deviation import PERIODS, SETTLED, WIDE, own
 from sampling_design.planning.opening import PlanClock
 from sampling_design.planning.problem import WHOLE, PlanProblem, RowGoal
-from sampling_design.planning.work_budget import SEQUENCE
+from sampling_design.planning.work_prices import SEQUENCE
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

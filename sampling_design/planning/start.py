@@ -11,7 +11,7 @@ from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.opening import PlanClock
 from sampling_design.planning.sequence import proven_ratio, settles
 from sampling_design.planning.sequence_deviation import GRAIN, ORDINARY, SampleSequence, planned
-from sampling_design.planning.work_budget import WorkBudget
+from sampling_design.records.budget import Budget
 from sampling_design.records.record import Plain, Record, short
 from sampling_design.records.units import spoken
 
@@ -74,12 +74,12 @@ class PlanStart(Record):
         }
 
 
-def plan_start(plan: PlanFigures, work: WorkBudget | None = None) -> PlanStart | None:
+def plan_start(plan: PlanFigures, work: Budget | None = None) -> PlanStart | None:
     """Return from when on a plan keeps its tolerances; None where it keeps none, or where that is not decided.
 
     Raises
     ------
-    WorkSpentError
+    BudgetSpentError
         If that takes more work than there is left.
     """
     if not plan.keeps:

@@ -6,7 +6,6 @@ import logging
 import pickle
 import signal
 import sys
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -24,6 +23,7 @@ from multiprocessing import resource_tracker
 from typing import Protocol, TypeVar, runtime_checkable
 
 from sampling_design.errors import ArgumentError, MissingExtraError, SolverError
+from sampling_design.records.budget import now
 
 MOST_KILLED = 3
 """Times that processes may be killed in a row before any of them has finished a job."""
@@ -277,16 +277,16 @@ def _finished(
     futures: Iterable[Future[Result]], client: Client, ended: Callable[[str], SolverError]
 ) -> Iterator[Future[Result]]:
     """Yield futures as they end, unless the cluster is left without scheduler or without workers."""
-    waiting, seen = set(futures), time.monotonic()
+    waiting, seen = set(futures), now()
     while waiting:
         found, waiting = wait(waiting, timeout=PATIENCE, return_when=FIRST_COMPLETED)
         yield from sorted(found, key=lambda future: future.cancelled() or future.exception() is not None)
         try:
             if found or client.nthreads():
-                seen = time.monotonic()
+                seen = now()
         except (OSError, TimeoutError):
             raise ended("the Dask scheduler was lost") from None
-        if time.monotonic() - seen > LONGEST_WITHOUT:
+        if now() - seen > LONGEST_WITHOUT:
             raise ended(f"the Dask cluster has had no worker for {LONGEST_WITHOUT:g} s")
 
 

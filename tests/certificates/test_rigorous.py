@@ -20,7 +20,7 @@ from sampling_design.certificates.rigorous.refutation import RefutationSearch, r
 from sampling_design.checkers.claims import certificate as content
 from sampling_design.errors import CertificateError, MissingExtraError
 from sampling_design.numerics import balls as balls
-from sampling_design.numerics.ball_flow import OutOfTime, TimeBudget
+from sampling_design.records.budget import Budget, BudgetSpentError
 from tests.checkers.test_sampled import redigested, scaled, verdict_by_scan
 from tests.oracles import riccati as oracle
 
@@ -329,7 +329,7 @@ def test_an_inequality_that_is_exactly_tight_is_undecided():
     ).to_dict()
     assert verify_rigorously(held).verdict == "undecided"
     with balls.precision(), pytest.raises(BallFailure, match="could not be decided: it is tight or nearly so"):
-        assumption_7(content(held), TimeBudget(60.0))
+        assumption_7(content(held), Budget(60.0))
 
 
 @pytest.mark.parametrize(
@@ -343,7 +343,7 @@ def test_files_that_are_not_understood_stop_the_proof(change, message, made):
     data = made("oscillator").to_dict() | change
     data = data if "digest" in change else redigested(data)
     with balls.precision(), pytest.raises(BallFailure, match=message):
-        _decided(data, TimeBudget(60.0))
+        _decided(data, Budget(60.0))
 
 
 def test_a_recursion_that_grows_has_no_family():
@@ -361,7 +361,7 @@ def test_a_recursion_that_grows_has_no_family():
         c = content(made_up)
         frame = framed(c, BallWeights(c.plant, c.weights).P2, "aliased")
         with pytest.raises(ArithmeticError, match="the recursion does not settle"):
-            settled(frame, 1e-2, TimeBudget(60.0))
+            settled(frame, 1e-2, Budget(60.0))
 
 
 def test_the_search_for_a_counterexample_keeps_to_the_budget(made):
@@ -372,10 +372,10 @@ def test_the_search_for_a_counterexample_keeps_to_the_budget(made):
         def make():
             return framed(c, BallWeights(c.plant, c.weights).P2, "out of reach")
 
-        with pytest.raises(OutOfTime, match="the budget ran out"):
-            refute(make, TimeBudget(-1.0))
+        with pytest.raises(BudgetSpentError, match="the budget ran out"):
+            refute(make, Budget(-1.0))
         with pytest.raises(BallFailure, match="out of reach fails by"):
-            refute(make, TimeBudget(60.0))
+            refute(make, Budget(60.0))
 
 
 def test_the_search_for_a_counterexample_walks_in_doubles(made):
@@ -384,7 +384,7 @@ def test_the_search_for_a_counterexample_walks_in_doubles(made):
     with balls.precision():
         c = content(data)
         frame = framed(c, BallWeights(c.plant, c.weights).P2, "out of reach")
-        search, Y = RefutationSearch(frame, False, TimeBudget(60.0)), frame.start
+        search, Y = RefutationSearch(frame, False, Budget(60.0)), frame.start
         for duration in (0.0, 0.3, float(frame.schedule.gaps[0])):
             exact = balls.floats(frame.flow.step(Y, balls.ball(duration)))
             assert search.step(balls.floats(Y), duration) == pytest.approx(exact, rel=1e-12)

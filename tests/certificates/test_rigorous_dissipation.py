@@ -16,7 +16,7 @@ from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.certificates.rigorous.dissipation_balls import INEQUALITY, decided, detectability, downhill
 from sampling_design.checkers.claims import certificate
 from sampling_design.numerics import balls as balls
-from sampling_design.numerics.ball_flow import TimeBudget
+from sampling_design.records.budget import Budget
 from tests.oracles import dissipation as oracle
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -135,7 +135,7 @@ def test_the_symmetric_part_is_what_counts_of_a_matrix_that_is_symmetric_but_for
 )
 def test_what_stops_a_proof_says_why(change, message):
     with balls.precision(), pytest.raises(BallFailure, match=message):
-        detectability(certificate(redigested({**stated(), **change})), TimeBudget(60.0))
+        detectability(certificate(redigested({**stated(), **change})), Budget(60.0))
 
 
 def test_elimination_finds_a_direction_where_floats_see_none():

@@ -25,7 +25,7 @@ from sampling_design.certificates.rigorous.family_balls import BallIntervals
 from sampling_design.checkers.claims import certificate
 from sampling_design.checkers.cover import covers
 from sampling_design.numerics import balls as balls
-from sampling_design.numerics.ball_flow import TimeBudget
+from sampling_design.records.budget import Budget
 from tests.checkers.test_sampled import redigested
 from tests.oracles import riccati as oracle
 
@@ -206,6 +206,6 @@ def test_an_interval_that_is_exactly_tight_is_undecided(made):
     with balls.precision():
         c = certificate(data)
         weights = BallWeights(c.plant, c.weights)
-        tight = BallIntervals(weights, weights.P2, [], "P2 <= P2", TimeBudget(60.0))
+        tight = BallIntervals(weights, weights.P2, [], "P2 <= P2", Budget(60.0))
         with pytest.raises(BallFailure, match="could not be decided: it is tight or nearly so"):
             tight.prove(weights.P2, None, Fraction(0), Fraction(0))

@@ -11,6 +11,7 @@ from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.search.fedorov_exchange import is_admissible, spread
 from sampling_design.design.search.rotations import rotated
 from sampling_design.plants import library
+from sampling_design.records.budget import Budget
 
 
 def hours(repeats, *closed):
@@ -70,7 +71,9 @@ def test_ends_that_a_shift_rounds_are_not_lost():
     hour = np.mod(found.times, 1.0)[found.weights > 0.1] * 24
     assert np.any(np.abs(hour - 7.0) < 1e-5)
     assert np.any(np.abs(hour - 19.0) < 1e-5)
-    assert placed_part(case, found, deadline=0.0).value <= np.sqrt(found.value) * 1.001  # sharp between grid times too
+    assert (
+        placed_part(case, found, budget=Budget(-1.0)).value <= np.sqrt(found.value) * 1.001
+    )  # sharp between grid times too
     alone = [t for t in rotated(case, found, 4, share=0.03) if is_admissible(case, t)]
     assert len(alone) == 4
     reached = np.sqrt(worst_sigma2(case, np.array(alone)).max())
@@ -92,7 +95,7 @@ def test_no_time_for_a_relaxation_leaves_a_true_bound():
     case = problem()
     found = relax_placed(case, seconds=0.0)
     assert found.record.status == "budget"
-    assert first_bound(case, found, deadline=0.0).value >= np.sqrt(relax_placed(case).value) * (1 - 1e-6)
+    assert first_bound(case, found, budget=Budget(-1.0)).value >= np.sqrt(relax_placed(case).value) * (1 - 1e-6)
 
 
 def test_rotations_of_more_samples_than_days_and_of_fewer():

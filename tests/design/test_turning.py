@@ -1,7 +1,5 @@
 """Windows of plants whose flow stretches nothing, a smooth bound of their least eigenvalue, and where it leads."""
 
-import time
-
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -15,6 +13,7 @@ from sampling_design.design.search.fedorov_exchange import is_admissible, spread
 from sampling_design.design.search.refine import refined
 from sampling_design.design.search.rotations import exchanged_hours
 from sampling_design.design.search.smooth import smoothed
+from sampling_design.records.budget import Budget
 from tests.cases import few
 from tests.oracles.design import random_schedule
 
@@ -137,7 +136,7 @@ def test_what_is_not_wanted_is_left_early_and_a_deadline_is_kept():
     case = problem()
     times = random_schedule(np.random.default_rng(10), 6.0, 0.2, 7)
     assert smoothed(case, case.turning, times, wanted=1e3) is None
-    late = smoothed(case, case.turning, times, deadline=time.perf_counter() - 1.0)
+    late = smoothed(case, case.turning, times, budget=Budget(-1.0))
     np.testing.assert_array_equal(late, times)
     crowded = problem(spacing=0.85)
     assert smooth._crowding(crowded, times)[0] > 0

@@ -9,7 +9,7 @@ from sampling_design.planning import plan as room
 from sampling_design.planning.feasible_choices import FeasibleChoices
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.search import PlanSearch
-from sampling_design.planning.work_budget import WorkBudget
+from sampling_design.records.budget import Budget
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])
 GIVEN = {"period": 6.4, "raster": 0.4, "w_bound": 0.02, "sensors": {"y": {"noise_bound": 0.2}}}
@@ -43,14 +43,14 @@ def test_a_longer_search_is_never_dearer_whatever_the_proofs_say(seed):
     prove = judged_by(weights, weights.sum() * rng.uniform(0.1, 0.9))
     costs = []
     for moment in range(len(held) + 1):
-        best = FeasibleChoices(problem, WorkBudget(), prove).cheapest(held[:moment], everything)
+        best = FeasibleChoices(problem, Budget(counted=True), prove).cheapest(held[:moment], everything)
         assert best.worst <= 1
         costs.append(problem.cost(best.chosen))
     assert costs == sorted(costs, reverse=True)
 
 
 def test_without_any_work_left_what_was_proven_is_kept():
-    problem, spent = posed(), WorkBudget(0.0)
+    problem, spent = posed(), Budget(0.0, counted=True)
     spent.add((1.0, 0.0), 0.0)
     held = drawn(np.random.default_rng(3), problem, 5)
     good = held[1].tobytes()
@@ -76,7 +76,7 @@ def test_of_equal_costs_only_what_may_be_better_is_proven():
         asked.append(chosen.tobytes())
         return (None, None), np.array([proven[asked[-1]]])
 
-    held = FeasibleChoices(problem, WorkBudget(), prove)
+    held = FeasibleChoices(problem, Budget(counted=True), prove)
     found = held.sharpest([(same, 0.85), (better, 0.69)], held.proven(first))
     assert found.chosen.tobytes() == better.tobytes()
     assert asked == [first.tobytes(), better.tobytes()]

@@ -11,12 +11,12 @@ from sampling_design.certificates.exact import efforts, weight_choice
 from sampling_design.certificates.exact.canonical import canonical
 from sampling_design.certificates.exact.given_weights import default_weights
 from sampling_design.certificates.form.verdict import verdict_of
-from sampling_design.certificates.rigorous.decide import CountedClock, verify_rigorously
+from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.checkers.check import check
 from sampling_design.checkers.parts import digest
 from sampling_design.checkers.work import Work
 from sampling_design.errors import UndecidedError
-from sampling_design.numerics.ball_flow import OutOfTime
+from sampling_design.records.budget import Budget, BudgetSpentError
 
 CLOCKS = ("thread_time", "process_time", "perf_counter", "monotonic")
 RNG = np.random.default_rng(5)
@@ -76,8 +76,8 @@ def test_balls_end_where_their_work_does():
     short = verify_rigorously(data, work=Work(100.0))
     assert short.verdict == "undecided"
     assert short.reason == "it takes more work than was handed over"
-    with pytest.raises(OutOfTime, match="the work ran out"):
-        CountedClock(np.inf, Work(10.0)).check(11.0)
+    with pytest.raises(BudgetSpentError, match="the work ran out"):
+        Budget(work=Work(10.0)).check(11.0)
 
 
 def test_a_proof_that_may_do_nothing_is_undecided(monkeypatch):

@@ -7,7 +7,8 @@ import pytest
 
 from sampling_design.errors import MissingExtraError
 from sampling_design.numerics import balls as balls
-from sampling_design.numerics.ball_flow import BallFlow, OutOfTime, TimeBudget, highest
+from sampling_design.numerics.ball_flow import BallFlow, highest
+from sampling_design.records.budget import Budget, BudgetSpentError
 from tests.cases import few
 from tests.oracles import balls as oracle
 
@@ -129,11 +130,11 @@ def test_highest_holds_everywhere_and_is_close(name):
     with balls.precision():
         flow = BallFlow(balls.matrix(A), balls.matrix(S))
         limit = balls.ball(max(tops) * (1 + 1e-2))
-        proven = highest(flow, balls.matrix(Y), balls.ball(duration), TimeBudget(60), limit=limit)
+        proven = highest(flow, balls.matrix(Y), balls.ball(duration), Budget(60), limit=limit)
         assert proven is not None
         assert max(tops) <= float(proven) <= float(limit)
         low = balls.ball(max(tops) * (1 - 1e-9))
-        assert highest(flow, balls.matrix(Y), balls.ball(duration), TimeBudget(60), limit=low) is None
+        assert highest(flow, balls.matrix(Y), balls.ball(duration), Budget(60), limit=low) is None
 
 
 def test_a_bulge_between_equal_ends_is_seen():
@@ -143,12 +144,12 @@ def test_a_bulge_between_equal_ends_is_seen():
         Y, half = balls.matrix(np.diag([1.0, 10.0])), balls.ball(3.141592653589793)
         first = lambda M: M[0, 0].upper()  # noqa: E731
         assert first(flow.step(Y, half)) < 1.0000001
-        assert highest(flow, Y, half, TimeBudget(60), top=first, limit=balls.ball(9.999)) is None
-        assert highest(flow, Y, half, TimeBudget(60), top=first, limit=balls.ball(10.001)) is not None
+        assert highest(flow, Y, half, Budget(60), top=first, limit=balls.ball(9.999)) is None
+        assert highest(flow, Y, half, Budget(60), top=first, limit=balls.ball(10.001)) is not None
 
 
 def test_a_spent_budget_stops_the_search():
     with balls.precision():
         flow = BallFlow(balls.matrix([[0.0, 1.0], [-1.0, 0.0]]), balls.identity(2))
-        with pytest.raises(OutOfTime, match="the budget ran out"):
-            highest(flow, balls.identity(2) * balls.ball(0.1), balls.ball(1.0), TimeBudget(-1.0), limit=balls.ball(9.0))
+        with pytest.raises(BudgetSpentError, match="the budget ran out"):
+            highest(flow, balls.identity(2) * balls.ball(0.1), balls.ball(1.0), Budget(-1.0), limit=balls.ball(9.0))

@@ -19,12 +19,12 @@ from sampling_design import (
     worst_case_sigma,
 )
 from sampling_design.errors import MissingExtraError
-from sampling_design.numerics.ball_flow import OutOfTime, TimeBudget
 from sampling_design.numerics.balls import precision
 from sampling_design.observability.windows.balls import exact_times, prove_window_sigma
 from sampling_design.observability.windows.pieces import window_pieces
 from sampling_design.observability.worst_case import balls as rigorous_worst
 from sampling_design.observability.worst_case.balls import WorstCase, prove_worst_sigma
+from sampling_design.records.budget import Budget, BudgetSpentError
 from tests.cases import few
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -223,8 +223,8 @@ def test_a_worst_case_without_the_extra_is_refused(monkeypatch):
 def test_too_many_open_cells_end_the_attempt(monkeypatch):
     monkeypatch.setattr(rigorous_worst, "MOST_CELLS", 1)
     found = worst_case_sigma(CHAIN, SpacedWindows(6.0, 5, 0.5))
-    with precision(), pytest.raises(OutOfTime, match="too many cells are open"):
-        WorstCase(CHAIN, SpacedWindows(6.0, 5, 0.5), np.eye(3), TimeBudget(60.0)).proves(found.lower)
+    with precision(), pytest.raises(BudgetSpentError, match="too many cells are open"):
+        WorstCase(CHAIN, SpacedWindows(6.0, 5, 0.5), np.eye(3), Budget(60.0)).proves(found.lower)
 
 
 @pytest.mark.parametrize("rate", [3.0, 10.0, 20.0])

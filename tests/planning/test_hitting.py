@@ -18,7 +18,7 @@ from sampling_design.planning.hidden_trajectories import HiddenTrajectories, Hid
 from sampling_design.planning.hitting_set import hit
 from sampling_design.planning.plan_record import ends_of, is_free
 from sampling_design.planning.problem import pose_plan
-from sampling_design.planning.work_budget import WorkBudget
+from sampling_design.records.budget import Budget
 
 STEPS = 12
 TWO = Plant(
@@ -74,7 +74,7 @@ def test_it_says_what_trying_all_choices_says(seed):
     pool = pooled(rng, problem, int(rng.integers(1, 5)), at_sample=seed % 4 > 1)
     cover = CoveringRows(problem, fixed=is_free(problem))
     most = int(problem.most_samples)
-    found = hit(cover, pool, 1.0, cover.dearest, WorkBudget())
+    found = hit(cover, pool, 1.0, cover.dearest, Budget(counted=True))
     wanted = tried(problem, pool, most)
     assert found is not None
     assert found.none == (not wanted)
@@ -86,7 +86,7 @@ def test_it_says_what_trying_all_choices_says(seed):
     loose = CoveringRows(
         replace(problem, most_samples=np.inf), fixed=cover.fixed
     )  # one more than these is all that is proven
-    again = hit(loose, pool, 1.0, most + 1.0, WorkBudget())
+    again = hit(loose, pool, 1.0, most + 1.0, Budget(counted=True))
     assert proven_cost(loose, pool, again.proof) == most + 1.0
 
 
@@ -96,7 +96,7 @@ def test_both_answers_are_met():
         rng = np.random.default_rng(seed)
         problem = posed(3)
         cover = CoveringRows(problem, fixed=True)
-        answers.append(hit(cover, pooled(rng, problem, 3), 1.0, cover.dearest, WorkBudget()).none)
+        answers.append(hit(cover, pooled(rng, problem, 3), 1.0, cover.dearest, Budget(counted=True)).none)
     assert 5 < sum(answers) < 35
 
 
@@ -106,7 +106,7 @@ def test_a_limit_of_money_is_one_of_samples(limit):
     problem = posed(None, visit_price=5.0, cost_limit=limit)
     cover, pool = CoveringRows(problem, fixed=True), pooled(rng, problem, 6)
     assert not tried(problem, pool, 2)
-    found = hit(cover, pool, 1.0, cover.dearest, WorkBudget())
+    found = hit(cover, pool, 1.0, cover.dearest, Budget(counted=True))
     assert found.none
     assert proven_cost(cover, pool, found.proof) > limit  # two samples are all that it buys
 
@@ -125,7 +125,7 @@ def unseen():
     cover = CoveringRows(problem, fixed=True)
     for seed in range(1000):
         pool = pooled(np.random.default_rng(seed), problem, 3)
-        found = hit(cover, pool, 1.0, cover.dearest, WorkBudget())
+        found = hit(cover, pool, 1.0, cover.dearest, Budget(counted=True))
         if found.none and leaves(found.proof.tree)[0] > 8:
             return cover, pool, found.proof
     raise AssertionError
@@ -149,7 +149,7 @@ def test_motions_that_end_where_nothing_is_asked_prove_nothing():
     ends[3] = True
     cover, pool = CoveringRows(problem, fixed=False), HiddenTrajectories(problem.steps, [ends])
     pool.add(HiddenTrajectory(0, 1.0, 3, False, np.full((problem.steps, 2), 0.5), NO_FLIGHT))
-    found = hit(cover, pool, 1.0, cover.dearest, WorkBudget())
+    found = hit(cover, pool, 1.0, cover.dearest, Budget(counted=True))
     assert found.none
     assert proven_cost(cover, pool, found.proof) >= cover.dearest * (1 - 1e-9)
     turned = replace(found.proof, keys=tuple((a, end + 1) for a, end in found.proof.keys))
@@ -172,7 +172,13 @@ def test_a_motion_at_a_sample_asks_nothing_where_none_may_be_taken():
 def test_where_more_than_the_number_counts_a_solver_is_asked(more):
     problem = posed(3, **more)
     assert (
-        hit(CoveringRows(problem, fixed=True), pooled(np.random.default_rng(0), problem, 2), 1.0, 4.0, WorkBudget())
+        hit(
+            CoveringRows(problem, fixed=True),
+            pooled(np.random.default_rng(0), problem, 2),
+            1.0,
+            4.0,
+            Budget(counted=True),
+        )
         is None
     )
 
@@ -180,9 +186,9 @@ def test_where_more_than_the_number_counts_a_solver_is_asked(more):
 def test_nodes_that_run_out_leave_the_question_to_the_solver(monkeypatch):
     cover, pool, _ = unseen()
     monkeypatch.setattr(hitting_set, "MOST_NODES", 3)
-    found = hit(cover, pool, 1.0, cover.dearest, WorkBudget())
+    found = hit(cover, pool, 1.0, cover.dearest, Budget(counted=True))
     assert (found.chosen, found.none, found.proof) == (None, False, None)
-    proof = prove_cost(cover, pool, 1.0, cover.dearest, WorkBudget(), find=lambda x, level: None, decide=True)
+    proof = prove_cost(cover, pool, 1.0, cover.dearest, Budget(counted=True), find=lambda x, level: None, decide=True)
     assert proof.value >= cover.dearest * (1 - 1e-9)
 
 
@@ -195,8 +201,8 @@ def test_what_must_be_measured_once_is_met_and_has_no_proof():
     masks = np.zeros((4, problem.steps, 2), dtype=bool)
     for k, mask in enumerate(masks):
         mask[3 * k : 3 * k + 3] = True
-    assert hit(cover, pool, 1.0, cover.dearest, WorkBudget(), masks[:3]).chosen[3:6].any()
-    found = hit(cover, pool, 1.0, cover.dearest, WorkBudget(), masks)
+    assert hit(cover, pool, 1.0, cover.dearest, Budget(counted=True), masks[:3]).chosen[3:6].any()
+    found = hit(cover, pool, 1.0, cover.dearest, Budget(counted=True), masks)
     assert found.none
     assert found.proof is None
 

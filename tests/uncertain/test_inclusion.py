@@ -15,8 +15,8 @@ from sampling_design.checkers.outcome import Undecided
 from sampling_design.checkers.parts import digest
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, UndecidedError
 from sampling_design.numerics import balls
-from sampling_design.numerics.ball_flow import TimeBudget
 from sampling_design.plants.plant import Signals
+from sampling_design.records.budget import Budget
 from sampling_design.uncertain.inclusion import inclusion_balls
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion, longest_gap
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
@@ -590,7 +590,7 @@ def test_sets_of_outputs_that_no_halving_decides_are_undecided(monkeypatch):
     monkeypatch.setattr(inclusion_balls, "MOST_SETS", 0)
     with balls.precision():
         with pytest.raises(BallFailure, match="could not be decided: it is tight or nearly so"):
-            inclusion_balls.inclusion(tight, TimeBudget(60.0))
+            inclusion_balls.inclusion(tight, Budget(60.0))
         with pytest.raises(BallFailure, match="x > 0 could not be decided: it is tight or nearly so"):
             inclusion_balls.positive("x > 0", balls.matrix([[1.0, 1.0], [1.0, 1.0]]), [balls.ball(1.0)] * 2)
 

@@ -8,11 +8,11 @@ import pytest
 
 from sampling_design import PeriodicSchedule, Plant, SpacedWindows, window_sigma, worst_case_sigma
 from sampling_design.errors import MissingExtraError
-from sampling_design.numerics.ball_flow import TimeBudget
 from sampling_design.numerics.balls import ball, floats, matrix, precision
 from sampling_design.observability.windows.balls import exact_times
 from sampling_design.observability.windows.pieces import window_pieces
 from sampling_design.plants.plant import Signals
+from sampling_design.records.budget import Budget
 from sampling_design.uncertain.box.balls import BallBox, largest_over
 from sampling_design.uncertain.box.expansion import BoxCells, bases, norms_in
 from sampling_design.uncertain.box.model import BoxModel
@@ -74,7 +74,7 @@ def test_lower_is_proven_and_gives_hardly_anything_away(name):
 def cells(plant, schedule, window):
     """The proof of a box and a schedule, and what it is about."""
     asked = WindowsOverBox(BoxModel.of(plant, "window_sigma"), window_pieces(schedule, window))
-    return WindowCells(asked, schedule, exact_times(schedule, asked.pieces), TimeBudget(60.0)), asked
+    return WindowCells(asked, schedule, exact_times(schedule, asked.pieces), Budget(60.0)), asked
 
 
 def test_a_bound_too_high_by_1e_9_is_never_proven_and_one_just_below_is():

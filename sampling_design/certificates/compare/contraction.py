@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import numpy.typing as npt
 
@@ -13,6 +11,7 @@ from sampling_design.certificates.exact.window_problem import WindowProblem, win
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.linalg import expm_batch
 from sampling_design.records import checks
+from sampling_design.records.budget import Budget
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 
@@ -128,14 +127,14 @@ def least_contracting(certificate: Certificate, cost: str = "certificate", budge
     UndecidedError
         If the budget ends before.
     """
-    ends = np.inf if budget is None else time.perf_counter() + checks.positive("budget", budget)
+    given = Budget(None if budget is None else checks.positive("budget", budget))
     schedule = certificate.schedule
     if not isinstance(schedule, PeriodicSchedule):
         raise ArgumentError("`certificate` must be on a periodic schedule: a finite one has no long run.")
     lengths = np.unique(np.round(np.cumsum(np.tile(schedule.gaps, 3))[: len(schedule) + 4], 12))
     best = np.inf
     for length in lengths[::-1]:
-        if time.perf_counter() > ends:
+        if given.over:
             raise UndecidedError(f"undecided: not every length was tried within `budget` = {budget:g} s.")
         if spectral_radius(certificate, float(length), cost) >= 1:
             break

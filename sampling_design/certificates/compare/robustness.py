@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Protocol
@@ -19,6 +18,7 @@ from sampling_design.certificates.form.digest import RESOLUTION
 from sampling_design.errors import ArgumentError, SamplingDesignError
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.records import checks
+from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, Record, short
 from sampling_design.records.signatures import checked
@@ -200,8 +200,8 @@ class HasSchedule(Protocol):
 class _Breaker:
     """Families around one schedule, judged with the weights of its certificate."""
 
-    def __init__(self, certificate: Certificate, limit: float, deadline: float) -> None:
-        self.certificate, self.limit, self.deadline = certificate, limit, deadline
+    def __init__(self, certificate: Certificate, limit: float, budget: Budget) -> None:
+        self.certificate, self.limit, self.budget = certificate, limit, budget
         c = certificate
         self.plant, self.weights = c.plant, (c.Qw, c.R, c.Qv)
         self.late = False
@@ -210,11 +210,11 @@ class _Breaker:
         """The lambda of a family, and its proposal if it survives; infinite where there is none."""
         best = np.inf
         for level in levels:
-            if time.perf_counter() > self.deadline:
+            if self.budget.over:
                 self.late = True
                 break
             within = in_plant_terms(self.plant, family)
-            search = FamilySearch(self.plant, within, self.weights, self.certificate.P2, np.inf, self.deadline)
+            search = FamilySearch(self.plant, within, self.weights, self.certificate.P2, np.inf, self.budget)
             try:
                 found = search.propose(self.certificate.eta, level, worst=self.limit * (1 - RESOLUTION))
             except SamplingDesignError:
@@ -222,7 +222,7 @@ class _Breaker:
             best = min(best, found.lam)
             if isinstance(found, CandidateWeights) and found.lam / (1 - RESOLUTION) < self.limit:
                 return found.lam, found
-        self.late = self.late or time.perf_counter() > self.deadline
+        self.late = self.late or self.budget.over
         return best, None
 
     def loss_level(self, family: LostSamples) -> int:
@@ -320,7 +320,7 @@ def robustness(
             f"`length` = {short(M)} is too short for the planned schedule: it needs M > {short(least)}."
         )
     most = checks.whole("longest", longest, 2)
-    breaker = _Breaker(planned, limit, time.perf_counter() + checks.positive("budget", budget))
+    breaker = _Breaker(planned, limit, Budget(checks.positive("budget", budget)))
     others = tuple(_tried(breaker, family) for family in families)
     radius, broken, trials, best = _largest_radius(breaker, schedule, report)
     losses, thinned = _most_losses(breaker, schedule, most, report)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from math import log
 
@@ -39,6 +38,8 @@ WIDE = 1.3
 """From which of them on a proof takes much less work: tried next where one has ended for its work alone."""
 BEYOND = 16 * log(10)
 """ln of the lambda from which on P1 = P2/lambda is lost in the rounding of doubles: tried where nothing less is."""
+SEARCHED = 0.5
+"""Share of the seconds of a call that the search of weights may take; the others are for proofs."""
 
 
 def wider(rooms: Iterator[float], work: Work, tried: float) -> float:
@@ -46,26 +47,6 @@ def wider(rooms: Iterator[float], work: Work, tried: float) -> float:
     enough = WIDE if work.over else 1.0
     found = next((room for room in rooms if room >= enough and room > tried), 0.0)
     return found or (WIDE if work.over and tried < WIDE else 0.0)
-
-
-class TimeLimit:
-    """Seconds that one call may take, if it was told; the search of weights takes half of them, proofs the others."""
-
-    def __init__(self, budget: float | None) -> None:
-        self.budget, self.began = budget, time.perf_counter()
-
-    def over(self) -> bool:
-        """Whether they are spent."""
-        return self.budget is not None and time.perf_counter() - self.began > self.budget
-
-    def half(self) -> bool:
-        """Whether half of them are."""
-        return self.budget is not None and time.perf_counter() - self.began > self.budget / 2
-
-    @property
-    def left(self) -> float | None:
-        """Those that are left; None: no limit."""
-        return None if self.budget is None else max(self.budget - time.perf_counter() + self.began, 0.0)
 
 
 class SearchEffort:

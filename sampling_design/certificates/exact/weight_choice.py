@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,6 +20,7 @@ from sampling_design.checkers.work import Work
 from sampling_design.errors import SolverError, UndecidedError
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
+from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.records.progress import Progress
 from sampling_design.schedules.family import AnySchedule
 
@@ -343,7 +344,7 @@ def choose_weights(
     bounds: tuple[float, float],
     budgets: list[float],
     progress: Progress | None = None,
-    stop: Callable[[], bool] | None = None,
+    budget: Budget = ENDLESS,
 ) -> list[list[ChosenWeights]]:
     """Return for each budget P2, and eta within its bounds, for the least horizon ln(lam)/eta; the best first.
 
@@ -352,14 +353,14 @@ def choose_weights(
     *Method.* A scan over eta with P2 between the long-run information and the least that the budget asks for, then
     sequential quadratic programming on the exact lambda of a set of windows, with gradients, at reference budgets;
     every shape met is scaled to the budget asked for. A local optimum, never evidence. After `SEARCH_WORK` no further
-    descent begins and the one that runs ends; so they do once `stop` says so.
+    descent begins and the one that runs ends; so they do once `budget` is spent.
 
     Raises
     ------
     UndecidedError
         If the windows of every rate are lost in rounding.
     """
-    search = WeightSearch(canon, work=Work(SEARCH_WORK, stop=stop))
+    search = WeightSearch(canon, work=Work(SEARCH_WORK, stop=lambda: budget.over))
     report = progress or (lambda fraction, message: None)
     free = bounds[0] < bounds[1]
     rates = [float(rate) for rate in np.geomspace(*bounds, SCAN)] if free else [bounds[0]]
@@ -454,15 +455,15 @@ def choose_rate(
     P2: Array,
     bounds: tuple[float, float],
     progress: Progress | None = None,
-    stop: Callable[[], bool] | None = None,
+    budget: Budget = ENDLESS,
 ) -> float:
     """Return the eta with the least ln(lam)/eta for a given P2: a scan, then golden section around its best.
 
-    After `RATE_WORK`, or once `stop` says so, it is the best that was met.
+    After `RATE_WORK`, or once `budget` is spent, it is the best that was met.
     """
     report = progress or (lambda fraction, message: None)
     root = np.asarray(np.linalg.cholesky(P2), dtype=np.float64)
-    n, work, met = canon.plant.n_states, Work(RATE_WORK, stop=stop), dict[float, float]()
+    n, work, met = canon.plant.n_states, Work(RATE_WORK, stop=lambda: budget.over), dict[float, float]()
 
     def horizon(log_rate: float) -> float:
         rate = float(np.exp(log_rate))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -17,6 +16,7 @@ from sampling_design.numerics.linalg import expm_batch, positive_or_one
 from sampling_design.observability.count.period_modes import period_modes
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant
+from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed, generator, positive, vector
 from sampling_design.records.record import Record, short
 from sampling_design.records.signatures import checked
@@ -197,7 +197,7 @@ def find_counterexample(
     gaps, some random ones, and the least margin over gaps of that sum. For lost samples, every pattern of losses of up
     to twelve nominal samples.
     """
-    eta, ends = positive("eta", eta), time.perf_counter() + positive("budget", budget)
+    eta, given = positive("eta", eta), Budget(positive("budget", budget))
     near = [float(h) for h in vector("hints", [h for h in hints if h is not None])]
     rng = generator(rng)
     periods, left = _aliasing_periods(plant, eta, family)
@@ -209,22 +209,19 @@ def find_counterexample(
         found = judged(plant, schedule, eta)
         return None if found.exists else counterexample(plant, schedule, eta, found), found.margin
 
-    def late() -> bool:
-        return time.perf_counter() > ends
-
     for schedule in _suspects(family, sorted({*periods, *(h for h in near if h)}), rng, quick):
         made, margin = refused(schedule)
         if made is not None:
             return made, NearestFailure(margin, schedule, "; ".join(searched))
         tried.append((margin, schedule))
         least = min(least, tried[-1], key=_first)
-        if late():
+        if given.over:
             searched.append(f"the search ended after {budget:g} s and {len(tried)} schedules")
             break
     if quick:
         return None, NearestFailure(*least, "; ".join(searched))
     for margin, schedule in sorted(tried, key=_first)[:DESCENTS]:
-        if late():
+        if given.over:
             break
         better = _descend(plant, family, eta, schedule)
         made, reached = refused(better)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -10,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.certificates.exact.canonical import NoiseWeights
-from sampling_design.certificates.exact.efforts import TimeLimit
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.riccati import periodic_riccati_solution
 from sampling_design.certificates.exact.weight_choice import rate_range
@@ -34,6 +32,7 @@ from sampling_design.errors import ArgumentError, CertificateError, UndecidedErr
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.records.evidence import SolverRecord
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
@@ -103,15 +102,15 @@ class FamilySearch:
         weights: NoiseWeights,
         P2: Array | None,
         noise_gain: float,
-        deadline: float = np.inf,
+        budget: Budget = ENDLESS,
     ) -> None:
         self.plant, self.family, self.weights, self.P2, self.noise_gain = plant, family, weights, P2, noise_gain
-        self.deadline = deadline
+        self.budget = budget
 
     @property
     def late(self) -> bool:
         """Whether the time is over."""
-        return time.perf_counter() > self.deadline
+        return self.budget.over
 
     def program(self, eta: float, memory: int, layers: int = LAYERS) -> FamilyProgram:
         """The inequalities in coordinates where the nominal schedule keeps about the identity."""
@@ -124,7 +123,7 @@ class FamilySearch:
         root = np.linalg.solve(K, np.diag(1.0 / scales)).T  # P = root root' = (scales Y scales)^-1
         dynamics = dynamics_of(self.plant, self.weights, eta, np.asarray(root, dtype=np.float64), graph)
         given = None if self.P2 is None else dynamics.inside(self.P2)
-        return FamilyProgram(dynamics, graph, dynamics.inside(np.diag(1.0 / scales**2)), given, self.deadline)
+        return FamilyProgram(dynamics, graph, dynamics.inside(np.diag(1.0 / scales**2)), given, self.budget)
 
     def least_lam(
         self, program: FamilyProgram, rtol: float, start: float = 2.0
@@ -138,7 +137,7 @@ class FamilySearch:
         if P is None or kept < LEAST_FLOOR:
             return np.inf, None, max(kept, 0.0), record
         low, high, lam, best = 1.0, np.inf, start, None
-        while high > low * (1 + rtol) and low < LARGEST_LAM and time.perf_counter() < self.deadline:
+        while high > low * (1 + rtol) and low < LARGEST_LAM and not self.budget.over:
             _, found, record = program.feasible(lam, floor / self.noise_gain)
             if found is None:
                 low = lam
@@ -150,15 +149,15 @@ class FamilySearch:
     def propose(self, eta: float, memory: int, worst: float = LARGEST_LAM) -> CandidateWeights | InfeasibilityReason:
         """Return matrices for which every inequality is proven along its interval, or why there are none.
 
-        A lambda above `worst` on the grid ends the search, and so does the deadline.
+        A lambda above `worst` on the grid ends the search, and so does the budget.
         """
         program = self.program(eta, memory)
         lam, P, kept, record = self.least_lam(program, LAM_RTOL)
         gap = None
         for _ in range(ROUNDS):
-            if P is None or lam > worst or time.perf_counter() > self.deadline:
+            if P is None or lam > worst or self.budget.over:
                 break
-            edges = proven_along(program.dynamics, edge_conditions(program.dynamics, program.graph, P), self.deadline)
+            edges = proven_along(program.dynamics, edge_conditions(program.dynamics, program.graph, P), self.budget)
             claimed, nodes = self._lam_of(program, P)
             if edges.proven and nodes.proven:
                 return CandidateWeights(program.dynamics, program.graph, P, claimed, record)
@@ -337,17 +336,14 @@ def certify_family(
     rate = None if eta is None else checks.positive("eta", eta)
     if not checks.number("noise_gain", noise_gain) > 1:
         raise ArgumentError(f"`noise_gain` must be above 1, got {noise_gain!r}: no P2 attains the least noise gain.")
-    limit = TimeLimit(None if budget is None else checks.positive("budget", budget))
+    limit = Budget(None if budget is None else checks.positive("budget", budget))
     levels = range(family.levels_of_memory) if memory is None else [checks.whole("memory", memory)]
     if not plant.n_states:
         return without_states(plant, family, weights, rate or 1.0, graph_of(family, levels[0], plant.n_outputs))
     bounds = rate_range(plant, family.nominal) if rate is None else (rate, rate)
     _bearable(plant, float(graph_of(family, levels[0], plant.n_outputs).tops.max()), bounds[0])
     least = refute(plant, family, bounds[0], quick=True)
-    deadline = np.inf if limit.left is None else time.perf_counter() + limit.left
-    found = FamilySearch(plant, family, weights, given, noise_gain, deadline).decide(
-        bounds, list(levels), least, report
-    )
+    found = FamilySearch(plant, family, weights, given, noise_gain, limit).decide(bounds, list(levels), least, report)
     return certified(plant, family, weights, given, found)
 
 
@@ -429,7 +425,7 @@ def _undecided(
         if smaller is None:
             break
         found = FamilySearch(
-            search.plant, smaller, search.weights, search.P2, search.noise_gain, search.deadline
+            search.plant, smaller, search.weights, search.P2, search.noise_gain, search.budget
         ).propose(eta, 0)
         low, high, part = (fraction, high, smaller) if isinstance(found, CandidateWeights) else (low, fraction, part)
     best = max(missed, key=lambda item: item.kept, default=None)

@@ -8,7 +8,6 @@ proposal: `family_proof` closes the continuum between the grid points, or names 
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -19,6 +18,7 @@ from sampling_design.certificates.families.path_complete import PathCompleteGrap
 from sampling_design.certificates.families.step_proof import StepDynamics
 from sampling_design.numerics import conic_programs
 from sampling_design.numerics.linalg import psd_root
+from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.records.evidence import SolverRecord
 
 Array = npt.NDArray[np.float64]
@@ -34,7 +34,7 @@ MOST_POINTS = 41
 COARSE_TOLERANCE = 1e-6
 """Tolerance of a second attempt where the solver failed; far below MARGIN."""
 LEAST_TIME = 0.05
-"""Seconds that a solver is given where the deadline has passed."""
+"""Seconds that a solver is given where the budget has passed."""
 LEAST_SLACK = 1e-9
 """A point counts only if the solver reached at least this slack; the tolerance asked of it."""
 
@@ -55,7 +55,7 @@ class FamilyProgram:
     graph: PathCompleteGraph
     unit: Array
     P2: Array | None = None
-    deadline: float = np.inf
+    budget: Budget = ENDLESS
     margin: float = MARGIN
     edge_times: list[list[float]] = field(default_factory=list)
     node_times: list[list[float]] = field(default_factory=list)
@@ -105,7 +105,7 @@ class FamilyProgram:
             cost[-1] = -1.0
             blocks = [self._edge(k, h, width, infinite=True) for k, h in self._edge_points()]
             blocks += [self._node_floor(u, s, width) for u, s in self._node_points()]
-            found = _solved(cost, [b for b in blocks if b[2].size], self.deadline)
+            found = _solved(cost, [b for b in blocks if b[2].size], self.budget)
             if not conic_programs.usable(found.record):
                 return ProgramSolution(0.0, None, found.record)
             return ProgramSolution(float(found.x[-1]), self._matrices(found.x), found.record)
@@ -126,7 +126,7 @@ class FamilyProgram:
         cap = np.zeros((1, width))
         cap[0, -1] = 1.0
         blocks.append(("nonnegative", cap, np.ones(1)))
-        found = _solved(cost, blocks, self.deadline)
+        found = _solved(cost, blocks, self.budget)
         if not conic_programs.usable(found.record) or found.x[-1] < LEAST_SLACK:
             return ProgramSolution(0.0, None, found.record)
         return ProgramSolution(float(found.x[-1]), self._matrices(found.x), found.record)
@@ -138,7 +138,7 @@ class FamilyProgram:
         cost[-1] = -1.0
         blocks = [self._edge(k, h, width) for k, h in self._edge_points()]
         blocks += [self._node_ratio(u, s, width) for u, s in self._node_points()]
-        found = _solved(cost, blocks, self.deadline)
+        found = _solved(cost, blocks, self.budget)
         if not conic_programs.usable(found.record) or found.x[-1] <= 0:
             return ProgramSolution(0.0, None, found.record)
         return ProgramSolution(float(found.x[-1]), self._matrices(found.x), found.record)
@@ -239,15 +239,15 @@ class FamilyProgram:
         return self.margin > before
 
 
-def _solved(cost: Array, blocks: list[tuple[str, Array, Array]], deadline: float) -> conic_programs.ConeSolution:
+def _solved(cost: Array, blocks: list[tuple[str, Array, Array]], budget: Budget) -> conic_programs.ConeSolution:
     """The solver's answer; where it broke down on the way, that to a coarser tolerance, which the proof judges."""
 
-    def left() -> float | None:
-        return None if np.isinf(deadline) else max(deadline - time.perf_counter(), LEAST_TIME)
-
-    found = conic_programs.solve_cone_program(cost, blocks, budget=left())
-    if found.record.status == conic_programs.FAILED and time.perf_counter() < deadline:
-        found = conic_programs.solve_cone_program(cost, blocks, tolerance=COARSE_TOLERANCE, budget=left())
+    left = budget.seconds_left(LEAST_TIME)
+    found = conic_programs.solve_cone_program(cost, blocks, budget=left)
+    if found.record.status == conic_programs.FAILED and not budget.over:
+        found = conic_programs.solve_cone_program(
+            cost, blocks, tolerance=COARSE_TOLERANCE, budget=budget.seconds_left(LEAST_TIME)
+        )
     return found
 
 

@@ -7,7 +7,6 @@ keeps e^{-cs} X <= Phi_s(X) for all s >= 0. So if theta = lambda_max(Z, X) < 1, 
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +17,7 @@ from sampling_design.certificates.exact.window_problem import growing_flow, nois
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
+from sampling_design.records.budget import ENDLESS, Budget
 
 Array = npt.NDArray[np.float64]
 Doubles = npt.NDArray[np.float64]
@@ -133,8 +133,8 @@ class StepOutcome:
         return not self.failed and not self.open
 
 
-def prove(dynamics: StepDynamics, conditions: StepConditions, deadline: float = np.inf) -> StepOutcome:
-    """Prove every condition on its whole interval, or say where it fails; what is left at the deadline stays open."""
+def prove(dynamics: StepDynamics, conditions: StepConditions, budget: Budget = ENDLESS) -> StepOutcome:
+    """Prove every condition on its whole interval, or say where it fails; what is left in the end stays open."""
     parts = np.linspace(0.0, 1.0, FIRST_CUT + 1)
     widths = conditions.high - conditions.low
     owner = np.repeat(np.arange(len(conditions)), FIRST_CUT)
@@ -145,7 +145,7 @@ def prove(dynamics: StepDynamics, conditions: StepConditions, deadline: float = 
     owner, low, high = owner[~single], low[~single], high[~single]
     failed: dict[int, tuple[float, float]] = {}
     slack, steps = 1.0, 0
-    while owner.size and steps < (ENOUGH_STEPS if failed else MOST_STEPS) and time.perf_counter() < deadline:
+    while owner.size and steps < (ENOUGH_STEPS if failed else MOST_STEPS) and not budget.over:
         now, rest = slice(0, BATCH), slice(BATCH, None)
         theta, reach = _step(dynamics, conditions, owner[now], low[now])
         steps += theta.size

@@ -18,8 +18,9 @@ from functools import cached_property, reduce
 import numpy as np
 
 from sampling_design.certificates.rigorous.ball_problem import ScheduleFrame
-from sampling_design.numerics.ball_flow import BallFlow, TimeBudget, fallen, highest
+from sampling_design.numerics.ball_flow import BallFlow, fallen, highest
 from sampling_design.numerics.balls import BITS, Ball, Matrix, ball, definite, floats, largest, raised
+from sampling_design.records.budget import Budget
 
 CELLS = 4
 """Start cells per gap at first."""
@@ -50,7 +51,7 @@ POWERS = (0.95, 0.8, 0.5, 0.2, 0.02)
 """How far the family is blown up towards I, as powers of what is left."""
 
 
-def settled(frame: ScheduleFrame, inflation: float, clock: TimeBudget) -> tuple[list[Matrix], float]:
+def settled(frame: ScheduleFrame, inflation: float, clock: Budget) -> tuple[list[Matrix], float]:
     """Return Y after each sample of the last period with inflated noise, midpoints, and its largest eigenvalue there.
 
     Raises
@@ -115,7 +116,7 @@ def _size(M: Matrix) -> float:
 class BallWindows:
     """The proof for one target: a family that catches the windows, then every cell of window starts."""
 
-    def __init__(self, frame: ScheduleFrame, clock: TimeBudget) -> None:
+    def __init__(self, frame: ScheduleFrame, clock: Budget) -> None:
         self.frame, self.schedule, self.clock, self.reached = frame, frame.schedule, clock, 0.0
         self.longest = reduce(lambda a, b: a.max(b), self.schedule.reach)
         self.family: list[Matrix] | None = None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -31,8 +30,8 @@ from sampling_design.checkers.parts import Weights
 from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.checkers.strict import Altered, BadFile, Tree
 from sampling_design.checkers.work import Work
-from sampling_design.numerics.ball_flow import OutOfTime, TimeBudget
 from sampling_design.numerics.balls import BITS, Matrix, ball, definite, flint, lowered, matrix, precision, symmetric
+from sampling_design.records.budget import ENDLESS, Budget, BudgetSpentError
 from sampling_design.records.dispatch import offered
 
 REPLAY = 1e-6
@@ -44,21 +43,6 @@ HANDED_OVER = 1e7
 ever."""
 PATIENCE = 6
 """Halvings of a cell of window starts after which a counterexample is looked for."""
-
-
-class CountedClock(TimeBudget):
-    """A budget in counted work beside that in seconds: it ends at the same place on every machine."""
-
-    def __init__(self, seconds: float, work: Work) -> None:
-        super().__init__(seconds)
-        self.work = work
-
-    def check(self, price: float = 0.0) -> None:
-        """Raise OutOfTime once either budget is spent."""
-        self.work.spend(price)
-        if self.work.over:
-            raise OutOfTime("the work ran out")
-        super().check()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -134,15 +118,14 @@ def verify_rigorously(
     L D L' in balls.
     """
     flint()
-    began = time.perf_counter()
-    clock = TimeBudget(budget) if work is None else CountedClock(budget, work)
+    clock = Budget(budget, work=work)
     found: Tree = {"passed": False, "inequality": "form", "time": None, "start": None, "amount": 0.0}
     try:
         with precision(), np.errstate(all="ignore"):  # floats only guess: what is not finite proves nothing
             found |= _decided(dict(data), clock)
     except BallFailure as stop:
         found |= {"verdict": stop.verdict, "inequality": stop.inequality, "reason": stop.reason, **stop.where}
-    except OutOfTime:
+    except BudgetSpentError:
         reason = "it takes more work than was handed over" if work and work.over else f"{budget:g} s were not enough"
         found |= {"verdict": UNDECIDED, "inequality": "budget", "reason": reason}
     except np.linalg.LinAlgError as error:
@@ -151,10 +134,10 @@ def verify_rigorously(
             "inequality": "guess",
             "reason": f"the guesses in floats broke down ({error})",
         }
-    return RigorousVerification(**found, seconds=time.perf_counter() - began)
+    return RigorousVerification(**found, seconds=clock.spent)
 
 
-def _decided(data: Tree, clock: TimeBudget) -> dict[str, object]:
+def _decided(data: Tree, clock: Budget) -> dict[str, object]:
     try:
         content = certificate(data)
     except BadFile as error:
@@ -187,7 +170,7 @@ def targets(weights: Weights) -> list[StatedInequality]:
     return kept if implied else [*kept, third]
 
 
-def assumption_7(c: Sampled, clock: TimeBudget) -> BallDecision:
+def assumption_7(c: Sampled, clock: Budget) -> BallDecision:
     """Prove P1 and lam over all real starts, lam_samples over sample starts; the inequalities, for what, the slack."""
     stated, slack = targets(c.weights), 1.0
     for k, (_, inequality, samples_only) in enumerate(stated):
@@ -209,13 +192,13 @@ def replays_in_balls(data: Mapping[str, object]) -> bool:
     assert isinstance(content, Sampled)
     try:
         with precision(), np.errstate(all="ignore"):
-            attained(content, TimeBudget(np.inf))
+            attained(content, ENDLESS)
     except (BallFailure, np.linalg.LinAlgError):
         return False
     return True
 
 
-def attained(c: Sampled, clock: TimeBudget) -> None:
+def attained(c: Sampled, clock: Budget) -> None:
     """Raise BallFailure unless the witness, if there is one, reaches its ratio x'P2x / x'Pi(t)x, to `REPLAY` of it."""
     if c.witness is None:
         return
@@ -231,7 +214,7 @@ def attained(c: Sampled, clock: TimeBudget) -> None:
         raise BallFailure(verdict, frame.inequality, reason, amount=float(ratio) / stated - 1, time=t, start=start)
 
 
-def flown(frame: ScheduleFrame, start: float, t: float, clock: TimeBudget) -> Matrix:
+def flown(frame: ScheduleFrame, start: float, t: float, clock: Budget) -> Matrix:
     """A lower bound of Y at t in the window from `start`; samples within `NEAR` of either end are not counted."""
     schedule, Y, now = frame.schedule, frame.start, ball(start)
     near, turn = NEAR * max(t, 1e-300), 0 * schedule.period
@@ -248,7 +231,7 @@ def flown(frame: ScheduleFrame, start: float, t: float, clock: TimeBudget) -> Ma
     return lowered(frame.flow.step(Y, ball(t) - now))
 
 
-def prove(make: Callable[[], ScheduleFrame], samples_only: bool, clock: TimeBudget) -> float:
+def prove(make: Callable[[], ScheduleFrame], samples_only: bool, clock: Budget) -> float:
     """Prove Y <= I for one target and return the slack; Unproven if it is refuted, or cannot be decided."""
     halved: list[int] = []
 
@@ -274,7 +257,7 @@ def prove(make: Callable[[], ScheduleFrame], samples_only: bool, clock: TimeBudg
     raise BallFailure(UNDECIDED, name, f"{name} could not be decided: {why}")
 
 
-def of_family(c: OfFamily, clock: TimeBudget) -> BallDecision:
+def of_family(c: OfFamily, clock: Budget) -> BallDecision:
     """Prove a family certificate; the inequalities, for what, and the slack."""
     return family(c, targets(c.weights), clock)
 

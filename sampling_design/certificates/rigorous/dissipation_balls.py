@@ -20,8 +20,8 @@ from sampling_design.certificates.rigorous.ball_problem import (
 )
 from sampling_design.checkers.detectability import INEQUALITY, Detectability
 from sampling_design.checkers.outcome import REFUTED, UNDECIDED
-from sampling_design.numerics.ball_flow import TimeBudget
 from sampling_design.numerics.balls import Ball, Matrix, ball, floats, identity, matrix, symmetric
+from sampling_design.records.budget import Budget
 from sampling_design.records.record import short
 
 Array = npt.NDArray[np.float64]
@@ -30,7 +30,7 @@ SHARES = (0.999, 0.5, 1e-3)
 """Parts of the guessed least eigenvalue that are tried as a proven slack, the largest first."""
 
 
-def detectability(c: Detectability, clock: TimeBudget) -> BallDecision:
+def detectability(c: Detectability, clock: Budget) -> BallDecision:
     """Prove P > 0 and the dissipation inequality; return the inequality, for what, and its slack relative to its terms.
 
     Raises

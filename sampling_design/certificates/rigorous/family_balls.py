@@ -21,7 +21,7 @@ from sampling_design.certificates.rigorous.ball_problem import (
 from sampling_design.checkers.cover import judge
 from sampling_design.checkers.family_file import OfFamily
 from sampling_design.checkers.outcome import REFUTED, UNDECIDED, Refused
-from sampling_design.numerics.ball_flow import HALVINGS, TimeBudget
+from sampling_design.numerics.ball_flow import HALVINGS
 from sampling_design.numerics.balls import (
     Ball,
     Matrix,
@@ -34,6 +34,7 @@ from sampling_design.numerics.balls import (
     spectral,
     symmetric,
 )
+from sampling_design.records.budget import Budget
 
 Pattern = tuple[bool, ...]
 
@@ -44,7 +45,7 @@ class BallIntervals:
     """Proofs of Y <= I after a sample of some outputs, or without one, for all times of an interval."""
 
     def __init__(
-        self, weights: BallWeights, target: Matrix, patterns: list[tuple[bool, ...]], name: str, clock: TimeBudget
+        self, weights: BallWeights, target: Matrix, patterns: list[tuple[bool, ...]], name: str, clock: Budget
     ) -> None:
         seen = [np.array(pattern, dtype=bool) for pattern in patterns]
         self.frame = BallFrame(weights, seen, target, name)
@@ -92,7 +93,7 @@ class BallIntervals:
             raise BallFailure(REFUTED, self.name, reason, amount=amount, time=float(at))
 
 
-def family(c: OfFamily, stated: list[StatedInequality], clock: TimeBudget) -> BallDecision:
+def family(c: OfFamily, stated: list[StatedInequality], clock: Budget) -> BallDecision:
     """Prove that the graph holds the family, and every edge and node; the inequalities, for what, and the slack."""
     graph = c.graph
     try:

@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from sampling_design.certificates.rigorous.ball_problem import BallFailure, ScheduleFrame
 from sampling_design.checkers.outcome import REFUTED
-from sampling_design.numerics.ball_flow import TimeBudget
 from sampling_design.numerics.balls import ball, definite, floats, lowered, precision
 from sampling_design.numerics.linalg import discounted_flow
+from sampling_design.records.budget import Budget
 
 Array = npt.NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class WindowPoint:
 class RefutationSearch:
     """Float search for the largest eigenvalue of Y over starts and times."""
 
-    def __init__(self, frame: ScheduleFrame, samples_only: bool, clock: TimeBudget) -> None:
+    def __init__(self, frame: ScheduleFrame, samples_only: bool, clock: Budget) -> None:
         self.frame, self.schedule, self.samples_only, self.clock = frame, frame.schedule, samples_only, clock
         self.gaps = [float(gap) for gap in self.schedule.gaps]
         self.reach = [float(gap) for gap in self.schedule.reach]
@@ -170,7 +170,7 @@ def fails_at(frame: ScheduleFrame, point: WindowPoint) -> bool:
     return definite(frame.identity - Y) is False
 
 
-def refute(make: Callable[[], ScheduleFrame], clock: TimeBudget, samples_only: bool = False) -> None:
+def refute(make: Callable[[], ScheduleFrame], clock: Budget, samples_only: bool = False) -> None:
     """Raise BallFailure(REFUTED) if some window is found in which Y <= I certainly fails; `make()` makes the frame."""
     frame = make()
     search = RefutationSearch(frame, samples_only, clock)

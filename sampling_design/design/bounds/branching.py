@@ -8,7 +8,6 @@ over origins is exact to second order; in the others, the window before the late
 from __future__ import annotations
 
 import heapq
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -31,6 +30,7 @@ from sampling_design.design.problem.choices import affordable_choices
 from sampling_design.design.problem.feasible import changed
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.stopping import Interrupted
+from sampling_design.records.budget import ENDLESS, Budget
 
 Array = npt.NDArray[np.float64]
 ValueProgress = Callable[[float, float], None]
@@ -72,7 +72,7 @@ def narrowed(
     bound: UpperBound,
     target: float,
     steps: int,
-    deadline: float = np.inf,
+    budget: Budget = ENDLESS,
     progress: ValueProgress | None = None,
     rtol: float = 1e-3,
     most: int | None = None,
@@ -93,7 +93,7 @@ def narrowed(
     if problem.is_costly and not posed:
         return bound
     try:
-        tree = _rooted(problem, posed or [problem], bound, target * (1 + rtol), deadline, progress)
+        tree = _rooted(problem, posed or [problem], bound, target * (1 + rtol), budget, progress)
     except KeyboardInterrupt:
         raise Interrupted(bound) from None
     if tree is None:
@@ -110,7 +110,7 @@ def _cut_on(
 ) -> None:
     """Cut the box with the largest bound again and again."""
     limit, looked = float(steps), (0.0, np.inf)
-    while time.perf_counter() <= tree.deadline:
+    while not tree.budget.over:
         away = tree.value / target - 1 if target > 0 else 0.0
         if tree.spent >= looked[0] + _LOOK:
             looked, helps = (tree.spent, away), away <= (1 - _HELPS) * looked[1]
@@ -129,7 +129,7 @@ def _rooted(
     posed: list[DesignProblem],
     bound: UpperBound,
     enough: float,
-    deadline: float,
+    budget: Budget,
     progress: ValueProgress | None,
 ) -> _BoxTree | None:
     """The tree before any cut, counted from the sample that promises most; None where time is up.
@@ -141,15 +141,15 @@ def _rooted(
     for side in tried[:1] if len(posed) > 1 else tried:
         roots = []
         for case, region in product(posed, regions(problem, side)):
-            if time.perf_counter() > deadline:
+            if budget.over:
                 return None
-            root = _box(case, region, side, enough, deadline=deadline)
+            root = _box(case, region, side, enough, budget=budget)
             roots += [] if root is None else [root]
         if roots and (best is None or min(roots).rank > min(best).rank):
             best = roots
-    if best is None or time.perf_counter() > deadline:
+    if best is None or budget.over:
         return None
-    tree = _BoxTree(enough, deadline)
+    tree = _BoxTree(enough, budget)
     for root in best:
         if turn(problem) == 0 and root.part.side != "sorted" and len(posed) == 1:
             tree.split_by_lateness(root, progress)
@@ -161,8 +161,8 @@ def _rooted(
 class _BoxTree:
     """Boxes that together hold every schedule: open ones as a heap, and parts whose bound is low enough."""
 
-    def __init__(self, enough: float, deadline: float = np.inf) -> None:
-        self.enough, self.deadline = enough, deadline
+    def __init__(self, enough: float, budget: Budget = ENDLESS) -> None:
+        self.enough, self.budget = enough, budget
         self.open: list[_Box] = []
         self.closed: list[BoundPart] = []
         self.made, self.spent = 0, 0.0
@@ -188,7 +188,7 @@ class _BoxTree:
         share = _FIRST_CUT * min(1.0, (_FEW_STATES / n) ** 2)
         for index in range(1, len(rest)):
             cut = (index + (share if late else -share)) * mean
-            if time.perf_counter() > self.deadline:
+            if self.budget.over:
                 break
             if progress:  # until the last one is bounded the root's bound holds
                 progress(0.0, root.part.value)
@@ -221,7 +221,7 @@ class _BoxTree:
 
     def bounded(self, zones: Array, wider: _Box) -> _Box | None:
         """The schedules in `zones`, part of the `wider` box, bounded; None where there are none."""
-        box = _box(wider.problem, zones, wider.part.side, self.enough, wider, self.deadline)
+        box = _box(wider.problem, zones, wider.part.side, self.enough, wider, self.budget)
         if box is None:
             return None
         self.spent += box.cost
@@ -237,7 +237,7 @@ class _BoxTree:
 
 
 def _box(
-    problem: DesignProblem, zones: Array, side: Side, aim: float, wider: _Box | None = None, deadline: float = np.inf
+    problem: DesignProblem, zones: Array, side: Side, aim: float, wider: _Box | None = None, budget: Budget = ENDLESS
 ) -> _Box | None:
     """The box with the smaller of its own bounds and that of the wider box's multipliers; None if it is empty."""
     tight = tightened(problem, zones, side)
@@ -247,7 +247,7 @@ def _box(
     widths = tight[:, 1] - tight[:, 0]
     size = float(widths.max()) * problem.samples / problem.period
     grown = 2 * growth_rate(problem) * float(widths.max())
-    local = local_part(problem, zones, side, aim, deadline) if size <= _SMALL or grown > _STEEP else None
+    local = local_part(problem, zones, side, aim, budget) if size <= _SMALL or grown > _STEEP else None
     if local is not None:
         part, relaxed = local
         found.append((part, relaxed.index, float(tight[relaxed.index].mean()), relaxed.width))
@@ -256,7 +256,7 @@ def _box(
     hints = np.zeros(0) if wider is None else wider.hints
     small = wider is not None and (wider.small or size <= _TINY_BOX or grown > _STEEP)
     if not small:
-        made = zone_part(problem, zones, side, None if wider is None else hints, deadline)
+        made = zone_part(problem, zones, side, None if wider is None else hints, budget)
         if made is None:
             return None
         found.append((made[0], made[1].index, made[1].cut, made[1].width))

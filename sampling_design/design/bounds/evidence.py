@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -37,6 +36,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import expm_batch, psd_root
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.records.record import Plain
 from sampling_design.records.signatures import checked_methods
 
@@ -324,10 +324,10 @@ def quick_bound(problem: DesignProblem, found: Relaxation) -> UpperBound:
     return UpperBound(part.value, (part,))
 
 
-def placed_part(problem: DesignProblem, found: Relaxation, deadline: float = np.inf) -> BoundPart:
+def placed_part(problem: DesignProblem, found: Relaxation, budget: Budget = ENDLESS) -> BoundPart:
     """Bound from the relaxation over sample times, its multipliers as they are or spread out in time."""
     first = _part(problem, "placed", found.starts, found.Z)
-    if time.perf_counter() > deadline:
+    if budget.over:
         return first
     step = problem.period / found.starts.size
     shifts = np.arange(_SPREAD) * (step / _SPREAD)
@@ -373,20 +373,20 @@ def averaged_part(problem: DesignProblem, zones: Array, side: Side) -> BoundPart
     return min(parts, key=lambda p: p.value)
 
 
-def slow_part(problem: DesignProblem, deadline: float = np.inf) -> BoundPart | None:
+def slow_part(problem: DesignProblem, budget: Budget = ENDLESS) -> BoundPart | None:
     """Bound from the states that grow slowly alone, where others grow by far more; None where there are none such.
 
     Whoever starts among them stays there, so that they are a smaller plant with the same schedules, of which no window
     is seen better. The multipliers of the whole plant have to balance growth that leaves a solver no digits.
     """
     slow = slow_states(problem)
-    if slow is None or time.perf_counter() > deadline:
+    if slow is None or budget.over:
         return None
     A, C = slow.T @ problem.plant.A @ slow, problem.plant.C @ slow
     smaller = replace(problem, plant=Plant(A, C), costs=None, cost_limit=np.inf)
-    seconds = max((deadline - time.perf_counter()) / 3, _LEAST_SECONDS) if np.isfinite(deadline) else None
+    seconds = budget.seconds_left(_LEAST_SECONDS, 1 / 3)
     found = relax_placed(smaller, seconds=seconds)
-    part = placed_part(smaller, found, deadline)
+    part = placed_part(smaller, found, budget)
     bare = replace(part, weights=slow @ part.weights @ slow.T)
     bare = replace(bare, value=bare.value_for(problem))
     return _priced(problem, bare, 0.0) if problem.is_costly else bare
@@ -407,13 +407,13 @@ def slow_states(problem: DesignProblem) -> Array | None:
 
 
 def zone_part(
-    problem: DesignProblem, zones: Array, side: Side, hints: Array | None = None, deadline: float = np.inf
+    problem: DesignProblem, zones: Array, side: Side, hints: Array | None = None, budget: Budget = ENDLESS
 ) -> tuple[BoundPart, ZoneRelaxation] | None:
     """Bound for the schedules in `zones` and the relaxation behind it; None where no schedule lies there."""
     tight = tightened(problem, zones, side)
     if tight is None:
         return None
-    relaxed = relax_zones(problem, tight, np.zeros(0) if hints is None else hints, deadline)
+    relaxed = relax_zones(problem, tight, np.zeros(0) if hints is None else hints, budget)
     part = _part(problem, "zones", relaxed.found.starts, relaxed.found.Z, zones, side=side)
     slow = slow_states(problem)
     if slow is not None:
@@ -423,11 +423,11 @@ def zone_part(
 
 
 def local_part(
-    problem: DesignProblem, zones: Array, side: Side, aim: float, deadline: float = np.inf
+    problem: DesignProblem, zones: Array, side: Side, aim: float, budget: Budget = ENDLESS
 ) -> tuple[BoundPart, LocalRelaxation] | None:
     """Bound for the schedules of a small box, near a sigma that is aimed at; None where nothing came out."""
     tight = tightened(problem, zones, side)
-    left = max(deadline - time.perf_counter(), _LEAST_SECONDS) if np.isfinite(deadline) else None
+    left = budget.seconds_left(_LEAST_SECONDS)
     found = None if tight is None else relax_local(problem, tight, aim, left)
     if found is None:
         return None
@@ -484,17 +484,17 @@ def _least_seen(problem: DesignProblem, method: Method, times: Array, mask: npt.
     return _part(problem, method, starts[[least]], np.outer(z[least], z[least])[None])
 
 
-def first_bound(problem: DesignProblem, placed: Relaxation, deadline: float = np.inf) -> UpperBound:
-    """The least of the bounds that cover all schedules at once; after `deadline` the first one alone."""
-    found = [(placed_part(problem, placed, deadline),), *_placed_by_itself(problem)]
-    slow = slow_part(problem, deadline)
+def first_bound(problem: DesignProblem, placed: Relaxation, budget: Budget = ENDLESS) -> UpperBound:
+    """The least of the bounds that cover all schedules at once; after `budget` the first one alone."""
+    found = [(placed_part(problem, placed, budget),), *_placed_by_itself(problem)]
+    slow = slow_part(problem, budget)
     found += [] if slow is None else [(slow,)]
-    if zoned(problem) and turn(problem) == 0 and time.perf_counter() <= deadline:
+    if zoned(problem) and turn(problem) == 0 and not budget.over:
         many = problem.plant.n_states > MANY_STATES  # one side of zones, and of it the windows that matter anyway
         hints = matters(problem, placed) if many else None
         for side in sides(problem)[: 1 if many else 2] if sides(problem) != ("sorted",) else ():
-            if time.perf_counter() <= deadline:
-                root = zone_part(problem, regions(problem, side)[0], side, hints, deadline)
+            if not budget.over:
+                root = zone_part(problem, regions(problem, side)[0], side, hints, budget)
                 found += [] if root is None else [(root[0],)]
     bounds = [UpperBound(max(part.value for part in parts), parts) for parts in found]
     return min(bounds, key=lambda bound: bound.value)

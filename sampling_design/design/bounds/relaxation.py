@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -13,6 +12,7 @@ from sampling_design.design.bounds.zones import turn
 from sampling_design.design.problem.gram import lags
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.numerics import conic_programs
+from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import SolverRecord
 
 Array = npt.NDArray[np.float64]
@@ -92,7 +92,7 @@ def _relax_repeating(problem: DesignProblem, shift: float, points: int | None, s
     Solutions may be shifted too, and their mean is a solution that repeats. Windows are posed one by one, each time
     the one that the weights see least of: few multipliers are enough, and each is one for every repetition.
     """
-    P, until = problem.period, np.inf if seconds is None else time.perf_counter() + seconds
+    P, budget = problem.period, Budget(seconds)
     repeats = round(P / shift)
     turns = np.arange(repeats, dtype=np.float64)[:, None] * shift
     N = grid_size(problem) if points is None else points
@@ -107,7 +107,7 @@ def _relax_repeating(problem: DesignProblem, shift: float, points: int | None, s
     starts = np.unique(np.concatenate([starts, np.mod(_telling_starts(problem), shift)]))
     starts = starts[np.append(np.diff(starts) > tiny, True)]
     every = (times + turns).ravel()
-    if until <= time.perf_counter():
+    if budget.over:
         return unsolved(problem, every, turns.ravel())
     grams = np.sum([grams_at(problem, times + at, starts, mask) for at in turns], axis=0)
     ahead = np.mod(every - times[:, None] + tiny, P) < problem.spacing
@@ -118,11 +118,11 @@ def _relax_repeating(problem: DesignProblem, shift: float, points: int | None, s
     posed[0] = True
     while True:
         parts = times, starts[posed], grams[posed], none[posed], linear, problem.samples / repeats
-        left = None if seconds is None else max(until - time.perf_counter(), _LEAST_SECONDS)
+        left = budget.seconds_left(_LEAST_SECONDS)
         found = solve_relaxation(problem, *parts, left)
         seen, _ = problem.rows.least(np.einsum("mjab,j->mab", grams, found.weights))
         worst = int(np.argmin(np.where(posed, np.inf, seen)))
-        if posed.all() or seen[worst] >= found.value * (1 - _SEEN) or time.perf_counter() > until:
+        if posed.all() or seen[worst] >= found.value * (1 - _SEEN) or budget.over:
             break
         posed[worst] = True
     weights, Z = np.tile(found.weights, repeats), np.tile(found.Z / repeats, (repeats, 1, 1))

@@ -6,7 +6,6 @@ that might matter only those are posed that do: each round adds the ones that th
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +26,7 @@ from sampling_design.design.bounds.weak_duality import (
 )
 from sampling_design.design.bounds.zones import TINY
 from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.records.budget import ENDLESS, Budget
 
 Array = npt.NDArray[np.float64]
 
@@ -57,10 +57,10 @@ class ZoneRelaxation:
     width: float
 
 
-def relax_zones(problem: DesignProblem, zones: Array, hints: Array, deadline: float = np.inf) -> ZoneRelaxation:
+def relax_zones(problem: DesignProblem, zones: Array, hints: Array, budget: Budget = ENDLESS) -> ZoneRelaxation:
     """Weights on points of the zones; `hints` are window starts that mattered for a wider box.
 
-    Cut short at `deadline`; multipliers of any quality prove a bound.
+    Cut short at `budget`; multipliers of any quality prove a bound.
     """
     starts = _window_starts(problem, zones, hints)
     points, step = _points(problem, zones, starts)
@@ -74,9 +74,9 @@ def relax_zones(problem: DesignProblem, zones: Array, hints: Array, deadline: fl
     for done in range(1, _FIRST_ROUNDS + 1):
         used = (owner < 0) | posed[owner]
         parts = grams[posed][:, used], none[posed], (rows[:, used], limits), float(problem.samples)
-        left = max(deadline - time.perf_counter(), _LEAST_SECONDS) if np.isfinite(deadline) else None
+        left = budget.seconds_left(_LEAST_SECONDS)
         found = solve_relaxation(problem, times[used], starts[posed], *parts, left, tolerance=_TOLERANCE)
-        if time.perf_counter() > deadline:
+        if budget.over:
             break
         seen = np.einsum("mjab,j->mab", grams[:, used], found.weights)
         sigma2 = np.where(posed, np.inf, problem.rows.least(seen)[0])

@@ -7,8 +7,6 @@ gives up, one by one, what costs most for what it brings; then pairs are exchang
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import numpy.typing as npt
 
@@ -28,6 +26,7 @@ from sampling_design.design.search.local_search import FIRST_STEPS, HOPELESS, Fo
 from sampling_design.design.search.refine import refined
 from sampling_design.errors import InfeasibleRequirementError
 from sampling_design.numerics import conic_programs
+from sampling_design.records.budget import ENDLESS, Budget
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -94,7 +93,7 @@ def affordable(
     problem: DesignProblem,
     found: FoundSchedule,
     relaxation: Relaxation,
-    deadline: float = np.inf,
+    budget: Budget = ENDLESS,
     enough: float = np.inf,
 ) -> tuple[FoundSchedule, Mask]:
     """The best schedule within the limit from several starts, and what each of its samples measures.
@@ -108,18 +107,18 @@ def affordable(
     """
     starts = [("all outputs", found.times)]
     for name, times in (("rounded", rounded(problem, relaxation, 0.5)), ("even", even(problem, 0.5))):
-        if times is not None and time.perf_counter() <= deadline:
+        if times is not None and not budget.over:
             starts.append((name, times))
     best: tuple[float, Array, Mask] | None = None
     trials = list(found.trials)
     for name, times in starts:
-        chosen = thinned(problem, times, deadline)
+        chosen = thinned(problem, times, budget)
         if chosen is None:
             continue
         before = float(worst_sigma2(problem, times[None], used=chosen[None])[0])
         for _ in range(2):  # times follow the choice, and the choice the times
-            times, after = refined(changed(problem, {"chosen": chosen}), times, before, deadline=deadline)
-            again = thinned(problem, times, deadline)
+            times, after = refined(changed(problem, {"chosen": chosen}), times, before, budget=budget)
+            again = thinned(problem, times, budget)
             value = 0.0 if again is None else float(worst_sigma2(problem, times[None], used=again[None])[0])
             if again is None or value <= after * (1 + 1e-6):
                 break
@@ -128,13 +127,13 @@ def affordable(
         if best is None or after > best[0]:
             best = after, times, chosen
     for times, chosen in _promising(problem, [times for _, times in starts]):
-        if best is not None and (best[0] >= enough**2 or time.perf_counter() > deadline):
+        if best is not None and (best[0] >= enough**2 or budget.over):
             break
         before = float(worst_sigma2(problem, times[None], used=chosen[None])[0])
         case = changed(problem, {"chosen": chosen})
-        times, after = refined(case, times, before, steps=FIRST_STEPS, deadline=deadline)
+        times, after = refined(case, times, before, steps=FIRST_STEPS, budget=budget)
         if best is None or after > HOPELESS * best[0]:
-            times, after = refined(case, times, after, deadline=deadline)
+            times, after = refined(case, times, after, budget=budget)
         trials.append(_trial("enumerated", before, after))
         if best is None or after > best[0]:
             best = after, times, chosen
@@ -186,7 +185,7 @@ def cheapest(problem: DesignProblem, times: Array) -> Array:
     return np.asarray(np.min(np.where(problem.mask(times), _costs(problem), np.inf), axis=-1))
 
 
-def thinned(problem: DesignProblem, times: Array, deadline: float = np.inf) -> Mask | None:
+def thinned(problem: DesignProblem, times: Array, budget: Budget = ENDLESS) -> Mask | None:
     """What each sample measures within the limit; None where even the cheapest outputs exceed it."""
     costs, limit, there = _costs(problem), problem.cost_limit * (1 + SLACK), problem.mask(times)
     if cheapest(problem, times).sum() > limit:
@@ -199,7 +198,7 @@ def thinned(problem: DesignProblem, times: Array, deadline: float = np.inf) -> M
         saved = np.sum(used * costs) - np.sum(moves * costs, axis=(1, 2))
         lost = max(float(values.max()), 0.0) - values
         used = moves[int(np.argmin((lost + 1e-12 * values.max()) / saved))]
-    return _exchanged(problem, times, used, deadline)
+    return _exchanged(problem, times, used, budget)
 
 
 def _drops(used: Mask, costs: Array) -> Mask:
@@ -236,7 +235,7 @@ def _values(problem: DesignProblem, times: Array, choices: Mask) -> Array:
     return worst_sigma2(problem, spread, inner=0, used=faint)
 
 
-def _exchanged(problem: DesignProblem, times: Array, used: Mask, deadline: float) -> Mask:
+def _exchanged(problem: DesignProblem, times: Array, used: Mask, budget: Budget) -> Mask:
     """Add what can be afforded, and exchange one measurement for another, while the worst sigma grows."""
     costs, limit, there = _costs(problem), problem.cost_limit * (1 + SLACK), problem.mask(times)
     rng, value = np.random.default_rng(0), float(_values(problem, times, used[None])[0])
@@ -246,7 +245,7 @@ def _exchanged(problem: DesignProblem, times: Array, used: Mask, deadline: float
         for i, j in zip(*np.nonzero(used), strict=True):
             moves += [_flipped(m[None][0], [(i, j)])[0] for m in moves[: len(absent)]]
         kept = [m for m in moves if np.sum(m * costs) <= limit and m.any(axis=1).all()]
-        if not kept or time.perf_counter() > deadline:
+        if not kept or budget.over:
             break
         if len(kept) > _PAIRS:
             kept = [kept[i] for i in rng.choice(len(kept), _PAIRS, replace=False)]

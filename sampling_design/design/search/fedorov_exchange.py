@@ -10,7 +10,6 @@ Fedorov 1972; Pukelsheim 1993.
 
 from __future__ import annotations
 
-import time
 from bisect import bisect_left, bisect_right
 
 import numpy as np
@@ -19,6 +18,7 @@ import numpy.typing as npt
 from sampling_design.design.bounds.relaxation import Relaxation
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
+from sampling_design.records.budget import ENDLESS, Budget
 
 Array = npt.NDArray[np.float64]
 
@@ -174,13 +174,13 @@ def is_admissible(problem: DesignProblem, times: Array) -> bool:
 
 
 def exchanged(
-    problem: DesignProblem, times: Array, sigma2: float, count: int, rounds: int = 3, deadline: float = np.inf
+    problem: DesignProblem, times: Array, sigma2: float, count: int, rounds: int = 3, budget: Budget = ENDLESS
 ) -> tuple[Array, float]:
     """Move one sample at a time to its best admissible place on a grid of `count`, until nothing improves."""
     for _ in range(rounds):
         before = sigma2
         for i in range(times.size):
-            if np.any(times[i] == problem.fixed) or time.perf_counter() > deadline:
+            if np.any(times[i] == problem.fixed) or budget.over:
                 continue
             others = np.delete(times, i)
             places = candidates(problem, others, count)

@@ -20,7 +20,6 @@ Geman and Geman 1984.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -30,6 +29,7 @@ from sampling_design.design.bounds.relaxation import Relaxation
 from sampling_design.design.bounds.zones import turn
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.turning import TurningWindows
+from sampling_design.records.budget import ENDLESS, Budget
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -51,13 +51,13 @@ def annealed(
     found: Relaxation,
     starts: list[Array],
     rng: np.random.Generator,
-    deadline: float = np.inf,
+    budget: Budget = ENDLESS,
     progress: Callable[[float], None] | None = None,
 ) -> list[Array]:
     """The best few schedules of a run from each of the `starts`, and of as many again from where the best ones led.
 
     None where flow or relaxation do not serve, or a run would not come to every sample. A run that is not over by the
-    `deadline` (perf_counter seconds) is cut short. `progress` is called with the share that is done, after each run.
+    `budget` is cut short. `progress` is called with the share that is done, after each run.
     """
     if problem.turning is None or problem.samples < 2 or not 0 < found.value < np.inf:
         return []
@@ -66,13 +66,13 @@ def annealed(
         return []
     found_by: list[list[Valued]] = []
     for start in starts:
-        found_by.append(bath.run(start, rng, bath.steps, deadline))
+        found_by.append(bath.run(start, rng, bath.steps, budget))
         if progress:
             progress(len(found_by) / (2 * len(starts)))
     parents = sorted([run[0] for run in found_by if run], key=lambda one: -one[0])[:_PARENTS]
     for i in range(len(starts) if parents else 0):
         parent = parents[i % len(parents)]
-        run = bath.run(parent[1], rng, bath.steps, deadline)
+        run = bath.run(parent[1], rng, bath.steps, budget)
         parents[i % len(parents)] = max([parent, *run[:1]], key=lambda one: one[0])
         found_by.append(run)
         if progress:
@@ -140,12 +140,12 @@ class HeatBath:
         away = np.abs((self.places[:, None] - others + period / 2) % period - period / 2)
         return np.asarray(away.min(axis=1) >= self.problem.gap)
 
-    def run(self, times: Array, rng: np.random.Generator, steps: int, deadline: float = np.inf) -> list[Valued]:
+    def run(self, times: Array, rng: np.random.Generator, steps: int, budget: Budget = ENDLESS) -> list[Valued]:
         """The best few schedules of a number of steps from `times`, the best first, with about their sigma^2."""
         kept: list[Valued] = []
         early, late = self.rows(times)
         for step in range(steps):
-            if time.perf_counter() > deadline:
+            if budget.over:
                 break
             rest = np.arange(times.size) != rng.integers(times.size)
             others = times[rest]

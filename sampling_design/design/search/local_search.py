@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -30,6 +29,7 @@ from sampling_design.design.search.refine import refined
 from sampling_design.design.search.rotations import exchanged_hours, rotated
 from sampling_design.design.search.smooth import smoothed
 from sampling_design.errors import SolverError
+from sampling_design.records.budget import ENDLESS, Budget
 
 Array = npt.NDArray[np.float64]
 ValueProgress = Callable[[float, float], None]
@@ -97,13 +97,13 @@ def search(
     relaxation: Relaxation,
     rng: np.random.Generator,
     starts: int,
-    deadline: float = np.inf,
+    budget: Budget = ENDLESS,
     progress: ValueProgress | None = None,
     enough: float = np.inf,
 ) -> FoundSchedule:
     """Refine the best starts and return the best schedule.
 
-    Stops at `deadline` (perf_counter seconds), and where sigma is `enough`: none can be better. An interrupt is raised
+    Stops at `budget`, and where sigma is `enough`: none can be better. An interrupt is raised
     as `Interrupted`, with the best schedule found by then.
 
     Raises
@@ -111,20 +111,20 @@ def search(
     SolverError
         If no admissible start was found although the requirement leaves room for one.
     """
-    pool, most = _starts(problem, relaxation, rng, deadline), KICKS * starts
+    pool, most = _starts(problem, relaxation, rng, budget), KICKS * starts
     if not pool:
         raise SolverError(
             f"No admissible start was found for {problem.samples} samples, although there is room for them. "
             "Widen the allowed times or ask for less spacing.",
             status="no start",
         )
-    run = _Refinement(problem, deadline, enough, pool[0][1], 0.0, [])
+    run = _Refinement(problem, budget, enough, pool[0][1], 0.0, [])
     try:
         _search_from(run, relaxation, rng, pool, starts, progress)
         _kick(run, rng, most, progress)
     except KeyboardInterrupt:
         raise Interrupted(run.found(complete=False)) from None
-    return run.found(complete=run.is_best or time.perf_counter() <= deadline)
+    return run.found(complete=run.is_best or not budget.over)
 
 
 def _search_from(
@@ -136,7 +136,7 @@ def _search_from(
     progress: ValueProgress | None,
 ) -> None:
     """Refine the best starts, exchange samples of the best, and draw anew where all are blind."""
-    problem, deadline, enough = run.problem, run.deadline, run.enough
+    problem, budget, enough = run.problem, run.budget, run.enough
     if problem.turning is not None:
         pool = _led(run, problem.turning, pool, starts)
         if progress:
@@ -148,7 +148,7 @@ def _search_from(
                 if progress:
                     progress(_BEFORE_KICKS * share, run.reached)
 
-            led = annealed(problem, relaxation, begun, rng, deadline, cooled)
+            led = annealed(problem, relaxation, begun, rng, budget, cooled)
             bathed = [("heat bath", times) for times in led]
             pool += _led(run, problem.turning, bathed, len(bathed)) if bathed else []
         starts = min(starts, _FEW)
@@ -163,7 +163,7 @@ def _search_from(
         if progress:
             progress(_BEFORE_KICKS * (done + 1) / len(chosen), run.reached)
     if len(run.trials) == len(chosen) and not run.is_over:
-        t, value = exchanged(problem, run.best, run.value, count=_places(problem), rounds=1, deadline=deadline)
+        t, value = exchanged(problem, run.best, run.value, count=_places(problem), rounds=1, budget=budget)
         if value > run.value:
             run.refine("exchange", t, value)
     if run.value <= 0 and not run.is_over:
@@ -185,10 +185,10 @@ def _led(
     best = _ranked(values)[: _LED * starts]
     found = []
     for i in [*best, *(i for i, (name, _) in enumerate(pool) if name not in ("random", "packed") and i not in best)]:
-        if time.perf_counter() > run.deadline:
+        if run.budget.over:
             break
         name, times = pool[i]
-        near = smoothed(problem, turning, times, HOPELESS_START * run.highest, run.deadline)
+        near = smoothed(problem, turning, times, HOPELESS_START * run.highest, run.budget)
         if near is not None:
             run.keep(near)
             found.append((name, near))
@@ -204,7 +204,7 @@ class _Refinement:
     """
 
     problem: DesignProblem
-    deadline: float
+    budget: Budget
     enough: float
     best: Array
     value: float
@@ -249,7 +249,7 @@ class _Refinement:
     @property
     def is_over(self) -> bool:
         """Whether there is nothing left to gain, or no time."""
-        return self.is_best or time.perf_counter() > self.deadline
+        return self.is_best or self.budget.over
 
     def found(self, complete: bool) -> FoundSchedule:
         """The best schedule so far."""
@@ -257,7 +257,7 @@ class _Refinement:
 
     def refine(self, name: str, times: Array, value: float, before: float | None = None) -> bool:
         """Refine one schedule and keep it if it is the best; `before` is sigma^2 before an earlier refinement."""
-        times, after = refined(self.problem, times, value, deadline=self.deadline)
+        times, after = refined(self.problem, times, value, budget=self.budget)
         first = value if before is None else before
         self.trials.append(SearchTrial(name, float(np.sqrt(max(first, 0.0))), float(np.sqrt(max(after, 0.0)))))
         better = after > self.value * (1 + _GAIN) or len(self.trials) == 1
@@ -311,10 +311,10 @@ def _first_steps(run: _Refinement, times: Array, before: float) -> tuple[Array, 
     """The schedule after a first refinement and its sigma^2; None where it is not worth a second one."""
     problem = run.problem
     if problem.turning is None:
-        times, value = refined(problem, times, before, steps=FIRST_STEPS, deadline=run.deadline)
+        times, value = refined(problem, times, before, steps=FIRST_STEPS, budget=run.budget)
         return (times, value) if value > HOPELESS * run.value else None
     highest = run.highest
-    near = smoothed(problem, problem.turning, times, HOPELESS_KICK * highest, run.deadline)
+    near = smoothed(problem, problem.turning, times, HOPELESS_KICK * highest, run.budget)
     if near is None:
         return None
     value = run.keep(near)
@@ -364,7 +364,7 @@ def _share(problem: DesignProblem) -> float:
 
 
 def _starts(
-    problem: DesignProblem, relaxation: Relaxation, rng: np.random.Generator, deadline: float
+    problem: DesignProblem, relaxation: Relaxation, rng: np.random.Generator, budget: Budget
 ) -> list[tuple[str, Array]]:
     """Even, rounded and random admissible schedules; even ones also shaken, since symmetry can be a saddle."""
     found: list[tuple[str, Array | None]] = [("even", even(problem, 0.5))]
@@ -372,13 +372,13 @@ def _starts(
     if repeating(problem):
         count = ROTATIONS if problem.turning is None else CHEAP_ROTATIONS
         steps = 1.0 if problem.turning is None else _MORE_STEPS
-        turned = rotated(problem, relaxation, count, _share(problem), deadline, steps)
+        turned = rotated(problem, relaxation, count, _share(problem), budget, steps)
         found += [("rotated", times) for times in turned]
     else:
         found += [("rounded", rounded(problem, relaxation, offset)) for offset in (0.25, 0.75)]
     size = problem.samples - problem.fixed.size
     for i in range(DRAWS):
-        if i >= _LEAST_DRAWS and time.perf_counter() > deadline and any(t is not None for _, t in found):
+        if i >= _LEAST_DRAWS and budget.over and any(t is not None for _, t in found):
             break
         if i % 3 == 0:
             shares = (np.arange(size) + rng.uniform() + 0.3 * rng.normal(size=size)) / max(size, 1) % 1.0

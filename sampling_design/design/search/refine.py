@@ -6,8 +6,6 @@ little. Linearising whole Gram matrices, W_m + sum ds_i dW_m/ds_i >= t I, sees a
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import numpy.typing as npt
 
@@ -16,6 +14,7 @@ from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import WindowPositions, positions, window_grams, worst_sigma2
 from sampling_design.design.search.fedorov_exchange import is_admissible
 from sampling_design.numerics import conic_programs
+from sampling_design.records.budget import ENDLESS, Budget
 
 Array = npt.NDArray[np.float64]
 
@@ -26,14 +25,14 @@ _SUBSPACE = 4  # directions per window, the least seen ones: a larger inequality
 
 
 def refined(
-    problem: DesignProblem, times: Array, sigma2: float, steps: int = 25, deadline: float = np.inf
+    problem: DesignProblem, times: Array, sigma2: float, steps: int = 25, budget: Budget = ENDLESS
 ) -> tuple[Array, float]:
-    """Improve sorted admissible times until `deadline`; a step is kept only if the worst sigma^2 grows."""
+    """Improve sorted admissible times until `budget`; a step is kept only if the worst sigma^2 grows."""
     trust = problem.period / (4 * problem.samples)
     for _ in range(steps):
-        if time.perf_counter() > deadline:
+        if budget.over:
             break
-        move = _step(problem, times, sigma2, trust, deadline)
+        move = _step(problem, times, sigma2, trust, budget)
         if move is None:
             return times, sigma2
         gained = False
@@ -64,7 +63,7 @@ def _with_fixed(problem: DesignProblem, times: Array) -> Array:
     return times
 
 
-def _step(problem: DesignProblem, times: Array, sigma2: float, trust: float, deadline: float) -> Array | None:
+def _step(problem: DesignProblem, times: Array, sigma2: float, trust: float, budget: Budget) -> Array | None:
     """The move within `trust` that maximises the least eigenvalue of the linearised windows."""
     rows = problem.rows
     where = positions(problem, times[None, :])
@@ -84,7 +83,7 @@ def _step(problem: DesignProblem, times: Array, sigma2: float, trust: float, dea
         )
     cost = np.zeros(times.size + 1)
     cost[-1] = -1.0
-    left = max(deadline - time.perf_counter(), 0.0)
+    left = budget.left
     seconds = left if np.isfinite(left) else None
     found = conic_programs.solve_cone_program(
         cost, blocks, tolerance=1e-6, iterations=60, budget=seconds, refined=False

@@ -8,8 +8,6 @@ exchange their times of day as long as that sees more.
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import numpy.typing as npt
 
@@ -18,6 +16,7 @@ from sampling_design.design.bounds.zones import turn
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.search.fedorov_exchange import is_admissible, repaired
+from sampling_design.records.budget import ENDLESS, Budget
 
 Array = npt.NDArray[np.float64]
 
@@ -34,22 +33,22 @@ def rotated(
     found: Relaxation,
     count: int,
     share: float = 1.0,
-    deadline: float = np.inf,
+    budget: Budget = ENDLESS,
     finer: float = 1.0,
 ) -> list[Array]:
     """The `count` best admissible rotations, of which no two are alike; `share` of the usual number is looked at.
 
-    The number of steps is `finer` times the usual one. Those that were looked at by the `deadline` (perf_counter
-    seconds).
+    The number of steps is `finer` times the usual one. Those that were looked at by the
+    `budget`.
     """
     k = problem.samples
     steps = int(np.clip(_STEPS * share / k, _OFFSETS, _MOST_STEPS) * finer)
     wanted = [(step, offset) for step in np.arange(steps) / steps for offset in np.arange(_OFFSETS) / _OFFSETS]
     drawn = _rotations(problem, found, np.array(wanted))
-    pool, values = _judged(problem, drawn, deadline)
+    pool, values = _judged(problem, drawn, budget)
     new = np.append(True, np.diff(values) < -_GAIN * values[:-1])[: values.size]
     best = list(pool[new][:count])
-    return [_swapped(problem, best[0], float(values[0]), share, deadline), *best[1:]] if best else []
+    return [_swapped(problem, best[0], float(values[0]), share, budget), *best[1:]] if best else []
 
 
 def _rotations(problem: DesignProblem, found: Relaxation, wanted: Array) -> list[Array]:
@@ -66,14 +65,14 @@ def _rotations(problem: DesignProblem, found: Relaxation, wanted: Array) -> list
     return drawn
 
 
-def _swapped(problem: DesignProblem, times: Array, value: float, share: float, deadline: float) -> Array:
+def _swapped(problem: DesignProblem, times: Array, value: float, share: float, budget: Budget) -> Array:
     """The schedule after exchanges of two samples' times of day, each the one of all that gains most."""
     shift, k = turn(problem), problem.samples
     apart = int(min(_SWAPS * share / k**2, k // 2))
     pairs = [(i, (i + d) % k) for d in range(1, apart + 1) for i in range(k)]
     for _ in range(_ROUNDS):
         drawn = [_swap(times, shift, i, other) for i, other in pairs]
-        pool, values = _judged(problem, drawn, deadline)
+        pool, values = _judged(problem, drawn, budget)
         if not values.size or values[0] <= value * (1 + _GAIN):
             break
         times, value = pool[0], float(values[0])
@@ -93,12 +92,12 @@ def _swap(times: Array, shift: float, i: int, other: int) -> Array:
     return day + hours
 
 
-def _judged(problem: DesignProblem, drawn: list[Array], deadline: float) -> tuple[Array, Array]:
+def _judged(problem: DesignProblem, drawn: list[Array], budget: Budget) -> tuple[Array, Array]:
     """Admissible schedules near those drawn, the best first, and sigma^2 of each; as many as time allows."""
     pool: list[Array] = []
     values = np.zeros(0)
     for low in range(0, len(drawn), _BATCH):
-        if time.perf_counter() > deadline:
+        if budget.over:
             break
         made = _admitted(problem, drawn[low : low + _BATCH])
         pool += made

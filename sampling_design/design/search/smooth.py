@@ -7,14 +7,13 @@ tenth of their time: many starts can be led to their best schedules.
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.turning import TurningWindows
 from sampling_design.design.search.fedorov_exchange import is_admissible, repaired
+from sampling_design.records.budget import ENDLESS, Budget
 
 Array = npt.NDArray[np.float64]
 
@@ -27,9 +26,9 @@ _INSIDE = 1e-9  # of the period: how far a time stays from the end of an interva
 
 
 def smoothed(
-    problem: DesignProblem, turning: TurningWindows, times: Array, wanted: float = 0.0, deadline: float = np.inf
+    problem: DesignProblem, turning: TurningWindows, times: Array, wanted: float = 0.0, budget: Budget = ENDLESS
 ) -> Array | None:
-    """Admissible times near a best schedule that `times` lead to, or on the way there at the `deadline`.
+    """Admissible times near a best schedule that `times` lead to, or on the way there at the `budget`.
 
     None where they can not be pushed apart, or where sigma^2 is below `wanted` after the first steps.
     """
@@ -49,10 +48,10 @@ def smoothed(
             price, push = _crowding(problem, t)
             return price - value / unit, push - slope / unit
 
-        began = time.perf_counter()
+        once = Budget()
         loss(times)
-        now = time.perf_counter()
-        looks = min((deadline - now) / (now - began), float(_LOOKS * steps)) if now > began else _LOOKS * steps
+        took = once.spent
+        looks = min(budget.left / took, float(_LOOKS * steps)) if took > 0 else _LOOKS * steps
         if looks < 1:
             break
         options = {"maxiter": steps, "maxfun": int(looks)}

@@ -14,11 +14,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.numerics.ball_flow import BallFlow, OutOfTime, TimeBudget, highest
+from sampling_design.numerics.ball_flow import BallFlow, highest
 from sampling_design.numerics.balls import Matrix, ball, flint, floats, matrix, precision, rational
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.plants.plant import Plant
+from sampling_design.records.budget import Budget, BudgetSpentError
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 SHAVES = (1e-6, 1e-4, 0.01, 0.1, 0.5)
@@ -42,7 +43,7 @@ class ProvenSigma(NamedTuple):
 def nearest_proven(
     guess: float,
     seconds: float,
-    begin: Callable[[TimeBudget], Callable[[float], bool]],
+    begin: Callable[[Budget], Callable[[float], bool]],
     *,
     slack: float = 0.0,
     shaves: tuple[float, ...] = SHAVES,
@@ -58,7 +59,7 @@ def nearest_proven(
         Budget.
     begin : callable
         Sets the search up within a precision of balls, given the clock, and returns what decides whether sigma >= mu,
-        given mu. Both may raise `OutOfTime`, and ZeroDivisionError where a matrix is not certainly invertible.
+        given mu. Both may raise `BudgetSpentError`, and ZeroDivisionError where a matrix is not certainly invertible.
     slack : float
         By which the windows' ends are moved outward.
     shaves : tuple of float
@@ -79,13 +80,13 @@ def nearest_proven(
     flint()
     if not 0 < guess < np.inf:
         return ProvenSigma(guess, slack, "closed")
-    clock = TimeBudget(seconds)
+    clock = Budget(seconds)
     for bits in precisions:
         with precision(bits), suppress(ZeroDivisionError):
             try:
                 proves = begin(clock)
                 proven = next((mu for mu in (guess * (1 - shave) for shave in shaves) if proves(mu)), None)
-            except OutOfTime:
+            except BudgetSpentError:
                 return ProvenSigma(0.0, slack, "budget")
             return ProvenSigma(0.0, slack, "rounding") if proven is None else ProvenSigma(proven, slack, "closed")
     return ProvenSigma(0.0, slack, "rounding")
@@ -104,7 +105,7 @@ def prove_window_sigma(
     """
     exact = exact_times(schedule, pieces)
 
-    def begin(clock: TimeBudget) -> Callable[[float], bool]:
+    def begin(clock: Budget) -> Callable[[float], bool]:
         flow, rows, starts = BallFlow(matrix(plant.A), matrix(np.zeros_like(plant.A))), BallRows(plant), []
         for g in range(len(pieces)):
             left, right = piece_ends(schedule, pieces, g)
@@ -136,13 +137,13 @@ def see_in_balls(
 
     A sigma below n eps |C| counts as zero: rounding in the plant and the times alone can hide it.
     """
-    clock, exact = TimeBudget(seconds), exact_times(schedule, pieces)
+    clock, exact = Budget(seconds), exact_times(schedule, pieces)
     least = plant.n_states * float(np.finfo(float).eps) * float(np.linalg.norm(plant.C))
     for bits in PRECISIONS:
         with precision(bits):
             try:
                 seen = _seen(plant, schedule, pieces, exact, clock)
-            except OutOfTime:
+            except BudgetSpentError:
                 return None
             except ZeroDivisionError:  # the Gramian is not certainly invertible at this precision
                 continue
@@ -151,7 +152,7 @@ def see_in_balls(
 
 
 def _seen(
-    plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, exact: list[Fraction], clock: TimeBudget
+    plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, exact: list[Fraction], clock: Budget
 ) -> BallSigma:
     """The least of the windows that are looked at, at the precision that is set: all over, then around the least."""
     flow, rows = BallFlow(matrix(plant.A), matrix(np.zeros_like(plant.A))), BallRows(plant)

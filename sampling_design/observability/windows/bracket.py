@@ -6,7 +6,6 @@ An upper bound on a norm is what follows, and norms are convex.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy.typing as npt
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.plants.plant import Plant
+from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
 
 Array = npt.NDArray[np.float64]
@@ -212,10 +212,10 @@ class _BracketSearch:
 
     def run(self, seconds: float, progress: Progress | None) -> str:
         """Halve until nothing is open or the budget is spent."""
-        began = time.monotonic()
+        budget = Budget(seconds)
         self.close()
         while self.owner.size:
-            if time.monotonic() - began > seconds or self.evaluations > _MOST_NODES:
+            if budget.over or self.evaluations > _MOST_NODES:
                 np.minimum.at(self.piece_lower, self.owner, self.lower_open)
                 return "budget"
             self.halve()

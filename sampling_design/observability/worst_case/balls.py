@@ -23,11 +23,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.numerics.ball_flow import BallFlow, OutOfTime, TimeBudget
+from sampling_design.numerics.ball_flow import BallFlow
 from sampling_design.numerics.balls import Ball, ball, definite, flint, matrix, rational
 from sampling_design.observability.windows.balls import SHAVES, ProvenSigma, nearest_proven
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.plants.plant import Plant
+from sampling_design.records.budget import Budget, BudgetSpentError
 from sampling_design.schedules.spaced_windows import SpacedWindows
 
 Array = npt.NDArray[np.float64]
@@ -83,7 +84,7 @@ class BallTable(NamedTuple):
 class WorstCase:
     """Tables and cells of one plant and family, in coordinates x = L z."""
 
-    def __init__(self, plant: Plant, family: SpacedWindows, basis: Array, clock: TimeBudget) -> None:
+    def __init__(self, plant: Plant, family: SpacedWindows, basis: Array, clock: Budget) -> None:
         self.n, self.p, self.k, self.clock = plant.n_states, plant.n_outputs, family.count, clock
         self.offsets = [Fraction(family.spacing) * i for i in range(self.k)]
         self.slack = max(Fraction(family.window) - self.offsets[-1], Fraction(0))
@@ -192,7 +193,7 @@ class WorstCase:
         pending = BallCells(np.eye(n), np.zeros((n, n), dtype=int), np.arange(n), np.full(n, FIRST_GRID))
         while pending.face.size:
             if pending.face.size > MOST_CELLS:
-                raise OutOfTime("too many cells are open")
+                raise BudgetSpentError("too many cells are open")
             grid = int(pending.grid.min())
             same = np.flatnonzero(pending.grid == grid)
             same = same[: max(1, BATCH // (self.k * (grid + 1) * self.signs.shape[1]))]
@@ -253,7 +254,7 @@ def prove_worst_sigma(
     if plant.n_states > MOST_STATES:
         return ProvenSigma(0.0, 0.0, "too many states")
 
-    def begin(clock: TimeBudget) -> Callable[[float], bool]:
+    def begin(clock: Budget) -> Callable[[float], bool]:
         rows = SpacedRows(plant, family.window, family.count, family.spacing)
         basis, _ = rows.coordinates(np.clip(worst - rows.offsets, 0.0, None))
         return WorstCase(plant, family, basis, clock).proves

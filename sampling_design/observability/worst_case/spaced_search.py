@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy.typing as npt
 
 from sampling_design.observability.worst_case.spaced_paths import least_path
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
+from sampling_design.records.budget import ENDLESS, Budget
 
 Array = npt.NDArray[np.float64]
 
@@ -44,7 +44,7 @@ def search_worst(rows: SpacedRows, rng: np.random.Generator, seconds: float = np
 
     After `seconds` no further turn begins.
     """
-    deadline = time.monotonic() + seconds
+    budget = Budget(seconds)
     basis, inverse = rows.coordinates()
     speed = float(np.linalg.norm(inverse @ rows.A @ basis, 2))
     cells = int(np.clip(2 ** np.ceil(np.log2(max(4 * rows.slack * speed, 1.0))), LEAST_CELLS, _MOST_CELLS))
@@ -52,12 +52,12 @@ def search_worst(rows: SpacedRows, rng: np.random.Generator, seconds: float = np
     table = rows.at(times).reshape(-1, rows.n)
     starts = max(4, min(_STARTS, _NUMBERS // table.shape[0]))
     directions = np.vstack([basis.T, rng.standard_normal((starts, rows.n)) @ basis.T])
-    found = _alternate(rows, slacks, table, directions, deadline)
+    found = _alternate(rows, slacks, table, directions, budget)
     if rows.spacing < rows.slack / cells:  # clusters are narrower than the grid: where it puts two of them says nothing
-        found = np.vstack([found, *(_clustered(rows, x) for x in directions if time.monotonic() <= deadline)])
+        found = np.vstack([found, *(_clustered(rows, x) for x in directions if not budget.over)])
     sigma, _ = _weakest(rows.observed(found))
     order = np.argsort(sigma, kind="stable")[:3]
-    polished = [polish(rows, found[i], rows.slack / cells, deadline) for i in order]
+    polished = [polish(rows, found[i], rows.slack / cells, budget) for i in order]
     return min(polished, key=lambda a: a.sigma)
 
 
@@ -68,11 +68,11 @@ def search_from(rows: SpacedRows, direction: Array, cells: int) -> AttainedSched
     return polish(rows, found[0], rows.slack / cells)
 
 
-def polish(rows: SpacedRows, slacks: Array, step: float, deadline: float = np.inf) -> AttainedSchedule:
+def polish(rows: SpacedRows, slacks: Array, step: float, budget: Budget = ENDLESS) -> AttainedSchedule:
     """Improve one schedule off the grid: alternation on shrinking local grids, then Newton on what is free."""
     best, tight = worst_of(rows, slacks[None]), rows.spacing < step
     for _ in range(_TURNS):
-        if time.monotonic() > deadline:
+        if budget.over:
             return best
         near = (best.slacks[:, None] + step * np.linspace(-1, 1, 9)).ravel()
         far = _dips(rows, best.direction) if tight else best.slacks  # what the grid has not resolved may be elsewhere
@@ -86,7 +86,7 @@ def polish(rows: SpacedRows, slacks: Array, step: float, deadline: float = np.in
             step /= 4
             if step < 1e-4 * rows.slack:
                 break
-    return _newton(rows, best, deadline)
+    return _newton(rows, best, budget)
 
 
 def _clustered(rows: SpacedRows, direction: Array) -> Array:
@@ -129,24 +129,24 @@ def _weakest(observed: Array) -> tuple[Array, Array]:
     return sigma, right[:, n - 1]
 
 
-def _alternate(rows: SpacedRows, slacks: Array, table: Array, directions: Array, deadline: float = np.inf) -> Array:
+def _alternate(rows: SpacedRows, slacks: Array, table: Array, directions: Array, budget: Budget = ENDLESS) -> Array:
     """Schedules (B, k) on a grid: from each direction its worst times, from these their worst direction, in turn."""
     count, last = directions.shape[0], np.full(directions.shape[0], np.inf)
     for _ in range(_TURNS):
         seen = (table @ directions.T).reshape(rows.count, slacks.size, rows.p, count)
         found = slacks[least_path(np.moveaxis(np.sum(seen**2, axis=2), 2, 0))]
         sigma, directions = _weakest(rows.observed(found))
-        if np.all(sigma >= last * (1 - 1e-6)) or time.monotonic() > deadline:
+        if np.all(sigma >= last * (1 - 1e-6)) or budget.over:
             break
         last = sigma
     return found
 
 
-def _newton(rows: SpacedRows, best: AttainedSchedule, deadline: float) -> AttainedSchedule:
+def _newton(rows: SpacedRows, best: AttainedSchedule, budget: Budget) -> AttainedSchedule:
     """Newton on lambda = sigma^2 over the samples that no constraint holds; ties move together."""
     tie = _TIE * rows.slack
     for _ in range(_NEWTON_STEPS):
-        if time.monotonic() > deadline:
+        if budget.over:
             break
         u = best.slacks
         group = np.concatenate([[0], np.cumsum(np.diff(u) > tie)])

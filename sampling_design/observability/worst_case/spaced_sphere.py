@@ -18,7 +18,6 @@ So does every sample: times at which one alone would see more of every state of 
 
 from __future__ import annotations
 
-import time
 from itertools import product
 from typing import NamedTuple
 
@@ -29,6 +28,7 @@ from sampling_design.observability.worst_case.spaced_paths import so_far, sums_s
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.observability.worst_case.spaced_search import AttainedSchedule, search_from
 from sampling_design.observability.worst_case.spaced_tables import MOST_CELLS, CurveTable, SphereTables, StartTable
+from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
 
 Array = npt.NDArray[np.float64]
@@ -134,7 +134,7 @@ class _SphereSearch:
 
     def run(self, seconds: float, progress: Progress | None) -> SphereBounds:
         """Work on the cells with the lowest bounds until all are closed or the budget is spent."""
-        began, status = time.monotonic(), ""
+        budget, status = Budget(seconds), ""
         while self.open.face.size:
             if self.open.face.size > _MOST_CELLS:
                 status = "budget"
@@ -142,7 +142,7 @@ class _SphereSearch:
             batches = self._batches(self._round())
             results = [self.open]
             for part in batches:
-                if not status and time.monotonic() - began > seconds:
+                if not status and budget.over:
                     status = "budget"
                 results.append(part if status else self._worked(part))
             self.open = joined(results)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,6 +17,7 @@ from sampling_design.observability.worst_case.spaced_search import LEAST_CELLS, 
 from sampling_design.observability.worst_case.spaced_sphere import MOST_STATES, SphereBounds, prove_worst
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed
 from sampling_design.records.dispatch import OpenPlant
 from sampling_design.records.evidence import Claim
@@ -310,15 +310,14 @@ def _proof(
         proof = SphereBounds(lower, found, "closed" if lower >= (1 - rtol) * found.sigma else "rounding", 0)
         method = "only one schedule is admissible"
     else:
-        began = time.monotonic()
+        budget = Budget(seconds)
         found, method = search_worst(rows, rng, max(seconds / 2, LEAST_SEARCH)), "branch and bound over directions"
         if rows.counts_as_zero(found.sigma, found.slacks):
             proof, method = SphereBounds(0.0, found, "", 0), "a schedule that leaves a direction unseen"
         elif rows.n > MOST_STATES:
             proof, method = SphereBounds(0.0, found, "too many states", 0), "none"
         else:
-            left = max(0.0, seconds - (time.monotonic() - began))
-            proof = prove_worst(rows, found, rtol, left, progress)
+            proof = prove_worst(rows, found, rtol, budget.left, progress)
     if rows.counts_as_zero(proof.attained.sigma, proof.attained.slacks):
         proof = proof._replace(lower=0.0, status="below rounding")
     return proof, method

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
@@ -18,6 +17,7 @@ from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records import checks
+from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, finite_or_nones, short
@@ -142,8 +142,8 @@ def accuracy_over_box(
     v = _entries("v_bound", v_bound, plant.nominal.n_outputs)
     rows = wanted_rows(plant.nominal, of)
     one = one_plant(schedule)
-    began, middle = time.perf_counter(), plant.low / 2 + plant.high / 2
-    seconds = SECONDS if budget is None else checks.positive("budget", budget)
+    given = Budget(SECONDS if budget is None else checks.positive("budget", budget))
+    middle = plant.low / 2 + plant.high / 2
     whole = plant.high / 2 - plant.low / 2
     open_ = [(middle, whole, np.full(len(rows), np.inf))]
     lower, worst = np.zeros(len(rows)), [middle] * len(rows)
@@ -156,8 +156,8 @@ def accuracy_over_box(
         theta, half, before = open_.pop(int(np.argmax([float(np.max(each[2])) for each in open_])))
         small = cells > 0 and bool(np.all(half <= SMALLEST * whole))
         if progress is not None and cells:
-            progress(min(1.0, (time.perf_counter() - began) / seconds), f"{cells} cells")
-        if time.perf_counter() - began > seconds or small:
+            progress(min(1.0, given.spent / given.seconds), f"{cells} cells")
+        if given.over or small:
             top = np.maximum(top, np.max([before, *(each[2] for each in open_)], axis=0))
             break
         cells += 1

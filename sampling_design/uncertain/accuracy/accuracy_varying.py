@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -18,6 +17,7 @@ from sampling_design.accuracy.start import InitialError, InitialSet
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.observability.alignment import meet
 from sampling_design.records import checks
+from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
@@ -161,7 +161,7 @@ def accuracy_along(
     """
     refuse_others("of a plant that varies", **others)
     rtol = checks.positive("rtol", RTOL if rtol is None else rtol)
-    deadline = time.perf_counter() + (np.inf if budget is None else checks.positive("budget", budget))
+    given = Budget(None if budget is None else checks.positive("budget", budget))
     problem = _Problem(plant, schedule, w_bound, v_bound, of, initial_error, (start, end))
     lower, upper = (np.zeros((len(problem.rows), len(problem.looked))) for _ in range(2))
     for k, (gap, part, taken) in enumerate(problem.looked):
@@ -172,7 +172,7 @@ def accuracy_along(
                 lower[i, k], upper[i, k] = low, up
                 if not np.isfinite(up) or up <= (1 + rtol) * low or up > (1 - rtol) * before:
                     break
-                if time.perf_counter() > deadline:  # the coarsest cells prove a bracket, too
+                if given.over:  # the coarsest cells prove a bracket, too
                     break
                 before = up
         if progress is not None:

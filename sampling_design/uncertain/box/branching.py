@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -10,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import optimize
 
+from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
 from sampling_design.uncertain.box.expansion import BoxCells
 
@@ -54,7 +54,7 @@ def branch(
     progress: Progress | None,
 ) -> BoxBounds:
     """Halve cells until lower >= (1 - rtol) upper; `value` is exact at one point, `unseen`: where it counts as zero."""
-    began, judged, rounds = time.monotonic(), 0, 0
+    budget, judged, rounds = Budget(seconds), 0, 0
     open_, lower = start, np.zeros(len(start.s))
     closed, best = np.inf, (np.inf, start.u[0], float(start.s[0]), int(start.piece[0]))
     status = "closed"
@@ -74,7 +74,7 @@ def branch(
         done = lower >= (1 - rtol) * best[0]
         closed = min(closed, float(lower[done].min(initial=np.inf)))
         open_, lower, effect = open_.take(~done), lower[~done], effect[~done]
-        if len(open_.s) and (time.monotonic() - began > seconds or judged + 2 * len(open_.s) > MOST_CELLS):
+        if len(open_.s) and (budget.over or judged + 2 * len(open_.s) > MOST_CELLS):
             status, closed = "budget", min(closed, float(lower.min()))
             break
         if progress is not None:

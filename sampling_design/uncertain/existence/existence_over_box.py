@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -16,6 +15,7 @@ from sampling_design.numerics.linalg import filter_gain, positive_or_one
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.budget import Budget
 from sampling_design.records.record import short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.branching import halved
@@ -109,7 +109,7 @@ def existence_over_box(
         nominal = {each.name: each.nominal for each in plant.parameters}
         return ExistenceOverBox(True, nominal, np.inf, "a finite schedule is certified to its last time", 0, plant)
     model, margin = BoxModel.of(plant, "certificate_exists"), margin_on(schedule, eta)
-    gaps, began = GainedGaps(model, schedule, eta), time.monotonic()
+    gaps, budget = GainedGaps(model, schedule, eta), Budget(seconds)
     worst, proven, looked = looked_at(model, margin, model.start, None), 0, 0
     stack = [BoxCells.whole(model.m)]
     while stack:
@@ -125,7 +125,7 @@ def existence_over_box(
             if not worst[1]:
                 continue
             worst = descended(model, margin, worst)
-        if time.monotonic() - began > seconds or cell.half.max(initial=0.0) < SMALLEST:
+        if budget.over or cell.half.max(initial=0.0) < SMALLEST:
             values = model.values(worst[2])
             raise UndecidedError(
                 f"undecided: whether a certificate with rate {short(eta)} exists for every plant of the box; the "

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -13,6 +12,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import meet
 from sampling_design.observability.windows.pieces import window_pieces
 from sampling_design.records import checks
+from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import Plain, Record, short
 from sampling_design.records.signatures import checked
@@ -236,7 +236,7 @@ def _searched(
     model: BoxModel, cells: BoxCells, question_of: _BySigma | _ByGains, rtol: float, seconds: float, question: str
 ) -> LargestBox:
     """BoxCells from the nominal values outwards."""
-    began, judged_cells, failed, worst = time.monotonic(), 0, np.inf, model.start
+    budget, judged_cells, failed, worst = Budget(seconds), 0, np.inf, model.start
     small, rounds = False, 0
     together = TOGETHER if isinstance(question_of, _BySigma) else NEAREST
     while len(cells.s):
@@ -246,7 +246,7 @@ def _searched(
         if not len(begins):
             break
         reached = float(begins.min())
-        if reached >= (1 - rtol) * failed or time.monotonic() - began > seconds or small:
+        if reached >= (1 - rtol) * failed or budget.over or small:
             return _found(model, reached, failed, worst, reached >= (1 - rtol) * failed, question, judged_cells)
         order = np.argsort(begins, kind="stable")
         near, later = cells.take(order[:together]), cells.take(order[together:])

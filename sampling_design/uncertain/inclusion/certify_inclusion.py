@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from typing import TypedDict, Unpack
 
@@ -17,6 +16,7 @@ from sampling_design.certificates.form.verdict import Verification
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
@@ -136,12 +136,12 @@ def certify_inclusion(
     rate = None if eta is None else checks.positive("eta", eta)
     counts = PIECES if pieces is None else (checks.whole("pieces", pieces, 1),)
     gain = above_one("noise_gain", noise_gain)
-    deadline = time.perf_counter() + (np.inf if budget is None else checks.positive("budget", budget))
+    given = Budget(None if budget is None else checks.positive("budget", budget))
     search: InclusionSearch | None = None
     verdict: Verification | None = None
     tried = rate
     for graph in graphs_of(schedules, plant.centre, counts[0]):
-        search = InclusionSearch(plant, schedules, graph, weights, gain, deadline)
+        search = InclusionSearch(plant, schedules, graph, weights, gain, given)
         report(0.0, f"search with {graph.count - 1} matri{'x' if graph.count == 2 else 'ces'} P(tau)")
         tried = choose_rate(search, counts[0], arrival, report) if rate is None else rate
         best, found = within_pieces(search, tried, counts, arrival, report)
@@ -149,11 +149,11 @@ def certify_inclusion(
         if best is not None:
             report(1.0, "proven")
             return best
-        if search.late:
+        if search.budget.over:
             break
     assert search is not None
     assert tried is not None
-    if search.late:
+    if search.budget.over:
         raise UndecidedError(
             f"undecided: no P(tau) was proven within `budget` = {short(float(budget or 0.0))} s. "
             "Give it more time, or a rate `eta`.", eta=tried, verification=verdict, status="budget",
@@ -168,9 +168,9 @@ def within_pieces(
     """The certificate of the shortest horizon, and the verdict on the last one that did not pass."""
     best: InclusionCertificate | None = None
     verdict: Verification | None = None
-    began = time.perf_counter()
+    began = Budget()
     for k, count in enumerate(counts):
-        if search.late:
+        if search.budget.over:
             break
         report(0.5 + 0.4 * k / len(counts), f"{count} pieces")
         try:
@@ -255,7 +255,7 @@ def choose_rate(search: InclusionSearch, pieces: int, arrival: bool, report: Pro
         return float((lost + np.log(4.0)) / rate)
 
     for rate in np.geomspace(3.0, 0.05, RATES) / mean:
-        if search.late:
+        if search.budget.over:
             break
         tried[float(rate)] = horizon(float(rate))
         report(0.3 * len(tried) / RATES, "choice of the rate")
@@ -267,20 +267,19 @@ def choose_rate(search: InclusionSearch, pieces: int, arrival: bool, report: Pro
         place = ordered.index(best)
         for other in (ordered[max(place - 1, 0)], ordered[min(place + 1, len(ordered) - 1)]):
             rate = float(f"{np.sqrt(best * other):.4g}")
-            if rate not in tried and not search.late:
+            if rate not in tried and not search.budget.over:
                 tried[rate] = horizon(rate)
     return min(tried, key=lambda rate: (tried[rate], rate), default=3.0 / mean)
 
 
 def refused(search: InclusionSearch, eta: float, verdict: Verification | None) -> CertificateError:
     """What to say: a plant of the model and a schedule of the range that no weights can certify, or "undecided"."""
-    began = time.perf_counter()
+    look = Budget(LONGEST_LOOK)
     margins: list[tuple[float, str]] = []
     for place, plant in search.plant.constant_members(np.random.default_rng(0))[:SUSPECTS]:
-        left = LONGEST_LOOK - (time.perf_counter() - began)
-        if left <= 0:
+        if look.over:
             break
-        found, nearest = find_counterexample(plant, search.family, eta, quick=True, budget=left)
+        found, nearest = find_counterexample(plant, search.family, eta, quick=True, budget=look.left)
         if found is not None and not search.plant.members_are_plants:
             return UndecidedError(
                 f"undecided: no P(tau) can be found, as the linearisation at {place} with the gaps "
@@ -353,7 +352,7 @@ def longest_gap(
     least = None if shortest is None else checks.positive("shortest", shortest)
     if least is not None and least > top:
         raise ArgumentError(f"`most` must be at least `shortest` = {least!r}, got {top!r}.")
-    began, report = time.perf_counter(), progress or (lambda fraction, message: None)
+    began, report = Budget(), progress or (lambda fraction, message: None)
 
     weights = InclusionWeights(*weights_of(plant.centre, Qw, R, Qv))
     in_terms(plant, GapRange(top, top))

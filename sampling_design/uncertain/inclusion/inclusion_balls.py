@@ -27,8 +27,8 @@ from sampling_design.checkers.inclusion import FLOW, SUBJECT, broken, pieces
 from sampling_design.checkers.inclusion_file import Box, Inclusion, Region, Vertices, moved
 from sampling_design.checkers.jumps import JUMP
 from sampling_design.checkers.outcome import REFUTED, UNDECIDED, Refused
-from sampling_design.numerics.ball_flow import TimeBudget
 from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, matrix, symmetric
+from sampling_design.records.budget import Budget
 from sampling_design.uncertain.inclusion.region_balls import JacobianCells, mid, parted
 
 Array = npt.NDArray[np.float64]
@@ -42,7 +42,7 @@ MOST_SETS = 2000
 """Sets of C that are tried for one sample."""
 
 
-def inclusion(c: Inclusion, clock: TimeBudget) -> BallDecision:
+def inclusion(c: Inclusion, clock: Budget) -> BallDecision:
     """Prove all inequalities of a certificate for an inclusion; what was proven, for what, and the least slack.
 
     Raises
@@ -118,7 +118,7 @@ def ends_of(c: Inclusion, P: list[Matrix]) -> list[tuple[Matrix, Matrix, float]]
     return found
 
 
-def flows(c: Inclusion, P: list[Matrix], Qw: Matrix, clock: TimeBudget) -> float:
+def flows(c: Inclusion, P: list[Matrix], Qw: Matrix, clock: Budget) -> float:
     """The flow condition for every member."""
     eta, every = ball(c.weights.eta), ends_of(c, P)
     if isinstance(c.model, Region):
@@ -137,7 +137,7 @@ def flows(c: Inclusion, P: list[Matrix], Qw: Matrix, clock: TimeBudget) -> float
     return slack
 
 
-def multiplied(c: Inclusion, every: list[tuple[Matrix, Matrix, float]], Qw: Matrix, clock: TimeBudget) -> float:
+def multiplied(c: Inclusion, every: list[tuple[Matrix, Matrix, float]], Qw: Matrix, clock: Budget) -> float:
     """The flow condition with multipliers; see `checkers/inclusion.py`."""
     assert isinstance(c.model, Box)
     assert c.multipliers is not None
@@ -183,7 +183,7 @@ def multipliers_fail(c: Inclusion, error: BallFailure) -> BallFailure:
     )
 
 
-def jumps(c: Inclusion, P: list[Matrix], Rt: Matrix, clock: TimeBudget) -> float:
+def jumps(c: Inclusion, P: list[Matrix], Rt: Matrix, clock: Budget) -> float:
     """The jump condition for every member: tangents from below, as in `checkers/jumps.py`."""
     slack = 1.0
     for pattern in sorted(set(map(tuple, c.jumps.seen.tolist()))):
@@ -278,7 +278,7 @@ class OutputSets:
         return [np.array(list(product(*(pair if i == k else own for i, own in enumerate(sides)))))
                 for pair in ([low[k], middle], [middle, high[k]])]  # fmt: skip
 
-    def over(self, jump: tuple[Matrix, Matrix, float], Y: Matrix, clock: TimeBudget) -> float:
+    def over(self, jump: tuple[Matrix, Matrix, float], Y: Matrix, clock: Budget) -> float:
         """A proven slack of one sample; Unproven where there is none."""
         later, base, tau = jump
         gained, slack, every, spent = later - base, 1.0, [self.points], 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from itertools import product
 from typing import NamedTuple
 
@@ -16,6 +15,7 @@ from sampling_design.certificates.families.path_complete import PathCompleteGrap
 from sampling_design.certificates.form.horizon import output_information
 from sampling_design.errors import SamplingDesignError
 from sampling_design.numerics.balancing import balance
+from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.jitter import Jitter
 from sampling_design.uncertain.inclusion.layout import Layout, Schedules, layout_of
@@ -53,10 +53,10 @@ class PosedMembers:
         graph: PathCompleteGraph,
         weights: InclusionWeights,
         noise_gain: float,
-        deadline: float = np.inf,
+        budget: Budget = ENDLESS,
         seed: int = 0,
     ) -> None:
-        self.noise_gain, self.deadline = noise_gain, deadline
+        self.noise_gain, self.budget = noise_gain, budget
         self.plant, self.schedules, self.graph, self.weights = plant, schedules, graph, weights
         self.centre = plant.centre
         self.longest = float(graph.tops.max())
@@ -97,16 +97,6 @@ class PosedMembers:
             columns=columns, seen=seen,
         )  # fmt: skip
         return posed, T
-
-    @property
-    def left(self) -> float | None:
-        """Seconds that are left; None: no end."""
-        return None if np.isinf(self.deadline) else max(self.deadline - time.perf_counter(), 0.0)
-
-    @property
-    def late(self) -> bool:
-        """Whether the time is over."""
-        return time.perf_counter() > self.deadline
 
     @property
     def mean(self) -> float:

@@ -12,8 +12,8 @@ from sampling_design.certificates.rigorous.ball_problem import BallFailure
 from sampling_design.checkers.inclusion_file import Inclusion, Region
 from sampling_design.checkers.outcome import REFUTED, UNDECIDED
 from sampling_design.checkers.programs import Instruction
-from sampling_design.numerics.ball_flow import TimeBudget
 from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, matrix
+from sampling_design.records.budget import Budget
 
 Array = npt.NDArray[np.float64]
 Slopes = dict[tuple[str, int], Ball]
@@ -46,7 +46,7 @@ def mid(M: Matrix) -> Matrix:
 class JacobianCells:
     """The region, halved until all forms are positive for the Jacobians of every cell."""
 
-    def __init__(self, c: Inclusion, region: Region, clock: TimeBudget) -> None:
+    def __init__(self, c: Inclusion, region: Region, clock: Budget) -> None:
         self.c, self.region, self.clock = c, region, clock
         self.keys = [(key, k) for key in ("x", "u", "w") for k in range(len(region.low[key]))]
         root = np.sqrt(np.einsum("kii->i", c.P) / len(c.P))

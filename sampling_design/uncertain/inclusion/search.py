@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy.typing as npt
 from sampling_design.certificates.form.verdict import Verification
 from sampling_design.certificates.rigorous.decide import judged
 from sampling_design.errors import ArgumentError
+from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import SolverRecord
 from sampling_design.records.record import Plain
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
@@ -74,7 +74,7 @@ class InclusionSearch(PosedMembers):
                 turned, fit.within(), *fit.ends, fit.T @ fit.bound, None, np.zeros((0, 0, 0)), fit.record
             )
         for _ in range(ROUNDS):
-            if self.late:
+            if self.budget.over:
                 return None
             found = self._once(posed, T, narrow)
             if found is None:
@@ -88,7 +88,7 @@ class InclusionSearch(PosedMembers):
     def _once(self, posed: PosedProgram, T: Array, narrow: bool) -> InclusionSolution | None:
         dynamics = self.pushed(posed)[self.chosen]
         some = replace(posed, dynamics=dynamics, outputs=posed.outputs[:, self.shown])
-        search = InclusionProgram(some, self.left)
+        search = InclusionProgram(some, self.budget.seconds_left())
         floor, x, record = search.floor()
         if x is None:
             return None
@@ -100,7 +100,7 @@ class InclusionSearch(PosedMembers):
             return best
         current, basis = some, np.eye(some.n)
         for _ in range(NARROWINGS):
-            if self.late:
+            if self.budget.over:
                 break
             x, W, record = search.narrow(best.lam, floor * max(1 / self.noise_gain, SMALLEST))
             if x is None:
@@ -116,7 +116,7 @@ class InclusionSearch(PosedMembers):
             best = found if found.lam < best.lam else best
             if done:
                 break
-            search = InclusionProgram(current, self.left)
+            search = InclusionProgram(current, self.budget.seconds_left())
         return best
 
     @staticmethod
@@ -180,7 +180,7 @@ class InclusionSearch(PosedMembers):
         own = found.diagonals / (self.longest * self.sizes**2)
         return np.array([float(f"{x:.9g}") for x in own.ravel().tolist()]).reshape(own.shape)
 
-    def proven(self, eta: float, pieces: int, began: float) -> InclusionCertificate | Verification | None:
+    def proven(self, eta: float, pieces: int, began: Budget) -> InclusionCertificate | Verification | None:
         """A certificate that has passed, the verdict on the last one that did not, or None if nothing was found."""
         if self.members.complete:
             return self._attempt(eta, pieces, began, (0.0,), DIGITS, len(DIGITS))
@@ -200,7 +200,7 @@ class InclusionSearch(PosedMembers):
         self,
         eta: float,
         pieces: int,
-        began: float,
+        began: Budget,
         inflated: tuple[float, ...],
         precisions: tuple[int, ...],
         proofs: int,
@@ -215,7 +215,7 @@ class InclusionSearch(PosedMembers):
             tried = 0
             for digits in precisions:
                 try:
-                    made = self.certificate(found, eta, pieces, digits, time.perf_counter() - began)
+                    made = self.certificate(found, eta, pieces, digits, began.spent)
                 except ArgumentError:  # so few decimals leave P or its bounds indefinite in the plant's own coordinates
                     continue
                 last = proofs > 1 and digits == precisions[-1]

@@ -79,13 +79,13 @@ def fitted(
 ) -> FittedWeights | None:
     """Solve for the members chosen, drawn to their mean; those that the solution violates join until none does."""
     for _ in range(ROUNDS):
-        if search.late:
+        if search.budget.over:
             return None
         posed, _T = posing(T)
         posed = drawn(search, posed, share)
         some = replace(posed, dynamics=posed.dynamics[search.chosen] if share else posed.dynamics[:1],
                        outputs=posed.outputs[:, search.shown])  # fmt: skip
-        program = InclusionProgram(some, search.left)
+        program = InclusionProgram(some, search.budget.seconds_left())
         x, slack, record = solve(program)
         if x is None:
             return None

@@ -10,7 +10,6 @@ halved where they are lowest. Of functions A is only looked at, and nothing is p
 from __future__ import annotations
 
 import heapq
-import time
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -19,6 +18,7 @@ import numpy.typing as npt
 
 from sampling_design.observability.windows.bracket import WindowBracket
 from sampling_design.observability.windows.pieces import Pieces
+from sampling_design.records.budget import Budget
 from sampling_design.uncertain.plants.time_table import MatrixTable, length_of
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
 
@@ -116,7 +116,7 @@ class VaryingSearch:
 
 def bracket_varying(plant: TimeVaryingPlant, pieces: Pieces, rtol: float, budget: float) -> WindowBracket:
     """Bracket the least sigma; `status` as of `WindowSigma`, and "sampled" of functions, where `lower` is 0."""
-    search, began = VaryingSearch(plant, pieces), time.monotonic()
+    search, clock = VaryingSearch(plant, pieces), Budget(budget)
     nodes = [_first(search, g) for g in range(len(pieces))]
     short = [g for g, own in enumerate(nodes) if len(own[0].rows) < plant.n_states]
     if short:
@@ -131,7 +131,7 @@ def bracket_varying(plant: TimeVaryingPlant, pieces: Pieces, rtol: float, budget
             return _bracket(search, nodes, g, best._replace(sigma=0.0), np.zeros(len(pieces)), "below rounding")
         if not heap or heap[0][0] >= (1 - rtol) * best.sigma:
             break
-        if time.monotonic() - began > budget:
+        if clock.over:
             status = "budget"
             break
         _, piece, _, a, b = heap[0]

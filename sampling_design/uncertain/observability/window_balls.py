@@ -18,7 +18,6 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.numerics.ball_flow import TimeBudget
 from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, rational
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.observability.windows.balls import (
@@ -28,6 +27,7 @@ from sampling_design.observability.windows.balls import (
     needed_slack,
     piece_ends,
 )
+from sampling_design.records.budget import Budget
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.balls import BallBox, BallCell
 from sampling_design.uncertain.box.branching import TOGETHER, halved
@@ -59,7 +59,7 @@ class WindowCells:
     """Cells of parameters and window starts; a start is a dyadic share of its piece, so that no cell is rounded."""
 
     def __init__(
-        self, asked: WindowsOverBox, schedule: Schedule | PeriodicSchedule, exact: list[Fraction], clock: TimeBudget
+        self, asked: WindowsOverBox, schedule: Schedule | PeriodicSchedule, exact: list[Fraction], clock: Budget
     ) -> None:
         self.asked, self.clock, self.box = asked, clock, BallBox(asked.model)
         pieces = asked.pieces

@@ -6,14 +6,12 @@ the rows of all plants of the cell are beside those of its middle, to first orde
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.numerics.ball_flow import TimeBudget
 from sampling_design.numerics.balls import (
     Ball,
     ball,
@@ -27,6 +25,7 @@ from sampling_design.numerics.balls import (
 from sampling_design.observability.windows.balls import SHAVES, ProvenSigma, nearest_proven
 from sampling_design.observability.worst_case.balls import prove_worst_sigma
 from sampling_design.plants.plant import Plant
+from sampling_design.records.budget import Budget
 from sampling_design.schedules.spaced_windows import SpacedWindows
 from sampling_design.uncertain.box.balls import BallBox, CellMetric, largest_over
 from sampling_design.uncertain.box.expansion import BoxCells
@@ -56,7 +55,7 @@ def prove_worst_over_box(
     times, to a tolerance `rtol`, from which its proof begins.
     """
 
-    def begin(clock: TimeBudget) -> Callable[[float], bool]:
+    def begin(clock: Budget) -> Callable[[float], bool]:
         return SpacedCells(model, family, (one, rtol), cells, clock).proves
 
     return nearest_proven(guess, seconds, begin, shaves=SHAVES[:1])
@@ -71,7 +70,7 @@ class SpacedCells:
         family: SpacedWindows,
         search: tuple[SigmaOfOne, float],
         cells: list[BoxCells],
-        clock: TimeBudget,
+        clock: Budget,
     ) -> None:
         self.model, self.family, self.search, self.cells, self.clock = model, family, search, cells, clock
         self.box, self.known = BallBox(model), dict[tuple[float, ...], float]()
@@ -99,7 +98,7 @@ class SpacedCells:
         at, (one, rtol) = tuple(u.tolist()), self.search
         if self.known.get(at, 0.0) < needed < np.inf:
             lower, _, worst = one(plant, rtol, np.inf)
-            left = max(0.0, self.clock.end - time.monotonic())
+            left = self.clock.left
             if lower >= needed:
                 self.known[at] = prove_worst_sigma(plant, self.family, needed * UP, worst, left, (0.0,)).lower
         return self.known.get(at, 0.0) >= needed

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -12,6 +11,7 @@ import numpy.typing as npt
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
 from sampling_design.observability.worst_case.worst_case_sigma import LEAST_SEARCH, asked, worst_case_sigma
 from sampling_design.plants.plant import Plant
+from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
@@ -146,7 +146,7 @@ def _searched(
     model: BoxModel, family: SpacedWindows, rtol: float, seconds: float, one: SigmaOfOne, settled: list[BoxCells]
 ) -> WorstCaseOverBox:
     """The bracket; `settled` takes the cells that were proven."""
-    began, closed, judged = time.monotonic(), np.inf, dict[tuple[float, ...], tuple[float, float]]()
+    budget, closed, judged = Budget(seconds), np.inf, dict[tuple[float, ...], tuple[float, float]]()
     wide = bool(np.ptp(np.log(model.unit)) > np.log(WIDE))
     open_, bound, best = BoxCells.whole(model.m), np.zeros(1), (np.inf, model.start, np.zeros(family.count))
     while len(open_.s):
@@ -154,7 +154,7 @@ def _searched(
         cell, rest = open_.take(np.array([k])), np.flatnonzero(np.arange(len(bound)) != k)
         points = points_of(cell)
         for u in points:
-            left = seconds - (time.monotonic() - began)
+            left = budget.left
             if left <= 0 and judged:
                 settled.append(open_)
                 low = min(closed, float(bound.min()))

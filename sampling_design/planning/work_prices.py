@@ -1,4 +1,4 @@
-"""Work counted, never timed: a search that stops after so much work finds the same plan on every machine, however busy.
+"""What work costs that is counted, never timed: a search that stops after so much finds the same plan on every machine.
 
 The unit is about a second of an ordinary processor core, worked out from the sizes of what is solved.
 """
@@ -50,42 +50,3 @@ CERTIFIED = (1.5, 0.06)
 AFTER = ((0.1, 1.0), (0.2, 1.5), (1.0, 2.0))
 """By what share of itself, and how many seconds, a budget may be exceeded: after the proof of the least cost, after
 that of the best accuracy, and in the end."""
-
-
-class WorkSpentError(Exception):
-    """There is no work left for what is being done."""
-
-
-class WorkBudget:
-    """A budget of work and what is spent of it."""
-
-    def __init__(self, limit: float = float("inf")) -> None:
-        self.limit, self.budget, self.spent = limit, limit, 0.0
-        self.firm = False
-        """Whether what does not fit in is refused."""
-
-    @property
-    def over(self) -> bool:
-        """Whether the budget is spent."""
-        return self.spent > self.limit
-
-    def add(self, price: tuple[float, float], size: float) -> None:
-        """Count a program of so many entries.
-
-        Raises
-        ------
-        WorkSpentError
-            If it does not fit in, and the limit is firm.
-        """
-        more = price[0] + price[1] * size
-        if self.firm and self.spent + more > self.limit:
-            raise WorkSpentError
-        self.spent += more
-
-    def add_each(self, count: int, price: tuple[float, float], size: float) -> None:
-        """Count so many programs alike."""
-        self.add((count * price[0], count * price[1]), size)
-
-    def until(self, share: float, seconds: float, *, firm: bool = False) -> None:
-        """Let so much be spent in all beyond the budget: a share of it, and seconds."""
-        self.limit, self.firm = (1 + share) * self.budget + seconds, firm

@@ -7,7 +7,6 @@ equation at the Radau points, so that stiff plants cost no small steps. Everythi
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -20,6 +19,7 @@ from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.weights import NonlinearWeights
+from sampling_design.records.budget import processor_seconds
 
 if TYPE_CHECKING:
     from casadi import SX, Function
@@ -139,14 +139,14 @@ class WindowProgram:
             arguments["lam_x0"] = self._pack(guess.bound_multipliers, idle=0.0)
             arguments["lam_g0"] = self._pack_rows(guess)
         solver = self._solver(warm)
-        started = time.thread_time()
+        started = processor_seconds()
         try:
             found = solver(**arguments)
             stats = solver.stats()
         except RuntimeError as error:
             message = str(error).strip().splitlines()[-1][:120]
-            return guess._replace(status="solver failed", message=message, seconds=time.thread_time() - started)
-        return self._unpack(data.edges, found, stats, time.thread_time() - started)
+            return guess._replace(status="solver failed", message=message, seconds=processor_seconds() - started)
+        return self._unpack(data.edges, found, stats, processor_seconds() - started)
 
     def _solver(self, warm: bool) -> Function:
         """The solver of one kind, built when first asked for."""

@@ -17,6 +17,11 @@ def now() -> float:
     return time.perf_counter()
 
 
+def processor_seconds() -> float:
+    """Seconds that the processor has worked for this thread: for reports, whatever else the machine does."""
+    return time.thread_time()
+
+
 class BudgetSpentError(Exception):
     """There is nothing left for what is being done."""
 

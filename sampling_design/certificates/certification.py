@@ -12,7 +12,7 @@ from sampling_design import __version__
 from sampling_design.certificates.exact.canonical import NoiseWeights, ScaledProblem, canonical, evened, followed, slip
 from sampling_design.certificates.exact.certificate import Certificate, SampledCertificate
 from sampling_design.certificates.exact.efforts import ALL_WORK, BEYOND, LOOK_WORK, SEARCHED, SearchEffort
-from sampling_design.certificates.exact.given_weights import met, weights_of
+from sampling_design.certificates.exact.given_weights import above_one, met, weights_of
 from sampling_design.certificates.exact.own_decay import own_decay
 from sampling_design.certificates.exact.precise import precisely_chosen
 from sampling_design.certificates.exact.proof import ScheduleProof
@@ -225,8 +225,7 @@ def certify(
         )
     if memory is not None:
         raise ArgumentError(f"`memory` is for families of schedules, got {memory!r} with a {type(schedule).__name__}.")
-    if not checks.number("noise_gain", noise_gain) > 1:
-        raise ArgumentError(f"`noise_gain` must be above 1, got {noise_gain!r}: no P2 attains the least noise gain.")
+    noise_gain = above_one("noise_gain", noise_gain)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
     try:
         return _of_schedule(plant, met(plant, schedule), (Qw, R, Qv), P2, eta, noise_gain, progress, limit)

@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.certificates.form.constants import ConstantList
-from sampling_design.certificates.form.digest import DETECTABILITY_CLAIM, sealed, write_certificate
-from sampling_design.certificates.form.verdict import Verification
+from sampling_design.certificates.form.digest import DETECTABILITY_CLAIM, sealed
+from sampling_design.certificates.rigorous.decide import VerifiableRecord
 from sampling_design.errors import ArgumentError, CertificateError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.evidence import Claim, SolverRecord
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import Plain, short
 
 Array = npt.NDArray[np.float64]
 METHODS = ("riccati", "lmi", "proof", "given")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DetectabilityCertificate(Record):
+class DetectabilityCertificate(VerifiableRecord):
     """V(x) = x'Px decays at rate eta up to disturbance and output, so that the plant is exponentially i-iIOSS.
 
         |dx(t)|_P^2 <= e^{-eta t} |dx(0)|_P^2 + int_0^t e^{-eta(t-s)} (c_w |dw(s)|^2 + c_y |C dx(s)|^2) ds
@@ -54,7 +52,12 @@ class DetectabilityCertificate(Record):
 
     Notes
     -----
-    *Claim.* `verify` decides it from A, C, G, P, eta, c_w, c_y, margin alone. *Assumptions.* None beyond a linear
+    *Claim.* `verify` decides from A, C, G, P, eta, c_w, c_y, margin alone whether P > 0 and
+
+        [[A'P + PA + (1 + margin) eta P - c_y C'C, PG], [G'P, -c_w I]] < 0;
+
+    its `amount` is the least eigenvalue relative to the size of the terms, `direction` says where it fails.
+    *Assumptions.* None beyond a linear
     plant; outputs are noise-free here, noise enters where samples do. The paper's (19) has lost the factors
     e^{-eta(t-s)}.
 
@@ -134,39 +137,6 @@ class DetectabilityCertificate(Record):
             theorem="Theorem 10 (discounted)",
             assumptions=("x' = Ax + Bu + Gw, y = Cx + Du",),
         )
-
-    def verify(self, rigorous: bool = False, budget: float = 60.0) -> Verification:
-        """Prove P > 0 and the inequality anew from the data alone, by `checkers/detectability.py`.
-
-            [[A'P + PA + (1 + margin) eta P - c_y C'C, PG], [G'P, -c_w I]] < 0
-
-        What its floats can neither prove nor disprove is handed to ball arithmetic, if that is installed.
-
-        Parameters
-        ----------
-        rigorous : bool
-            Decide in ball arithmetic at once (extra `rigorous`): "proven" is then a theorem about the stated doubles.
-        budget : float [seconds]
-            For the rigorous verdict, "undecided" when it runs out.
-
-        Returns
-        -------
-        Verification
-            Its `verdict` is "proven", "refuted" or "undecided"; a `RigorousVerification` where balls gave it. Its
-            `amount` is the least eigenvalue relative to the size of the terms; `direction` where it fails.
-
-        Raises
-        ------
-        MissingExtraError
-            If `rigorous` is asked for and python-flint is not installed.
-        """
-        from sampling_design.certificates.rigorous.decide import judged
-
-        return judged(self.to_dict(), rigorous, budget)
-
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the certificate as JSON, whole or not at all; return the path."""
-        return write_certificate(self, path)
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data as in the file, digest included."""

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -14,17 +12,17 @@ import numpy.typing as npt
 
 from sampling_design.certificates.exact.given_weights import FREE_DISTURBANCE
 from sampling_design.certificates.form.constants import ConstantList
-from sampling_design.certificates.form.digest import CLAIM, RESOLUTION, sealed, write_certificate
+from sampling_design.certificates.form.digest import CLAIM, RESOLUTION, sealed
 from sampling_design.certificates.form.export import constants_of
 from sampling_design.certificates.form.horizon import Horizon, horizon_of, output_information
-from sampling_design.certificates.form.verdict import Verification
+from sampling_design.certificates.rigorous.decide import VerifiableRecord
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import generalised_max
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.evidence import Claim, SolverRecord
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import Plain, short
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -49,7 +47,7 @@ class Witness:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SampledCertificate(Record, ABC):
+class SampledCertificate(VerifiableRecord, ABC):
     """Weights with which samples make a plant sample-based exponentially i-iIOSS: what estimators and validation take.
 
         |Dx(t)|^2_{P1} <= e^{-eta t} |Dx(0)|^2_{P2} + int e^{-eta (t-s)} |Dw|^2_{Qw} ds
@@ -150,36 +148,6 @@ class SampledCertificate(Record, ABC):
     def horizon(self, theorem: str = "sharp", length: float | None = None) -> Horizon:
         """Return the estimation horizon and its error bound; see `horizon_of`."""
         return horizon_of(self, theorem, length)
-
-    def verify(self, rigorous: bool = False, budget: float = 60.0) -> Verification:
-        """Prove the inequalities anew from the data alone, by the room `checkers`, which shares no code with this one.
-
-        What its floats can neither prove nor disprove is handed to ball arithmetic, if that is installed.
-
-        Parameters
-        ----------
-        rigorous : bool
-            Decide in ball arithmetic at once (extra `rigorous`): "proven" is then a theorem about the stated doubles.
-        budget : float [seconds]
-            For the rigorous verdict, "undecided" when it runs out.
-
-        Returns
-        -------
-        Verification
-            Its `verdict` is "proven", "refuted" or "undecided"; a `RigorousVerification` where balls gave it.
-
-        Raises
-        ------
-        MissingExtraError
-            If `rigorous` is asked for and python-flint is not installed.
-        """
-        from sampling_design.certificates.rigorous.decide import judged
-
-        return judged(self.to_dict(), rigorous, budget)
-
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the certificate as JSON, whole or not at all; return the path."""
-        return write_certificate(self, path)
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data as in the file, digest included."""

@@ -27,6 +27,19 @@ def default_weights(plant: Plant) -> tuple[Array, Array, Array]:
     return np.diag(1.0 / plant.disturbances.scales**2), noise, noise.copy()
 
 
+def above_one(name: str, value: float, what: str = "P2") -> float:
+    """Return a noise gain relative to its least, which no `what` attains.
+
+    Raises
+    ------
+    ArgumentError
+        If it is not above 1.
+    """
+    if not checks.number(name, value) > 1:
+        raise ArgumentError(f"`{name}` must be above 1, got {value!r}: no {what} attains the least noise gain.")
+    return float(value)
+
+
 def weights_of(plant: Plant, Qw: object, R: object, Qv: object) -> tuple[Array, Array, Array]:
     """Return the weights as given, where None the default; one of R and Qv stands for both."""
     w, r, _ = default_weights(plant)

@@ -93,6 +93,12 @@ def noise_input(G: Array, Qw: Array) -> Array:
     return np.asarray(solve_triangular(root, G.T, lower=True).T, dtype=np.float64)
 
 
+def covariance_flow(plant: Plant, Qw: Array, root: Array) -> tuple[Array, Array]:
+    """Return A and G Qw^-1 G' of Y' = AY + YA' + eta Y + noise in coordinates x~ = root' x."""
+    A, drive = np.linalg.solve(root, (root.T @ plant.A).T).T, root.T @ noise_input(plant.G, Qw)
+    return np.asarray(A, dtype=np.float64), np.asarray(drive @ drive.T, dtype=np.float64)
+
+
 def whitened_rows(C: Array, R: Array, Qv: Array, mask: npt.NDArray[np.bool_] | None, count: int) -> Array:
     """Return V_i^{-1/2} C_i per sample, V = R^-1 + Qv^-1 restricted to the measured outputs; zero rows pad."""
     V = symmetrise(np.linalg.inv(R) + np.linalg.inv(Qv))
@@ -111,9 +117,7 @@ def window_problem(
 ) -> WindowProblem:
     """Return the recursion of `plant` on `schedule` (already in the plant's terms) for given weights."""
     root = np.asarray(np.linalg.cholesky(P2), dtype=np.float64)
-    A = np.linalg.solve(root, (root.T @ plant.A).T).T
-    drive = root.T @ noise_input(plant.G, Qw)
-    noise = drive @ drive.T
+    A, noise = covariance_flow(plant, Qw, root)
     rows = whitened_rows(plant.C, R, Qv, schedule.outputs, len(schedule))
     rows = np.swapaxes(np.linalg.solve(root, np.swapaxes(rows, 1, 2)), 1, 2)
     times = np.array(schedule.times)
@@ -126,7 +130,7 @@ def window_problem(
         gaps = np.diff(times, prepend=0.0)
         reach, period = gaps.copy(), None
     return WindowProblem(
-        A=np.asarray(A, dtype=np.float64),
+        A=A,
         noise=noise,
         rows=rows,
         eta=eta,

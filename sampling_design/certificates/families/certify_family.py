@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.certificates.exact.canonical import NoiseWeights
-from sampling_design.certificates.exact.given_weights import weights_of
+from sampling_design.certificates.exact.given_weights import above_one, weights_of
 from sampling_design.certificates.exact.riccati import periodic_riccati_solution
 from sampling_design.certificates.exact.weight_choice import rate_range
 from sampling_design.certificates.exact.window_problem import window_problem
@@ -28,7 +28,7 @@ from sampling_design.certificates.families.step_proof import (
 )
 from sampling_design.certificates.families.step_proof import prove as proven_along
 from sampling_design.certificates.form.digest import RESOLUTION, STATED_MARGIN
-from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
+from sampling_design.errors import CertificateError, UndecidedError
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -334,8 +334,7 @@ def certify_family(
     weights = weights_of(plant, Qw, R, Qv)
     given = None if P2 is None else checks.definite("P2", P2, plant.n_states)
     rate = None if eta is None else checks.positive("eta", eta)
-    if not checks.number("noise_gain", noise_gain) > 1:
-        raise ArgumentError(f"`noise_gain` must be above 1, got {noise_gain!r}: no P2 attains the least noise gain.")
+    noise_gain = above_one("noise_gain", noise_gain)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
     levels = range(family.levels_of_memory) if memory is None else [checks.whole("memory", memory)]
     if not plant.n_states:

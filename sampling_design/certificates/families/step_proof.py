@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.certificates.exact.canonical import NoiseWeights
-from sampling_design.certificates.exact.window_problem import growing_flow, noise_input, whitened_rows
+from sampling_design.certificates.exact.window_problem import covariance_flow, growing_flow, whitened_rows
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
@@ -72,14 +72,11 @@ class StepDynamics:
 def dynamics_of(plant: Plant, weights: NoiseWeights, eta: float, root: Array, graph: PathCompleteGraph) -> StepDynamics:
     """Return the recursion of `plant` in coordinates z = root'x, with the rows of each set of outputs of `graph`."""
     Qw, R, Qv = weights
-    A = np.linalg.solve(root, (root.T @ plant.A).T).T
-    drive = root.T @ noise_input(plant.G, Qw)
-    noise = drive @ drive.T
     rows = {}
     for outputs in {edge.outputs for edge in graph.edges}:
         whitened = whitened_rows(plant.C, R, Qv, np.array([outputs], dtype=bool), 1)[0]
         rows[outputs] = np.linalg.solve(root, whitened.T).T
-    return StepDynamics(np.asarray(A, dtype=np.float64), np.asarray(noise, dtype=np.float64), eta, root, rows)
+    return StepDynamics(*covariance_flow(plant, Qw, root), eta, root, rows)
 
 
 @dataclass(frozen=True, eq=False)

@@ -115,7 +115,9 @@ class Horizon(Record):
         )
 
 
-def horizon_of(certificate: HasWeights, theorem: str = "sharp", length: float | None = None) -> Horizon:
+def horizon_of(
+    certificate: HasWeights, theorem: str = "sharp", length: float | None = None, *, apart: float | None = None
+) -> Horizon:
     """Return the horizon of a certificate by the sharper theorem or by Thm 9 of the paper.
 
         sharp:  M > ln(lam)/eta,             eta_tilde = eta - ln(lam)/M
@@ -124,10 +126,13 @@ def horizon_of(certificate: HasWeights, theorem: str = "sharp", length: float | 
     Parameters
     ----------
     certificate : SampledCertificate
-    theorem : "sharp" or "paper"
+    theorem : "sharp", "paper", or "arrival": "sharp" with an arrival weight that lambda does not enter
     length : float, optional [time]
         Default max(d_max, ln(4 lam)/eta) and max(d_max, 2 ln(4 lam_samples)/eta): each window shrinks the
         squared error to a quarter.
+    apart : float, optional
+        V(t) <= this times J(truth), where estimate and truth differ from the centre of the data each by itself
+        (Theorem G): a factor on lam and on every gain. Default 1, without "arrival".
 
     Returns
     -------
@@ -140,38 +145,32 @@ def horizon_of(certificate: HasWeights, theorem: str = "sharp", length: float | 
     CertificateError
         If `length` is too short for the theorem.
     """
-    checks.word("theorem", theorem, ("sharp", "paper"))
-    eta, P1, P2 = certificate.eta, certificate.P1, certificate.P2
-    lam = certificate.lam_proven if theorem == "sharp" else certificate.lam_samples_proven
-    factor = 1.0 if theorem == "sharp" else 2.0
-    minimum = factor * np.log(factor * lam) / eta
+    checks.word("theorem", theorem, ("sharp", "paper") if apart is None else ("sharp", "arrival", "paper"))
+    eta, paper, share = certificate.eta, theorem == "paper", 1.0 if apart is None else apart
+    lam = certificate.lam_samples_proven if paper else certificate.lam_proven
+    factor, lost = (2.0, 2.0 * lam) if paper else (1.0, share * (1.0 if theorem == "arrival" else lam))
+    minimum = factor * np.log(lost) / eta
     with np.errstate(over="ignore"):
-        default = max(certificate.d_max, float(factor * np.log(_CONTRACTION * lam) / eta))
+        default = max(certificate.d_max, float((factor * np.log(lost) + np.log(_CONTRACTION)) / eta))
     if not np.isfinite(default):
         raise CertificateError(
             f"The rate {eta:.3g} is so slow that the horizon is no number: ask for a larger `eta`.", minimum=minimum
         )
     M = default if length is None else checks.positive("length", length)
-    least = max(minimum, certificate.d_max) if theorem == "paper" else minimum
+    least = max(minimum, certificate.d_max) if paper else minimum
     if not (minimum < M and least <= M):
+        which = "this theorem" if apart is None or paper else "Theorem G"
         raise CertificateError(
-            f"`length` = {M:.6g} is too short: this theorem needs M > {least:.6g}.", minimum=least, length=M
+            f"`length` = {M:.6g} is too short: {which} needs M > {least:.6g}.", minimum=least, length=M
         )
-    rate = eta - factor * np.log(factor * lam) / M
-    low = least_eigenvalue(P1 if theorem == "sharp" else P2 / lam)
-    gain = 1.0 if theorem == "sharp" else 4.0 * lam
-    noise = output_information(certificate.R, certificate.Qv) if theorem == "sharp" else 2.0 * certificate.Qv
+    low = least_eigenvalue(certificate.P2 / lam if paper else certificate.P1)
+    gain = 4.0 * lam if paper else share
+    noise = 2.0 * certificate.Qv if paper else output_information(certificate.R, certificate.Qv)
+    C_x, C_w, C_v = (gain * largest_eigenvalue(W) / low for W in (certificate.P2, certificate.Qw, noise))
     return Horizon(
-        theorem=theorem,
-        minimum=float(minimum),
-        length=float(M),
-        eta_tilde=float(rate),
-        C_x=gain * largest_eigenvalue(P2) / low,
-        C_w=gain * largest_eigenvalue(certificate.Qw) / low,
-        C_v=gain * largest_eigenvalue(noise) / low,
-        lam=float(lam),
-        time_unit=certificate.plant.time_unit,
-    )
+        theorem=theorem, minimum=float(minimum), length=float(M), eta_tilde=float(eta - factor * np.log(lost) / M),
+        C_x=C_x, C_w=C_w, C_v=C_v, lam=float(lam), time_unit=certificate.plant.time_unit,
+    )  # fmt: skip
 
 
 def output_information(R: Array, Qv: Array) -> Array:

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import os
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 
-from sampling_design.certificates.form.digest import CLAIM, DETECTABILITY_CLAIM, FAMILY_CLAIM, RESOLUTION
+from sampling_design.certificates.form.digest import (
+    CLAIM,
+    DETECTABILITY_CLAIM,
+    FAMILY_CLAIM,
+    RESOLUTION,
+    write_certificate,
+)
 from sampling_design.certificates.form.verdict import Verification, verdict_of
 from sampling_design.certificates.rigorous.ball_problem import (
     BallDecision,
@@ -33,6 +42,7 @@ from sampling_design.checkers.work import Work
 from sampling_design.numerics.balls import BITS, Matrix, ball, definite, flint, lowered, matrix, precision, symmetric
 from sampling_design.records.budget import ENDLESS, Budget, BudgetSpentError
 from sampling_design.records.dispatch import offered
+from sampling_design.records.record import Plain, Record
 
 REPLAY = 1e-6
 """What a witness may miss of its stated ratio, relative."""
@@ -69,6 +79,42 @@ class RigorousVerification(Verification):
     def explain(self) -> str:
         """Say the verdict."""
         return f"{self.verdict.capitalize()} in ball arithmetic: {self.reason}."
+
+
+class VerifiableRecord(Record):
+    """A certificate: a record whose file states inequalities that can be proven from the file alone."""
+
+    @abstractmethod
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data as in the file, digest included."""
+
+    def verify(self, rigorous: bool = False, budget: float = 60.0) -> Verification:
+        """Prove the inequalities anew from the data alone, by the room `checkers`, which shares no code with this one.
+
+        What its floats can neither prove nor disprove is handed to ball arithmetic, if that is installed.
+
+        Parameters
+        ----------
+        rigorous : bool
+            Decide in ball arithmetic at once (extra `rigorous`): "proven" is then a theorem about the stated doubles.
+        budget : float [seconds]
+            For the rigorous verdict, "undecided" when it runs out.
+
+        Returns
+        -------
+        Verification
+            Its `verdict` is "proven", "refuted" or "undecided"; a `RigorousVerification` where balls gave it.
+
+        Raises
+        ------
+        MissingExtraError
+            If `rigorous` is asked for and python-flint is not installed.
+        """
+        return judged(self.to_dict(), rigorous, budget)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the certificate as JSON, whole or not at all; return the path."""
+        return write_certificate(self, path)
 
 
 def judged(data: Mapping[str, object], rigorous: bool, budget: float) -> Verification:

@@ -8,7 +8,7 @@ from typing import TypedDict, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.certificates.exact.given_weights import met, weights_of
+from sampling_design.certificates.exact.given_weights import above_one, met, weights_of
 from sampling_design.certificates.existence.counterexample import find_counterexample
 from sampling_design.certificates.families.graphs import in_plant_terms
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
@@ -135,7 +135,7 @@ def certify_inclusion(
     weights = InclusionWeights(*weights_of(plant.centre, Qw, R, Qv))
     rate = None if eta is None else checks.positive("eta", eta)
     counts = PIECES if pieces is None else (checks.whole("pieces", pieces, 1),)
-    gain = above_one("noise_gain", noise_gain)
+    gain = above_one("noise_gain", noise_gain, "P(tau)")
     given = Budget(None if budget is None else checks.positive("budget", budget))
     search: InclusionSearch | None = None
     verdict: Verification | None = None
@@ -187,13 +187,6 @@ def within_pieces(
         if enough or arrival:
             break
     return best, verdict
-
-
-def above_one(name: str, value: object) -> float:
-    """A noise gain relative to its least, which no P2 attains."""
-    if not checks.number(name, value) > 1:
-        raise ArgumentError(f"`{name}` must be above 1, got {value!r}: no P(tau) attains the least noise gain.")
-    return float(value)  # type: ignore[arg-type]
 
 
 def graphs_of(schedules: Schedules, plant: Plant, pieces: int) -> Iterator[PathCompleteGraph]:

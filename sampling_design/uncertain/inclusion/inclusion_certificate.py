@@ -10,8 +10,8 @@ import numpy.typing as npt
 from sampling_design.certificates.exact.certificate import SampledCertificate, times_to_dict
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.certificates.form.digest import INCLUSION_CLAIM
-from sampling_design.certificates.form.horizon import Horizon, horizon_of, largest_eigenvalue, least_eigenvalue
-from sampling_design.errors import ArgumentError, CertificateError
+from sampling_design.certificates.form.horizon import Horizon, horizon_of
+from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import Plain, short
@@ -26,8 +26,6 @@ Array = npt.NDArray[np.float64]
 
 _TWO_TRAJECTORIES = 4.0
 """V(t) <= 4 J(truth): estimate and truth each differ from the data's centre by at most the cost (Theorem G)."""
-_CONTRACTION = 4.0
-"""By default a window shrinks the squared error by this factor."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -185,22 +183,7 @@ class InclusionCertificate(SampledCertificate):
         CertificateError
             If `length` is too short for the theorem.
         """
-        checks.word("theorem", theorem, ("sharp", "arrival", "paper"))
-        if theorem == "paper":
-            return horizon_of(self, "paper", length)
-        lost = _TWO_TRAJECTORIES * (self.lam_proven if theorem == "sharp" else 1.0)
-        minimum = float(np.log(lost)) / self.eta
-        default = max(self.d_max, minimum + float(np.log(_CONTRACTION)) / self.eta)
-        M = default if length is None else checks.positive("length", length)
-        if not minimum < M:
-            raise CertificateError(
-                f"`length` = {M:.6g} is too short: Theorem G needs M > {minimum:.6g}.", minimum=minimum, length=M
-            )
-        low = least_eigenvalue(self.P1)
-        C_x, C_w, C_v = (_TWO_TRAJECTORIES * largest_eigenvalue(W) / low for W in (self.P2, self.Qw, self.Rtilde))
-        rate = self.eta - float(np.log(lost)) / M
-        found = {"C_x": C_x, "C_w": C_w, "C_v": C_v, "lam": self.lam_proven}
-        return Horizon(theorem, minimum, M, rate, **found, time_unit=self.plant.time_unit)
+        return horizon_of(self, theorem, length, apart=_TWO_TRAJECTORIES)
 
     def _samples_until(self, end: float) -> Array:
         # the i-th last sample of any schedule lies at least i least gaps before `end`

@@ -3,33 +3,45 @@
 python examples/pareto_satellite.py
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import sampling_design as sd
+from sampling_design import plotting
+from sampling_design.design.pareto import ParetoFront
 
 HERE = Path(__file__).parent
 DOCS = HERE.parent / "docs"
 COUNTS = range(6, 17)
 
 
-def main() -> None:
-    """Design for every count, write the table and the picture."""
+def front_of(counts: Sequence[int]) -> ParetoFront:
+    """A design for every count."""
     plant = sd.read_plant(HERE / "plants" / "satellite.toml")
     requirement = sd.read_requirement(HERE / "requirements" / "satellite.toml")
-    front = sd.pareto_front(plant, requirement, COUNTS, progress=lambda fraction, message: print(message))
+    return sd.pareto_front(plant, requirement, counts, progress=lambda fraction, message: print(message))
+
+
+def rows(front: ParetoFront) -> list[str]:
+    """Lines of the table."""
+    return [
+        f"| {p.samples} | {p.sigma:.5f} | {p.upper_bound:.5f} | {100 * (1 - p.sigma / p.upper_bound):.1f} % |"
+        for p in front.points
+    ]
+
+
+def main() -> None:
+    """Design for every count, write the table and the picture."""
+    front = front_of(COUNTS)
     (DOCS / "figures").mkdir(exist_ok=True)
-    front.plot().figure.savefig(DOCS / "figures" / "pareto_satellite.png", dpi=110)
+    plotting.save(front, DOCS / "figures" / "pareto_satellite.png", dpi=110)
     lines = [
         "# Samples per orbit against sigma: the satellite",
         "",
         "Made by `python examples/pareto_satellite.py`.",
         "",
     ]
-    lines += ["| samples | sigma proven | no schedule exceeds | gap |", "|---|---|---|---|"]
-    for p in front.points:
-        lines.append(
-            f"| {p.samples} | {p.sigma:.5f} | {p.upper_bound:.5f} | {100 * (1 - p.sigma / p.upper_bound):.1f} % |"
-        )
+    lines += ["| samples | sigma proven | no schedule exceeds | gap |", "|---|---|---|---|", *rows(front)]
     lines += ["", front.explain(), "", "![sigma over samples per orbit](figures/pareto_satellite.png)", ""]
     (DOCS / "pareto_satellite.md").write_text("\n".join(lines))
 

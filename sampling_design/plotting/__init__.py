@@ -81,6 +81,8 @@ def _check_axes(ax: object) -> None:
 def save(record: object, path: str | os.PathLike[str], dpi: int = 130, **beside: object) -> Path:
     """Draw `record` into a new figure and write it to `path` (.png, .svg or .pdf), whole or not at all.
 
+    What the record explains stands in the file as its description.
+
     Raises
     ------
     ArgumentError
@@ -95,7 +97,12 @@ def save(record: object, path: str | os.PathLike[str], dpi: int = 130, **beside:
     axes = draw(record, **beside)
     first = axes[0] if isinstance(axes, list | tuple) else axes
     # no date and no version inside, so that the same result is the same file
-    metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}[kind]
+    words = str(record.explain())  # type: ignore[attr-defined]  # every record that has a picture has words
+    metadata = {
+        "svg": {"Date": None, "Description": words},
+        "pdf": {"CreationDate": None, "Subject": words},
+        "png": {"Software": None, "Description": words},
+    }[kind]
     buffer = io.BytesIO()
     first.figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
     return file_io.write_bytes(target, buffer.getvalue())

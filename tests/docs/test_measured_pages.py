@@ -1,11 +1,16 @@
 """Measured pages say what the program says today: rows are measured anew, all columns but those that a clock makes."""
 
 import re
+from pathlib import Path
 
 import pytest
+from PIL import Image
 
+import sampling_design as sd
+from examples import pareto_satellite
 from tests.benchmarks import bench_design_search, design_bounds, library_accuracy, plan_search, plans
 
+DOCS, EXAMPLES = (Path(__file__).parents[2] / folder for folder in ("docs", "examples"))
 PAGES = {
     module.__name__.rpartition(".")[2]: module
     for module in (bench_design_search, design_bounds, library_accuracy, plans)
@@ -21,22 +26,27 @@ LONG = (
     ("design_bounds", "spiral e^20"),
     ("library_accuracy", "satellite"),
     ("plans", "activated_sludge"),
+    ("plans", "thyroid_month"),
+    ("plans", "satellite_passes"),
 )
 NUMBER = r"-?\d*\.?\d+(?:e[+-]?\d+)?"
 
 
+def apart(before, now):
+    """Whether two texts differ, or a number by more than two of its last digit."""
+    if re.sub(NUMBER, "#", before) != re.sub(NUMBER, "#", now):
+        return True
+    for a, b in zip(re.findall(NUMBER, before), re.findall(NUMBER, now), strict=True):
+        mantissa, _, power = a.partition("e")
+        if abs(float(a) - float(b)) > 2.001 * 10.0 ** (int(power or 0) - len(mantissa.partition(".")[2])):
+            return True
+    return False
+
+
 def stale(table, said, cells):
-    """Columns whose text, or a number by more than two of its last digit, is another one today."""
-    found = []
-    for column, before, now in zip(table.columns[1:], said[1:], cells, strict=True):
-        apart = re.sub(NUMBER, "#", before) != re.sub(NUMBER, "#", now)
-        for a, b in zip(re.findall(NUMBER, before), re.findall(NUMBER, now), strict=False):
-            mantissa, _, power = a.partition("e")
-            unit = 10.0 ** (int(power or 0) - len(mantissa.partition(".")[2]))
-            apart |= abs(float(a) - float(b)) > 2.001 * unit
-        if apart and column not in table.clocked:
-            found.append((column, before, now))
-    return found
+    """Columns that are others today."""
+    told = zip(table.columns[1:], said[1:], cells, strict=True)
+    return [each for each in told if each[0] not in table.clocked and apart(*each[1:])]
 
 
 @pytest.mark.parametrize(("module", "name"), [*SHORT, *(pytest.param(*row, marks=pytest.mark.long) for row in LONG)])
@@ -60,3 +70,24 @@ def test_a_stale_row_is_found():
     assert stale(table, said, ["18.2", "none", "0.9213", "2.16 %", "0.9018", "-", "-"]) == [
         ("sigma proven", "0.9014", "none")
     ]
+
+
+@pytest.mark.long
+def test_the_front_of_the_satellite_is_that_of_its_page():
+    said = (DOCS / "pareto_satellite.md").read_text().splitlines()
+    for row in pareto_satellite.rows(pareto_satellite.front_of([6, 12])):
+        before = next(line for line in said if line.startswith(row[:5]))
+        assert not apart(before, row), row
+
+
+def test_the_picture_of_the_front_is_that_of_its_page():
+    explained = Image.open(DOCS / "figures" / "pareto_satellite.png").text["Description"]
+    assert explained in (DOCS / "pareto_satellite.md").read_text()
+
+
+@pytest.mark.long
+def test_the_picture_of_the_readme_is_that_of_its_main_job():
+    plant, requirement = (EXAMPLES / kind / "satellite.toml" for kind in ("plants", "requirements"))
+    design = sd.design_schedule(sd.read_plant(plant), sd.read_requirement(requirement))
+    said = Image.open(DOCS / "figures" / "design_satellite.png").text["Description"]
+    assert not apart(said, design.explain())

@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from PIL import Image
 
 import sampling_design as sd
 from sampling_design import plotting
@@ -58,6 +59,8 @@ def test_a_design_has_two_rows_and_its_bounds(tmp_path):
     for suffix, magic in (("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")):
         path = plotting.save(design, tmp_path / f"design.{suffix}")
         assert path.read_bytes().startswith(magic)
+    assert Image.open(tmp_path / "design.png").text == {"Description": design.explain()}
+    assert design.explain().partition(";")[0].replace(">", "&gt;") in (tmp_path / "design.svg").read_text()
 
 
 def test_a_certificate_is_drawn_above_its_promise():

@@ -215,6 +215,9 @@ def sigma(
     schedule_file: ScheduleFile,
     window: Annotated[float | None, typer.Option(help="Window length [plant's time unit].")] = None,
     rigorous: Annotated[bool, typer.Option("--rigorous", help="Prove the lower bound in ball arithmetic.")] = False,
+    timing_tolerance: Annotated[
+        float, typer.Option(help="How early or late each sample may be: the least sigma over all such times.")
+    ] = 0.0,
 ) -> None:
     """Prove how well a schedule sees the plant: the least sigma over every real window position.
 
@@ -229,6 +232,7 @@ def sigma(
     length = window_length(settings, split, window)
     with settings.progress("sigma") as progress:
         result = sd.window_sigma(
-            split.retained, schedule, length, budget=settings.budget, progress=progress, rigorous=rigorous
-        )
+            split.retained, schedule, length, budget=settings.budget, progress=progress, rigorous=rigorous,
+            timing_tolerance=timing_tolerance,
+        )  # fmt: skip
     end_bracket(settings, result, "sigma")

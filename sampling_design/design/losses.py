@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from sampling_design.design.count_problem import bounded
 from sampling_design.design.design import design_schedule
+from sampling_design.design.deviations import periods_touched, without_sample
 from sampling_design.design.problem.posing import pose, repeated
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove
@@ -22,7 +23,6 @@ from sampling_design.records.checks import Seed
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, TableRecord, short
 from sampling_design.records.signatures import checked
-from sampling_design.schedules.schedule import PeriodicSchedule, ScheduleDetails
 
 Array = npt.NDArray[np.float64]
 
@@ -143,9 +143,10 @@ def sample_losses(
     checks.positive("rtol", rtol)
     given = Budget(None if budget is None else checks.nonnegative("budget", budget))
     proving, count = given.share(0.7), len(design.schedule)
+    periods = 1 if every_period else periods_touched(design.schedule, float(design.requirement.window or 0))
     proofs: list[WindowSigma | None] = []
     for i in range(count):
-        rest = _without(design, i, every_period)
+        rest = without_sample(design.schedule, i, periods)
         share = proving.seconds_left(share=1 / (count - i))
         asked = design.requirement
         proofs.append(None if rest is None else prove(design.split, rest, asked, rtol, budget=share))
@@ -165,7 +166,7 @@ def _bounds(design: ScheduleDesign, every_period: bool, budget: Budget, rng: See
     """The bound with one sample fewer, for each sample that is lost: one for all that are not fixed."""
     schedule, requirement = design.schedule, design.requirement
     assert schedule is not None
-    periods = 1 if every_period else _periods(design)
+    periods = 1 if every_period else periods_touched(schedule, float(requirement.window or 0))
     plant = designed_plant(design.split)
     known: dict[float | None, float] = {}
     keys = [float(t) if np.any(requirement.fixed == t) else None for t in schedule.times]
@@ -195,23 +196,3 @@ def _fewer(design: ScheduleDesign, asked: Requirement, budget: Budget, rng: Seed
     if found.status == "interrupted":
         raise KeyboardInterrupt
     return found.upper_bound
-
-
-def _periods(design: ScheduleDesign) -> int:
-    """Periods that a window can touch, plus one."""
-    assert design.schedule is not None
-    return int(np.ceil(float(design.requirement.window or 0) / design.schedule.period)) + 1
-
-
-def _without(design: ScheduleDesign, i: int, every_period: bool) -> PeriodicSchedule | None:
-    """The schedule without sample i of each period, or of one period in as many as a window can touch, plus one."""
-    schedule = design.schedule
-    assert schedule is not None
-    periods = 1 if every_period else _periods(design)
-    times = (schedule.times + schedule.period * np.arange(periods)[:, None]).ravel()
-    if times.size == 1:
-        return None
-    keep = np.arange(times.size) != i
-    mask = None if schedule.outputs is None else np.tile(schedule.outputs, (periods, 1))[keep]
-    details = ScheduleDetails(time_unit=schedule.time_unit, output_names=schedule.output_names)
-    return PeriodicSchedule.from_times(times[keep], periods * schedule.period, mask, **details)

@@ -9,6 +9,7 @@ import numpy as np
 
 from sampling_design.design.bounds.evidence import UpperBound
 from sampling_design.design.counts import rival_counts
+from sampling_design.design.deviations import DesignDeviations, deviations_of
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.posing import pose
 from sampling_design.design.problem.requirement import Requirement
@@ -101,6 +102,13 @@ class ScheduleDesign(Record):
         return float(np.sum(prices) * len(self.schedule) if mask is None else np.sum(mask * prices))
 
     @cached_property
+    def deviations(self) -> DesignDeviations | None:
+        """What is left of sigma if samples come early or late or one is lost; None where nothing has to be observed."""
+        if self.schedule is None or not self.sigma > 0:
+            return None
+        return deviations_of(self.split.retained, self.schedule, float(self.requirement.window or 0))
+
+    @cached_property
     def problem(self) -> DesignProblem:
         """The numbers of the design, posed anew from plant and requirement."""
         samples = 1 if self.schedule is None else len(self.schedule)
@@ -186,6 +194,7 @@ class ScheduleDesign(Record):
             "sigma_attained": None if self.schedule is None else self.sigma_attained,
             "upper_bound": self.upper_bound if np.isfinite(self.upper_bound) else None,
             "gap": self.gap,
+            "deviations": None if self.deviations is None else self.deviations.to_dict(),
             "cost": self.cost,
             "zero_count": None if self.zero_count is None else self.zero_count.to_dict(),
             "bound": None if self.bound is None else self.bound.to_dict(),
@@ -204,6 +213,7 @@ class ScheduleDesign(Record):
             ("sigma", f"{short(self.sigma)} proven ({self.coordinates} coordinates, state at the window's start)"),
             ("no schedule exceeds", short(self.upper_bound)),
             ("gap", f"{100 * self.gap:.2f} %"),
+            *([] if self.deviations is None else self.deviations._rows()),
             ("over every window", f"of {short(self.requirement.window)} {unit} (half-open, at every real position)"),
             ("period", f"{short(self.requirement.period)} {unit}"),
             ("spacing", f"{short(self.schedule.gaps.min())} (asked {short(self.requirement.spacing)}) {unit}"),
@@ -236,6 +246,7 @@ class ScheduleDesign(Record):
         return (
             f"{many} {sees} every state direction in every window with sigma >= {short(self.sigma)}; no admissible "
             f"schedule can exceed {short(self.upper_bound)}, so at most {100 * self.gap:.1f} % could be gained."
+            + ("" if self.deviations is None else f" {self.deviations.explain()}")
         )
 
 

@@ -7,7 +7,7 @@ from typing import Protocol, TypeVar
 
 from sampling_design.records.record import Record, short
 
-UNSETTLED = ("budget", "rounding", "too many states", "sampled")
+UNSETTLED = ("budget", "rounding", "timing", "too many states", "sampled")
 """Of a search: what ends it with a bracket that is wider than was asked."""
 Bracket = TypeVar("Bracket", bound="SigmaBracket")
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.windows.pieces import Pieces
+from sampling_design.observability.windows.timing import rows_of_any_time
 from sampling_design.plants.plant import Plant
 from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
@@ -118,7 +119,10 @@ class _Pieced:
             rows = np.concatenate(
                 [rows.reshape(len(tau), -1, n), np.zeros((len(tau), max(0, n - most * p), n))], axis=1
             )
-            _, singular[part], right[part] = np.linalg.svd(np.linalg.qr(rows, mode="r"))
+            held = np.asarray(np.linalg.qr(rows, mode="r"))
+            if pieces.timing_tolerance:
+                held = rows_of_any_time(held, self.plant.A, pieces.timing_tolerance)
+            _, singular[part], right[part] = np.linalg.svd(held)
             squares = np.sum(np.where(weight, np.sum(self.plant.C**2, axis=1), 0.0), axis=-1)
             size[part] = np.sqrt(np.sum(squares * np.sum(flow**2, axis=(-1, -2)), axis=-1))
         return singular, right, size, growth

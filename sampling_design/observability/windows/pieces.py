@@ -7,7 +7,7 @@ the least sigma over all real positions is the least over the *closed* pieces, l
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -31,6 +31,7 @@ class Pieces:
     """Window starts in [left[g], right[g]] hold the samples times[first[g]:stop[g]] and no other.
 
     They stand for every window that begins at `start` or later (and ends with the last sample of a finite schedule).
+    With a `timing_tolerance` these are the samples that it holds at all real times within that of the planned `times`.
     """
 
     left: Array
@@ -43,9 +44,16 @@ class Pieces:
     window: float
     tolerance: float
     start: float
+    timing_tolerance: float = 0.0
 
     def __len__(self) -> int:
         return self.left.size
+
+    def widened(self, by: float) -> Pieces:
+        """The windows that are wider by so much at both ends, with the samples that they hold if each moves as far."""
+        return replace(
+            self, left=self.left - by, right=self.right - by, window=self.window + 2 * by, timing_tolerance=by
+        )
 
     def samples(self, g: int) -> Array:
         """Times of the samples on piece g."""

@@ -14,12 +14,14 @@ from sampling_design.observability.alignment import meet
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
 from sampling_design.observability.windows.bracket import WindowBracket, bracket_sigma
 from sampling_design.observability.windows.pieces import Pieces, window_pieces
+from sampling_design.observability.windows.timing import MOST_TRIED, moved_window
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import CurveRecord, Plain, Record, TableRecord, Variable, short
 from sampling_design.records.signatures import open_verb
+from sampling_design.schedules.jitter import Jitter
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
@@ -35,6 +37,7 @@ HANDED_OVER = 20.0
 _REASONS = {
     "budget": "the budget ran out before the bracket closed; more time narrows it",
     "rounding": "rounding in the exponentials keeps the bracket open; scale the plant",
+    "timing": "what late and early samples may take away is bounded no better",
 }
 
 
@@ -114,8 +117,9 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
     closed : bool
         Whether lower >= (1 - rtol) upper, or sigma is zero (exactly, or below rounding).
     status : str
-        Why the search ended: "closed", "too few samples", "below rounding", "budget", "rounding", "no states", or
-        "sampled" where the plant varies in time by functions: `lower` is 0 then, and nothing is proven.
+        Why the search ended: "closed", "too few samples", "below rounding", "budget", "rounding", "timing" where late
+        and early samples leave the bracket wider than `rtol`, "no states", or "sampled" where the plant varies in time
+        by functions: `lower` is 0 then, and nothing is proven.
     window : float
     from_time : float
         Every window that begins then or later is covered: 0 for an endless schedule, the first sample of a finite one,
@@ -125,6 +129,9 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
         Which both bounds and the witness's direction refer to: "scaled" (x/s_x, y/s_y) where the plant has scales, else
         "physical".
     time_unit : str
+    timing_tolerance : float
+        Both bounds are those of all real times within so much of the schedule's: the witness holds such times, the
+        profile the schedule's own windows, shorter by twice as much.
     rigorous : bool
         Whether `lower` is proven in ball arithmetic, a theorem about the stated doubles.
     slack : float
@@ -138,16 +145,22 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
     from_time: float = field(default=0.0, kw_only=True)
     time_unit: str = field(default="s", kw_only=True)
     slack: float = field(default=0.0, kw_only=True)
+    timing_tolerance: float = field(default=0.0, kw_only=True)
 
     @property
     def claim(self) -> Claim:
         """What `lower` claims, and on what grounds."""
+        late = short(self.timing_tolerance) if self.timing_tolerance else ""
         wider = f", samples in [t - T - {self.slack:.3g}, t + {self.slack:.3g}]" if self.slack else ""
         return Claim(
             f"sigma_n(O_s e^(-A(t-T))) >= {short(self.lower)} for every real window end t >= T + "
             f"{short(self.from_time)}, T = {short(self.window)}{wider}",
             theorem="Theorem 14, hypothesis" + (", in ball arithmetic" if self.rigorous else ""),
-            assumptions=("the plant's matrices and the sample times are exact", f"{self.coordinates} coordinates"),
+            assumptions=(
+                f"the plant's matrices {'are exact, ' if late else 'and '}the sample times are "
+                + (f"within {late} of the schedule's" if late else "exact"),
+                f"{self.coordinates} coordinates",
+            ),
         )
 
     def _variables(self) -> dict[str, Variable]:
@@ -183,6 +196,7 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
             "refers_to": "the state at the window's start",
             "rigorous": self.rigorous,
             "slack": self.slack,
+            "timing_tolerance": self.timing_tolerance,
             "witness": {
                 "t": witness.t,
                 "side": witness.side,
@@ -198,8 +212,13 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
             ("worst window ends", f"{self.witness.position} {self.time_unit}"),
             ("samples in it", str(self.witness.samples.size)),
             ("window", f"{short(self.window)} {self.time_unit}, from {short(self.from_time)} {self.time_unit} on"),
+            *([("samples early or late", f"up to {self._tolerance}")] if self.timing_tolerance else []),
             ("status", self.status),
         )
+
+    @property
+    def _tolerance(self) -> str:
+        return f"{short(self.timing_tolerance)} {self.time_unit}"
 
     def explain(self) -> str:
         """Say what was proven, where the worst window is, and why a bracket did not close."""
@@ -222,6 +241,7 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
                 f"proven, as A is a function of time and no table. {where}."
             )
         later = f" from {short(self.from_time)} {self.time_unit} on" if self.from_time else ""
+        later += f", for samples up to {self._tolerance} early or late" if self.timing_tolerance else ""
         proven = f"Sigma is at least {short(self.lower)} over every window of {length}{later} ({self._grounds})"
         return self._concluded(proven, where, _REASONS)
 
@@ -236,6 +256,7 @@ def window_sigma(
     progress: Progress | None = None,
     rigorous: bool = False,
     start: float | None = None,
+    timing_tolerance: float = 0.0,
 ) -> WindowSigma:
     """Bound sigma over all real positions of a sliding window.
 
@@ -264,6 +285,10 @@ def window_sigma(
     start : float, optional [plant.time_unit]
         Where the first window begins. Of a finite schedule such as 0, where the plan counts from there and not from its
         first sample; of an endless one whose `first` comes late such as `first`, to judge its rhythm alone.
+    timing_tolerance : float [plant.time_unit]
+        How early or late each sample may be, less than half of the least gap: the least sigma over all such real times
+        too. A window that just holds a sample may lose it then; in windows of T + 2 `timing_tolerance`, which hold all
+        samples planned in T, sigma falls to that of T continuously. Of exactly known plants.
 
     Returns
     -------
@@ -292,6 +317,8 @@ def window_sigma(
     within the window, so that this says little, sigma is asked of ball arithmetic (extra `rigorous`), which growth
     does not hide it from; it then counts as zero below n eps |C|, and `rigorous` of the record is true.
     Events that coincide to rounding (`pieces.SAME_TIME`) are one event.
+    *Late samples.* See `timing`: the planned samples of the window that is shorter at both ends, less what moving them
+    can take away; `upper` is attained by real times that a search found.
 
     References
     ----------
@@ -307,7 +334,18 @@ def window_sigma(
     0.0
     """
     aligned = meet(plant, schedule)
-    pieces, tolerance, seconds = asked(aligned, window, start, RTOL if rtol is None else rtol, budget)
+    late = checks.nonnegative("timing_tolerance", timing_tolerance)
+    if late:
+        late = Jitter(aligned, late).radius  # or refused
+        if rigorous:
+            raise ArgumentError("`rigorous` is for exact sample times: leave it or `timing_tolerance` out.")
+        if not 2 * late < checks.positive("window", window):
+            raise ArgumentError(
+                f"`window` must be longer than twice `timing_tolerance` {short(late)}, got {short(window)}: no sample "
+                "is certain to lie in it."
+            )
+    pieces, tolerance, seconds = asked(aligned, window - 2 * late, start, RTOL if rtol is None else rtol, budget)
+    pieces = pieces.widened(late) if late else pieces
     return sigma_of_pieces(plant, aligned, pieces, tolerance, seconds, progress, rigorous=rigorous)
 
 
@@ -329,6 +367,20 @@ def asked(
     return window_pieces(schedule, length, first), tolerance, seconds
 
 
+def refuse_tolerance(timing_tolerance: float) -> None:
+    """Refuse late and early samples of plants that are not exactly known.
+
+    Raises
+    ------
+    ArgumentError
+        If a tolerance is asked for.
+    """
+    if checks.nonnegative("timing_tolerance", timing_tolerance):
+        raise ArgumentError(
+            "`timing_tolerance` is for exactly known plants. Ask of `plant.nominal`, or certify a Jitter family."
+        )
+
+
 def sigma_of_pieces(
     plant: Plant,
     schedule: Schedule | PeriodicSchedule,
@@ -347,11 +399,31 @@ def sigma_of_pieces(
     own = plant.scaled() if plant.has_scales else plant
     found = bracket_sigma(own, pieces, rtol, seconds, progress, np.inf if reached is None else reached.upper)
     result = record_of(found, rtol, plant.time_unit, coordinates_of(plant))
+    if pieces.timing_tolerance:
+        return _with_tolerance(result, own, found)
     if rigorous:
         return _in_balls(result, own, schedule, pieces, seconds)
     if _hidden(found) and find_spec("flint") is not None:
         return _in_balls(result, own, schedule, pieces, min(seconds, HANDED_OVER))
     return result
+
+
+def _with_tolerance(record: WindowSigma, plant: Plant, found: WindowBracket) -> WindowSigma:
+    """The record of windows for all real times within a tolerance, with times that see as little as was found."""
+    pieces, least = found.pieces, np.full(len(found.pieces), np.inf)
+    np.minimum.at(least, found.owner, found.sigma)
+    tried = []
+    for g in np.argsort(least, kind="stable")[:MOST_TRIED].tolist():
+        at, own = found.nodes[found.owner == g], found.sigma[found.owner == g]
+        start = float(at[np.argmin(own)])
+        tried.append(moved_window(plant, pieces.samples(g), pieces.measured(g), start, pieces.timing_tolerance))
+    worst = min(tried, key=lambda one: one.sigma)
+    witness = WindowWitness(worst.start + pieces.window, "at", worst.samples, worst.direction, worst.sigma)
+    status, lower = found.status, min(found.lower, worst.sigma)
+    if status in ("closed", "rounding", "below rounding") and worst.sigma > 0:  # of rows that stand for all times
+        status = "closed" if lower >= (1 - record.rtol) * worst.sigma else "timing"
+    tolerance = pieces.timing_tolerance
+    return replace(record, lower=lower, upper=worst.sigma, witness=witness, status=status, timing_tolerance=tolerance)
 
 
 def _hidden(found: WindowBracket) -> bool:

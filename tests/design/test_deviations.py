@@ -1,0 +1,51 @@
+"""What a design says it keeps if samples are late or lost is what the schedules themselves prove."""
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.design.deviations import SHARE, deviations_of, without_sample
+
+OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+
+
+@pytest.fixture(scope="module")
+def design():
+    return sd.design_schedule(OSCILLATOR, sd.Requirement(window=2 * np.pi, period=2 * np.pi, spacing=0.2, samples=4))
+
+
+def test_a_design_says_what_late_and_lost_samples_leave(design):
+    found = design.deviations
+    assert found.tolerance == pytest.approx(SHARE * np.pi / 2)
+    assert found.late == pytest.approx(1.0, rel=0.03)  # three of four samples
+    assert found.late_wider == pytest.approx(design.sigma, rel=0.02)
+    assert found.late < found.late_wider < design.sigma
+    assert found.lost == pytest.approx(1.0, rel=0.02)
+    text, rows = str(design), design.explain()
+    assert "if 0.015708 s early or late" in text
+    assert "if one sample is lost" in text
+    assert f"{found.late:.6g}" in rows
+    assert design.to_dict()["deviations"] == found.to_dict()
+    assert found.explain() in rows
+
+
+def test_what_is_lost_is_what_the_losses_say(design):
+    losses = sd.sample_losses(design)
+    assert design.deviations.lost == pytest.approx(losses.lower.min(), rel=0.02)
+    assert design.deviations.lost <= losses.upper.min() * (1 + 1e-9)
+
+
+def test_nothing_is_said_where_nothing_is_observed():
+    stable = sd.design_schedule(sd.Plant([[-1.0]], [[1.0]]))
+    assert stable.deviations is None
+    assert stable.to_dict()["deviations"] is None
+
+
+def test_one_sample_a_period():
+    plant = sd.Plant([[0.0]], [[1.0]])
+    found = deviations_of(plant, sd.PeriodicSchedule([1.0]), 1.0)
+    assert found.late == 0.0  # the one sample of a window may come just before it
+    assert found.late_wider == pytest.approx(1.0)
+    assert found.lost == 0.0
+    assert without_sample(sd.PeriodicSchedule([1.0]), 0, 1) is None
+    assert deviations_of(plant, sd.PeriodicSchedule([10.0]), 0.1).late == 0.0

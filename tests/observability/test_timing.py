@@ -1,0 +1,179 @@
+"""Sigma for samples that come early or late: no real times see less, and hardly any see as little."""
+
+from dataclasses import replace
+from itertools import pairwise, product
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.errors import ArgumentError
+from tests.cases import few
+
+DAYS = 5554.0
+SATELLITE = sd.named_plant("satellite")
+EVEN = sd.PeriodicSchedule.from_times((np.arange(12) + 0.5) * DAYS / 12, DAYS, time_unit="s")
+
+
+def rows(plant, times, start):
+    """C e^{A (t - start)}, by the definition."""
+    from scipy.linalg import expm
+
+    return np.vstack([plant.C @ expm(plant.A * (t - start)) for t in times] or [np.zeros((0, plant.n_states))])
+
+
+def brute_force(plant, schedule, window, tolerance, positions=60):
+    """The least sigma over corners of all real times, at evenly spaced windows: slow, plain, from above."""
+    nominal = schedule.between(0, window + 4 * schedule.period).times
+    least = np.inf
+    for start in np.linspace(schedule.first, schedule.first + schedule.period, positions):
+        sure = nominal[(nominal - tolerance >= start) & (nominal + tolerance <= start + window)]
+        near = nominal[(nominal + tolerance >= start) & (nominal - tolerance <= start + window)]
+        for late in product((-tolerance, 0.0, tolerance), repeat=near.size):
+            real = near + late
+            real = real[(real >= start) & (real <= start + window)]
+            assert real.size >= sure.size
+            if real.size * plant.n_outputs < plant.n_states:
+                return 0.0
+            least = min(least, float(np.linalg.svd(rows(plant, real, start), compute_uv=False)[-1]))
+    return least
+
+
+def drawn(seed):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 5))
+    plant = sd.Plant(rng.normal(size=(n, n)), rng.normal(size=(int(rng.integers(1, 3)), n)))
+    schedule = sd.PeriodicSchedule(rng.uniform(0.3, 1.0, size=int(rng.integers(1, 6))))
+    tolerance = float(rng.choice([0.001, 0.01, 0.05])) * schedule.gaps.min()
+    return plant, schedule, float(rng.uniform(2, 5)), tolerance, rng
+
+
+@pytest.mark.parametrize("seed", few(range(500), 0, 5))
+def test_no_real_times_see_less_than_is_proven(seed):
+    plant, schedule, window, tolerance, rng = drawn(seed)
+    said = sd.window_sigma(plant, schedule, window, timing_tolerance=tolerance)
+    planned = schedule.between(0, 30.0).times
+    for _ in range(10):
+        corners = rng.choice([-1.0, 0.0, 1.0], planned.size)
+        real = planned + tolerance * (corners if rng.uniform() < 0.5 else rng.uniform(-1, 1, planned.size))
+        assert sd.window_sigma(plant, sd.Schedule(real), window).upper >= said.lower * (1 - 1e-9)
+    assert said.lower <= said.upper
+    moved = said.witness
+    assert np.all(np.abs(np.subtract.outer(moved.samples, planned)).min(axis=1, initial=0.0) <= tolerance * (1 + 1e-9))
+
+
+def test_most_brackets_are_narrow():
+    ratios = []
+    for seed in range(40):
+        plant, schedule, window, tolerance, _ = drawn(seed)
+        said = sd.window_sigma(plant, schedule, window, timing_tolerance=tolerance)
+        ratios.append(1.0 if said.upper == 0 else said.lower / said.upper)
+    assert np.quantile(ratios, 0.5) >= 0.99
+    assert np.mean(np.array(ratios) >= 0.95) >= 0.75
+
+
+def test_a_small_case_agrees_with_all_corners():
+    plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    schedule = sd.PeriodicSchedule([0.9, 0.6])
+    said = sd.window_sigma(plant, schedule, 2.0, timing_tolerance=0.03)
+    least = brute_force(plant, schedule, 2.0, 0.03)
+    assert said.lower <= least <= said.upper * 1.02  # of windows at a grid of places
+    assert said.upper <= least * (1 + 1e-9)
+    assert said.lower >= 0.98 * least
+
+
+def test_a_window_that_just_holds_a_sample_loses_it_and_a_little_more_of_a_window_does_not():
+    """Twelve even samples in a window of one turn: eleven if one is a millionth late."""
+    exact = sd.window_sigma(SATELLITE, EVEN, DAYS)
+    fewer, wider = [], []
+    for tolerance in (1e-6 * DAYS, 1e-2 * DAYS / 12, 0.1 * DAYS / 12):
+        fewer.append(sd.window_sigma(SATELLITE, EVEN, DAYS, timing_tolerance=tolerance))
+        wider.append(sd.window_sigma(SATELLITE, EVEN, DAYS + 2 * tolerance, timing_tolerance=tolerance))
+    assert fewer[0].upper < 0.87 * exact.lower
+    assert fewer[0].witness.samples.size == 11
+    assert wider[0].lower == pytest.approx(exact.lower, rel=1e-4)
+    for found in (fewer, wider):
+        assert all(a.lower > b.lower for a, b in pairwise(found))
+        assert found[1].lower >= 0.99 * found[1].upper
+        assert found[2].lower >= 0.96 * found[2].upper
+    assert wider[1].lower >= 0.99 * exact.lower
+
+
+def test_the_loss_is_of_first_order_in_the_tolerance():
+    plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    schedule, window = sd.PeriodicSchedule([0.9, 0.6]), 2.0
+    exact = sd.window_sigma(plant, schedule, window, rtol=1e-9).lower
+    lost = [
+        exact - sd.window_sigma(plant, schedule, window + 2 * d, rtol=1e-9, timing_tolerance=d).lower
+        for d in (1e-2, 1e-3, 1e-4)
+    ]
+    assert 5 < lost[0] / lost[1] < 20
+    assert 5 < lost[1] / lost[2] < 20
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_units_change_nothing(unit):
+    plant = sd.Plant([[0.1, 1.0], [-1.0, 0.1]], [[1.0, 0.3]])
+    other = sd.Plant(plant.A / unit, plant.C)
+    said = sd.window_sigma(plant, sd.PeriodicSchedule([0.9, 0.6]), 2.0, timing_tolerance=0.02)
+    same = sd.window_sigma(
+        other, sd.PeriodicSchedule([0.9 * unit, 0.6 * unit]), 2.0 * unit, timing_tolerance=0.02 * unit
+    )
+    assert same.lower == pytest.approx(said.lower, rel=1e-9)
+    assert same.upper == pytest.approx(said.upper, rel=1e-9)
+
+
+def test_growth_and_late_clocks():
+    growing = sd.Plant([[20.0, 1.0], [0.0, -1.0]], [[1.0, 1.0]])
+    said = sd.window_sigma(growing, sd.PeriodicSchedule([1.0]), 10.0, timing_tolerance=1e-4)
+    assert 0 <= said.lower <= said.upper
+    plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    times = np.arange(12) * 0.75
+    early = sd.window_sigma(plant, sd.Schedule(times), 3.0, timing_tolerance=0.125)
+    late = sd.window_sigma(plant, sd.Schedule(times + 2.0**30), 3.0, timing_tolerance=0.125)
+    assert late.lower == pytest.approx(early.lower, rel=1e-4)
+
+
+def test_sensors_that_measure_in_turn():
+    plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], np.eye(2))
+    masked = sd.PeriodicSchedule([0.5, 0.5], outputs=[[True, False], [False, True]])
+    said = sd.window_sigma(plant, masked, 2.0, timing_tolerance=0.02)
+    first = sd.window_sigma(plant, sd.PeriodicSchedule([0.5, 0.5]), 2.0, timing_tolerance=0.02)
+    assert 0 < said.lower < first.lower
+    assert said.lower >= 0.97 * said.upper
+
+
+def test_a_tolerance_that_leaves_nothing_proven_says_so():
+    plant = sd.Plant([[0.0, 6.0], [-6.0, 0.0]], [[1.0, 0.0]])
+    said = sd.window_sigma(plant, sd.PeriodicSchedule([0.3]), 1.0, timing_tolerance=0.14)
+    assert said.lower == 0 < said.upper
+    assert (said.status, said.closed) == ("timing", False)
+    assert "bounded no better" in said.explain()
+    empty = sd.window_sigma(plant, sd.PeriodicSchedule([0.3]), 0.4, timing_tolerance=0.14)
+    assert (empty.lower, empty.upper, empty.status) == (0.0, 0.0, "too few samples")
+
+
+def test_record_text_and_file_name_the_tolerance():
+    said = sd.window_sigma(SATELLITE, EVEN, DAYS, timing_tolerance=4.0)
+    assert "up to 4 s early or late" in said.explain()
+    assert "within 4 of the schedule's" in str(said.claim)
+    assert said.to_dict()["timing_tolerance"] == 4.0
+    assert dict(said._rows())["samples early or late"] == "up to 4 s"
+    assert "exact" in str(sd.window_sigma(SATELLITE, EVEN, DAYS).claim)
+    assert replace(said, timing_tolerance=0.0).explain() != said.explain()
+
+
+def test_what_is_refused():
+    plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    schedule = sd.PeriodicSchedule([0.5])
+    with pytest.raises(ArgumentError, match="`timing_tolerance` must"):
+        sd.window_sigma(plant, schedule, 2.0, timing_tolerance=-0.1)
+    with pytest.raises(ArgumentError, match=r"half of the least gap 0\.5"):
+        sd.window_sigma(plant, schedule, 2.0, timing_tolerance=0.25)
+    with pytest.raises(ArgumentError, match="longer than twice `timing_tolerance`"):
+        sd.window_sigma(plant, schedule, 0.2, timing_tolerance=0.1)
+    with pytest.raises(ArgumentError, match="`rigorous` is for exact sample times"):
+        sd.window_sigma(plant, schedule, 2.0, rigorous=True, timing_tolerance=0.1)
+    box = sd.UncertainPlant(plant, [sd.UncertainParameter("k", -0.1, 0.1, A=np.eye(2))])
+    with pytest.raises(ArgumentError, match="`timing_tolerance` is for exactly known plants"):
+        sd.window_sigma(box, schedule, 2.0, timing_tolerance=0.1)

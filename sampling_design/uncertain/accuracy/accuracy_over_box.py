@@ -22,6 +22,7 @@ from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, finite_or_nones, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+from sampling_design.uncertain.box.branching import BALL_ROOM
 from sampling_design.uncertain.box.model import require_constant_box
 from sampling_design.uncertain.box.question import at_parameters
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
@@ -174,7 +175,7 @@ def accuracy_over_box(
             f"undecided: some plant of the box near {at_parameters(_named(plant, worst[0]))} could not be bounded in "
             "time. Try a smaller box."
         )
-    closed = top * (1 - 1.001 * rtol) <= lower
+    closed = top * (1 - BALL_ROOM * rtol) <= lower
     where = tuple(_named(plant, each) for each in worst)
     return AccuracyOverBox(rows, lower, top, where, closed, cells, plant, schedule)
 
@@ -201,20 +202,20 @@ def _cell(
     w, v = bounds
     centre = plant.at(np.clip(theta, plant.low, plant.high))
     into, seen = _mismatch(plant, half)
-    low, up = one(centre, w, v, np.vstack([rows.matrix, *seen, *(C for C in _outputs(plant, half))]), rtol)
+    shown, driven = (_moved(plant, half, key) for key in ("C", "G"))
+    matrix = np.vstack([rows.matrix, *seen, *shown])
+    low, up = one(centre, w, v, matrix, rtol)
     count, moves = len(rows), sum(len(r) for r in seen)
     if not np.all(np.isfinite(up)):
         return low[:count], np.full(count, np.inf)
-    extra = np.hstack([centre.G, *into, *_disturbed(plant, half)])
+    extra = np.hstack([centre.G, *into, *driven])
     wide = replace(centre, G=extra, disturbances=Signals([f"d{k}" for k in range(extra.shape[1])]))
-    shown, more = list(_outputs(plant, half)), [w * 1.0 for _ in _disturbed(plant, half)]
-    matrix = np.vstack([rows.matrix, *seen, *shown])
     for factor in GUESSES:
         beta = factor * up[count:]
         noise = v + sum(
             (beta[moves + k * len(v) : moves + (k + 1) * len(v)] for k in range(len(shown))), np.zeros(len(v))
         )
-        _, found = one(wide, np.concatenate([w, beta[:moves], *more]), noise, matrix, rtol)
+        _, found = one(wide, np.concatenate([w, beta[:moves], *[w for _ in driven]]), noise, matrix, rtol)
         if np.all(found[count:] < beta) or not len(beta):
             return low[:count], found[:count]
     return low[:count], np.full(count, np.inf)
@@ -234,16 +235,10 @@ def _mismatch(plant: UncertainPlant, half: Array) -> tuple[list[Array], list[Arr
     return into, seen
 
 
-def _outputs(plant: UncertainPlant, half: Array) -> list[Array]:
-    """What half-widths of C add."""
-    pairs = zip(plant.parameters, half.tolist(), strict=True)
-    return [size * each.C for each, size in pairs if each.C is not None and each.C.any() and size]
-
-
-def _disturbed(plant: UncertainPlant, half: Array) -> list[Array]:
-    """What half-widths of G add."""
-    pairs = zip(plant.parameters, half.tolist(), strict=True)
-    return [size * each.G for each, size in pairs if each.G is not None and each.G.any() and size]
+def _moved(plant: UncertainPlant, half: Array, key: str) -> list[Array]:
+    """What half-widths add to C or to G."""
+    pairs = ((getattr(each, key), size) for each, size in zip(plant.parameters, half.tolist(), strict=True))
+    return [size * M for M, size in pairs if M is not None and M.any() and size]
 
 
 def _weights(plant: UncertainPlant) -> Array:

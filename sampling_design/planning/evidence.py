@@ -129,23 +129,11 @@ def holds(
 def attack_to_dict(attack: HiddenTrajectory) -> dict[str, object]:
     """Plain data; peaks are left out, since they are worked out anew."""
     flight = attack.flight
+    data: dict[str, object] = {key: getattr(attack, key) for key in ("goal", "end", "at_sample", "reach")}
     if flight is None:
-        return {
-            "goal": attack.goal,
-            "end": attack.end,
-            "at_sample": attack.at_sample,
-            "reach": attack.reach,
-            "point": [[*at, float(attack.touches[tuple(at)])] for at in np.argwhere(attack.touches).tolist()],
-        }
-    return {
-        "goal": attack.goal,
-        "end": attack.end,
-        "at_sample": attack.at_sample,
-        "reach": attack.reach,
-        "knots": flight.knots.tolist(),
-        "states": flight.states.tolist(),
-        "w": flight.w.tolist(),
-    }
+        touched = np.argwhere(attack.touches).tolist()
+        return data | {"point": [[*at, float(attack.touches[tuple(at)])] for at in touched]}
+    return data | {key: getattr(flight, key).tolist() for key in ("knots", "states", "w")}
 
 
 def attack_of(problem: PlanProblem, motion: DiscretePlant, data: dict[str, object]) -> HiddenTrajectory:

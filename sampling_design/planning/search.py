@@ -407,10 +407,7 @@ class PlanSearch:
             for trial in (chosen, more):
                 if trial is None or self.problem.cost(trial) >= best:
                     continue
-                worst, attacks = self.oracle.judge(trial, above=level)
-                self.add(attacks, level)
-                if worst <= level:
-                    worst = self.deepened(trial, worst, level)
+                worst, attacks = self._judged(trial, level)
                 if worst <= level:
                     self.held.append((trial, worst))
                     trial, worst = self._thinned(trial, worst, level)
@@ -426,14 +423,17 @@ class PlanSearch:
         for trial in self.starts:
             if self.problem.cost(trial) >= best:
                 continue
-            worst, attacks = self.oracle.judge(trial, above=level)
-            self.add(attacks, level)
-            if worst <= level:
-                worst = self.deepened(trial, worst, level)
+            worst, _ = self._judged(trial, level)
             if worst <= level:
                 best = self.problem.cost(trial)
                 self.keep(trial, worst)
         return best
+
+    def _judged(self, trial: Mask, level: float) -> tuple[float, list[HiddenTrajectory]]:
+        """How far the worst attack on a choice reaches, looked at closely where that keeps a level, and the attacks."""
+        worst, attacks = self.oracle.judge(trial, above=level)
+        self.add(attacks, level)
+        return (self.deepened(trial, worst, level) if worst <= level else worst), attacks
 
     def repaired(self, chosen: Mask, level: float, dearest: float) -> Mask | None:
         """Add the measurement that hides least of what is left open, until the attacks so far are seen."""

@@ -1,0 +1,60 @@
+"""The same lines of code stand once: what is said twice drifts apart.
+
+Texts that describe, imports and the heads of functions and classes are not counted, nor the checkers, which repeat on
+purpose what the rest computes by another route.
+"""
+
+import ast
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+
+from tests.house.sources import PACKAGE, SOURCES, nodes
+
+MOST = 5
+"""Lines of code that may stand in two places; never raise it."""
+LEAST = 4
+"""Characters of a line that says something: brackets alone do not."""
+
+
+def heads(path: Path) -> set[int]:
+    """Lines of imports, of the heads of functions and classes, and of texts."""
+    found: set[int] = set()
+    for node in nodes(path):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            found |= set(range(node.lineno, node.end_lineno + 1))
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            first = min([node.lineno, *(each.lineno for each in node.decorator_list)])
+            found |= set(range(first, node.body[0].lineno))
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            found |= set(range(node.lineno, node.end_lineno + 1))
+    return found
+
+
+def spoken(text: str, left_out: set[int]) -> list[tuple[int, str]]:
+    """Lines of code that say something, with their numbers."""
+    lines = ((k, line.strip()) for k, line in enumerate(text.splitlines(), 1) if k not in left_out)
+    return [(k, line) for k, line in lines if len(line) >= LEAST and not line.startswith("#")]
+
+
+def repeated(sources: dict[str, list[tuple[int, str]]]) -> list[str]:
+    """Places at which more than `MOST` lines stand that stand elsewhere too."""
+    seen = defaultdict(list)
+    for name, lines in sources.items():
+        for i in range(len(lines) - MOST):
+            seen[tuple(line for _, line in lines[i : i + MOST + 1])].append(f"{name}:{lines[i][0]}")
+    return [" and ".join(places) for places in seen.values() if len(places) > 1]
+
+
+def test_no_six_lines_of_code_stand_twice():
+    own = [path for path in SOURCES if path.relative_to(PACKAGE).parts[0] != "checkers"]
+    sources = {str(path.relative_to(PACKAGE)): spoken(path.read_text(), heads(path)) for path in own}
+    assert repeated(sources) == []
+
+
+@pytest.mark.parametrize(("shared", "found"), [(MOST, []), (MOST + 1, ["a:1 and b:2"])])
+def test_what_stands_twice_is_found(shared, found):
+    lines = [f"x{k} = f({k})" for k in range(shared)]
+    sources = {"a": "\n".join([*lines, "a = 1"]), "b": "\n".join(["b = 1", *lines])}
+    assert repeated({name: spoken(text, set()) for name, text in sources.items()}) == found

@@ -1,4 +1,4 @@
-"""Every command line that a page shows is one that the program takes: no flag of yesterday, no word too many."""
+"""What a page shows is there: commands that the program takes, names that the code has, files of the tree."""
 
 import importlib
 import re
@@ -61,3 +61,35 @@ def test_what_a_page_imports_is_there():
     assert len(asked) > 40
     opened = {pair: hasattr(importlib.import_module(pair[0]), pair[1]) for pair in {pair[1:] for pair in asked}}
     assert sorted(place for place in asked if not opened[place[1:]]) == []
+
+
+OURS = {"my_package", "n_times", "states_units"}
+"""Names that stand for a reader's own or for a number, or that code puts together of two."""
+
+
+def lost(text: str, words: set[str]) -> list[str]:
+    """Names of code, files and modules in the running text of a page that the tree does not have."""
+    text = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+    named = {word for span in re.findall(r"`([^`\n]+)`", text) for word in re.findall(r"[A-Za-z_]\w*", span)}
+    compound = {word for word in named if "_" in word.strip("_") or re.match(r"[A-Z][a-z]+[A-Z]", word)}
+    files = set(re.findall(r"\b(?:tests|examples|sampling_design)/[\w/.]+\.(?:py|toml|json|txt|csv)\b", text))
+    modules = {f"{m.replace('.', '/')}.py" for m in re.findall(r"python -m (tests[\w.]+)", text)}
+    gone = {m for m in modules if not (ROOT / m).exists() and not (ROOT / m).with_suffix("").is_dir()}
+    return sorted(compound - words - OURS | {name for name in files if not (ROOT / name).exists()} | gone)
+
+
+def test_what_a_page_names_is_there():
+    tree = [p for room in ("sampling_design", "tests", "examples", "docs") for p in (ROOT / room).rglob("*.py")]
+    words = {word for path in tree for word in re.findall(r"\w+", path.read_text())} | {path.stem for path in tree}
+    words |= {path.stem for path in (ROOT / "examples").rglob("*.*")}
+    found = {
+        page.name: gone for page in PAGES if page.name != "changelog.md" and (gone := lost(page.read_text(), words))
+    }
+    assert found == {}
+
+
+def test_a_name_of_yesterday_is_found():
+    page = "`design_lost` and `LostRecord` (`tests/nowhere/test_gone.py`, `python -m tests.benchmarks.gone`), `eta`"
+    assert lost(page, {"eta", "tests", "test_gone"}) == [
+        "LostRecord", "design_lost", "tests/benchmarks/gone.py", "tests/nowhere/test_gone.py",
+    ]  # fmt: skip

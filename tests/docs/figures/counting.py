@@ -20,6 +20,12 @@ def borne(*gaps):
     return lambda: (loss_tolerance(SPIRAL, sd.PeriodicSchedule(gaps)).lower,)
 
 
+def moved():
+    """Sixteen even samples of four periods, each moved on its own: one of them is hidden from a direction."""
+    times = QUARTER * (np.arange(16) + 0.5) + np.random.default_rng(0).uniform(-0.3, 0.3, 16)
+    return (loss_tolerance(SPIRAL, sd.PeriodicSchedule.from_times(times, 16 * QUARTER)).lower,)
+
+
 FIGURES = (
     Figure(PAGE, TABLE.format(r"\$\\pm i\$"), critical_length(1j, -1j)),
     Figure(PAGE, TABLE.format(r"\$0,\\pm i\$; \$0,0,\\pm i\$"), critical_length(0, 1j, -1j)),
@@ -35,4 +41,6 @@ FIGURES = (
         r"uneven ones to a period (\d*\.?\d+), no schedule as dense (\d*\.?\d+)",
         lambda: (*borne(*QUARTER * np.array([0.6, 1.1, 0.8, 1.5]))(), np.exp(-0.1 * np.pi)),
     ),
+    Figure(PAGE, r"within one period bear more than (\d*\.?\d+)", lambda: (np.exp(-0.2 * 4 * QUARTER / (4 - 1)),)),
+    Figure(PAGE, r"a single sample of sixteen is hidden: (\d*\.?\d+)", moved),
 )

@@ -138,8 +138,11 @@ def deviation(A, C, G, times, seen, period, c, at, W, v, periods=400):
     return now
 
 
-def remeasured(data, samples=60, looks=5):
-    """Goals of a plan file's tree: (name, reached as it says, from below, from above but for w constant on cells)."""
+def remeasured(data, samples=60, looks=5, pasts=(True, False)):
+    """Goals of a plan file's tree: (name, reached as it says, from below, from above but for w constant on cells).
+
+    One side for each of `pasts`: from rest, which is from below, and with any past.
+    """
     plant, asked, schedule = data["plant"], data["requirement"], data["schedule"]
     A, C = (np.array(plant["matrices"][key], float) for key in ("A", "C"))
     G = np.array(plant["matrices"].get("G", np.eye(len(A))), float)
@@ -155,7 +158,7 @@ def remeasured(data, samples=60, looks=5):
     names, found = [*plant["states"]["names"], *plant["outputs"]["names"]], []
     for (name, goal), reached in zip(asked["accuracy"].items(), data["reached"], strict=True):
         row = np.vstack([np.eye(len(A)), C])[names.index(name)] if "row" not in goal else np.array(goal["row"], float)
-        sides = np.zeros(2)
+        sides = np.zeros(len(pasts))
         for k in range(len(every) - 1 - len(times), len(every) - 1):
             ends = np.linspace(every[k], every[k + 1], looks)
             if goal["at"] == "after each sample":
@@ -165,7 +168,7 @@ def remeasured(data, samples=60, looks=5):
                 ends = [t for t in ends if t <= every[k + 1]]
             for end in ends:
                 parts = A, C, G, every[: k + 1], seen[: k + 1], row, end, w, v
-                sides = np.maximum(sides, [hidden(*parts, rest=rest)[0] for rest in (True, False)])
+                sides = np.maximum(sides, [hidden(*parts, rest=rest)[0] for rest in pasts])
         found.append((name, reached, *sides.tolist()))
     return found
 

@@ -1,4 +1,4 @@
-"""Plans that the pages show do not get worse unseen: their cost, what none is below, and their gaps."""
+"""Plans that the pages show do not get worse unseen: their cost, what they bear, and their gaps."""
 
 from pathlib import Path
 
@@ -10,24 +10,6 @@ from tests.benchmarks import plan_gaps
 from tests.cases import few
 
 PLANS = Path(__file__).parents[2] / "examples" / "plans"
-
-ROUNDED = 0.002
-"""Figures of the page are rounded to a thousandth, and solvers of other machines differ a little."""
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("name", "cost", "cheapest", "reached", "out_of_reach"),
-    [("tide_gauge", 4.0, 2.0, 0.916, 0.714), ("thyroid_month", 72.0, 45.0, 0.983, 0.953)],
-)
-def test_a_plan_of_the_pages_is_as_good_as_they_say(name, cost, cheapest, reached, out_of_reach):
-    requirement, plant = requirement_and_plant(PLANS / f"{name}.toml")
-    found = sd.plan_samples(plant, requirement, certificate=False, robustness=False)
-    assert found.cost <= cost
-    assert found.bound.cost.value >= cheapest
-    if found.cost == cost:
-        assert found.ratio <= reached + ROUNDED
-        assert found.bound.ratio.level >= out_of_reach - ROUNDED
 
 
 @pytest.mark.long

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import overload
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -13,16 +13,10 @@ from sampling_design.records import checks
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule, ScheduleDetails
 
-
-@overload
-def meet(plant: Plant, schedule: Schedule) -> Schedule: ...
-@overload
-def meet(plant: Plant, schedule: PeriodicSchedule) -> PeriodicSchedule: ...
-@overload
-def meet(plant: Plant, schedule: AnySchedule) -> AnySchedule: ...
+Kind = TypeVar("Kind", bound=AnySchedule)
 
 
-def meet(plant: Plant, schedule: AnySchedule) -> AnySchedule:
+def meet(plant: Plant, schedule: Kind) -> Kind:
     """Return `schedule` in the plant's terms: its columns in the order of the plant's outputs.
 
     Parameters
@@ -64,7 +58,7 @@ def meet(plant: Plant, schedule: AnySchedule) -> AnySchedule:
         )
     mine, theirs = plant.outputs.names, schedule.output_names
     if theirs is not None and theirs != mine:
-        return _in_order(schedule, theirs, mine)
+        return cast(Kind, _in_order(schedule, theirs, mine))
     if schedule.outputs is not None and schedule.outputs.shape[1] != plant.n_outputs:
         raise ArgumentError(
             f"`schedule` has a mask for {schedule.outputs.shape[1]} outputs and the plant has {plant.n_outputs}. "

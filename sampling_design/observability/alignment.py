@@ -13,10 +13,10 @@ from sampling_design.records import checks
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule, ScheduleDetails
 
-Kind = TypeVar("Kind", bound=AnySchedule)
+TimesKind = TypeVar("TimesKind", bound=AnySchedule)
 
 
-def meet(plant: Plant, schedule: Kind) -> Kind:
+def meet(plant: Plant, schedule: TimesKind) -> TimesKind:
     """Return `schedule` in the plant's terms: its columns in the order of the plant's outputs.
 
     Parameters
@@ -58,7 +58,7 @@ def meet(plant: Plant, schedule: Kind) -> Kind:
         )
     mine, theirs = plant.outputs.names, schedule.output_names
     if theirs is not None and theirs != mine:
-        return cast(Kind, _in_order(schedule, theirs, mine))
+        return cast(TimesKind, _in_order(schedule, theirs, mine))
     if schedule.outputs is not None and schedule.outputs.shape[1] != plant.n_outputs:
         raise ArgumentError(
             f"`schedule` has a mask for {schedule.outputs.shape[1]} outputs and the plant has {plant.n_outputs}. "

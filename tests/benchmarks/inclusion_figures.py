@@ -1,8 +1,6 @@
-"""What is proven of plants that are not exactly known: `python -m tests.benchmarks.inclusion_figures [ROW ...]`.
+"""Certificates for a set of plants: longest gaps, lambda and windows, and pairs of trajectories against them.
 
-Writes docs/not_exactly_known.md: each figure of the prototype of the theory's section 14 beside what is proven here,
-and 1000 adversarial pairs of trajectories for each nonlinear plant. Rows that begin with a word given are made anew,
-the others stay.
+python -m tests.benchmarks.inclusion_figures [ROW ...] writes docs/not_exactly_known.md, or those rows in it
 """
 
 from __future__ import annotations
@@ -21,6 +19,7 @@ from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.thyroid_logs import DOSE, patient_in_tube, patient_under_therapy
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion, longest_gap
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
+from tests.benchmarks.pages import MeasuredPage, Table
 from tests.laws import test_no_pair_of_trajectories_violates_a_nonlinear_certificate as pairs
 from tests.oracles import patients
 from tests.oracles.inclusions import adversary
@@ -55,109 +54,86 @@ def lam(found: InclusionCertificate) -> str:
     return f"lambda {found.lam_proven:.3g}, M > {found.horizon().minimum:.3g}, with P(tau) M > {arrival:.3g}"
 
 
-Row = tuple[str, str, Made, Callable[[InclusionCertificate], str]]
-"""Question, the prototype's figure, how the certificate is made, and what is said of it."""
+Row = tuple[str, Made, Callable[[InclusionCertificate], str]]
+"""Plant and question, how the certificate is made, and what is said of it."""
 FREE = 1e4
 """A noise gain that does not bind."""
 PATIENT = "thyroid patient, six states, gaps .5 to 1.5 d"
+FAST = (9.0, 0.4, 0.2), (10.0, 0.7, 0.4)
+"""A bioreactor of which less is known: its growth rate lies between .2 and .4 per h."""
 
 
 def linear() -> list[Row]:
     """Linear plants in a box."""
     found: list[Row] = []
-    for pieces, theirs in ((8, "2.13"), (16, "2.35"), (32, "2.50")):
+    for pieces in (8, 16, 32):
         make = partial(longest_gap, oscillator(0.1), eta=0.02, most=2.86, pieces=pieces)
-        found.append((f"oscillator, frequency within 10 %, eta .02, {pieces} pieces", f"gaps to {theirs}", make, gap))
-    for share, theirs in ((1e-9, "1.38"), (0.1, "2.9"), (0.2, "6.6")):
-        make = partial(certify_inclusion, oscillator(share), GapRange(0.5, 1.5), eta=0.1, noise_gain=FREE, pieces=32)
-        name = f"oscillator, frequency varying by {100 * share:.0f} %, gaps .5 to 1.5, eta .1"
-        found.append((name, f"lambda {theirs}", make, lam))
+        found.append((f"oscillator, frequency within 10 %, eta .02, {pieces} pieces", make, gap))
+    for share in (1e-9, 0.1, 0.2):
+        for more, most in (("", 3.0), (", noise gains as they come", FREE)):
+            make = partial(certify_inclusion, oscillator(share), GapRange(0.5, 1.5), eta=0.1, noise_gain=most)
+            name = f"oscillator, frequency varying by {100 * share:.0f} %, gaps .5 to 1.5, eta .1"
+            found.append((name + more, make, lam))
     name = "inertial chain, bias rate 1/12 to 3 per s, gaps 5 to 250 ms, eta .3"
-    for more, theirs, budget in (("", "lambda 2.6", 3.0), (", noise gains as they come", "", FREE)):
-        make = partial(certify_inclusion, inertial_chain(), GapRange(0.005, 0.25), eta=0.3, noise_gain=budget)
-        found.append((name + more, theirs, make, lam))
+    for more, most in (("", 3.0), (", noise gains as they come", FREE)):
+        make = partial(certify_inclusion, inertial_chain(), GapRange(0.005, 0.25), eta=0.3, noise_gain=most)
+        found.append((name + more, make, lam))
     return found
 
 
-def nonlinear() -> list[Row]:
-    """Nonlinear plants in a region."""
+def swings() -> list[Row]:
+    """The pendulum and van der Pol's oscillator."""
     found: list[Row] = []
-    angles = ((np.pi / 3, "to 60 degrees", "2.66"), (np.pi / 2, "to 90 degrees", "2.03"), (None, "all angles", "1.35"))
-    for angle, name, theirs in angles:
+    for angle, name in ((np.pi / 3, "to 60 degrees"), (np.pi / 2, "to 90 degrees"), (None, "all angles")):
         for pieces in (16, 32, 64):
             make = partial(longest_gap, examples.pendulum(1.0, angle), eta=0.05, most=3.1, pieces=pieces)
-            found.append((f"pendulum, {name}, eta .05, {pieces} pieces", f"gaps to {theirs}", make, gap))
+            found.append((f"pendulum, {name}, eta .05, {pieces} pieces", make, gap))
     make = partial(certify_inclusion, examples.pendulum(), GapRange(0.1, 1.0), eta=0.4)
-    found.append(("pendulum, all angles, gaps to 1, eta .4", "lambda 60, M > 13.7, 3.5", make, lam))
+    found.append(("pendulum, all angles, gaps to 1, eta .4", make, lam))
     for pieces in (16, 32):
         make = partial(longest_gap, examples.van_der_pol(), eta=0.05, most=2.2, pieces=pieces)
-        found.append((f"van der Pol, Lienard, abs(x1) <= 2.1, eta .05, {pieces} pieces", "gaps to 1.40", make, gap))
+        found.append((f"van der Pol, Lienard, abs(x1) <= 2.1, eta .05, {pieces} pieces", make, gap))
     make = partial(longest_gap, examples.van_der_pol("velocity"), eta=0.05, most=1.0, pieces=16)
-    found.append(("van der Pol in (x, x'), abs(x') <= 3, eta .05", "gaps to .29", make, gap))
-    for spread, theirs in ((2.0, ".53"), (5.0, ".35"), (10.0, ".21"), (20.0, ".07")):
-        make = partial(longest_gap, examples.stirred_reactor(spread), eta=0.1, most=1.3, pieces=16)
-        found.append((f"stirred reactor, within {spread:g} K, eta .1", f"gaps to {theirs}", make, gap))
-    theirs = "six states, sampled: with P(tau) M > 2.8"
-    found.append((f"{PATIENT}, untreated, eta .58", theirs, stored("thyroid_patient"), lam))
-    theirs = "four states, sampled: lambda 3.95, M > 3.94, with P(tau) 3.96"
-    found.append((f"{PATIENT}, under therapy, eta .45", theirs, stored("thyroid_therapy"), lam))
+    found.append(("van der Pol in (x, x'), abs(x') <= 3, eta .05", make, gap))
     return found
 
 
-def measured(make: Made) -> tuple[InclusionCertificate, float, float]:
-    """The certificate, and seconds of processor time for all of it and for its proof alone."""
+def processes() -> list[Row]:
+    """Reactors, tanks, a vehicle and a patient."""
+    found: list[Row] = []
+    for spread in (2.0, 5.0, 10.0, 20.0):
+        make = partial(longest_gap, examples.stirred_reactor(spread), eta=0.1, most=1.3, pieces=16)
+        found.append((f"stirred reactor, within {spread:g} K, eta .1", make, gap))
+    make = partial(longest_gap, examples.batch_reactor(), eta=0.02, most=40.0)
+    found.append(("batch reactor, gaps to 40 min at most, eta .02", make, gap))
+    make = partial(longest_gap, examples.quadruple_tank(), eta=0.02, most=60.0)
+    found.append(("quadruple tank, gaps to 60 s at most, eta .02", make, gap))
+    make = partial(certify_inclusion, examples.bioreactor(), GapRange(0.2, 2.0), eta=0.02)
+    found.append(("bioreactor, growth rate .25 to .35 per h, gaps to 2 h, eta .02", make, lam))
+    make = partial(certify_inclusion, examples.bioreactor().in_region(*FAST), GapRange(0.1, 1.0), eta=0.02)
+    found.append(("bioreactor, growth rate .2 to .4 per h, gaps to 1 h, eta .02", make, lam))
+    make = partial(certify_inclusion, examples.unicycle(), GapRange(0.05, 0.5), eta=0.1)
+    found.append(("unicycle, heading within .5 rad, gaps to .5 s, eta .1", make, lam))
+    found.append((f"{PATIENT}, untreated, eta .58", stored("thyroid_patient"), lam))
+    found.append((f"{PATIENT}, under therapy, eta .45", stored("thyroid_therapy"), lam))
+    return found
+
+
+ROWS = {name: row for name, *row in (*linear(), *swings(), *processes())}
+LIMITS = {"oscillator, frequency within 10 %": np.pi / 1.1, "pendulum": np.pi}
+"""Gaps that alias the fastest oscillator, and the small swings of the pendulum."""
+
+
+def proven(name: str) -> list[str]:
+    """What a row says; seconds of processor time for all of it and for its proof alone."""
+    make, said = ROWS[name]
     began = time.process_time()
     found = make()
     between = time.process_time()
     assert found.verify().verdict == "proven"
-    return found, between - began, time.process_time() - between
-
-
-INTRODUCTION = """# Plants that are not exactly known: what is proven
-
-Made by `python -m tests.benchmarks.inclusion_figures`; theory: [section 14](#inclusion). What the prototype found was
-in part sampled or not decided; what stands beside it is proven, for gaps from a tenth of the longest on unless a range
-is named, in the units of the plant. Seconds are processor time on a shared machine, of search and proof, and of the
-proof alone.
-
-| plant | prototype | proven here | search and proof | proof |
-|---|---|---|---|---|"""
-ADVERSARIES = f"""
-Adversarial pairs of trajectories, at least {PAIRS} of each plant that stay in its region where so many were found:
-starts near and far, disturbances that push apart along the worst direction of P(tau), gaps at both ends. The largest
-squared distance over what Assumption 7 allows, of those that left until they did. Of linear plants the ratio is that
-of all pairs and all disturbances at once, along {PAIRS} schedules on which the parameters switch between corners:
-
-| plant | stayed, of pairs flown | largest ratio |
-|---|---|---|"""
-
-
-def main(chosen: tuple[str, ...]) -> None:
-    """Write the page; where rows are chosen the others stay as they were."""
-    page = ROOT / "docs" / "not_exactly_known.md"
-    before = page.read_text().splitlines() if page.exists() else []
-    kept = {(line.split("|")[1].strip(), line.count("|")): line for line in before if line.startswith("| ")}
-
-    made: list[tuple[str, int, Callable[[], list[str]]]] = [
-        (name, 5, partial(proven, name, theirs, make, said)) for name, theirs, make, said in [*linear(), *nonlinear()]
-    ]
-    made += [(name, 3, partial(flown, name)) for name in pairs.PLANTS]
-    made += [(name, 3, partial(flown_patients, *each)) for name, each in PATIENTS.items()]
-    made += [(name, 3, partial(switched, *each)) for name, each in SWITCHED.items()]
-    for name, width, cells in made:
-        if name.startswith(chosen or ""):
-            kept[name, width + 1] = f"| {' | '.join([name, *cells()])} |"
-            print(kept[name, width + 1], flush=True)
-            tables = [[kept[key] for key in ((each, w + 1) for each, w, _ in made if w == size) if key in kept]
-                      for size in (5, 3)]  # fmt: skip
-            page.write_text("\n".join([INTRODUCTION, *tables[0], ADVERSARIES, *tables[1], ""]))
-
-
-def proven(name: str, theirs: str, make: Made, said: Callable[[InclusionCertificate], str]) -> list[str]:
-    """What stands beside the prototype's figure."""
-    found, whole, proof = measured(make)
-    took = "from its file" if name.startswith(PATIENT) else f"{whole:.2g} s"
-    return [theirs, said(found), took, f"{proof:.2g} s"]
+    limit = next((f"{value:.3g}" for kind, value in LIMITS.items() if name.startswith(kind) and said is gap), "")
+    whole = "from its file" if name.startswith(PATIENT) else f"{between - began:.2g}"
+    return [said(found), limit, whole, f"{time.process_time() - between:.2g}"]
 
 
 def flown(name: str) -> list[str]:
@@ -195,5 +171,32 @@ SWITCHED = {
 """Certificate or plant, and with what it is flown."""
 
 
+def cells(name: str) -> list[str]:
+    """What the pairs of a plant say."""
+    if name in PATIENTS:
+        return flown_patients(*PATIENTS[name])
+    return switched(*SWITCHED[name]) if name in SWITCHED else flown(name)
+
+
+ADVERSARIES = f"""Pairs of trajectories, at least {PAIRS} of each plant that stay in its region where there are so many:
+starts near and far, disturbances along the worst direction of P(tau), gaps at both ends. The largest
+squared distance over what Assumption 7 allows, of those that left until they did. Of linear plants the ratio is that
+of all pairs and all disturbances at once, along {PAIRS} schedules on which the parameters switch between corners."""
+PAGE = MeasuredPage(
+    "not_exactly_known.md",
+    "Plants that are not exactly known: what is proven",
+    "What certificates prove of plants that are not exactly known, and pairs of trajectories against them.",
+    "python -m tests.benchmarks.inclusion_figures",
+    "Theory: [section 14](theory/inclusion.md). Gaps from a tenth of the longest on unless a range is named, in the "
+    "units of the plant. Seconds are processor time on a shared machine, of the search and of the proof alone. "
+    "Rows that a run does not name stay as an earlier run left them.",
+    [
+        Table(("plant and rate", "proven", "known limit", "search, s", "proof, s"), list(ROWS), proven,
+              clocked=frozenset({"search, s", "proof, s"})),
+        Table(("plant", "stayed, of pairs flown", "largest ratio"), [*pairs.PLANTS, *PATIENTS, *SWITCHED], cells,
+              ADVERSARIES),
+    ],
+)  # fmt: skip
+
 if __name__ == "__main__":
-    main(tuple(sys.argv[1:]))
+    PAGE.run(sys.argv[1:])

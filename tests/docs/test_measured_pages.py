@@ -8,22 +8,35 @@ from PIL import Image
 
 import sampling_design as sd
 from examples import pareto_satellite
-from tests.benchmarks import bench_design_search, design_bounds, library_accuracy, plan_search, plans
+from tests.benchmarks import (
+    bench_design_search,
+    bench_worst_case,
+    design_bounds,
+    inclusion_figures,
+    library_accuracy,
+    plan_search,
+    plans,
+)
 
 DOCS, EXAMPLES = (Path(__file__).parents[2] / folder for folder in ("docs", "examples"))
 PAGES = {
     module.__name__.rpartition(".")[2]: module
-    for module in (bench_design_search, design_bounds, library_accuracy, plans)
+    for module in (bench_design_search, bench_worst_case, design_bounds, inclusion_figures, library_accuracy, plans)
 }
 SHORT = (
     ("bench_design_search", "fixed times, two"),
+    ("bench_worst_case", "double integrator k=2"),
     ("design_bounds", "fixed times, two"),
+    ("inclusion_figures", "oscillator, frequency varying by 0 %, gaps .5 to 1.5, eta .1"),
     ("library_accuracy", "double_integrator"),
     ("plans", "double integrator, place"),
 )
 LONG = (
     ("bench_design_search", "oscillator, closed times"),
+    ("bench_worst_case", "chain of five k=7, 1 %"),
     ("design_bounds", "spiral e^20"),
+    ("inclusion_figures", "oscillator, frequency within 10 %, eta .02, 8 pieces"),
+    ("inclusion_figures", "pendulum, all angles, gaps to 1, eta .4"),
     ("library_accuracy", "satellite"),
     ("plans", "activated_sludge"),
     ("plans", "thyroid_month"),
@@ -51,7 +64,7 @@ def stale(table, said, cells):
 
 @pytest.mark.parametrize(("module", "name"), [*SHORT, *(pytest.param(*row, marks=pytest.mark.long) for row in LONG)])
 def test_a_row_of_a_measured_page_is_what_the_program_says(module, name, monkeypatch):
-    for searching in (bench_design_search, plan_search):
+    for searching in (bench_design_search, bench_worst_case, plan_search):
         monkeypatch.setattr(searching, "TIMES", 0.5)
     page = PAGES[module].PAGE
     rows = page.rows()

@@ -1,4 +1,4 @@
-"""docs/theory/counting.md: critical lengths and losses that schedules bear."""
+"""docs/theory/counting.md: critical lengths and losses that schedules tolerate."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ def critical_length(*eigenvalues):
     return lambda: (sd.zero_count_bound(sd.Plant(A, np.eye(1, len(A))), 1.0).critical_length,)
 
 
-def borne(*gaps):
+def tolerated(*gaps):
     return lambda: (loss_tolerance(SPIRAL, sd.PeriodicSchedule(gaps)).lower,)
 
 
@@ -35,12 +35,12 @@ FIGURES = (
     Figure(PAGE, r"\\pm i,\\pm3i\$; .* \| (\d*\.?\d+) \|", critical_length(1j, -1j, 3j, -3j)),
     Figure(PAGE, r"\$0,\\pm i,\\pm3i\$ \| (\d*\.?\d+) \|", critical_length(0, 1j, -1j, 3j, -3j)),
     Figure(PAGE, TABLE.format(r"\$-1,-2,0.1\\pm i\$"), critical_length(-1, -2, 0.1 + 1j, 0.1 - 1j)),
-    Figure(PAGE, r"evenly spaced samples bear (\d*\.?\d+)", borne(*[QUARTER] * 4)),
+    Figure(PAGE, r"evenly spaced samples tolerate (\d*\.?\d+)", tolerated(*[QUARTER] * 4)),
     Figure(
         PAGE,
         r"uneven ones to a period (\d*\.?\d+), no schedule as dense (\d*\.?\d+)",
-        lambda: (*borne(*QUARTER * np.array([0.6, 1.1, 0.8, 1.5]))(), np.exp(-0.1 * np.pi)),
+        lambda: (*tolerated(*QUARTER * np.array([0.6, 1.1, 0.8, 1.5]))(), np.exp(-0.1 * np.pi)),
     ),
-    Figure(PAGE, r"within one period bear more than (\d*\.?\d+)", lambda: (np.exp(-0.2 * 4 * QUARTER / (4 - 1)),)),
+    Figure(PAGE, r"within one period tolerate more than (\d*\.?\d+)", lambda: (np.exp(-0.2 * 4 * QUARTER / (4 - 1)),)),
     Figure(PAGE, r"a single sample of sixteen is hidden: (\d*\.?\d+)", moved),
 )

@@ -1,8 +1,10 @@
-"""docs/theory/errata.md: how often a printed partition does not exist."""
+"""docs/theory/errata.md: least singular values, a partition that does not exist, and a horizon of Section VI."""
 
 import numpy as np
 
-from tests.docs.figures import Figure
+import sampling_design as sd
+from sampling_design.observability.windows.sampled import sigma_min
+from tests.docs.figures import NUMBER, Figure
 from tests.oracles.proof_constants import partition_exists
 
 
@@ -17,4 +19,23 @@ def extremes():
     return min(shares), max(shares)
 
 
-FIGURES = (Figure("theory/errata.md", r"it fails for (\d+) to (\d+) % of all", extremes),)
+def half_gaps():
+    plant = sd.Plant([[0.0, np.pi], [-np.pi, 0.0]], [[1.0, 0.0]])
+    return (sigma_min(plant, sd.PeriodicSchedule([0.5]).between(0.0, 5.0)),)
+
+
+PAGE = "theory/errata.md"
+FIGURES = (
+    Figure(PAGE, rf"and {NUMBER} over 5 s with gaps", half_gaps),
+    Figure(
+        PAGE,
+        rf"\$\\sigma_2\$ is {NUMBER} at every integer \$t\$",
+        lambda: (sigma_min(sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]]), [0.0, 1.0]),),
+    ),
+    Figure(PAGE, r"it fails for (\d+) to (\d+) % of all", extremes),
+    Figure(
+        PAGE,
+        rf"needs \$\\lambda\$ below {NUMBER}, and \$M\$ above {NUMBER} days",
+        lambda: (np.exp(0.35 * 5 / 2) / 2, 2 * np.log(2) / 0.35),
+    ),
+)

@@ -100,7 +100,7 @@ def _usual(settings: Settings, estimator: sd.MovingHorizonEstimator, record: sd.
     n = estimator.plant.n_states
     if _closely(record, n):
         return "intervals"
-    if not estimator.radius_note:
+    if not estimator.bounds.note:
         states = f" and {n} states" if n > FEW else ""
         settings.notice(
             f"--radii not given: of {len(record)} rows{states} the radii are those of ellipsoids; --radii intervals "

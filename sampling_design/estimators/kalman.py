@@ -11,13 +11,17 @@ from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
-from sampling_design.estimators.gap_flows.flows import GapFlow
+from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
+from sampling_design.estimators.online.error_bounds import ErrorBounds
 from sampling_design.estimators.online.estimate import Contradiction, Estimate
 from sampling_design.estimators.online.estimator import CheckedSample, EstimateRecord
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.in_order import listed, triple
-from sampling_design.estimators.online.open_loop import ROUNDING, MeasuredSample, OpenLoopState, SolveDetails
+from sampling_design.estimators.online.open_loop import OpenLoop
+from sampling_design.estimators.online.recorder import MeasuredSample, OpenLoopState, Recorder, SolveDetails
 from sampling_design.estimators.online.rounding import faded
+from sampling_design.estimators.online.schedule_watch import ScheduleClaim
+from sampling_design.estimators.online.verdict import ROUNDING, judged, overflowed, rounding_energy, too_large
 from sampling_design.estimators.window.means import means_of
 from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.window.square_root import absorb, covariance_root
@@ -28,6 +32,8 @@ from sampling_design.records import checks
 from sampling_design.records.checks import freeze
 
 Array = npt.NDArray[np.float64]
+
+NO_CLAIM = "No a-priori claim: a filter, not the estimator of the certificate."
 
 
 class KalmanFilter(WindowedEstimator):
@@ -92,34 +98,34 @@ class KalmanFilter(WindowedEstimator):
                 '`cost` must have the form "certificate" here: a filter keeps no window of the paper\'s.'
             )
         weights = build_weights(plant, certificate, cost)
-        self.claim_note = "No a-priori claim: a filter, not the estimator of the certificate."
-        self._set_up(plant, weights, None, input_side)
         self.memory = self.maximum_delay = checks.nonnegative("maximum_delay", maximum_delay)
         self.horizon = np.inf
-        self._set_bounds(w_bound, v_bound, initial_error)
+        bounds = ErrorBounds(weights, w_bound, v_bound, initial_error)
+        loop = OpenLoop(FlowTable(weights), bounds)
+        self.prepare(Recorder(loop, ScheduleClaim(NO_CLAIM), bounds.assumptions()), input_side)
         self.state = self.initial_state(prior, prior_time)
 
     def _advance(self, state: EstimatorState, sample: CheckedSample) -> HistoryNode:
-        y, mask, feedthrough = self._measured(state, sample)
+        y, mask, feedthrough = self.reader.read(state, sample)
         last, weights = state.last, self.weights
         (flow,) = self.table.get([sample.t - last.t])
-        drift = self._drift.between(state, last.t, sample.t)
+        drift = self.loop.drift.between(state, last.t, sample.t)
         with np.errstate(over="ignore", invalid="ignore"):
-            x, Y, before = self._flown(last, flow, drift)
-        self._refuse_overflow(flow, x if np.isfinite(Y).all() else np.array([np.inf]), sample.t)
+            x, Y, before = self.loop.flown(last, flow, drift)
+        self.loop.refuse_overflow(flow, x if np.isfinite(Y).all() else np.array([np.inf]), sample.t)
         root = weights.at(mask).y_root
         H, innovation = root @ self.plant.C, root @ (y - feedthrough - self.plant.C @ x)
         details: SolveDetails = {"engine": "filter", "window_start": state.nodes[0].t}
         if means_of(sample):
             return self._with_means(state, sample, (y, mask, feedthrough), (flow, drift))
-        own = float(self._sample_energy(mask[None])[0])
+        own = float(self.bounds.of_samples(mask[None])[0])
         terms = before + own
-        if self._too_large(innovation):
+        if too_large(innovation):
             residual = np.where(mask > 0, y - feedthrough - self.plant.C @ x, 0.0)
-            found, note = self._overflowed(state, sample, residual, terms)
-            x, Y, beta = self._ahead(last, flow, drift)
+            found, note = overflowed(self.weights, state.last, sample, residual, terms)
+            x, Y, beta = self.loop.ahead(last, flow, drift)
             found = found._replace(beta=beta)
-            return self._node(
+            return self.recorder.node(
                 state,
                 MeasuredSample(sample, y, mask, feedthrough),
                 OpenLoopState(x, Y, flow, drift),
@@ -127,16 +133,16 @@ class KalmanFilter(WindowedEstimator):
                 details,
                 note,
             )
-        terms += self._rounded(y, x)
+        terms += rounding_energy(self.weights, y, x)
         spread, step, half = absorb(covariance_root(Y), H, innovation)
         Y, x = freeze(symmetrise(spread @ spread.T)), freeze(x + step)
         cost = float(half @ half)
         past = 0.0 if last.sample.y is None else last.estimate.cost / flow.growth
-        found = self._judged(terms, cost * (1 - ROUNDING), last)
+        found = judged(self.weights, terms, cost * (1 - ROUNDING), last)
         if found.status == "bounds disproved" and last.stands:
             found = found._replace(contradiction=self._blame(sample, last.number + 1, (half, cost), (terms, own)))
         details["cost"] = past + cost
-        return self._node(
+        return self.recorder.node(
             state, MeasuredSample(sample, y, mask, feedthrough), OpenLoopState(x, Y, flow, drift), found, details
         )
 
@@ -159,13 +165,17 @@ class KalmanFilter(WindowedEstimator):
         start = WindowStart(first.t, first.x, first.beta, covariance_root(first.Y), nodes[at + 1 :])
         window = self._window(state, start, sample, measured)
         solution, passed = smooth(window), float(window.discount[0])
-        terms = faded(first.beta, passed) + self._lost(sample.t - first.t) + self._rounded(window.y, window.reference)
-        terms += window.total(self._sample_energy(window.masks)) + self._heard_means(window)
-        found = self._judged(terms, solution.dual, last)
+        terms = (
+            faded(first.beta, passed)
+            + self.bounds.over(sample.t - first.t)
+            + rounding_energy(self.weights, window.y, window.reference)
+        )
+        terms += window.total(self.bounds.of_samples(window.masks)) + self._heard_means(window)
+        found = judged(self.weights, terms, solution.dual, last)
         if found.status == "bounds disproved" and last.stands:
             means, mask = means_of(sample), np.zeros((1, self.plant.n_outputs))
             mask[0, [output for output, _, _ in means]] = 1.0
-            room = float(self._sample_energy(mask)[0]) or terms
+            room = float(self.bounds.of_samples(mask)[0]) or terms
             factor = float(np.sqrt((solution.dual - terms + room) / room)) if room > 0 else np.inf
             name = self.plant.outputs.names[means[0][0]]
             found = found._replace(contradiction=Contradiction(last.number + 1, sample.t, name, factor))
@@ -174,7 +184,7 @@ class KalmanFilter(WindowedEstimator):
         y, mask, feedthrough = measured
         x, Y = freeze(solution.nodes[-1].copy()), freeze(symmetrise(solution.covariance))
         taken = MeasuredSample(sample, y, mask, feedthrough)
-        return self._node(state, taken, OpenLoopState(x, Y, *last_gap), found, details)
+        return self.recorder.node(state, taken, OpenLoopState(x, Y, *last_gap), found, details)
 
     def _blame(
         self, sample: CheckedSample, number: int, innovation: tuple[Array, float], bounds: tuple[float, float]
@@ -185,7 +195,7 @@ class KalmanFilter(WindowedEstimator):
         output = int(np.argmax(np.where(seen, np.abs(half), -1.0)))
         rest = np.where(np.arange(seen.size) == output, 0.0, seen)
         # a bound on the norm is that of the sample: what one output leaves of it is all of it
-        alone = own - float(self._sample_energy(rest[None])[0])
+        alone = own - float(self.bounds.of_samples(rest[None])[0])
         room = alone if alone > 0 else own
         with np.errstate(divide="ignore", over="ignore"):
             factor = float(np.sqrt((cost - terms + room) / np.float64(room)))

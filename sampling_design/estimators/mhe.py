@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.readings import StartError
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.assumed import narrowed
@@ -18,20 +17,24 @@ from sampling_design.estimators.constraints.qp import solve_constrained
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
-from sampling_design.estimators.gap_flows.flows import GapFlow
+from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
+from sampling_design.estimators.online.error_bounds import ErrorBounds
 from sampling_design.estimators.online.estimate import Contradiction
 from sampling_design.estimators.online.estimator import CheckedSample
-from sampling_design.estimators.online.evidence import Assumptions
 from sampling_design.estimators.online.guarantee import choose_horizon
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
-from sampling_design.estimators.online.open_loop import (
-    CONTRADICTION,
-    MeasuredSample,
-    OpenLoopState,
-    SolveDetails,
-    SolveVerdict,
-)
+from sampling_design.estimators.online.open_loop import OpenLoop
+from sampling_design.estimators.online.recorder import MeasuredSample, OpenLoopState, Recorder, SolveDetails
 from sampling_design.estimators.online.rounding import faded
+from sampling_design.estimators.online.schedule_watch import ScheduleClaim
+from sampling_design.estimators.online.verdict import (
+    CONTRADICTION,
+    SolveVerdict,
+    judged,
+    overflowed,
+    rounding_energy,
+    too_large,
+)
 from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.window_problem import EstimationWindow
@@ -148,33 +151,23 @@ class MovingHorizonEstimator(WindowedEstimator):
         cost = CostFunction() if cost is None else cost
         self.certificate, self.arrival_cost, self.begins = certificate, cost.arrival, cost.begins
         weights = build_weights(plant, certificate, cost)
-        self.horizon, self.claim_note = choose_horizon(certificate, horizon, cost)
+        self.horizon, note = choose_horizon(certificate, horizon, cost, "paper" if cost.form == "paper" else "sharp")
         given = Constraints() if constraints is None else constraints
-        constant = given.w_model == "constant" and given.w is not None
-        schedule = None if certificate is None else certificate.covers
-        self._set_up(plant, weights, schedule, input_side, constant, timing_tolerance, schedule_zero)
-        self.constraints = WindowConstraints(self.table, given)
-        self.engine = _engine(given.engine, self.constraints)
+        table = FlowTable(weights, given.w_model == "constant" and given.w is not None)
+        covered = None if certificate is None else certificate.covers
+        claim = ScheduleClaim(note, covered, plant.time_unit, timing_tolerance, schedule_zero)
+        self.constraints = sets = WindowConstraints(table, given)
+        self.engine = _engine(given.engine, sets)
         self.check_spacing = given.check_spacing
         self.memory, self.maximum_delay = 2 * self.horizon, self.horizon
-        self._bound_by_sets(w_bound, v_bound, initial_error)
+        w, v = _from_set(sets.w) if w_bound is None else w_bound, _from_set(sets.v) if v_bound is None else v_bound
+        bounds = ErrorBounds(weights, w, v, initial_error)
+        if table.constant_w:
+            bounds.note = "No radius: a constant disturbance between nodes need not contain the true one."
+        assumed = bounds.assumptions()
+        self.prepare(Recorder(OpenLoop(table, bounds), claim, assumed and narrowed(assumed, sets)), input_side)
         self._keep_windows()
         self.state = self.initial_state(prior, prior_time)
-
-    def _bound_by_sets(
-        self, w_bound: npt.ArrayLike | None, v_bound: npt.ArrayLike | None, initial_error: npt.ArrayLike | None
-    ) -> None:
-        """Take the bounds as given, or else as the constraint sets imply them."""
-        sets = self.constraints
-        w_bound = _from_set(sets.w) if w_bound is None else w_bound
-        v_bound = _from_set(sets.v) if v_bound is None else v_bound
-        self._set_bounds(w_bound, v_bound, initial_error)
-        if self.table.constant_w:
-            self.radius_note = "No radius: a constant disturbance between nodes need not contain the true one."
-
-    def _assumptions(self, error: StartError) -> Assumptions | None:
-        found = super()._assumptions(error)
-        return None if found is None else narrowed(found, self.constraints)
 
     def initial_state(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> EstimatorState:
         """Return the state before any sample: `prior` (default 0) at `prior_time`, with weight P2.
@@ -201,9 +194,9 @@ class MovingHorizonEstimator(WindowedEstimator):
     def _advance(self, state: EstimatorState, sample: CheckedSample) -> HistoryNode:
         t = sample.t
         self._prepare(state, t)
-        measured = y, mask, feedthrough = self._measured(state, sample)
-        flow, drift = last_gap = self._last_gap(state, t)
-        scheduled = self._fits_schedule(state, t, mask)
+        measured = y, mask, feedthrough = self.reader.read(state, sample)
+        flow, drift = last_gap = self.loop.between(state, state.last.t, t)
+        scheduled = self.claim.fits(state, t, mask)
         limits = self._limited(sample, feedthrough)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             start = self._start(state, t)
@@ -218,7 +211,7 @@ class MovingHorizonEstimator(WindowedEstimator):
             MeasuredSample(sample, y, mask, feedthrough, limits),
             OpenLoopState(x, Y, flow, drift, solved.precision),
         )
-        node = self._node(state, taken, after, found, details, solved.note, scheduled)
+        node = self.recorder.node(state, taken, after, found, details, solved.note, scheduled)
         self._histories.keep(node)
         return node
 
@@ -233,29 +226,29 @@ class MovingHorizonEstimator(WindowedEstimator):
     ) -> WindowEstimate:
         """Return what the window says, put together and solved as a whole."""
         last, (flow, drift), engine, cost = state.last, last_gap, "", np.nan
-        self._refuse_overflow(flow, self._moved(last, flow, drift), sample.t)
+        self.loop.refuse_overflow(flow, self.loop.moved(last, flow, drift), sample.t)
         window = self._window(state, start, sample, measured, limits)
-        terms = faded(start.energy, float(window.discount[0])) + self._lost(sample.t - start.s)
-        if self._too_large(window.weighted(window.residual)):
+        terms = faded(start.energy, float(window.discount[0])) + self.bounds.over(sample.t - start.s)
+        if too_large(window.weighted(window.residual)):
             terms += window.total(self._kept_energy(window.masks))
-            found, note = self._overflowed(state, sample, window.residual[-1], terms)
+            found, note = overflowed(self.weights, state.last, sample, window.residual[-1], terms)
         else:
-            terms += self._rounded(window.y, window.reference) + self._heard_means(window)
+            terms += rounding_energy(self.weights, window.y, window.reference) + self._heard_means(window)
             if window.means is not None:
-                terms += self._rounded(window.means.y, window.reference)
+                terms += rounding_energy(self.weights, window.means.y, window.reference)
             solution = self._solve(window)
             engine, note = solution.engine, solution.note or self._left_out(sample, start)
             found = SolveVerdict(np.nan, solution.status, last.stands, last.contradiction)
             x, Y = solution.nodes[-1].copy(), solution.covariance
             if found.status == "ok":
                 terms += self._heard(window, solution)
-                found, cost = self._judged(terms, solution.dual, last), solution.cost
+                found, cost = judged(self.weights, terms, solution.dual, last), solution.cost
                 if found.status == "bounds disproved" and last.stands:
                     numbers = {node.t: node.number for node in state.nodes} | {sample.t: last.number + 1}
                     found = found._replace(contradiction=self._blame(window, terms, solution.dual, numbers))
         if np.isnan(cost):
-            x, Y, beta = self._ahead(last, flow, drift)
-            self._refuse_overflow(flow, Y, sample.t)
+            x, Y, beta = self.loop.ahead(last, flow, drift)
+            self.loop.refuse_overflow(flow, Y, sample.t)
             found = found._replace(beta=beta, sound=found.sound and found.status == "solver failed")
         return WindowEstimate(x, Y, found, engine, note, cost)
 
@@ -306,7 +299,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         Where no constraint was active, the cost is the one without v; else the truth must be held with a v of its own.
         """
         free = solution.engine in CLOSED_FORM
-        energies = self._sample_energy(window.masks) if free else self._kept_energy(window.masks)
+        energies = self.bounds.of_samples(window.masks) if free else self._kept_energy(window.masks)
         return window.total(energies)
 
     def _kept_energy(self, masks: Array) -> Array:
@@ -316,9 +309,9 @@ class MovingHorizonEstimator(WindowedEstimator):
         (1 - s)^2 |v|^2_R + s^2 |v|^2_Qv: the best s leaves R Qv/(R + Qv), what it is without a constraint on v. Boxes
         keep also what takes another share of each entry.
         """
-        sets, weights, bound = self.constraints, self.weights, self._v_bound
+        sets, weights, bound = self.constraints, self.weights, self.bounds.v
         if not sets.keeps_v:
-            return self._sample_energy(masks)
+            return self.bounds.of_samples(masks)
         kept = weights.sample_energy(bound, True, masks)
         if sets.y is not None or sets.v is None or not sets.v.contains(np.zeros(self.plant.n_outputs)):
             return kept
@@ -328,7 +321,7 @@ class MovingHorizonEstimator(WindowedEstimator):
             shared = np.where(together > 0, fit * (kept / np.where(together > 0, together, 1.0)), 0.0)
         shared = np.where(np.isinf(together), together, shared)
         if sets.v.is_box and weights.diagonal_noise:
-            shared = np.minimum(shared, self._sample_energy(masks))
+            shared = np.minimum(shared, self.bounds.of_samples(masks))
         return np.minimum(kept, shared)
 
 

@@ -5,16 +5,27 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.readings import StartError
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.assumed import narrowed
 from sampling_design.estimators.constraints.constraints import Constraints
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.kalman import KalmanFilter
 from sampling_design.estimators.online.estimate import Estimate, changed
-from sampling_design.estimators.online.evidence import Assumptions
 from sampling_design.estimators.online.history import EstimatorState
+from sampling_design.estimators.online.recorder import Recorder
 from sampling_design.plants.plant import Plant
+
+
+class CentredRecorder(Recorder):
+    """Moves every estimate into the middle of what data and bounds leave possible."""
+
+    def proven(self, state: EstimatorState, at: int, estimate: Estimate) -> Estimate:
+        """Return the middle of the interval, the prior as it is."""
+        filtered = super().proven(state, at, estimate)
+        if filtered.status == "prior":
+            return filtered
+        moved = filtered.centred()
+        return changed(moved, engine="set", note="" if moved.certified else moved.note, cost=np.nan)
 
 
 class SetMembershipEstimator(KalmanFilter):
@@ -74,7 +85,6 @@ class SetMembershipEstimator(KalmanFilter):
         missing = [name for name, bound in (("w_bound", w_bound), ("v_bound", v_bound)) if bound is None]
         if missing:
             raise ArgumentError(f"`{missing[0]}` is missing: without it no set is bounded. Give 0 where there is none.")
-        self._given = Constraints() if constraints is None else constraints
         super().__init__(
             plant,
             prior=prior,
@@ -85,14 +95,8 @@ class SetMembershipEstimator(KalmanFilter):
             input_side=input_side,
             maximum_delay=maximum_delay,
         )
-
-    def _assumptions(self, error: StartError) -> Assumptions | None:
-        found = super()._assumptions(error)
-        return None if found is None else narrowed(found, WindowConstraints(self.table, self._given))
-
-    def _known(self, state: EstimatorState, node: int, estimate: Estimate) -> Estimate:
-        filtered = super()._known(state, node, estimate)
-        if filtered.status == "prior":
-            return filtered
-        moved = filtered.centred()
-        return changed(moved, engine="set", note="" if moved.certified else moved.note, cost=np.nan)
+        assumed, given = self.recorder.assumed, Constraints() if constraints is None else constraints
+        assert assumed is not None
+        narrow = narrowed(assumed, WindowConstraints(self.table, given))
+        self.prepare(CentredRecorder(self.loop, self.claim, narrow), input_side)
+        self.start(prior, prior_time)

@@ -17,8 +17,9 @@ from sampling_design.estimators.constraints.window_constraints import WindowCons
 from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
-from sampling_design.estimators.online.open_loop import OpenLoopEstimator, SolveVerdict
+from sampling_design.estimators.online.linear_estimator import LinearEstimator
 from sampling_design.estimators.online.rounding import CovariancePrecision, faded, rounding
+from sampling_design.estimators.online.verdict import SolveVerdict, judged
 from sampling_design.estimators.window.means import IntegralFlows, MeanReading, means_of
 from sampling_design.estimators.window.sliding import BandCache, IncomingNode, InitialNode
 from sampling_design.estimators.window.square_root import covariance_root
@@ -55,7 +56,7 @@ class WindowEstimate(NamedTuple):
     precision: CovariancePrecision | None = None
 
 
-class WindowedEstimator(OpenLoopEstimator):
+class WindowedEstimator(LinearEstimator):
     """Adds the window to the open loop: M_t = min(t, M) long, whatever lies in it."""
 
     horizon: float
@@ -68,7 +69,7 @@ class WindowedEstimator(OpenLoopEstimator):
 
     def _keep_windows(self) -> None:
         """Begin to remember windows; to be called once weights and bounds are set."""
-        self._histories, self._slides = BandCache(self.weights, self._sample_energy), not self.constraints.active
+        self._histories, self._slides = BandCache(self.weights, self.bounds.of_samples), not self.constraints.active
         self._fixed_prior: Array = self.weights.prior_root @ self.weights.prior_root.T
         self._worst: tuple[Array | None, float] = (None, 0.0)  # a covariance in units of the prior: its largest value
 
@@ -94,12 +95,6 @@ class WindowedEstimator(OpenLoopEstimator):
         self.table.known(gaps[gaps > 0].tolist())
         if self._slides:
             self.table.prepare(before[before > 0].tolist(), arriving[arriving > 0].tolist(), self._fixed_prior)
-
-    def _last_gap(self, state: EstimatorState, t: float) -> tuple[GapFlow, Array]:
-        return self._between(state, state.last.t, t)
-
-    def _between(self, state: EstimatorState, a: float, b: float) -> tuple[GapFlow, Array]:
-        return self.table.one(b - a), self._drift.between(state, a, b)
 
     def _start(self, state: EstimatorState, t: float) -> WindowStart:
         """Return where the window of a solve at t begins, with the online estimate there.
@@ -131,15 +126,15 @@ class WindowedEstimator(OpenLoopEstimator):
 
     def _flown_to(self, state: EstimatorState, node: HistoryNode, s: float) -> tuple[Array, Array, float]:
         """Return state, covariance and radius of the prior at s; where the discount overflows, undiscounted."""
-        flow, drift = self._between(state, node.t, s)
-        x, Y, beta = self._flown(node, flow, drift)
+        flow, drift = self.loop.between(state, node.t, s)
+        x, Y, beta = self.loop.flown(node, flow, drift)
         if math.isfinite(x.dot(x)) and math.isfinite(np.vdot(Y, Y)):
             return x, Y, beta
-        self._refuse_overflow(flow, x, s)
+        self.loop.refuse_overflow(flow, x, s)
         if not np.isfinite(Y).all() and self.arrival_cost != "filtered":
-            x, Y, beta = self._ahead(node, flow, drift)
+            x, Y, beta = self.loop.ahead(node, flow, drift)
         if not np.isfinite(Y).all():
-            self._refuse_overflow(flow, np.array([np.inf]), s)
+            self.loop.refuse_overflow(flow, np.array([np.inf]), s)
         return x, Y, beta
 
     def _slid(
@@ -169,12 +164,12 @@ class WindowedEstimator(OpenLoopEstimator):
             return None
         sliding, at = held
         if first == len(nodes):
-            gap = self._between(state, s, t)
+            gap = self.loop.between(state, s, t)
             reference = gap[0].F.dot(start.x) + gap[1]
         else:
             node = nodes[first]
             own = node.flow if first > 0 and nodes[first - 1].t == s else None
-            gap = self._between(state, s, node.t) if own is None else (own, node.drift)
+            gap = self.loop.between(state, s, node.t) if own is None else (own, node.drift)
             reference = flow.F.dot(nodes[-1].x) + drift
         if not sliding.append(new, reference, predicted=first < len(nodes)):
             return None
@@ -182,9 +177,9 @@ class WindowedEstimator(OpenLoopEstimator):
         optimum = sliding.solve(at, InitialNode(s, start.x, prior, sample), gap)
         if optimum is None:
             return None
-        terms = faded(start.energy, math.exp(self.weights.eta * (s - t))) + self._lost(t - s)
+        terms = faded(start.energy, math.exp(self.weights.eta * (s - t))) + self.bounds.over(t - s)
         terms += rounding(optimum.read, optimum.held) + optimum.energy
-        found = self._judged(terms, optimum.dual, nodes[-1])
+        found = judged(self.weights, terms, optimum.dual, nodes[-1])
         if found.status == "bounds disproved" and nodes[-1].stands:
             return None
         return WindowEstimate(optimum.x, optimum.Y, found, "banded", "", optimum.cost, optimum.precision)
@@ -205,13 +200,13 @@ class WindowedEstimator(OpenLoopEstimator):
             masks = masks + window.masks * masks.any(axis=1, keepdims=True)
         if end is not None:
             masks = masks * (np.arange(len(masks)) == end)[:, None]
-        return window.total(self._sample_energy(masks))
+        return window.total(self.bounds.of_samples(masks))
 
     def _limited(self, sample: CheckedSample, feedthrough: Array) -> Array | None:
         """Return what C x lies between (2, p), as limits of detection say: y = C x + D u + v, |v| within its bound."""
-        if not sample.told or self._v_bound is None or all(each.since is not None for each in sample.told):
+        if not sample.told or self.bounds.v is None or all(each.since is not None for each in sample.told):
             return None
-        noise = np.broadcast_to(self._v_bound, feedthrough.shape)
+        noise = np.broadcast_to(self.bounds.v, feedthrough.shape)
         found = np.array([np.full(feedthrough.size, -np.inf), np.full(feedthrough.size, np.inf)])
         for each in sample.told:
             if each.since is None:
@@ -286,13 +281,13 @@ class WindowedEstimator(OpenLoopEstimator):
             return [], np.zeros((0, n)), start.x[None]
         first, last = times[1] - times[0], times[-1] - times[-2]
         ends = self.table.get([first, last])
-        drift_first = self._drift.between(state, times[0], times[1])
+        drift_first = self.loop.drift.between(state, times[0], times[1])
         if not inside:
             flows, drift = ends[:1], [drift_first]
         else:
             flows = [ends[0], *(node.flow for node in inside[1:] if node.flow is not None), ends[1]]
             drift = [drift_first, *(node.drift for node in inside[1:])]
-            drift.append(self._drift.between(state, times[-2], times[-1]))
+            drift.append(self.loop.drift.between(state, times[-2], times[-1]))
         known = [start.x, *(node.x for node in inside)]
         known.append(flows[-1].F @ known[-1] + drift[-1])
         return flows, np.array(drift), np.array(known)
@@ -316,7 +311,7 @@ class WindowedEstimator(OpenLoopEstimator):
                 between |= {times[j] + k * (t - times[j]) / count for k in range(1, count)}
             for when in [*sorted(between), t]:
                 last = when == t
-                drift.append(self._drift.between(state, edges[-1], when))
+                drift.append(self.loop.drift.between(state, edges[-1], when))
                 flow = self.table.one(when - edges[-1])
                 path.append(reference[j + 1] if last else flow.F @ path[-1] + drift[-1])
                 edges.append(when)

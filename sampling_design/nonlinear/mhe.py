@@ -11,13 +11,14 @@ import numpy.typing as npt
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.online.estimator import CheckedSample
+from sampling_design.estimators.online.guarantee import choose_horizon
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.nlp import WindowData, WindowProgram, WindowSolution
 from sampling_design.nonlinear.open_loop import NonlinearOpenLoop
 from sampling_design.nonlinear.outliers import Outliers, beyond
-from sampling_design.nonlinear.promise import InclusionPromise, WindowTrajectory, cost_for, horizon_for
+from sampling_design.nonlinear.promise import InclusionPromise, WindowTrajectory, cost_for
 from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.smoothed import SmoothedWindow, smoothed_window
 from sampling_design.nonlinear.weights import fit_covariance, output_slope, scaled_weights, warn_of_scales
@@ -170,7 +171,7 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         self.plant = plant
         self.promise = None if certificate is None else InclusionPromise(certificate, plant, initial_error)
         cost, given = cost_for(certificate, cost), Collocation() if collocation is None else collocation
-        self.horizon, self.claim_note = horizon_for(certificate, horizon, cost)
+        self.horizon, self.claim_note = choose_horizon(certificate, horizon, cost, "arrival")
         self.filtered, self.begins = cost.arrival == "filtered", cost.begins
         self.closed = cost.form == "paper" and not self.filtered
         self.scaled = scaled_weights(plant, cost)

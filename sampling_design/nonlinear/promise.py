@@ -13,11 +13,9 @@ from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import MATRICES, CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import noise_bound
 from sampling_design.estimators.gap_flows.flows import discounted_length
-from sampling_design.estimators.online.guarantee import own_horizon, too_short
 from sampling_design.nonlinear.jacobians import model_of
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.region import StateRegion
-from sampling_design.records import checks
 from sampling_design.records.record import Plain
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 
@@ -214,27 +212,3 @@ def cost_for(certificate: InclusionCertificate | None, cost: CostFunction | None
         )
     own = {key: getattr(certificate, key) for key in (*MATRICES, "eta") if key not in given.given}
     return replace(given, form="certificate", **own)
-
-
-def horizon_for(
-    certificate: InclusionCertificate | None, horizon: float | None, cost: CostFunction
-) -> tuple[float, str]:
-    """The horizon, and in words why there is no a-priori claim ("" if there is one).
-
-    Raises
-    ------
-    ArgumentError
-        If there is neither a certificate nor a horizon.
-
-    Warns
-    -----
-    GuaranteeWarning
-        If the horizon is not longer than the certificate allows.
-    """
-    if certificate is None:
-        return own_horizon(horizon), ""
-    own = certificate.horizon("arrival")
-    length = own.length if horizon is None else checks.positive("horizon", horizon)
-    if not all(np.array_equal(getattr(cost, key), getattr(certificate, key)) for key in (*MATRICES, "eta")):
-        return length, "No a-priori claim: the weights differ from the certificate's."
-    return length, too_short(length, own.minimum) if length <= own.minimum else ""

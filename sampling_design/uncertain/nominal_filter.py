@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
 
@@ -11,16 +12,18 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
-from sampling_design.accuracy.readings import StartError
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.estimators.gap_flows.cost_weights import build_weights, noise_bound
-from sampling_design.estimators.gap_flows.flows import GapFlow, discounted_length
+from sampling_design.estimators.gap_flows.cost_weights import CostWeights, build_weights, noise_bound
+from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow, discounted_length
 from sampling_design.estimators.kalman import KalmanFilter
+from sampling_design.estimators.online.error_bounds import ErrorBounds
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import CheckedSample
-from sampling_design.estimators.online.evidence import Assumptions
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
+from sampling_design.estimators.online.open_loop import OpenLoop
+from sampling_design.estimators.online.recorder import Recorder
+from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.numerics.linalg import discounted_flow, forced_flow
 from sampling_design.plants.plant import Signals
 from sampling_design.records import checks
@@ -37,6 +40,140 @@ HALVINGS = 12
 TRIALS = 40
 ROUNDING = 1 + 1e-9
 RANK = 1e-13
+NO_CLAIM = "No a-priori claim: a filter of the nominal plant; its radius counts the mismatch as it comes."
+
+
+class MismatchBounds(ErrorBounds):
+    """The bounds, with what the outputs of the true plant show beyond those of the nominal one as noise."""
+
+    before: tuple[Array, Array, float] | None = None
+    """State, covariance and radius just before the sample that is taken in."""
+
+    def __init__(
+        self,
+        weights: CostWeights,
+        w_bound: Array | None,
+        v_bound: npt.ArrayLike | None,
+        initial_error: npt.ArrayLike | None,
+        energy: float,
+        shown: Array,
+    ):
+        self.shown = shown
+        super().__init__(weights, w_bound, v_bound, initial_error)
+        self.disturbance = energy
+
+    def assumptions(self) -> None:
+        """None: intervals of the data would take the nominal plant for the true one."""
+
+    def of_samples(self, masks: Array) -> Array:
+        """What noise and mismatch of samples cost at most."""
+        if self.before is None or not len(self.shown) or self.v is None:
+            return super().of_samples(masks)
+        x, Y, beta = self.before
+        if not np.isfinite(beta):
+            return np.full(len(masks), np.inf)
+        spread = np.sqrt(np.maximum(np.einsum("kpi,ij,kpj->kp", self.shown, Y, self.shown), 0.0) * max(beta, 0.0))
+        more = ROUNDING * np.sum(np.abs(self.shown @ x) + spread, axis=0)
+        wider = self.v + (more if self.v.ndim else float(np.linalg.norm(more)))
+        return self.weights.sample_energy(np.asarray(wider), False, masks)
+
+
+class MismatchLoop(OpenLoop):
+    """The open loop of the nominal plant, its radius with the mismatch bounded step by step.
+
+    Parameters
+    ----------
+    rows : (m, n) array
+        Of x, that drive the mismatch; `known` (k,) are sizes of what is driven by the disturbance.
+    q : (m + k,) array
+        Weights of the mismatch.
+    """
+
+    def __init__(self, table: FlowTable, bounds: MismatchBounds, rows: Array, known: Array, q: Array):
+        super().__init__(table, bounds)
+        self.plant, self.mismatched = self.weights.plant, bounds
+        self._rows, self._known_size, self._q = rows, known, q
+        self._inputs: Sequence[tuple[float, Array]] = ()
+
+    @contextmanager
+    def along(self, inputs: Sequence[tuple[float, Array]]) -> Iterator[None]:
+        """Follow some inputs, and forget afterwards what was before a sample."""
+        self._inputs = inputs
+        try:
+            yield
+        finally:
+            self.mismatched.before = None
+
+    def undiscounted(self, node: HistoryNode, flow: GapFlow) -> None:
+        """None: the bound on the disturbance knows nothing of the mismatch."""
+
+    def flown(self, node: HistoryNode, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
+        """Return state, covariance and radius after a gap, for every plant of the box."""
+        x, Y, beta = super().flown(node, flow, drift)
+        if flow.gap > 0 and np.isfinite(beta) and np.isfinite(Y).all():
+            beta = self._walked(node, flow.gap)
+        self.mismatched.before = x, Y, beta
+        return x, Y, beta
+
+    def _walked(self, node: HistoryNode, gap: float) -> float:
+        """The radius after a gap, the mismatch bounded step by step."""
+        A = self.plant.A
+        start, end = node.t, node.t + gap
+        first, last = bisect_right(self._inputs, start, key=_time), bisect_left(self._inputs, end, key=_time)
+        cuts = [start, *(t for t, _ in self._inputs[first:last]), end]
+        x, Y, beta = np.asarray(node.x), np.asarray(node.Y), float(node.beta)
+        speed = float(np.linalg.norm(A * self.weights.units / self.weights.units[:, None], 2))
+        for a, b in pairwise(cuts):
+            k = bisect_right(self._inputs, a, key=_time) - 1
+            push = self.plant.B @ self._inputs[k][1] if k >= 0 else np.zeros(len(x))
+            count = int(np.clip(np.ceil(speed * (b - a) / STEP), FEWEST, MOST))
+            done, step = 0.0, (b - a) / count
+            for _ in range(count * 2**HALVINGS):
+                if done >= (b - a) * (1 - 1e-12):
+                    break
+                step = min(step, b - a - done)
+                found = self._stepped(x, Y, beta, push, step)
+                if found is None:
+                    step /= 2
+                    if step * 2**HALVINGS * count < b - a:
+                        return float("inf")
+                    continue
+                x, Y, beta = found
+                done += step
+        return beta * ROUNDING
+
+    def _stepped(self, x: Array, Y: Array, beta: float, push: Array, step: float) -> tuple[Array, Array, float] | None:
+        """State, covariance and radius after a step; None if no bound of the mismatch holds itself up over it."""
+        A, eta, rows = self.plant.A, self.weights.eta, self._rows
+        F, W = (M[0] for M in discounted_flow(A, self.weights.noise, [step], eta))
+        x_next = forced_flow(A, push[:, None], [step])[0] @ np.append(x, 1.0)
+        Y_next = np.exp(eta * step) * F @ Y @ F.T + W
+        try:
+            L = np.linalg.cholesky(Y)
+        except np.linalg.LinAlgError:
+            return None
+        grown = float(np.exp(np.linalg.norm(np.linalg.solve(L, A @ L), 2) * step))
+        sag = step**2 / 8 * grown
+        own = np.maximum(np.linalg.norm(rows @ L, axis=1), np.linalg.norm(rows @ F @ L, axis=1))
+        own = own + sag * np.linalg.norm(rows @ A @ A @ L, axis=1)
+        spread = np.sqrt(np.exp(eta * step) * own**2 + np.einsum("ki,ij,kj->k", rows, W, rows))
+        pushed = float(np.linalg.norm(np.linalg.solve(L, A @ x + push)))
+        centre = (
+            np.maximum(np.abs(rows @ x), np.abs(rows @ x_next)) + sag * np.linalg.norm(rows @ A @ L, axis=1) * pushed
+        )
+        known, m = self._known_size, len(rows)
+        fixed = self.bounds.disturbance + float(self._q[m:] @ known**2)
+        size = centre + spread * np.sqrt(beta)
+        for _ in range(TRIALS):
+            top = beta + step * (fixed + float(self._q[:m] @ size**2))
+            needed = ROUNDING * (centre + spread * np.sqrt(top))
+            if not np.isfinite(needed).all():
+                return None
+            if np.all(needed <= size):
+                lost = float(discounted_length(eta, step)) * (fixed + float(self._q[:m] @ size**2))
+                return x_next, (Y_next + Y_next.T) / 2, float(np.exp(-eta * step) * beta + lost)
+            size = np.maximum(size, needed * (1 + 1e-6))
+        return None
 
 
 class NominalFilter(KalmanFilter):
@@ -103,132 +240,32 @@ class NominalFilter(KalmanFilter):
         bound = noise_bound("w_bound", w_bound, nominal.n_disturbances)
         energy = given.disturbance_energy(bound)
         self.model = plant
-        into, self._rows, self._known_size = _channels(plant, bound)
-        size = np.concatenate([np.linalg.norm(self._rows * nominal.states.scales, axis=1), self._known_size])
+        into, rows, known = _channels(plant, bound)
+        size = np.concatenate([np.linalg.norm(rows * nominal.states.scales, axis=1), known])
         size = np.where(size > 0, size, 1.0) * checks.positive("typical", typical)
-        self._q = (energy if 0 < energy < np.inf else 1.0) / size**2
+        q = (energy if 0 < energy < np.inf else 1.0) / size**2
         wide = replace(
             nominal,
             G=np.hstack([nominal.G, into]),
             disturbances=Signals([*nominal.disturbances.names, *(f"mismatch {k + 1}" for k in range(into.shape[1]))]),
         )
-        inside = CostFunction(
-            P2=given.prior, Qw=block_diag(given.w, np.diag(self._q)), R=given.R, Qv=given.v, eta=given.eta
-        )
-        self._shown = _outputs(plant)
-        self._before: tuple[Array, Array, float] | None = None
-        self._inputs: Sequence[tuple[float, Array]] = ()
-        super().__init__(
-            wide, cost=inside, prior=prior, prior_time=prior_time,
-            w_bound=None if bound is None else np.zeros(wide.n_disturbances), v_bound=v_bound,
-            initial_error=initial_error, input_side=input_side, maximum_delay=maximum_delay,
-        )  # fmt: skip
-        self._w_energy = energy
-        self.claim_note = (
-            "No a-priori claim: a filter of the nominal plant; its radius counts the mismatch as it comes."
-        )
+        inside = CostFunction(P2=given.prior, Qw=block_diag(given.w, np.diag(q)), R=given.R, Qv=given.v, eta=given.eta)
+        super().__init__(wide, cost=inside, input_side=input_side, maximum_delay=maximum_delay)
+        no_push = None if bound is None else np.zeros(wide.n_disturbances)
+        bounds = MismatchBounds(self.weights, no_push, v_bound, initial_error, energy, _outputs(plant))
+        self.mismatch = MismatchLoop(self.table, bounds, rows, known, q)
+        self.prepare(Recorder(self.mismatch, ScheduleClaim(NO_CLAIM), None), input_side)
+        self.start(prior, prior_time)
 
     weighs_means = False  # what a mean shows of the mismatch is not bounded
 
-    def _assumptions(self, error: StartError) -> Assumptions | None:
-        return None  # intervals of the data would take the nominal plant for the true one
-
-    def _undiscounted(self, node: HistoryNode, flow: GapFlow) -> Array | None:
-        return None  # its bound on the disturbance knows nothing of the mismatch
-
     def _advance(self, state: EstimatorState, sample: CheckedSample) -> HistoryNode:
-        self._inputs = state.inputs
-        try:
+        with self.mismatch.along(state.inputs):
             return super()._advance(state, sample)
-        finally:
-            self._before = None
 
     def _predict(self, state: EstimatorState, t: float) -> Estimate:
-        self._inputs = state.inputs
-        try:
+        with self.mismatch.along(state.inputs):
             return super()._predict(state, t)
-        finally:
-            self._before = None
-
-    def _flown(self, node: HistoryNode, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
-        x, Y, beta = super()._flown(node, flow, drift)
-        if flow.gap > 0 and np.isfinite(beta) and np.isfinite(Y).all():
-            beta = self._walked(node, flow.gap)
-        self._before = x, Y, beta
-        return x, Y, beta
-
-    def _sample_energy(self, masks: Array) -> Array:
-        if self._before is None or not len(self._shown) or self._v_bound is None:
-            return super()._sample_energy(masks)
-        x, Y, beta = self._before
-        if not np.isfinite(beta):
-            return np.full(len(masks), np.inf)
-        spread = np.sqrt(np.maximum(np.einsum("kpi,ij,kpj->kp", self._shown, Y, self._shown), 0.0) * max(beta, 0.0))
-        more = ROUNDING * np.sum(np.abs(self._shown @ x) + spread, axis=0)
-        wider = self._v_bound + (more if self._v_bound.ndim else float(np.linalg.norm(more)))
-        return self.weights.sample_energy(np.asarray(wider), False, masks)
-
-    # --- the size of the mismatch along a gap -------------------------------------------------------------------------
-
-    def _walked(self, node: HistoryNode, gap: float) -> float:
-        """The radius after a gap, the mismatch bounded step by step."""
-        A = self.plant.A
-        start, end = node.t, node.t + gap
-        first, last = bisect_right(self._inputs, start, key=_time), bisect_left(self._inputs, end, key=_time)
-        cuts = [start, *(t for t, _ in self._inputs[first:last]), end]
-        x, Y, beta = np.asarray(node.x), np.asarray(node.Y), float(node.beta)
-        speed = float(np.linalg.norm(A * self.weights.units / self.weights.units[:, None], 2))
-        for a, b in pairwise(cuts):
-            k = bisect_right(self._inputs, a, key=_time) - 1
-            push = self.plant.B @ self._inputs[k][1] if k >= 0 else np.zeros(len(x))
-            count = int(np.clip(np.ceil(speed * (b - a) / STEP), FEWEST, MOST))
-            done, step = 0.0, (b - a) / count
-            for _ in range(count * 2**HALVINGS):
-                if done >= (b - a) * (1 - 1e-12):
-                    break
-                step = min(step, b - a - done)
-                found = self._stepped(x, Y, beta, push, step)
-                if found is None:
-                    step /= 2
-                    if step * 2**HALVINGS * count < b - a:
-                        return float("inf")
-                    continue
-                x, Y, beta = found
-                done += step
-        return beta * ROUNDING
-
-    def _stepped(self, x: Array, Y: Array, beta: float, push: Array, step: float) -> tuple[Array, Array, float] | None:
-        """State, covariance and radius after a step; None if no bound of the mismatch holds itself up over it."""
-        A, eta, rows = self.plant.A, self.weights.eta, self._rows
-        F, W = (M[0] for M in discounted_flow(A, self.weights.noise, [step], eta))
-        x_next = forced_flow(A, push[:, None], [step])[0] @ np.append(x, 1.0)
-        Y_next = np.exp(eta * step) * F @ Y @ F.T + W
-        try:
-            L = np.linalg.cholesky(Y)
-        except np.linalg.LinAlgError:
-            return None
-        grown = float(np.exp(np.linalg.norm(np.linalg.solve(L, A @ L), 2) * step))
-        sag = step**2 / 8 * grown
-        own = np.maximum(np.linalg.norm(rows @ L, axis=1), np.linalg.norm(rows @ F @ L, axis=1))
-        own = own + sag * np.linalg.norm(rows @ A @ A @ L, axis=1)
-        spread = np.sqrt(np.exp(eta * step) * own**2 + np.einsum("ki,ij,kj->k", rows, W, rows))
-        pushed = float(np.linalg.norm(np.linalg.solve(L, A @ x + push)))
-        centre = (
-            np.maximum(np.abs(rows @ x), np.abs(rows @ x_next)) + sag * np.linalg.norm(rows @ A @ L, axis=1) * pushed
-        )
-        known, m = self._known_size, len(rows)
-        fixed = self._w_energy + float(self._q[m:] @ known**2)
-        size = centre + spread * np.sqrt(beta)
-        for _ in range(TRIALS):
-            top = beta + step * (fixed + float(self._q[:m] @ size**2))
-            needed = ROUNDING * (centre + spread * np.sqrt(top))
-            if not np.isfinite(needed).all():
-                return None
-            if np.all(needed <= size):
-                lost = float(discounted_length(eta, step)) * (fixed + float(self._q[:m] @ size**2))
-                return x_next, (Y_next + Y_next.T) / 2, float(np.exp(-eta * step) * beta + lost)
-            size = np.maximum(size, needed * (1 + 1e-6))
-        return None
 
 
 def _channels(plant: UncertainPlant, w_bound: Array | None) -> tuple[Array, Array, Array]:

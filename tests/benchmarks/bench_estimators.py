@@ -53,7 +53,7 @@ def last_window(options=None):
     t, y, _ = next(warm(mhe))
     state = mhe.state
     sample = CheckedSample(t, y)
-    return mhe, mhe._window(state, mhe._start(state, t), sample, mhe._measured(state, sample))
+    return mhe, mhe._window(state, mhe._start(state, t), sample, mhe.reader.read(state, sample))
 
 
 def fresh(window):

@@ -189,7 +189,7 @@ def test_an_infeasible_window_predicts_names_the_obstacle_and_goes_on():
     assert "constraints.x" in estimate.note or "constraints.w" in estimate.note
     assert "more)" in estimate.note
     assert not estimate.certified
-    kick = mhe._drift.between(mhe.state, 1.0, 1.5)
+    kick = mhe.loop.drift.between(mhe.state, 1.0, 1.5)
     assert np.allclose(estimate.x, DRIVEN.transition(0.5) @ fine.x + kick)
     assert mhe.update(2.5, [0.0, 0.0]).status == "infeasible"
     after = mhe.update(4.5, [0.1, 0.1])
@@ -265,7 +265,7 @@ def test_inputs_hold_and_the_input_side_is_stated():
     assert right.state.last.feedthrough.tolist() == [-0.5, 0.0]
     assert left.state.last.feedthrough.tolist() == [0.5, 0.0]
     steady = right.predict(1.0 + 2 * math.pi)
-    drift = right._drift.between(right.state, 1.0, 1.0 + 2 * math.pi)
+    drift = right.loop.drift.between(right.state, 1.0, 1.0 + 2 * math.pi)
     assert np.max(np.abs(drift)) < 1e-12
     assert steady.status == "predicted"
 
@@ -449,15 +449,17 @@ def test_a_solver_that_fails_leaves_the_prediction_and_its_ellipsoid(monkeypatch
     assert estimate.radius > first.radius
 
 
-def test_the_least_horizon_is_that_of_the_proven_lambda():
-    from sampling_design import PeriodicSchedule, certify
-    from sampling_design.estimators.online.guarantee import least_horizon
-
-    plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
-    certificate = certify(plant, PeriodicSchedule([1.0]), eta=0.4)
-    assert least_horizon(certificate, "certificate") == pytest.approx(certificate.horizon().minimum, rel=1e-12)
+def test_the_least_horizon_is_that_of_the_proven_lambda_and_own_weights_keep_the_claim():
+    certificate = certify(PLANT, PeriodicSchedule([1.0]), eta=0.4)
     paper = min(certificate.horizon("paper").minimum, np.log(2 * certificate.lam_proven) / certificate.eta)
-    assert least_horizon(certificate, "paper") == pytest.approx(paper, rel=1e-12)
+    for form, least in (("certificate", certificate.horizon().minimum), ("paper", paper)):
+        same = CostFunction(P2=certificate.P2, eta=certificate.eta, form=form)
+        longer = MovingHorizonEstimator(PLANT, certificate, horizon=least * (1 + 1e-9), cost=same)
+        assert longer.claim.note == ""
+        with pytest.warns(GuaranteeWarning, match="the horizon .* must exceed"):
+            MovingHorizonEstimator(PLANT, certificate, horizon=least * (1 - 1e-9), cost=same)
+    other = MovingHorizonEstimator(PLANT, certificate, cost=CostFunction(P2=2 * certificate.P2, eta=certificate.eta))
+    assert other.claim.note == "No a-priori claim: P2 differ from the certificate's."
 
 
 def test_constraints_say_what_they_hold_and_refuse_what_they_cannot():

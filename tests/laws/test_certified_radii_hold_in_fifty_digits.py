@@ -15,7 +15,7 @@ import pytest
 from sampling_design import KalmanFilter, MovingHorizonEstimator, Plant
 from sampling_design.estimators.gap_flows import flows
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.estimators.online import open_loop, rounding
+from sampling_design.estimators.online import recorder, rounding
 from tests.cases import few
 from tests.oracles.filters import Filter
 
@@ -116,7 +116,7 @@ def test_radii_of_the_filter(seed):
 
 
 def test_without_the_rounding_the_law_is_broken(monkeypatch):
-    for room, name in ((rounding, "ROUNDED"), (open_loop, "FLOWN"), (flows, "COVARIANCE_ERROR")):
+    for room, name in ((rounding, "ROUNDED"), (recorder, "FLOWN"), (flows, "COVARIANCE_ERROR")):
         monkeypatch.setattr(room, name, 0.0)
     assert worst_miss(29, 30)[0] > 1e-9
 

@@ -40,7 +40,7 @@ def test_estimate_is_the_open_loop_from_the_last_solve_and_the_past_stays(cost, 
             assert np.max(np.abs(again.nodes[0] - at_sample.nodes[0])) < 1e-7
             assert np.max(np.abs(again.covariance - predicted.covariance)) < 1e-9 * np.max(predicted.covariance)
             assert again.cost == pytest.approx(mhe.state.last.estimate.cost * np.exp(-0.4 * delta), rel=1e-9)
-            drift = mhe._drift.between(mhe.state, t, t + delta)
+            drift = mhe.loop.drift.between(mhe.state, t, t + delta)
             omega = again.nodes[-1] - PLANT.transition(delta) @ again.nodes[-2] - drift
             assert np.max(np.abs(omega)) < 1e-9
 

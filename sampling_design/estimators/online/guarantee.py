@@ -4,31 +4,44 @@ from __future__ import annotations
 
 import math
 import warnings
+from typing import Protocol
 
-from sampling_design.certificates.exact.certificate import SampledCertificate
+import numpy as np
+
+from sampling_design.certificates.form.horizon import Horizon
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.online.estimator import GuaranteeWarning
 from sampling_design.records import checks
 
 
-def least_horizon(certificate: SampledCertificate, cost: str) -> float:
-    """Return the horizon that M must exceed: ln(lam)/eta, for the paper's cost the lesser of its own two.
+class HasHorizon(Protocol):
+    """A certificate of any kind, with its weights and rate under the names of a cost function."""
 
-    The paper's theorem asks 4 lam_samples^2 e^{-eta M} < 1 of the paper's cost, the sharper one 2 lam e^{-eta M} < 1.
-    """
-    lam, eta = certificate.lam_proven, certificate.eta
-    if cost == "certificate":
-        return max(0.0, math.log(lam) / eta)
-    return min(2 * math.log(2 * certificate.lam_samples_proven) / eta, math.log(2 * lam) / eta)
+    @property
+    def lam_proven(self) -> float: ...
+    @property
+    def eta(self) -> float: ...
+    def horizon(self, theorem: str = ...) -> Horizon: ...
 
 
 def choose_horizon(
-    certificate: SampledCertificate | None,
-    horizon: float | None,
-    cost: CostFunction,
+    certificate: HasHorizon | None, horizon: float | None, cost: CostFunction, theorem: str
 ) -> tuple[float, str]:
     """Return the horizon and, in words, why there is no a-priori claim ("" if there is one).
+
+    With the paper's cost M must exceed the lesser of two: the paper's theorem asks 4 lam_samples^2 e^{-eta M} < 1, the
+    sharper one 2 lam e^{-eta M} < 1.
+
+    Parameters
+    ----------
+    certificate : Certificate, FamilyCertificate or InclusionCertificate, optional
+    horizon : float, optional [time]
+        Default: the one that the certificate recommends.
+    cost : CostFunction
+        Weights that are given and differ from the certificate's leave no claim.
+    theorem : str
+        The one that the estimator's cost needs, as `certificate.horizon` takes it.
 
     Raises
     ------
@@ -41,32 +54,19 @@ def choose_horizon(
         If the horizon is not longer than the certificate allows.
     """
     if certificate is None:
-        return own_horizon(horizon), "No a-priori claim: the weights were given by hand."
-    if horizon is None:
-        length = certificate.horizon("paper" if cost.form == "paper" else "sharp").length
-    else:
-        length = checks.positive("horizon", horizon)
-    if cost.given:
-        return length, f"No a-priori claim: {', '.join(cost.given)} differ from the certificate's."
-    least = least_horizon(certificate, cost.form or "certificate")
-    return length, too_short(length, least) if cost.arrival == "fixed" and length <= least else ""
-
-
-def own_horizon(horizon: float | None) -> float:
-    """Return the horizon that was given.
-
-    Raises
-    ------
-    ArgumentError
-        If none was.
-    """
-    if horizon is None:
-        raise ArgumentError("`horizon` must be given where there is no certificate to take it from.")
-    return checks.positive("horizon", horizon)
-
-
-def too_short(length: float, least: float) -> str:
-    """Warn that a horizon is not longer than a certificate allows; return the warning's words."""
+        if horizon is None:
+            raise ArgumentError("`horizon` must be given where there is no certificate to take it from.")
+        return checks.positive("horizon", horizon), "No a-priori claim: the weights were given by hand."
+    own = certificate.horizon(theorem)
+    length = own.length if horizon is None else checks.positive("horizon", horizon)
+    differ = [key for key in cost.given if not np.array_equal(getattr(cost, key), getattr(certificate, key))]
+    if differ:
+        return length, f"No a-priori claim: {', '.join(differ)} differ from the certificate's."
+    least = own.minimum
+    if theorem == "paper":
+        least = min(least, math.log(2 * certificate.lam_proven) / certificate.eta)
+    if cost.arrival != "fixed" or length > least:
+        return length, ""
     note = f"No a-priori claim: the horizon {length:.6g} must exceed {least:.6g} for this certificate."
-    warnings.warn(note, GuaranteeWarning, stacklevel=5)
-    return note
+    warnings.warn(note, GuaranteeWarning, stacklevel=4)
+    return length, note

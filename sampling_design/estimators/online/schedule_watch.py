@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.estimators.online.history import EstimatorState, HistoryNode
+from sampling_design.records import checks
 from sampling_design.schedules.family import AnySchedule, SamplingFamily, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -143,3 +145,54 @@ class ScheduleWatch:
             return True
         samples = np.asarray(times[1:]) - times[0]
         return self.tolerance > 0 or samples.size < 2 or family.contains(Schedule(samples))
+
+
+class ScheduleClaim:
+    """What a certificate says a priori, as long as the samples are on its schedule; `note` says why it says nothing."""
+
+    def __init__(
+        self,
+        note: str = "",
+        schedule: AnySchedule | SamplingFamily | None = None,
+        time_unit: str = "",
+        timing_tolerance: float = 0.0,
+        schedule_zero: float = 0.0,
+    ):
+        self.note, self.watch = note, None
+        tolerance = checks.nonnegative("timing_tolerance", timing_tolerance)
+        zero = checks.number("schedule_zero", schedule_zero)
+        if schedule is not None:
+            self.watch = ScheduleWatch(schedule, time_unit, tolerance, zero)
+
+    @property
+    def stands(self) -> bool:
+        """Whether there is a claim before any sample."""
+        return not self.note and self.watch is not None
+
+    def nothing_missed(self, nodes: tuple[HistoryNode, ...], t: float) -> bool:
+        """Whether no sample was due after the last of some nodes and ahead of t."""
+        if self.watch is None:
+            return True
+        last = next((node for node in reversed(nodes) if _counts(node)), None)
+        return last is not None and self.watch.nothing_missed(last.t, t, first=last.sample.y is None)
+
+    def fits(self, state: EstimatorState, t: float, mask: Array) -> bool:
+        """Whether everything up to and with a sample at t is on schedule.
+
+        A sample without a number, of limits and means alone, is none for the schedule: the claim is about numbers.
+        """
+        if not state.last.scheduled or self.watch is None:
+            return state.last.scheduled
+        if not mask.any():
+            return self.nothing_missed(state.nodes, t)
+        before = [node for node in state.nodes if _counts(node)]
+        if not before:
+            return False
+        times = [node.t for node in before]
+        times.append(t)
+        return self.watch.sample_fits(times, mask, first=before[-1].sample.y is None)
+
+
+def _counts(node: HistoryNode) -> bool:
+    """Whether a node is the prior or holds a number: what a certificate's schedule is about."""
+    return not node.sample.told or bool(node.mask.any())

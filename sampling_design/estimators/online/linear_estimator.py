@@ -1,0 +1,108 @@
+"""What estimators of linear plants share: their parts, the prior, and predictions."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.readings import CensoredReading
+from sampling_design.errors import ArgumentError
+from sampling_design.estimators.online.error_bounds import ErrorBounds
+from sampling_design.estimators.online.estimate import Estimate
+from sampling_design.estimators.online.evidence import REMEMBERED
+from sampling_design.estimators.online.history import EstimatorState
+from sampling_design.estimators.online.in_order import OnlineEstimator
+from sampling_design.estimators.online.open_loop import OpenLoop
+from sampling_design.estimators.online.recorder import Recorder, SampleReader
+from sampling_design.estimators.online.schedule_watch import ScheduleClaim
+from sampling_design.records import checks
+
+
+class LinearEstimator(OnlineEstimator):
+    """An estimator put together from its parts; a child adds what a sample is worth, `_advance`.
+
+    Attributes
+    ----------
+    recorder : Recorder
+        Makes the nodes and the estimates, and holds the other parts:
+    loop : OpenLoop
+        The flow between samples.
+    bounds : ErrorBounds
+        Those on w, v and the first error.
+    claim : ScheduleClaim
+        Whether what a certificate says holds of the samples so far.
+    reader : SampleReader
+    """
+
+    recorder: Recorder
+    loop: OpenLoop
+    bounds: ErrorBounds
+    claim: ScheduleClaim
+    reader: SampleReader
+    weighs_means: bool = False
+    """Whether a composite sample is a row of what is minimised, so that it says something without bounds."""
+
+    def prepare(self, recorder: Recorder, input_side: str) -> None:
+        """Put the parts together.
+
+        Raises
+        ------
+        ArgumentError
+            If the plant has no states, or `input_side` is neither "right" nor "left".
+        """
+        self.recorder, self.loop, self.claim, self.bounds = recorder, recorder.loop, recorder.claim, recorder.bounds
+        self.weights, self.table, self.plant = self.loop.weights, self.loop.table, self.loop.weights.plant
+        if self.plant.n_states == 0:
+            raise ArgumentError("`plant` must have at least one state: there is nothing to estimate.")
+        checks.word("input_side", input_side, ("right", "left"))
+        self.input_side, self.reader = input_side, SampleReader(self.plant, input_side)
+        self.remembered = REMEMBERED if recorder.assumed is not None else 0
+
+    def start(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> None:
+        """Forget all samples, and what they contradicted, and start again from a prior.
+
+        Raises
+        ------
+        ArgumentError
+            As `initial_state`.
+        """
+        self.state = self.initial_state(prior, prior_time)
+
+    def initial_state(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> EstimatorState:
+        """Return the state before any sample: `prior` (default 0) at `prior_time`, with weight P2."""
+        n = self.plant.n_states
+        t = checks.number("prior_time", prior_time)
+        x = checks.vector("prior", np.zeros(n) if prior is None else prior, n)
+        return EstimatorState((self.recorder.prior(t, x),))
+
+    def _handed_out(self, state: EstimatorState, node: int) -> Estimate:
+        return self.recorder.proven(state, node, state.nodes[node].estimate)
+
+    def _predict(self, state: EstimatorState, t: float) -> Estimate:
+        at = state.node_before(t)
+        if state.nodes[at].t == t:
+            return self._handed_out(state, at)
+        return self.recorder.proven(state, at, self.recorder.predicted(state, at, t))
+
+    def _after_input(self, state: EstimatorState, t: float) -> EstimatorState:
+        a = state.last.t
+        return state._replace(reached=(a, t, self.loop.drift.between(state, a, t)))
+
+    def _check_told(self, state: EstimatorState, t: float, limits: tuple[CensoredReading, ...]) -> None:
+        exact = self.weighs_means and all(each.since is not None and each.lower == each.upper for each in limits)
+        if self.recorder.assumed is None and not exact:
+            raise ArgumentError(
+                f"`w_bound` and `v_bound` must be given for the limit or mean at t = {t!r} to say anything."
+            )
+        for each in limits:
+            if each.since is None:
+                continue
+            begin = state.nodes[0].t
+            for node in state.nodes:
+                if any(other.output == each.output and other.since is not None for other in node.sample.told):
+                    begin = max(begin, node.t) if node.t < t else begin
+            if not begin <= each.since < t:
+                raise ArgumentError(
+                    f"`since` = {each.since!r} of the mean at t = {t!r} must lie before it and not before {begin!r}, "
+                    "the oldest time kept or the end of the mean before."
+                )

@@ -62,6 +62,7 @@ WRITTEN |= {
     "opening_hours",
     "pole",
     "blood",
+    "own_estimator",
 }  # every other page beside these was written by a command
 GROUPS = {
     "definition": "Definitions",

@@ -3,26 +3,31 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.online.guarantee import choose_horizon
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
+from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.nlp import WindowData, WindowProgram, WindowSolution
-from sampling_design.nonlinear.open_loop import NonlinearOpenLoop
+from sampling_design.nonlinear.open_loop import NonlinearLoop
 from sampling_design.nonlinear.outliers import Outliers, beyond
 from sampling_design.nonlinear.promise import InclusionPromise, WindowTrajectory, cost_for
+from sampling_design.nonlinear.recorder import NonlinearRecorder
 from sampling_design.nonlinear.region import StateRegion
+from sampling_design.nonlinear.simulation import require_inside
 from sampling_design.nonlinear.smoothed import SmoothedWindow, smoothed_window
 from sampling_design.nonlinear.weights import fit_covariance, output_slope, scaled_weights, warn_of_scales
 from sampling_design.nonlinear.window_search import WHOLE, WindowAnswer, WindowSearch
+from sampling_design.records import checks
 from sampling_design.records.checks import freeze
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 
@@ -67,7 +72,7 @@ class NonlinearStart(NamedTuple):
     prior: bool
 
 
-class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
+class NonlinearMovingHorizonEstimator(OnlineEstimator):
     """Moving horizon estimation of a nonlinear plant from rare, irregular samples.
 
     At a sample at t the window problem over [t - M_t, t], M_t = min(t, M), is solved,
@@ -154,6 +159,8 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
     True
     """
 
+    plant: Any  # a linear one in the base
+
     def __init__(
         self,
         plant: NonlinearPlant,
@@ -171,16 +178,16 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         self.plant = plant
         self.promise = None if certificate is None else InclusionPromise(certificate, plant, initial_error)
         cost, given = cost_for(certificate, cost), Collocation() if collocation is None else collocation
-        self.horizon, self.claim_note = choose_horizon(certificate, horizon, cost, "arrival")
+        self.horizon, claim_note = choose_horizon(certificate, horizon, cost, "arrival")
         self.filtered, self.begins = cost.arrival == "filtered", cost.begins
         self.closed = cost.form == "paper" and not self.filtered
         self.scaled = scaled_weights(plant, cost)
         self.memory, self.maximum_delay = 2 * self.horizon, self.horizon
         self._scale = plant.signals["states"].scales
-        self._ramps = given.inputs == "linear"
         self.outliers = Outliers() if outliers is None else outliers
         self._region = StateRegion(*plant.bounds["states"]) if self.promise is None else self.promise.region
-        self.set_up()
+        self.loop = NonlinearLoop(plant, self.scaled, self.promise, given.inputs == "linear")
+        self.recorder = NonlinearRecorder(self.loop, claim_note)
         state = self.initial_state(prior, prior_time)
         warn_of_scales(plant, "states", [state.last.x, *plant.bounds["states"]])
         settings = WindowSolver() if solver is None else solver
@@ -202,12 +209,39 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         """How often the program was built."""
         return self.search.builds
 
+    def start(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> None:
+        """Forget all samples and start again from a prior; the program stays built."""
+        self._restart(self.initial_state(prior, prior_time))
+
+    def initial_state(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> EstimatorState:
+        """Return the state before any sample: `prior` (default 0) at `prior_time`.
+
+        Raises
+        ------
+        ArgumentError
+            If the prior has the wrong length, lies outside X, breaks a limit, or f or h are not finite there.
+        """
+        plant = self.plant
+        x = checks.vector("prior", np.zeros(plant.n_states) if prior is None else prior, plant.n_states)
+        require_inside(plant, "prior", x)
+        t, still = checks.number("prior_time", prior_time), np.zeros(plant.n_inputs)
+        over = np.array(plant.limits_casadi(x, still)).ravel()
+        if np.any(over > 0):
+            k = int(np.argmax(over))
+            raise ArgumentError(f"`prior` must keep the plant's limits, got limit {k + 1} = {over[k]:.6g} above 0.")
+        plant.f(x, still, t=t)
+        plant.h(x, still, t=t)
+        return EstimatorState((self.recorder.prior(t, x),))
+
     def _restart(self, state: EstimatorState) -> None:
         self.state = state
         self.solves: list[SolverRun] = []
         self.search.forget()
         self._latest: tuple[WindowData, WindowAnswer] | None = None
         self._seen = False
+
+    def _predict(self, state: EstimatorState, t: float) -> Estimate:
+        return self.recorder.predicted(state, t)
 
     def _advance(self, state: EstimatorState, sample: CheckedSample) -> HistoryNode:
         if not self._seen:
@@ -238,11 +272,11 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         details = {"window_start": float(data.edges[0]), "engine": "ipopt"}
         counted, scheduled = self._counted(state, taken)
         if solution.status != "ok" or answer.spread is None:
-            x, Y, square, trouble = self._open_loop(state, state.last, sample.t)
+            x, Y, square, trouble = self.loop.ahead(state, state.last, sample.t)
             note = f"The solver says: {solution.message}; open-loop prediction instead. {trouble} {gated}".strip()
             if counted == sample.t and self.promise is not None:
                 counted = state.last.counted  # nothing was learned from it
-            return self._node(taken, x, solution.status, Y, square, counted, note, scheduled, **details)
+            return self.recorder.node(taken, x, solution.status, Y, square, counted, note, scheduled, **details)
         self._latest = data, answer
         x = solution.last * self._scale
         Y = answer.spread.last * self._scale * self._scale[:, None]
@@ -254,14 +288,14 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
             )
         square = self._bound(state, data, answer, start, counted == sample.t)
         note = " ".join(filter(None, (*words, gated)))
-        return self._node(taken, x, "ok", Y, square, counted, note, scheduled, cost=solution.cost, **details)
+        return self.recorder.node(taken, x, "ok", Y, square, counted, note, scheduled, cost=solution.cost, **details)
 
     def _counted(self, state: EstimatorState, sample: CheckedSample) -> tuple[float, bool]:
         """When the last sample that the proof takes was, this one included, and whether all gaps are certified."""
         last, promise = state.last, self.promise
         if promise is None:
             return sample.t, True
-        before = self._since(state, last, sample.t)
+        before = self.loop.since(last, sample.t)
         complete = bool(np.isfinite(sample.y).all())
         scheduled = last.scheduled and bool(np.isfinite(promise.age(sample.t, before)))
         return (sample.t if complete and promise.counts(sample.t, before) else before), scheduled
@@ -272,10 +306,10 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         recent = [node for node in state.nodes[-patience:] if node.sample.y is not None and not node.mask.any()]
         if gate is None or len(recent) == patience or state.last.t == sample.t:
             return sample, ""
-        x, Y, _, trouble = self._open_loop(state, state.last, sample.t)
+        x, Y, _, trouble = self.loop.ahead(state, state.last, sample.t)
         if trouble or not np.isfinite(Y).all():
             return sample, ""
-        u = self._input(state, sample.t)
+        u = self.loop.input(state, sample.t)
         C = output_slope(self.plant, x, u, sample.t)
         noise = fit_covariance(self.plant, self.scaled)
         far = beyond(np.nan_to_num(sample.y - self.plant.h(x, u, t=sample.t)), C @ Y @ C.T + noise, gate)
@@ -327,8 +361,8 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         edges = self._edges(sorted({start.t, sample.t, *rows, *changes}))
         zero = np.zeros(self.plant.n_outputs)
         y, mask = (np.array([rows.get(t, (zero, zero))[k] for t in edges.tolist()]) for k in (0, 1))
-        inputs = np.array([self._input(state, t) for t in edges.tolist()])
-        later = np.array([self._input_until(state, a, b) for a, b in pairwise(edges.tolist())])
+        inputs = np.array([self.loop.input(state, t) for t in edges.tolist()])
+        later = np.array([self.loop.input_until(state, a, b) for a, b in pairwise(edges.tolist())])
         data = WindowData(
             edges=edges,
             inputs=inputs,
@@ -347,7 +381,7 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         fixed: Array = np.asarray(np.linalg.cholesky(self.scaled.twice * self.scaled.P2).T, dtype=np.float64)
         if nodes[0].sample.y is None and s <= nodes[0].t + slack:
             first = nodes[0]
-            last = self._since(state, first, min([node.t for node in nodes[1:] if node.counted == node.t], default=t))
+            last = self.loop.since(first, min([node.t for node in nodes[1:] if node.counted == node.t], default=t))
             root = fixed if self.promise is None else self._arrival(first.t, last)
             return NonlinearStart(first.t, first.x, first.beta, last, root, nodes[1:], True, True)
         anchor = state.node_before(s + slack)
@@ -357,8 +391,8 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         closed = self.closed and at_node and node.sample.y is not None
         if not at_node:
             at = s
-            x, Y, square, _ = self._open_loop(state, node, s)
-        last = self._since(state, node, at)
+            x, Y, square, _ = self.loop.ahead(state, node, s)
+        last = self.loop.since(node, at)
         root = fixed
         if self.promise is not None:
             root = self._arrival(at, last)
@@ -398,7 +432,7 @@ class NonlinearMovingHorizonEstimator(NonlinearOpenLoop):
         times, path = [float(edges[0]), *known], [prior, *known.values()]
         try:
             for edge in edges[edges > last.t].tolist():
-                x, t = self._flown(state, x, t, edge)[0], edge
+                x, t = self.loop.flown(state, x, t, edge)[0], edge
                 times.append(edge)
                 path.append(x)
         except SolverError:

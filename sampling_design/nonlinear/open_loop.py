@@ -1,29 +1,22 @@
-"""The open loop of a nonlinear estimator: what holds between samples, before any, and where a solve failed."""
+"""The open loop of a nonlinear plant: what holds between samples, before any, and where a solve failed."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from bisect import bisect_right
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.estimators.online.estimate import Estimate, Status
-from sampling_design.estimators.online.estimator import CheckedSample
+from sampling_design.errors import SolverError
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
-from sampling_design.estimators.online.in_order import OnlineEstimator
-from sampling_design.nonlinear.promise import UNCOVERED, InclusionPromise
-from sampling_design.nonlinear.simulation import Integrator, SpreadIntegrator, require_inside
+from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.nonlinear.promise import InclusionPromise
+from sampling_design.nonlinear.simulation import Integrator, SpreadIntegrator
 from sampling_design.nonlinear.weights import NonlinearWeights
-from sampling_design.records import checks
-from sampling_design.records.checks import freeze
 
 Array = npt.NDArray[np.float64]
-
-NOTE = "No radius: no certificate was given."
 
 EDGE = 1e-6
 """States within this share of their scale of the edge of X are in it: the solver ends there."""
@@ -38,21 +31,17 @@ class OpenLoopPrediction(NamedTuple):
     trouble: str
 
 
-class NonlinearOpenLoop(OnlineEstimator):
-    """Adds to `OnlineEstimator` the flow of a nonlinear plant, the covariance to first order, and the proven radius."""
+class NonlinearLoop:
+    """The flow between samples with w = 0, the covariance to first order, and the proven bound on V.
 
-    plant: Any
-    scaled: NonlinearWeights
-    promise: InclusionPromise | None
-    claim_note: str
-    _scale: Array
-    _ramps: bool
+    `ramps`: an input goes in a straight line to the next one, else it is held.
+    """
 
-    @abstractmethod
-    def _restart(self, state: EstimatorState) -> None:
-        """Forget all samples."""
+    def __init__(self, plant: NonlinearPlant, scaled: NonlinearWeights, promise: InclusionPromise | None, ramps: bool):
+        self.plant, self.scaled, self.promise, self.ramps = plant, scaled, promise, ramps
+        self._build()
 
-    def set_up(self) -> None:
+    def _build(self) -> None:
         """Build what casadi holds in memory."""
         Qw = self.scaled.twice * self.scaled.Qw
         noise: Array = np.asarray(np.linalg.solve(Qw, np.eye(len(Qw))), dtype=np.float64)
@@ -64,128 +53,34 @@ class NonlinearOpenLoop(OnlineEstimator):
 
     def __setstate__(self, state: dict[str, object]) -> None:
         self.__dict__.update(state)
-        self.set_up()
+        self._build()
 
-    def start(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> None:
-        """Forget all samples and start again from a prior; the program stays built."""
-        self._restart(self.initial_state(prior, prior_time))
-
-    def initial_state(self, prior: npt.ArrayLike | None = None, prior_time: float = 0.0) -> EstimatorState:
-        """Return the state before any sample: `prior` (default 0) at `prior_time`.
-
-        Raises
-        ------
-        ArgumentError
-            If the prior has the wrong length, lies outside X, breaks a limit, or f or h are not finite there.
-        """
-        plant = self.plant
-        x = checks.vector("prior", np.zeros(plant.n_states) if prior is None else prior, plant.n_states)
-        require_inside(plant, "prior", x)
-        t, still = checks.number("prior_time", prior_time), np.zeros(plant.n_inputs)
-        over = np.array(plant.limits_casadi(x, still)).ravel()
-        if np.any(over > 0):
-            k = int(np.argmax(over))
-            raise ArgumentError(f"`prior` must keep the plant's limits, got limit {k + 1} = {over[k]:.6g} above 0.")
-        plant.f(x, still, t=t)
-        plant.h(x, still, t=t)
-        inverse = np.linalg.solve(self.scaled.twice * self.scaled.P2, np.eye(x.size))
-        square = np.inf if self.promise is None else self.promise.largest(t, t, prior=True)
-        return EstimatorState(
-            (self._node(CheckedSample(t), x, "prior", inverse * self._scale * self._scale[:, None], square, t),)
-        )
-
-    def _node(
-        self,
-        sample: CheckedSample,
-        x: Array,
-        status: Status,
-        Y: Array,
-        square: float,
-        counted: float,
-        note: str = "",
-        scheduled: bool = True,
-        **details: Any,
-    ) -> HistoryNode:
-        """Return a snapshot with the linearised covariance Y and the bound on V; what is linear only is empty."""
-        x, Y = freeze(x), freeze(Y)
-        estimate = self._said(sample.t, x, status, Y, square, counted, note, scheduled, **details)
-        y = np.zeros(self.plant.n_outputs) if sample.y is None else np.nan_to_num(sample.y)
-        mask = np.zeros(y.size) if sample.y is None else np.isfinite(sample.y).astype(np.float64)
-        nothing = np.zeros(0)
-        return HistoryNode(
-            t=sample.t,
-            y=y,
-            mask=mask,
-            feedthrough=nothing,
-            x=x,
-            Y=Y,
-            beta=square,
-            flow=None,
-            drift=nothing,
-            scheduled=scheduled,
-            sound=True,
-            estimate=estimate,
-            sample=sample,
-            counted=counted,
-        )
-
-    def _said(
-        self,
-        t: float,
-        x: Array,
-        status: Status,
-        Y: Array,
-        square: float,
-        counted: float,
-        note: str,
-        scheduled: bool,
-        **details: Any,
-    ) -> Estimate:
-        """Return an estimate: with its radius where one is proven, else with the covariance to first order."""
-        promise = self.promise
-        if promise is None or not np.isfinite(square):
-            why = NOTE if promise is None else f"No radius: {promise.trouble or UNCOVERED}."
-            note = " ".join(filter(None, (note, why)))
-            return Estimate(t, freeze(x), freeze(Y), status=status, note=note, **details)
-        covariance = np.linalg.solve(promise.weight(t, counted), np.eye(x.size))
-        return Estimate(
-            t,
-            freeze(x),
-            freeze((covariance + covariance.T) / 2),
-            square,
-            status,
-            certified=True,
-            on_schedule=scheduled and not self.claim_note,
-            note=" ".join(filter(None, (note, self.claim_note))),
-            **details,
-        )
-
-    def _since(self, state: EstimatorState, node: HistoryNode, t: float) -> float:
+    def since(self, node: HistoryNode, t: float) -> float:
         """When a sample last counted before t: before the first one, as long ago as lets it count."""
         if self.promise is None or node.counted != node.t or node.sample.y is not None:
             return node.counted
         return self.promise.origin(node.t, t)
 
-    def _input(self, state: EstimatorState, t: float) -> Array:
+    def input(self, state: EstimatorState, t: float) -> Array:
         """The input in force from t on."""
         u = state.input_at(t)
         if u is None:
             return np.zeros(self.plant.n_inputs)
-        return self._input_until(state, t, t) if self._ramps else u
+        return self.input_until(state, t, t) if self.ramps else u
 
-    def _input_until(self, state: EstimatorState, a: float, b: float) -> Array:
+    def input_until(self, state: EstimatorState, a: float, b: float) -> Array:
         """What the input in force from a on has become at b, with none given in between."""
         u = state.input_at(a)
         if u is None:
             return np.zeros(self.plant.n_inputs)
         times = [t for t, _ in state.inputs]
         k = bisect_right(times, a)
-        if not self._ramps or k == len(times):
+        if not self.ramps or k == len(times):
             return u
         share = (b - times[k - 1]) / (times[k] - times[k - 1])
         return np.asarray(u + share * (state.inputs[k][1] - u))
 
-    def _flown(
+    def flown(
         self, state: EstimatorState, x: Array, a: float, b: float, Y: Array | None = None
     ) -> tuple[Array, Array | None]:
         """Return the open loop from x at a to b, with w = 0 and the inputs that were given, and its covariance."""
@@ -194,17 +89,17 @@ class NonlinearOpenLoop(OnlineEstimator):
         edges = [a, *(t for t, _ in state.inputs if a < t < b), b]
         still = np.zeros(self.plant.n_disturbances)
         for start, stop in pairwise(edges):
-            u, later = self._input(state, start), self._input_until(state, start, stop)
+            u, later = self.input(state, start), self.input_until(state, start, stop)
             if Y is not None:
                 Y = self._spread.step(x, Y, u, later, start, stop)
             x = self._integrator.step(x, u, still, start, stop, later)
         return x, Y
 
-    def _open_loop(self, state: EstimatorState, node: HistoryNode, t: float) -> OpenLoopPrediction:
+    def ahead(self, state: EstimatorState, node: HistoryNode, t: float) -> OpenLoopPrediction:
         """Return the open loop from a node at t, in X; if even that fails, the node's estimate. The words say so."""
         nothing = np.diag(np.full(node.x.size, np.inf))
         try:
-            x, Y = self._flown(state, node.x, node.t, t, node.Y)
+            x, Y = self.flown(state, node.x, node.t, t, node.Y)
         except SolverError as error:
             return OpenLoopPrediction(
                 node.x, nothing, np.inf, f"The open loop fails too, the last estimate is held: {error}"
@@ -212,16 +107,16 @@ class NonlinearOpenLoop(OnlineEstimator):
         Y = nothing if Y is None else Y
         square, promise = float("inf"), self.promise
         if promise is not None and np.isfinite(node.beta):
-            last = self._since(state, node, t) if t > node.t else node.counted
+            last = self.since(node, t) if t > node.t else node.counted
             if np.isfinite(promise.age(t, last)) and promise.holds(x):
                 square = promise.ahead(node.beta, node.t, t)
-        kept, words = self._kept(x, self._input(state, t))
+        kept, words = self._kept(x, self.input(state, t))
         return OpenLoopPrediction(kept, Y, square if kept is x else np.inf, words)
 
     def _kept(self, x: Array, u: Array) -> tuple[Array, str]:
         """Return the nearest state in the box X, and say where x was if that was elsewhere, or where g is positive."""
         lower, upper = self.plant.bounds["states"]
-        room = EDGE * self._scale
+        room = EDGE * self.plant.signals["states"].scales
         out = np.flatnonzero((x < lower - room) | (x > upper + room))
         words = ""
         kept = x
@@ -234,15 +129,3 @@ class NonlinearOpenLoop(OnlineEstimator):
             k = int(np.argmax(over))
             words = f"{words} The open loop leaves X: limit {k + 1} is {over[k]:.6g}, above 0.".strip()
         return kept, words
-
-    def _predict(self, state: EstimatorState, t: float) -> Estimate:
-        node = state.nodes[state.node_before(t)]
-        if node.t == t:
-            return node.estimate
-        x, Y, square, trouble = self._open_loop(state, node, t)
-        status: Status = "solver failed" if "fails" in trouble else "predicted"
-        last = self._since(state, node, t)
-        scheduled = node.scheduled and (self.promise is None or bool(np.isfinite(self.promise.age(t, last))))
-        if self.promise is not None and last != node.counted and np.isfinite(square):
-            square = self.promise.ahead(self.promise.largest(node.t, last, prior=True), node.t, t)
-        return self._said(t, x, status, Y, square, last, trouble, scheduled)

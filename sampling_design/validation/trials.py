@@ -80,7 +80,7 @@ def real_run(line: Timeline, rows: ErrorRows, truth: TrueRun, estimator: Estimat
     """Feed a truth's outputs to an estimator and ask it at every row."""
     first = 1 if line.samples[0] > 0 else 0
     if truth.u is not None and first:
-        estimator.update(0.0, None, truth.u[0])  # type: ignore[arg-type]  # an input alone
+        estimator.update(0.0, None, truth.u[0])
     found: list[Estimate] = []
     j = 0
     for b, after in zip(rows.at, rows.after, strict=True):

@@ -24,6 +24,26 @@ def arena(tmp_path_factory):
     return folder
 
 
+def test_the_arena_takes_any_object_with_the_three_methods():
+    class Held:
+        """The prior, whatever comes."""
+
+        def start(self, prior, prior_time=0.0):
+            self.x = np.asarray(prior)
+
+        def update(self, t, y, u=None):
+            return self.x
+
+        def predict(self, t):
+            return self.x
+
+    plant = sd.named_plant("oscillator")
+    shown = table.Table("title", "question", tuple("abcdefghi"))
+    times, states = np.arange(1.0, 9.0), np.ones((8, 2))
+    records.add_own(shown, "case", "held", Held(), (plant, times, states, np.ones((8, 1))), np.ones((8, 2)))
+    assert [row[3:7] for row in shown.rows] == [(f"{np.sqrt(2):.4f}", "inf", "100%", "no")]
+
+
 @pytest.mark.long
 def test_quick_arena_writes_every_section_figure_and_version(arena):
     text = (arena / "arena.md").read_text()

@@ -17,8 +17,8 @@ from sampling_design.nonlinear.experiment import paper_weights
 from sampling_design.nonlinear.jacobians import model_of
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant
-from sampling_design.nonlinear.open_loop import NOTE
 from sampling_design.nonlinear.promise import InclusionPromise
+from sampling_design.nonlinear.recorder import NOTE
 from sampling_design.nonlinear.simulation import simulate
 from tests.oracles import nonlinear as oracle
 

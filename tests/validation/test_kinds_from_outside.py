@@ -5,6 +5,7 @@ Each is what `docs/contributing.md` shows: one class, and a line for each verb t
 
 from dataclasses import dataclass
 from fractions import Fraction
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -105,21 +106,25 @@ cover.COVERED[ReadEitherGap] = covers
 
 
 class Luenberger:
-    """x' = Ax between samples, x += L (y - Cx) at one."""
+    """x' = Ax + Bu between samples, x += L (y - Cx) at one."""
 
     def __init__(self, plant: Plant, gain: Any) -> None:
-        self.A, self.C, self.gain = plant.A, plant.C, np.asarray(gain)
+        self.plant, self.gain = plant, np.asarray(gain)
 
     def start(self, prior: Any, prior_time: float = 0.0) -> None:
-        self.t, self.x = prior_time, np.asarray(prior, dtype=float)
+        self.t, self.x, self.u = prior_time, np.asarray(prior, dtype=float), np.zeros(self.plant.n_inputs)
 
     def update(self, t: float, y: Any, u: Any = None) -> Any:
         x = self.predict(t)
-        self.t, self.x = t, x + self.gain @ (np.asarray(y) - self.C @ x)
-        return self.x
+        if y is not None:  # None: only the input changes
+            x = x + self.gain @ np.nan_to_num(y - self.plant.C @ x)  # NaN: this output is not measured
+        self.t, self.x, self.u = t, x, self.u if u is None else np.asarray(u)
+        return x
 
     def predict(self, t: float) -> Any:
-        return expm(self.A * (t - self.t)) @ self.x
+        rate = np.column_stack([self.plant.A, self.plant.B @ self.u])
+        rate = np.vstack([rate, np.zeros(len(self.x) + 1)])
+        return (expm(rate * (t - self.t)) @ [*self.x, 1.0])[:-1]
 
 
 GAIN = [[0.8], [0.5]]
@@ -143,6 +148,34 @@ def test_every_verb_takes_all_three(pendulum):
     report = sd.validate(pendulum, schedule, estimator=Luenberger(plant, GAIN), runs=3, duration=40.0)
     assert report.passed
     assert [course.name for course in report.courses] == ["random", "resonant", "initial"]
+
+
+def test_an_estimator_is_given_what_the_protocol_says_of_inputs_and_of_outputs_that_were_not_measured():
+    plant = Plant([[0.0, 1.0], [-1.0, -0.4]], np.eye(2), B=[[0.0], [1.0]])
+    schedule = sd.PeriodicSchedule([0.5, 0.4], outputs=[[True, False], [False, True]])
+    inputs = [(0.0, [1.0]), (7.3, [-2.0])]
+    made = sd.simulate_record(plant, schedule, 30.0, x0=[1.0, 2.0], inputs=inputs, w_bound=0.0, v_bound=0.0)
+    came = list[Any]()
+
+    class Listening(Luenberger):
+        def update(self, t: float, y: Any, u: Any = None) -> Any:
+            came.append((y, u))
+            return super().update(t, y, u)
+
+    found = estimate(plant, made.measurements, Listening(plant, 0.5 * np.eye(2)))
+    assert len(came) == len(made.measurements)
+    assert any(y is None for y, _ in came)
+    assert all(y is None or (y.shape == (2,) and np.isnan(y).sum() == 1) for y, _ in came)
+    assert all(u is None or u.shape == (1,) for _, u in came)
+    assert found.x[-1] == pytest.approx(made.states[np.searchsorted(made.times, found.times[-1])], abs=1e-5)
+
+
+def test_pages_show_this_very_observer():
+    own = Path(__file__).read_text().partition("class Luenberger:")[2].partition("\nGAIN")[0]
+    code = [line.strip().replace(": Any", "").replace("-> Any", "") for line in own.splitlines() if "(self" not in line]
+    for page in ("own_estimator.md", "contributing.md"):
+        text = (Path(__file__).parents[2] / "docs" / page).read_text()
+        assert [line for line in code if line and not line.startswith('"""') and line not in text] == [], page
 
 
 def test_an_estimator_that_lets_errors_grow_is_found_out(pendulum):

@@ -211,10 +211,11 @@ class Estimator(Protocol):
         """Forget all samples and start again from the state `prior` at `prior_time`."""
         ...
 
-    def update(self, t: float, y: npt.ArrayLike, u: npt.ArrayLike | None = None) -> Estimate | npt.ArrayLike:
-        """Take in a sample, y (p,) with NaN for "not measured", and return the state just after it.
+    def update(self, t: float, y: npt.ArrayLike | None, u: npt.ArrayLike | None = None) -> Estimate | npt.ArrayLike:
+        """Take in a sample and return the state just after it.
 
-        u (m,) holds from t on, None for unchanged.
+        y is (p,) with NaN for "not measured", or None where only the input changes; of a record with limits or means
+        they stand in it as they are. u (m,) holds from t on, None for unchanged.
         """
         ...
 

@@ -19,6 +19,7 @@ from scipy.linalg import expm
 import sampling_design as sd
 
 from ..library_accuracy import NOISE, schedule_of
+from .records import follow
 from .sets import constrained_zonotope, zonotope_observer
 from .table import Table, duration
 
@@ -67,7 +68,7 @@ def measure(name: str, samples: int = SAMPLES) -> dict[str, tuple[float, float, 
     gap = float(np.mean(np.diff(times)))
     for label, build in schemes(plant, gap, bounds).items():
         estimator = build()
-        estimates = [estimator.update(t, value) for t, value in zip(times, y, strict=True)][LEFT_OUT:]
+        estimates = follow(plant, estimator, times, y)[LEFT_OUT:]
         exact = np.array([estimate.interval().radii for estimate in estimates])
         for words, move in (("", False), (", centred", True)):
             before = time.process_time()

@@ -95,11 +95,11 @@ def run(quick: bool = False) -> list[Table]:
             ),
         }
         schemes["sampling_design SetMembershipEstimator"] = lambda p=plant: sd.SetMembershipEstimator(p, **BOUNDS)
-        exact = np.array([e.interval().radii for e in follow(sd.KalmanFilter(plant, **BOUNDS), times, y)])
+        exact = np.array([e.interval().radii for e in follow(plant, sd.KalmanFilter(plant, **BOUNDS), times, y)])
         for name, build in schemes.items():
-            add_own(table, label, name, build(), (times, states, y), exact)
+            add_own(table, label, name, build(), (plant, times, states, y), exact)
         for name in list(schemes)[:1] + list(schemes)[-2:-1]:
-            add_own(table, label, f"{name}, centred", schemes[name](), (times, states, y), exact, centred=True)
+            add_own(table, label, f"{name}, centred", schemes[name](), (plant, times, states, y), exact, centred=True)
         for name, observe in (("zonotope observer", zonotope_observer), ("constrained zonotope", constrained_zonotope)):
             add_set(table, label, name, observe, (plant, times, y), states, exact)
         for name, work, module in (
@@ -121,9 +121,9 @@ def run(quick: bool = False) -> list[Table]:
     return [table]
 
 
-def follow(estimator: Any, times: Any, y: Any) -> list[Any]:
-    """Return the estimates at all samples."""
-    return [estimator.update(t, value) for t, value in zip(times, y, strict=True)]
+def follow(plant: sd.Plant, estimator: sd.estimators.Estimator, times: Any, y: Any) -> list[Any]:
+    """Return the estimates at all samples, of any object with `start`, `update` and `predict`."""
+    return list(sd.estimators.estimate(plant, zip(times, y, strict=True), estimator).estimates)
 
 
 def over(radii: np.ndarray, exact: np.ndarray) -> str:
@@ -134,13 +134,13 @@ def over(radii: np.ndarray, exact: np.ndarray) -> str:
 def add_own(
     table: Table, label: str, name: str, estimator: Any, data: Any, exact: np.ndarray, centred: bool = False
 ) -> None:
-    """Run one of the toolbox's estimators over the record and add its row; radii are not timed, but its own are.
+    """Run an estimator over the record and add its row; radii are not timed, but those of its own making are.
 
     `centred`: every estimate moves into the middle of its interval.
     """
-    times, states, y = data
+    plant, times, states, y = data
     before = time.process_time()
-    found = follow(estimator, times, y)
+    found = follow(plant, estimator, times, y)
     if centred:
         found = [estimate.centred() for estimate in found]
     spent = (time.process_time() - before) / times.size

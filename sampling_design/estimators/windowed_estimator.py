@@ -17,7 +17,7 @@ from sampling_design.estimators.constraints.window_constraints import WindowCons
 from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
-from sampling_design.estimators.online.linear_estimator import LinearEstimator
+from sampling_design.estimators.online.linear_plant_estimator import LinearPlantEstimator
 from sampling_design.estimators.online.rounding import CovariancePrecision, faded, rounding
 from sampling_design.estimators.online.verdict import SolveVerdict, judged
 from sampling_design.estimators.window.means import IntegralFlows, MeanReading, means_of
@@ -56,7 +56,7 @@ class WindowEstimate(NamedTuple):
     precision: CovariancePrecision | None = None
 
 
-class WindowedEstimator(LinearEstimator):
+class WindowedEstimator(LinearPlantEstimator):
     """Adds the window to the open loop: M_t = min(t, M) long, whatever lies in it."""
 
     horizon: float

@@ -18,7 +18,7 @@ from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.records import checks
 
 
-class LinearEstimator(OnlineEstimator):
+class LinearPlantEstimator(OnlineEstimator):
     """An estimator put together from its parts; a child adds what a sample is worth, `_advance`.
 
     Attributes

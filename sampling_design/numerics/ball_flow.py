@@ -26,6 +26,7 @@ from sampling_design.numerics.balls import (
     positive_part,
     spectral,
 )
+from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.records.budget import Budget
 
 Array = npt.NDArray[np.float64]
@@ -252,6 +253,9 @@ def fallen(M: Matrix) -> Matrix:
     return parts + positive_part(largest(-(M + parts))) * identity(n)
 
 
+Chord = tuple[FlowNode, FlowNode, Ball, int]
+
+
 def highest(
     flow: BallFlow,
     Y: Matrix,
@@ -270,17 +274,19 @@ def highest(
     right = left.after(duration, top)
     if not (left.top <= limit and right.top <= limit):
         return None
-    reached, pending = max(left.top, right.top), [(left, right, duration, 0)]
-    while pending:
-        clock.check(150 + flow.n**3)
-        left, right, length, depth = pending.pop()
+    reached = max(left.top, right.top)
+
+    def parts_of(chord: Chord) -> list[Chord] | None:
+        nonlocal reached
+        left, right, length, depth = chord
         bounds = (bound.upper() for bound in left.bounds(right, length, top, slope))
         proven = next((bound for bound in bounds if bound <= limit), None)
         if proven is not None:
             reached = max(reached, proven)
-            continue
+            return []
         middle = left.after(length / 2, top)
         if depth >= HALVINGS or not middle.top <= limit:
             return None
-        pending += [(middle, right, length / 2, depth + 1), (left, middle, length / 2, depth + 1)]
-    return reached
+        return [(middle, right, length / 2, depth + 1), (left, middle, length / 2, depth + 1)]
+
+    return reached if all_proven([(left, right, duration, 0)], parts_of, clock, 150 + flow.n**3) else None

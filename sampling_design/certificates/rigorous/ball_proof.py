@@ -20,6 +20,7 @@ import numpy as np
 from sampling_design.certificates.rigorous.ball_problem import ScheduleFrame
 from sampling_design.numerics.ball_flow import BallFlow, fallen, highest
 from sampling_design.numerics.balls import BITS, Ball, Matrix, ball, definite, floats, largest, raised
+from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.records.budget import Budget
 
 CELLS = 4
@@ -111,6 +112,9 @@ def _top(M: Matrix) -> float:
 
 def _size(M: Matrix) -> float:
     return float(np.abs(floats(M)).max())
+
+
+StartCell = tuple[int, Ball, Ball, int]
 
 
 class BallWindows:
@@ -226,16 +230,18 @@ class BallWindows:
             for i in range(schedule.N)
             for k in range(CELLS if schedule.reach[i] > 0 else 1)
         ]
-        while pending:
-            i, low, high, depth = pending.pop()
+
+        def parts_of(cell: StartCell) -> list[StartCell] | None:
+            i, low, high, depth = cell
             if self.follow(self.cell(low, high), i):
-                continue
+                return []
             failed(depth)
             if depth >= HALVINGS or not high > low:
-                return False
+                return None
             middle = (low + high) / 2
-            pending += [(i, low, middle, depth + 1), (i, middle, high, depth + 1)]
-        return True
+            return [(i, low, middle, depth + 1), (i, middle, high, depth + 1)]
+
+        return all_proven(pending, parts_of)
 
     def at_samples(self) -> bool:
         """Prove the starts just after samples, and at time 0."""

@@ -34,11 +34,15 @@ from sampling_design.numerics.balls import (
     spectral,
     symmetric,
 )
+from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.records.budget import Budget
 
 Pattern = tuple[bool, ...]
 
 SUBJECT = "every schedule of the family, every real window start and every later t"
+
+
+Stretch = tuple[Matrix, Ball, Ball, int]
 
 
 class BallIntervals:
@@ -57,20 +61,21 @@ class BallIntervals:
         which = None if pattern is None or not any(pattern) else self.patterns.index(pattern)
         start = frame.L.transpose() * P.solve(frame.L)
         first, length = rational(low), rational(high - low)
-        pending = [(flow.step(start, first), first, length, 0)]
-        while pending:
-            self.clock.check(150 + frame.n**3)
-            Y, at, length, depth = pending.pop()
+
+        def parts_of(stretch: Stretch) -> list[Stretch]:
+            Y, at, length, depth = stretch
             bound = self._bound(Y, length, which)
             if bound <= 1:
                 self.reached = max(self.reached, float(bound))
-                continue
+                return []
             middle = flow.step(Y, length / 2)
             self._refute(Y, at, which)
             self._refute(middle, at + length / 2, which)
             if depth >= HALVINGS or not length > 0:
                 raise BallFailure(UNDECIDED, self.name, f"{self.name} could not be decided: it is tight or nearly so")
-            pending += [(middle, at + length / 2, length / 2, depth + 1), (Y, at, length / 2, depth + 1)]
+            return [(middle, at + length / 2, length / 2, depth + 1), (Y, at, length / 2, depth + 1)]
+
+        all_proven([(flow.step(start, first), first, length, 0)], parts_of, self.clock, 150 + frame.n**3)
 
     def _bound(self, Y: Matrix, length: Ball, which: int | None) -> Ball:
         """A number that Y (after the sample) stays below along `length`."""

@@ -14,6 +14,7 @@ from sampling_design.accuracy.accuracy_record import AccuracyBracket
 from sampling_design.accuracy.bounds import Bound
 from sampling_design.accuracy.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.errors import ArgumentError, UndecidedError
+from sampling_design.numerics.branch_and_bound import LeastOverCells
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records import checks
@@ -22,12 +23,15 @@ from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, finite_or_nones, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-from sampling_design.uncertain.box.branching import BALL_ROOM
+from sampling_design.uncertain.box.branching import BALL_ROOM, bisected
+from sampling_design.uncertain.box.expansion import BoxCells
 from sampling_design.uncertain.box.model import require_constant_box
 from sampling_design.uncertain.box.question import at_parameters
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Index = npt.NDArray[np.intp]
 Both = tuple[Array, Array]
 OnePlant = Callable[[Plant, Array, Array, Array, float], Both]
 """Lower and upper bounds of one plant: bounds on w and v, wanted rows, and a tolerance."""
@@ -144,32 +148,36 @@ def accuracy_over_box(
     rows = wanted_rows(plant.nominal, of)
     one = one_plant(schedule)
     given = Budget(SECONDS if budget is None else checks.positive("budget", budget))
-    middle = plant.low / 2 + plant.high / 2
-    whole = plant.high / 2 - plant.low / 2
-    open_ = [(middle, whole, np.full(len(rows), np.inf))]
-    lower, worst = np.zeros(len(rows)), [middle] * len(rows)
-    top, cells = np.zeros(len(rows)), 0
+    middle, whole = plant.low / 2 + plant.high / 2, plant.high / 2 - plant.low / 2
+    worst = [middle] * len(rows)
+    start = BoxCells(middle[None], whole[None], np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
+
+    def enough(bound: Array, best: Array) -> Mask:
+        return np.asarray(-bound * (1 - rtol) <= -best)
+
+    def attained(theta: Array, low: Array) -> None:
+        for k in search.meet(-low).tolist():
+            worst[k] = theta
+
+    def judged(cell: BoxCells) -> tuple[Array, Array]:
+        low, up = _cell(plant, cell.u[0], cell.half[0], (w, v), rows, FINER * rtol, one)
+        attained(cell.u[0], low)
+        return -up[None], cell.half * _weights(plant)
+
+    def cut(cell: BoxCells, effect: Array) -> tuple[BoxCells, Index] | None:
+        return None if np.all(cell.half <= SMALLEST * whole) else bisected(cell, np.append(effect, [[0.0]], axis=1))
+
+    def look() -> bool:
+        if progress is not None and search.judged:
+            progress(min(1.0, given.spent / given.seconds), f"{search.judged} cells")
+        return False
+
+    search = LeastOverCells(start, np.full((1, len(rows)), -np.inf), enough, given)
+    search.meet(np.zeros(len(rows)))
     for corner in _corners(plant):
-        low, _ = one(plant.at(corner), w, v, rows.matrix, FINER * rtol)
-        for k in np.flatnonzero(low > lower).tolist():
-            lower[k], worst[k] = low[k], corner
-    while open_:
-        theta, half, before = open_.pop(int(np.argmax([float(np.max(each[2])) for each in open_])))
-        small = cells > 0 and bool(np.all(half <= SMALLEST * whole))
-        if progress is not None and cells:
-            progress(min(1.0, given.spent / given.seconds), f"{cells} cells")
-        if given.over or small:
-            top = np.maximum(top, np.max([before, *(each[2] for each in open_)], axis=0))
-            break
-        cells += 1
-        low, up = _cell(plant, theta, half, (w, v), rows, FINER * rtol, one)
-        for k in np.flatnonzero(low > lower).tolist():
-            lower[k], worst[k] = low[k], theta
-        up = np.fmin(up, before)
-        if np.all(up * (1 - rtol) <= lower):
-            top = np.maximum(top, up)
-            continue
-        open_ += [(at, less, up) for at, less in _halves(plant, theta, half)]
+        attained(corner, one(plant.at(corner), w, v, rows.matrix, FINER * rtol)[0])
+    search.run(judged, cut, look)
+    lower, top, cells = -search.best, -search.lower, search.judged
     if not np.all(np.isfinite(top)):
         raise UndecidedError(
             f"undecided: some plant of the box near {at_parameters(_named(plant, worst[0]))} could not be bounded in "
@@ -178,13 +186,6 @@ def accuracy_over_box(
     closed = top * (1 - BALL_ROOM * rtol) <= lower
     where = tuple(_named(plant, each) for each in worst)
     return AccuracyOverBox(rows, lower, top, where, closed, cells, plant, schedule)
-
-
-def _halves(plant: UncertainPlant, theta: Array, half: Array) -> list[Both]:
-    """A cell cut in two along the parameter that moves the plant most: middles and half widths."""
-    less = half.copy()
-    less[np.argmax(half * _weights(plant))] /= 2
-    return [(theta + sign * (half - less), less) for sign in (-1.0, 1.0)]
 
 
 def _corners(plant: UncertainPlant) -> list[Array]:

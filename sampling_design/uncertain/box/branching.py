@@ -9,11 +9,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy import optimize
 
+from sampling_design.numerics.branch_and_bound import LeastOverCells, within
 from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
 from sampling_design.uncertain.box.expansion import BoxCells
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 Judge = Callable[[BoxCells], tuple[Array, Array, Array]]
 Value = Callable[[Array, float, int], float]
 Unseen = Callable[[Array, float, int], bool]
@@ -54,36 +56,43 @@ def branch(
     progress: Progress | None,
 ) -> BoxBounds:
     """Halve cells until lower >= (1 - rtol) upper; `value` is exact at one point, `unseen`: where it counts as zero."""
-    budget, judged, rounds = Budget(seconds), 0, 0
-    open_, lower = start, np.zeros(len(start.s))
-    closed, best = np.inf, (np.inf, start.u[0], float(start.s[0]), int(start.piece[0]))
-    status = "closed"
-    while len(open_.s):
-        every = np.arange(len(open_.s))
-        found = [judge(open_.take(every[i : i + TOGETHER])) for i in range(0, every.size, TOGETHER)]
+    best = (np.inf, start.u[0], float(start.s[0]), int(start.piece[0]))
+    rounds = 0
+
+    def judged(cells: BoxCells) -> tuple[Array, Array] | None:
+        nonlocal best, rounds
+        found = [judge(part) for part in cells.split(TOGETHER)]
         lower, centre, effect = (np.concatenate([part[j] for part in found]) for j in range(3))
-        judged += len(lower)
         k = int(np.argmin(centre))
         if centre[k] < best[0]:
-            best = (float(centre[k]), open_.u[k], float(open_.s[k]), int(open_.piece[k]))
+            best = (float(centre[k]), cells.u[k], float(cells.s[k]), int(cells.piece[k]))
         if rounds % DESCENTS == 0:
             best = descended(best, value, ends)
-        if unseen(*best[1:]):
-            best = descended(best, value, ends)
-            return BoxBounds(0.0, best[0], best[1], best[2], best[3], "unseen", judged)
-        done = lower >= (1 - rtol) * best[0]
-        closed = min(closed, float(lower[done].min(initial=np.inf)))
-        open_, lower, effect = open_.take(~done), lower[~done], effect[~done]
-        if len(open_.s) and (budget.over or judged + 2 * len(open_.s) > MOST_CELLS):
-            status, closed = "budget", min(closed, float(lower.min()))
-            break
-        if progress is not None:
-            progress(min(0.95, rounds / 40), f"{len(open_.s)} cells of the box open")
-        open_, rounds = halved(open_, effect), rounds + 1
+        rounds += 1
+        search.meet(np.array([best[0]]))
+        return None if unseen(*best[1:]) else (lower[:, None], effect)
+
+    def look() -> bool:
+        if progress is not None and rounds:
+            progress(min(0.95, (rounds - 1) / 40), f"{len(search.bound)} cells of the box open")
+        return False
+
+    search = LeastOverCells(
+        start, np.zeros((len(start.s), 1)), within(rtol), Budget(seconds), together=MOST_CELLS, most=MOST_CELLS
+    )
+    status = search.run(judged, bisected, look)
     best = descended(best, value, ends)
-    if status == "closed" and not min(closed, best[0]) >= (1 - BALL_ROOM * rtol) * best[0]:
+    if status == "stopped":
+        return BoxBounds(0.0, *best, "unseen", search.judged)
+    lower = min(float(search.lower[0]), best[0])
+    if status == "closed" and not lower >= (1 - BALL_ROOM * rtol) * best[0]:
         status = "rounding"
-    return BoxBounds(min(closed, best[0]), *best, status, judged)
+    return BoxBounds(lower, *best, status, search.judged)
+
+
+def bisected(cells: BoxCells, effect: Array) -> tuple[BoxCells, Index]:
+    """Both halves of each cell, and whose they are."""
+    return halved(cells, effect), np.tile(np.arange(len(effect)), 2)
 
 
 def halved(cells: BoxCells, effect: Array) -> BoxCells:
@@ -101,7 +110,7 @@ def halved(cells: BoxCells, effect: Array) -> BoxCells:
         h[~along] /= 2
         s[~along] += sign * h[~along]
         parts.append(BoxCells(u, half, s, h, cells.piece))
-    return BoxCells._make(np.concatenate(pair) for pair in zip(*parts, strict=True))
+    return parts[0].joined(parts[1])
 
 
 def descended(

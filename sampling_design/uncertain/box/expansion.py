@@ -45,6 +45,19 @@ class BoxCells(NamedTuple):
         """The cells at `index`."""
         return BoxCells._make(part[index] for part in self)
 
+    def joined(self, *others: BoxCells) -> BoxCells:
+        """These cells and others."""
+        return BoxCells._make(np.concatenate(parts) for parts in zip(self, *others, strict=True))
+
+    def split(self, most: int) -> list[BoxCells]:
+        """The cells in batches of at most so many."""
+        every = np.arange(len(self.s))
+        return [self.take(every[i : i + most]) for i in range(0, every.size, most)]
+
+    def each(self) -> list[BoxCells]:
+        """The cells one by one."""
+        return self.split(1)
+
     @classmethod
     def whole(cls, m: int) -> BoxCells:
         """The box of m parameters as one cell, of one window position."""

@@ -11,6 +11,7 @@ from scipy import optimize
 
 from sampling_design.certificates.existence.periodic import ExistenceAnswer, certificate_exists, judged
 from sampling_design.errors import UndecidedError
+from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.numerics.linalg import filter_gain, positive_or_one
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
@@ -111,20 +112,18 @@ def existence_over_box(
     model, margin = BoxModel.of(plant, "certificate_exists"), margin_on(schedule, eta)
     gaps, budget = GainedGaps(model, schedule, eta), Budget(seconds)
     worst, proven, looked = looked_at(model, margin, model.start, None), 0, 0
-    stack = [BoxCells.whole(model.m)]
-    while stack:
-        if not worst[1]:
-            return ExistenceOverBox(False, model.values(worst[2]), worst[0], worst[3], proven, plant)
-        cell = stack.pop()
+
+    def parts_of(cell: BoxCells) -> list[BoxCells] | None:
+        nonlocal worst, proven, looked
         if gaps.contract(cell):
             proven += 1
-            continue
+            return []
         looked += 1
         if looked % LOOKS == 1:
             worst = looked_at(model, margin, cell.u[0], worst)
+            worst = descended(model, margin, worst) if worst[1] else worst
             if not worst[1]:
-                continue
-            worst = descended(model, margin, worst)
+                return None
         if budget.over or cell.half.max(initial=0.0) < SMALLEST:
             values = model.values(worst[2])
             raise UndecidedError(
@@ -133,8 +132,10 @@ def existence_over_box(
                 "Try a smaller box or rate.",
                 parameters=values, margin=worst[0],
             )  # fmt: skip
-        parts = halved(cell, gaps.effect(cell))
-        stack += [parts.take(np.array([k])) for k in range(len(parts.s))]
+        return halved(cell, gaps.effect(cell)).each()
+
+    if not worst[1] or not all_proven([BoxCells.whole(model.m)], parts_of):
+        return ExistenceOverBox(False, model.values(worst[2]), worst[0], worst[3], proven, plant)
     worst = descended(model, margin, worst)
     reason = "gains were proven to make the error of every plant contract" if worst[1] else worst[3]
     return ExistenceOverBox(worst[1], model.values(worst[2]), worst[0], reason, proven, plant)

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
+from sampling_design.numerics.branch_and_bound import LeastOverCells, within
 from sampling_design.observability.alignment import meet
 from sampling_design.observability.windows.pieces import window_pieces
 from sampling_design.records import checks
@@ -17,7 +18,7 @@ from sampling_design.records.evidence import Claim
 from sampling_design.records.record import Plain, Record, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-from sampling_design.uncertain.box.branching import TOGETHER, halved
+from sampling_design.uncertain.box.branching import TOGETHER, bisected
 from sampling_design.uncertain.box.branching import descended as descended_sigma
 from sampling_design.uncertain.box.expansion import BoxCells
 from sampling_design.uncertain.box.model import BoxModel
@@ -27,6 +28,7 @@ from sampling_design.uncertain.observability.windows_over_box import WindowsOver
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 Judged = tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_], Array]
 SAME = 1e-9
 """BoxCells below this share of the ranges are not halved further."""
@@ -211,7 +213,7 @@ class _ByGains:
 
     def judge(self, cells: BoxCells) -> Judged:
         """Which cells are proven, which fail at their centre, and what each direction matters."""
-        every = [cells.take(np.array([k])) for k in range(len(cells.s))]
+        every = cells.each()
         proven = np.array([self.gaps.contract(cell) for cell in every])
         lost = [
             not good and not self.margin(self.model.plant.at(self.model.values(cell.u[0])))[0]
@@ -236,37 +238,39 @@ def _searched(
     model: BoxModel, cells: BoxCells, question_of: _BySigma | _ByGains, rtol: float, seconds: float, question: str
 ) -> LargestBox:
     """BoxCells from the nominal values outwards."""
-    budget, judged_cells, failed, worst = Budget(seconds), 0, np.inf, model.start
-    small, rounds = False, 0
-    together = TOGETHER if isinstance(question_of, _BySigma) else NEAREST
-    while len(cells.s):
-        begins = _level(model, np.clip(model.start, cells.u - cells.half, cells.u + cells.half))
-        some = begins < failed
-        cells, begins = cells.take(some), begins[some]
-        if not len(begins):
-            break
-        reached = float(begins.min())
-        if reached >= (1 - rtol) * failed or budget.over or small:
-            return _found(model, reached, failed, worst, reached >= (1 - rtol) * failed, question, judged_cells)
-        order = np.argsort(begins, kind="stable")
-        near, later = cells.take(order[:together]), cells.take(order[together:])
+    worst, rounds = model.start, 0
+    by_sigma = isinstance(question_of, _BySigma)
+
+    def begin(cells: BoxCells) -> Array:
+        return _level(model, np.clip(model.start, cells.u - cells.half, cells.u + cells.half))[:, None]
+
+    def fails(u: Array) -> None:
+        nonlocal worst
+        if search.meet(_level(model, u[None])).size:
+            worst = u
+
+    def judged(near: BoxCells) -> tuple[Array, Array]:
+        nonlocal rounds
         proven, lost, effect = question_of.judge(near)
-        judged_cells += len(proven)
-        centres = _level(model, near.u)
         if rounds % LOOKS == LOOKS - 1 and not proven[0]:
             found = question_of.failing(near.take(np.array([0])))
             if found is not None:
-                level = float(_level(model, found[None])[0])
-                failed, worst = (level, found) if level < failed else (failed, worst)
+                fails(found)
         rounds += 1
         for k in np.flatnonzero(lost):
-            if centres[k] < failed:
-                failed, worst = float(centres[k]), near.u[k]
-        parts = halved(near.take(~proven), effect[~proven]) if not proven.all() else near.take(~proven)
-        small = bool(len(parts.s) and model.m and parts.half.max(axis=1).min() < SAME)
-        cells = BoxCells._make(np.concatenate(pair) for pair in zip(parts, later, strict=True))
-    share = min(1.0, failed)
-    return _found(model, share, failed, worst, True, question, judged_cells)
+            fails(near.u[k])
+        return np.where(proven, np.inf, -np.inf)[:, None], effect
+
+    def cut(cells: BoxCells, effect: Array) -> tuple[BoxCells, Index] | None:
+        parts, parents = bisected(cells, effect)
+        return None if model.m and parts.half.max(axis=1).min() < SAME else (parts, parents)
+
+    search = LeastOverCells(
+        cells, begin(cells), within(rtol), Budget(seconds), together=TOGETHER if by_sigma else NEAREST, begin=begin
+    )
+    closed = search.run(judged, cut) == "closed"
+    share, failed = min(1.0, float(search.lower[0])), float(search.best[0])
+    return _found(model, share, failed, worst, closed, question, search.judged)
 
 
 def _found(

@@ -13,6 +13,7 @@ from sampling_design.checkers.inclusion_file import Inclusion, Region
 from sampling_design.checkers.outcome import REFUTED, UNDECIDED
 from sampling_design.checkers.programs import Instruction
 from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, matrix
+from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.records.budget import Budget
 
 Array = npt.NDArray[np.float64]
@@ -43,6 +44,9 @@ def mid(M: Matrix) -> Matrix:
     return matrix(floats(M))
 
 
+RegionCell = tuple[Array, Array, int]
+
+
 class JacobianCells:
     """The region, halved until all forms are positive for the Jacobians of every cell."""
 
@@ -56,15 +60,14 @@ class JacobianCells:
         """Raise BallFailure unless every form is positive; the slack is not measured: 0 stands for "some"."""
         low = np.concatenate([self.region.low[key] for key in ("x", "u", "w")])
         high = np.concatenate([self.region.high[key] for key in ("x", "u", "w")])
-        pending = [(low, high, 0)]
-        while pending:
-            self.clock.check(PRICE * (len(self.region.f.code) + len(self.region.h.code)))
-            a, b, depth = pending.pop()
+
+        def parts_of(cell: RegionCell) -> list[RegionCell]:
+            a, b, depth = cell
             if self.outside(a, b):
-                continue
+                return []
             found = self.assembly(a, b, of_f)
             if found is not None and self.holds(found, forms, of_f):
-                continue
+                return []
             self.refute(name, a, b, forms, of_f)
             side = self.side(a, b, of_f)
             if side is None or depth >= DEPTH:
@@ -72,7 +75,10 @@ class JacobianCells:
             middle = a[side] / 2 + b[side] / 2
             left, right = b.copy(), a.copy()
             left[side] = right[side] = middle
-            pending += [(a, left, depth + 1), (right, b, depth + 1)]
+            return [(a, left, depth + 1), (right, b, depth + 1)]
+
+        price = PRICE * (len(self.region.f.code) + len(self.region.h.code))
+        all_proven([(low, high, 0)], parts_of, self.clock, price)
         return 0.0
 
     def holds(self, found: OutputAssembly, forms: Forms, of_f: bool) -> bool:

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, rational
+from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.observability.windows.balls import (
     ProvenSigma,
@@ -73,25 +74,21 @@ class WindowCells:
         count = len(pieces)
         wide = np.array([float(right > left) for left, right in self.ends])
         whole = np.zeros((count, m))
-        pending = BoxCells(whole, whole + 1, np.zeros(count), wide, np.arange(count))
-        while len(pending.s):
-            self.clock.check()
-            index = np.arange(len(pending.s))
-            some, rest = pending.take(index[:TOGETHER]), pending.take(index[TOGETHER:])
+        start = BoxCells(whole, whole + 1, np.zeros(count), wide, np.arange(count))
+
+        def parts_of(some: BoxCells) -> list[BoxCells] | None:
             lower, centre, effect = self.asked.judge(self._in_time(some))
             if np.any(centre < mu * (1 - FALSE)):
-                return False
+                return None
             open_ = np.array(
                 [not (lower[k] >= mu and self._cell(some.take(np.array([k])), mu)) for k in range(len(lower))]
             )
-            if open_.any():
-                left = some.take(open_)
-                if min(np.maximum(left.half.max(axis=1, initial=0.0), left.h)) < SMALLEST:
-                    return False
-                parts = halved(left, effect[open_])
-                rest = BoxCells._make(np.concatenate(pair) for pair in zip(parts, rest, strict=True))
-            pending = rest
-        return True
+            left = some.take(open_)
+            if np.maximum(left.half.max(axis=1, initial=0.0), left.h).min(initial=np.inf) < SMALLEST:
+                return None
+            return halved(left, effect[open_]).split(TOGETHER)
+
+        return all_proven(start.split(TOGETHER), parts_of, self.clock)
 
     def _in_time(self, cells: BoxCells) -> BoxCells:
         """The same with window starts in time, as floats."""

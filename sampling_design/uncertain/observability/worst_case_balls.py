@@ -22,6 +22,7 @@ from sampling_design.numerics.balls import (
     matrix,
     positive_part,
 )
+from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.observability.windows.balls import SHAVES, ProvenSigma, nearest_proven
 from sampling_design.observability.worst_case.balls import prove_worst_sigma
 from sampling_design.plants.plant import Plant
@@ -77,20 +78,17 @@ class SpacedCells:
 
     def proves(self, mu: float) -> bool:
         """Whether sigma >= mu is proven for all plants and schedules."""
-        pending = [part.take(np.array([k])) for part in self.cells for k in range(len(part.s))]
-        while pending:
-            cell = pending.pop()
+
+        def proven(cell: BoxCells) -> list[BoxCells] | None:
             points = points_of(cell)
             plants = [self.model.plant.at(self.model.values(u)) for u in points]
             needed = _needed(self.box, cell, (points, plants), self.family, mu)
             if all(self.reaches(u, plant, needed) for u, plant in zip(points, plants, strict=True)):
-                continue
-            self.clock.check()
-            if cell.half.max(initial=0.0) < SMALLEST:
-                return False
-            parts = parts_of(self.model, cell, self.family)
-            pending += [parts.take(np.array([k])) for k in range(len(parts.s))]
-        return True
+                return []
+            small = cell.half.max(initial=0.0) < SMALLEST
+            return None if small else parts_of(self.model, cell, self.family).each()
+
+        return all_proven([cell for part in self.cells for cell in part.each()], proven, self.clock)
 
     def reaches(self, u: Array, plant: Plant, needed: float) -> bool:
         """Whether sigma >= needed is proven of one plant."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.numerics.branch_and_bound import LeastOverCells, within
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
 from sampling_design.observability.worst_case.worst_case_sigma import LEAST_SEARCH, asked, worst_case_sigma
 from sampling_design.plants.plant import Plant
@@ -32,6 +33,7 @@ from sampling_design.uncertain.observability.worst_case_cells import (
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 RTOL = 0.1
 """Default width of the bracket, relative."""
 
@@ -146,42 +148,39 @@ def _searched(
     model: BoxModel, family: SpacedWindows, rtol: float, seconds: float, one: SigmaOfOne, settled: list[BoxCells]
 ) -> WorstCaseOverBox:
     """The bracket; `settled` takes the cells that were proven."""
-    budget, closed, judged = Budget(seconds), np.inf, dict[tuple[float, ...], tuple[float, float]]()
-    wide = bool(np.ptp(np.log(model.unit)) > np.log(WIDE))
-    open_, bound, best = BoxCells.whole(model.m), np.zeros(1), (np.inf, model.start, np.zeros(family.count))
-    while len(open_.s):
-        k = int(np.argmin(bound))
-        cell, rest = open_.take(np.array([k])), np.flatnonzero(np.arange(len(bound)) != k)
+    budget, known = Budget(seconds), dict[tuple[float, ...], tuple[float, float]]()
+    wide, best = bool(np.ptp(np.log(model.unit)) > np.log(WIDE)), (np.inf, model.start, np.zeros(family.count))
+
+    def judged(cell: BoxCells) -> tuple[Array, Array] | None:
+        nonlocal best
         points = points_of(cell)
         for u in points:
             left = budget.left
-            if left <= 0 and judged:
-                settled.append(open_)
-                low = min(closed, float(bound.min()))
-                return _record(model, family, rtol, "budget", len(judged), low, best)
-            if tuple(u.tolist()) not in judged:
+            if left <= 0 and known:
+                return None
+            if tuple(u.tolist()) not in known:
                 lower, upper, times = one(model.plant.at(model.values(u)), FINER * rtol, left)
                 inner = one(model.balanced_at(u), FINER * rtol, left)[0] if wide else 0.0
                 # |x| <= |z| times the largest unit: what is left where rounding hides sigma in units far apart
-                judged[tuple(u.tolist())] = max(lower, inner / (UP * float(model.unit.max()))), inner
-                best = (upper, u, times) if upper < best[0] else best
+                known[tuple(u.tolist())] = max(lower, inner / (UP * float(model.unit.max()))), inner
+                best = (upper, u, times) if search.meet(np.array([upper])).size else best
             if best[0] == 0:
-                return _record(model, family, rtol, "unseen", len(judged), 0.0, best)
-        least, inner = np.min([judged[tuple(u.tolist())] for u in points], axis=0).tolist()
-        reached = max(least_over(model, cell, family, least, inner), float(bound[k]))
-        open_, bound = open_.take(rest), bound[rest]
-        if reached >= (1 - rtol) * best[0]:
-            closed = min(closed, reached)
-            settled.append(cell)
-        else:
-            parts = parts_of(model, cell, family)
-            open_ = BoxCells._make(np.concatenate(pair) for pair in zip(open_, parts, strict=True))
-            bound = np.append(bound, [reached, reached])
-        done = bound >= (1 - rtol) * best[0]
-        closed = min(closed, float(bound[done].min(initial=np.inf)))
-        settled.append(open_.take(done))
-        open_, bound = open_.take(~done), bound[~done]
-    return _record(model, family, rtol, "closed", len(judged), closed, best)
+                return None
+        least, inner = np.min([known[tuple(u.tolist())] for u in points], axis=0).tolist()
+        return np.array([[least_over(model, cell, family, least, inner)]]), np.zeros((1, 0))
+
+    def cut(cell: BoxCells, _: Array) -> tuple[BoxCells, Index]:
+        parts = parts_of(model, cell, family)
+        return parts, np.zeros(len(parts.s), dtype=np.intp)
+
+    search = LeastOverCells(BoxCells.whole(model.m), np.zeros((1, 1)), within(rtol), budget)
+    status = search.run(judged, cut)
+    settled += [*search.closed, search.cells]
+    if best[0] == 0:
+        return _record(model, family, rtol, "unseen", len(known), 0.0, best)
+    return _record(
+        model, family, rtol, status if status == "closed" else "budget", len(known), float(search.lower[0]), best
+    )
 
 
 def _record(

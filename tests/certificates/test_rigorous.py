@@ -15,8 +15,14 @@ from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, cert
 from sampling_design.certificates.paper.proof_constants import certify_from_proof
 from sampling_design.certificates.rigorous.ball_problem import BallFailure, BallTimes, BallWeights, ScheduleFrame, noise
 from sampling_design.certificates.rigorous.ball_proof import settled
-from sampling_design.certificates.rigorous.decide import _decided, assumption_7, verify_rigorously
-from sampling_design.certificates.rigorous.refutation import RefutationSearch, refute
+from sampling_design.certificates.rigorous.decide import (
+    _decided,
+    assumption_7,
+    attained,
+    replays_in_balls,
+    verify_rigorously,
+)
+from sampling_design.certificates.rigorous.refutation import RefutationSearch, fails_at, refute
 from sampling_design.checkers.claims import certificate as content
 from sampling_design.errors import CertificateError, MissingExtraError
 from sampling_design.numerics import balls as balls
@@ -376,6 +382,28 @@ def test_the_search_for_a_counterexample_keeps_to_the_budget(made):
             refute(make, Budget(-1.0))
         with pytest.raises(BallFailure, match="out of reach fails by"):
             refute(make, Budget(60.0))
+
+
+@pytest.mark.parametrize("name", ["double integrator", "four states", "stiff"])
+def test_fewer_digits_never_refute_what_is_proven(name, made):
+    """Rounding makes a lower bound of Y indefinite; the least over gains, which is monotone, is then no number."""
+    c, lost = content(made(name).to_dict()), []
+    with balls.precision():
+        frame = framed(c, BallWeights(c.plant, c.weights).P2 / balls.ball(c.weights.lam), "proven")
+        points = RefutationSearch(frame, False, TimeBudget(60.0)).grid()[:40]
+    for bits in (6, 8, 10, 12, 16, 24):
+        with balls.precision(bits):
+            assert not any(fails_at(frame, point) for point in points), bits
+            lost.append(frame.sampled(balls.lowered(frame.start - balls.identity(frame.n) * 10**9), 0))
+    assert lost == [None] * 6
+
+
+def test_a_witness_that_few_digits_lose_is_neither_reached_nor_refuted(made):
+    c = content(made("double integrator").to_dict())
+    assert replays_in_balls(made("double integrator").to_dict())
+    with balls.precision(5), pytest.raises(BallFailure, match="the window of the witness is lost in rounding") as lost:
+        attained(c, TimeBudget(60.0))
+    assert lost.value.verdict == "undecided"
 
 
 def test_the_search_for_a_counterexample_walks_in_doubles(made):

@@ -102,7 +102,7 @@ class PreciseWindows:
             for k in range(1, parts + 1):
                 later = frame.flow.step(Y, duration * k / parts).mid()
                 yield later
-            Y = frame.sampled(later, i).mid()
+            Y = frame.with_gain(later, i, frame.gain(later, i)).mid()
             if times.periodic:
                 above = self.cycle[i] * ball(1 + MERGED[0]) + X * ball(MERGED[1])
                 if definite(above - Y):

@@ -207,11 +207,18 @@ class BallFrame:
         made: Matrix = left * Y * left.transpose() + gain * self.noises[i] * gain.transpose()
         return made
 
-    def sampled(self, Y: Matrix, i: int) -> Matrix:
-        """Y after sample i, exactly."""
+    def sampled(self, Y: Matrix, i: int) -> Matrix | None:
+        """Y after sample i, exactly; None where what is measured there has no certain variance.
+
+        It is the least that any gain leaves, and so monotone, only where that variance is positive: a lower bound of Y
+        that rounding has made indefinite has no least, and the formula would give something above Y.
+        """
         C = self.rows[i]
         CY = C * Y
-        made: Matrix = Y - CY.transpose() * (CY * C.transpose() + self.noises[i]).solve(CY)
+        variance = CY * C.transpose() + self.noises[i]
+        if not definite(variance):
+            return None
+        made: Matrix = Y - CY.transpose() * variance.solve(CY)
         return made
 
 

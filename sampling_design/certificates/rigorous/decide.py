@@ -39,7 +39,18 @@ from sampling_design.checkers.parts import Weights
 from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.checkers.strict import Altered, BadFile, Tree
 from sampling_design.checkers.work import Work
-from sampling_design.numerics.balls import BITS, Matrix, ball, definite, flint, lowered, matrix, precision, symmetric
+from sampling_design.numerics.balls import (
+    BITS,
+    Matrix,
+    ball,
+    definite,
+    flint,
+    lowered,
+    matrix,
+    precision,
+    raised,
+    symmetric,
+)
 from sampling_design.records.budget import ENDLESS, Budget, BudgetSpentError
 from sampling_design.records.dispatch import offered
 from sampling_design.records.record import Plain, Record
@@ -251,17 +262,26 @@ def attained(c: Sampled, clock: Budget) -> None:
     weights = BallWeights(c.plant, c.weights)
     frame = ScheduleFrame(weights, BallTimes(c.schedule), weights.P2, "witness")
     start, t, stated = c.witness.start, c.witness.t, c.witness.ratio
-    x = frame.L.transpose() * matrix(c.witness.direction[:, None])
-    Y = flown(frame, start, t, clock)
-    ratio = (x.transpose() * x)[0, 0] / (x.transpose() * Y.solve(x))[0, 0]
-    if not ratio >= ball(stated) * (1 - ball(REPLAY)):
-        verdict = REFUTED if ratio < ball(stated) * (1 - ball(REPLAY)) else UNDECIDED
-        reason = f"the witness reaches {float(ratio):.6g}, not {stated:.6g}"
-        raise BallFailure(verdict, frame.inequality, reason, amount=float(ratio) / stated - 1, time=t, start=start)
+    x, least = frame.L.transpose() * matrix(c.witness.direction[:, None]), ball(stated) * (1 - ball(REPLAY))
+    for bound in (lowered, raised):
+        Y = flown(frame, start, t, clock, bound)
+        if Y is None or not definite(Y):
+            raise BallFailure(UNDECIDED, frame.inequality, "the window of the witness is lost in rounding")
+        ratio = (x.transpose() * x)[0, 0] / (x.transpose() * Y.solve(x))[0, 0]
+        if ratio >= least and bound is lowered:
+            return
+    verdict = REFUTED if ratio < least else UNDECIDED
+    reason = f"the witness reaches {float(ratio):.6g}, not {stated:.6g}"
+    raise BallFailure(verdict, frame.inequality, reason, amount=float(ratio) / stated - 1, time=t, start=start)
 
 
-def flown(frame: ScheduleFrame, start: float, t: float, clock: Budget) -> Matrix:
-    """A lower bound of Y at t in the window from `start`; samples within `NEAR` of either end are not counted."""
+def flown(
+    frame: ScheduleFrame, start: float, t: float, clock: Budget, bound: Callable[[Matrix], Matrix]
+) -> Matrix | None:
+    """A bound of Y at t in the window from `start`, `lowered` or `raised`; None where rounding leaves none.
+
+    Samples within `NEAR` of either end are not counted.
+    """
     schedule, Y, now = frame.schedule, frame.start, ball(start)
     near, turn = NEAR * max(t, 1e-300), 0 * schedule.period
     if schedule.periodic:
@@ -270,11 +290,14 @@ def flown(frame: ScheduleFrame, start: float, t: float, clock: Budget) -> Matrix
         clock.check((100 + frame.n**3) * schedule.N)
         for i, at in enumerate(schedule.times):
             if start + near < float(at + turn) < t - near and float(turn) >= 0:
-                Y, now = lowered(frame.sampled(lowered(frame.flow.step(Y, at + turn - now)), i)), at + turn
+                left = frame.sampled(bound(frame.flow.step(Y, at + turn - now)), i)
+                if left is None:
+                    return None
+                Y, now = bound(left), at + turn
         if not schedule.periodic:
             break
         turn += schedule.period
-    return lowered(frame.flow.step(Y, ball(t) - now))
+    return bound(frame.flow.step(Y, ball(t) - now))
 
 
 def prove(make: Callable[[], ScheduleFrame], samples_only: bool, clock: Budget) -> float:

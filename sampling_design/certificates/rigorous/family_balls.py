@@ -92,7 +92,7 @@ class BallIntervals:
     def _refute(self, Y: Matrix, at: Ball, which: int | None) -> None:
         """Raise BallFailure(REFUTED) if it certainly fails at one time."""
         left = Y if which is None else self.frame.sampled(Y, which)
-        if definite(self.frame.identity - left) is False:
+        if left is not None and definite(self.frame.identity - left) is False:
             amount = 1 / float(np.linalg.eigvalsh(floats(left))[-1]) - 1
             reason = f"{self.name} fails by {-amount:.3g} at gap {float(at):.6g}"
             raise BallFailure(REFUTED, self.name, reason, amount=amount, time=float(at))

@@ -165,7 +165,10 @@ def fails_at(frame: ScheduleFrame, point: WindowPoint) -> bool:
     for j in range(point.k):
         i = (point.i + j) % schedule.N
         after = schedule.after(i)
-        Y = lowered(frame.sampled(lowered(Y), i))
+        left = frame.sampled(lowered(Y), i)
+        if left is None:  # so many digits lose it
+            return False
+        Y = lowered(left)
         Y = frame.flow.step(Y, ball(point.s).min(schedule.gaps[after]) if j + 1 == point.k else schedule.gaps[after])
     return definite(frame.identity - Y) is False
 

@@ -61,26 +61,26 @@ class DecoupledCoordinates:
     """
 
     def __init__(self, A: Matrix, V: Array, fast: int) -> None:
-        self.V, self.fast = matrix(V), fast
-        self.inverse = self.V.inv()
-        rows = (self.inverse * A * self.V).tolist()
+        basis = matrix(V)
+        inverse = basis.inv()
+        rows = (inverse * A * basis).tolist()
         own, coupled = [], ball(0.0)
         for i, j in ((slice(0, fast), slice(fast, None)), (slice(fast, None), slice(0, fast))):
             part = flint().arb_mat([row[i] for row in rows[i]])
             own.append(largest((part + part.transpose()) * ball(0.5)))
             coupled += frobenius(flint().arb_mat([row[j] for row in rows[i]]))
         self.rate = (max(*own, ball(0.0)) + coupled / ball(FLOOR).sqrt()).upper()
+        parts, across = (slice(0, fast), slice(fast, None)), basis.transpose().tolist()
+        heads = [flint().arb_mat(inverse.tolist()[part]) for part in parts]
+        spans = [flint().arb_mat(across[part]) for part in parts]
+        self.sizes = [head.transpose() * head * ball(2.0) for head in heads]  # of a part: trace(N sizes)
+        self.spans = [span.transpose() * span for span in spans]
 
     def above(self, N: Matrix) -> Matrix:
         """V D V' >= N, N psd, which may be carried along: N <= 2 diag(N_11, N_22) in its own coordinates."""
-        n, k = N.nrows(), self.fast
-        M = self.inverse * N * self.inverse.transpose()
-        d = [positive_part(2 * sum((M[i, i] for i in part), ball(0.0))) for part in (range(k), range(k, n))]
+        d = [positive_part((N * size).trace()) for size in self.sizes]
         least = (max(d) * ball(FLOOR)).upper()
-        sides = flint().arb_mat(n, n)
-        for i in range(n):
-            sides[i, i] = max(d[0] if i < k else d[1], least)
-        made: Matrix = self.V * sides * self.V.transpose()
+        made: Matrix = max(d[0], least) * self.spans[0] + max(d[1], least) * self.spans[1]
         return made
 
 

@@ -30,6 +30,9 @@ Array = npt.NDArray[np.float64]
 
 BITS = 160
 """Working precision: 53 bits of the doubles, and a hundred against cancellation and the growth of radii."""
+BLOCK = 16
+"""States up to which pivots are taken one by one; larger matrices are eliminated by blocks, whose products and
+solutions are the library's."""
 SLACKS = (1e-13, 1e-10, 1e-6)
 """By how much of a matrix's size a guessed eigenvalue is raised before it is proven; the first nearly always does."""
 
@@ -92,27 +95,43 @@ def identity(n: int) -> Matrix:
 
 def floats(M: Matrix) -> Array:
     """Return the midpoints as doubles: guesses, no proof."""
-    return np.array([float(x) for x in M.entries()]).reshape(M.nrows(), M.ncols())
+    count = M.nrows() * M.ncols()
+    return np.fromiter(map(float, M.entries()), np.float64, count).reshape(M.nrows(), M.ncols())
 
 
 def definite(M: Matrix) -> bool | None:
     """Say of a symmetric matrix: positive definite (True), not even semidefinite (False), or not decided (None)."""
+    if M.nrows() > BLOCK:
+        corner, side, rest = _parted(M)
+        found, carried = definite(corner), _solved(corner, side)
+        if not found or carried is None:
+            return None if found else found
+        return definite(rest - side.transpose() * carried)
     rows = M.tolist()
     for k, row in enumerate(rows):
         pivot = row[k]
         if not pivot > 0:
             return False if pivot < 0 else None
-        for i in range(k + 1, len(rows)):
-            other = rows[i]
-            factor = other[k] / pivot
-            for j in range(k + 1, i + 1):
-                other[j] -= factor * rows[j][k]
+        below = [other[k] for other in rows[k + 1 :]]
+        for i, head in enumerate(below, k + 1):
+            factor = head / pivot
+            rows[i][k + 1 : i + 1] = [x - factor * y for x, y in zip(rows[i][k + 1 : i + 1], below, strict=False)]
     return True
 
 
 def cholesky(M: Matrix) -> Matrix | None:
     """Return L with M = LL', or None where M is not certainly positive definite."""
     n = M.nrows()
+    if n > BLOCK:
+        corner, side, rest = _parted(M)
+        first = cholesky(corner)
+        across = None if first is None else _solved(first, side)
+        last = None if across is None else cholesky(rest - across.transpose() * across)
+        if first is None or across is None or last is None:
+            return None
+        above = [[*row, *[flint().arb(0)] * last.nrows()] for row in first.tolist()]
+        below = zip(across.transpose().tolist(), last.tolist(), strict=True)
+        return flint().arb_mat([*above, *([*a, *b] for a, b in below)])
     rows, L = M.tolist(), [[flint().arb(0)] * n for _ in range(n)]
     for k in range(n):
         if not rows[k][k] > 0:
@@ -124,6 +143,23 @@ def cholesky(M: Matrix) -> Matrix | None:
             for j in range(k + 1, i + 1):
                 rows[i][j] -= L[i][k] * L[j][k]
     return flint().arb_mat(L) if n else matrix(np.zeros((0, 0)))
+
+
+def _parted(M: Matrix) -> tuple[Matrix, Matrix, Matrix]:
+    """The blocks of a symmetric matrix, cut in the middle: first corner, the side to its right, last corner."""
+    rows, k = M.tolist(), M.nrows() // 2
+    parts = ([row[:k] for row in rows[:k]], [row[k:] for row in rows[:k]], [row[k:] for row in rows[k:]])
+    first, side, last = (flint().arb_mat(part) for part in parts)
+    return first, side, last
+
+
+def _solved(M: Matrix, right: Matrix) -> Matrix | None:
+    """M^-1 right; None where M may be singular."""
+    try:
+        found: Matrix = M.solve(right)
+    except ZeroDivisionError:
+        return None
+    return found
 
 
 def frobenius(M: Matrix) -> Ball:

@@ -390,7 +390,7 @@ def test_fewer_digits_never_refute_what_is_proven(name, made):
     c, lost = content(made(name).to_dict()), []
     with balls.precision():
         frame = framed(c, BallWeights(c.plant, c.weights).P2 / balls.ball(c.weights.lam), "proven")
-        points = RefutationSearch(frame, False, TimeBudget(60.0)).grid()[:40]
+        points = RefutationSearch(frame, False, Budget(60.0)).grid()[:40]
     for bits in (6, 8, 10, 12, 16, 24):
         with balls.precision(bits):
             assert not any(fails_at(frame, point) for point in points), bits
@@ -402,7 +402,7 @@ def test_a_witness_that_few_digits_lose_is_neither_reached_nor_refuted(made):
     c = content(made("double integrator").to_dict())
     assert replays_in_balls(made("double integrator").to_dict())
     with balls.precision(5), pytest.raises(BallFailure, match="the window of the witness is lost in rounding") as lost:
-        attained(c, TimeBudget(60.0))
+        attained(c, Budget(60.0))
     assert lost.value.verdict == "undecided"
 
 

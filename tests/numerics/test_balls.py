@@ -31,7 +31,7 @@ def test_precision_is_restored_even_after_an_error():
     assert balls.flint().ctx.prec == before
 
 
-@pytest.mark.parametrize("n", [1, 2, 5])
+@pytest.mark.parametrize("n", [1, 2, 5, 40])
 def test_definite_is_decided_to_the_last_bit(n):
     """I - u u' with |u|^2 just below and just above one: floats cannot tell, balls can."""
     u = np.ones((n, 1))
@@ -52,12 +52,22 @@ def test_definite_agrees_with_eigenvalues_on_random_matrices():
             assert balls.definite(balls.symmetric(M)) is bool(np.linalg.eigvalsh(M)[0] > 0)
 
 
-def test_cholesky_returns_the_root_or_none():
+@pytest.mark.parametrize(("n", "near"), [(1, 1e-40), (4, 1e-40), (20, 1e-34), (37, 1e-34)])
+def test_cholesky_returns_the_root_or_none(n, near):
+    """Below and above the size from which matrices are eliminated by blocks; one negative direction, wherever it is."""
     rng = np.random.default_rng(1)
-    M = random_symmetric(rng, [1e-3, 1.0, 2.0, 5.0])
+    values = np.geomspace(1e-3, 5.0, n)
+    M = random_symmetric(rng, values)
     with balls.precision():
         L = balls.cholesky(balls.symmetric(M))
-        assert balls.frobenius(L * L.transpose() - balls.symmetric(M)) < 1e-40
+        assert not np.triu(balls.floats(L), 1).any()
+        assert balls.frobenius(L * L.transpose() - balls.symmetric(M)) < near
+        for k in {0, n // 2, n - 1}:
+            bad = balls.symmetric(random_symmetric(rng, np.where(np.arange(n) == k, -1e-9, values)))
+            assert balls.definite(bad) is False
+            assert balls.cholesky(bad) is None
+        wide = balls.matrix(np.ones((n, n))) * balls.flint().arb(0, 1)
+        assert balls.cholesky(wide) is None
         assert balls.cholesky(balls.matrix(np.diag([1.0, -1.0]))) is None
         assert balls.cholesky(balls.matrix(np.zeros((0, 0)))).nrows() == 0
 

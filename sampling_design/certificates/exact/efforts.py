@@ -23,8 +23,9 @@ ALL_WORK, BALL_PRICE = 13e6, 1.7
 none. It holds nine states to about twenty seconds of an ordinary processor core."""
 PARTS = 0.42, 0.55
 """Share of what is left of it that the first group of choices may do, and each later one: the next has its turn."""
-PRECISE_WORK, PRECISE_PROOF = 4e6, 2.6e6
-"""Work of the search in more digits than doubles have; of one of its proofs, twice that of all."""
+PRECISE_WORK, PRECISE_PROOF = 2e6, 6e6
+"""Work of the search in more digits than doubles have; of one of its proofs, twice that of
+all."""
 FINER = 4
 """How much finer the second look for a missed peak is than the first."""
 HIGHER = 1 + 1e-6

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from fractions import Fraction
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
@@ -25,7 +24,6 @@ from sampling_design.numerics.balls import (
     floats,
     identity,
     matrix,
-    rational,
     symmetric,
 )
 
@@ -118,28 +116,33 @@ class BallWeights:
 
 def noise(G: Array, Qw: Array) -> Matrix:
     """Return G Qw^-1 G', in rational numbers; Qw may be singular where it does not drive the plant."""
-    q, n = Qw.shape[0], G.shape[0]
-    form = [[(Fraction(Qw[i, j]) + Fraction(Qw[j, i])) / 2 for j in range(q)] for i in range(q)]
-    drive = [[Fraction(x) for x in column] for column in G.T.tolist()]
-    found = [[Fraction(0)] * n for _ in range(n)]
+    exact, q, n = flint().fmpq, Qw.shape[0], G.shape[0]
+    zero = exact(0)
+    doubled = [[exact(*x.as_integer_ratio()) for x in row] for row in Qw.tolist()]
+    form = [
+        [(x + y) / 2 for x, y in zip(row, turned, strict=True)]
+        for row, turned in zip(doubled, zip(*doubled, strict=True), strict=True)
+    ]
+    drive = [[exact(*x.as_integer_ratio()) for x in column] for column in G.T.tolist()]
+    found = [[zero] * n for _ in range(n)]
     for k in range(q):
         pivot = form[k][k]
-        if pivot < 0 or (pivot == 0 and any(form[k][k + 1 :])):
+        if pivot < 0 or (pivot == 0 and any(x != 0 for x in form[k][k + 1 :])):
             raise BallFailure(REFUTED, "Qw > 0", "Qw is not positive definite, not even semidefinite")
+        reached = [b for b in range(n) if drive[k][b] != 0]
         if pivot == 0:
-            if any(drive[k]):
+            if reached:
                 raise BallFailure(REFUTED, "Qw > 0", "Qw is singular in a direction that drives the plant")
             continue
-        for a in range(n):
-            for b in range(n):
+        for a in reached:
+            for b in reached:
                 found[a][b] += drive[k][a] * drive[k][b] / pivot
         for i in range(k + 1, q):
-            share = form[i][k] / pivot
-            form[i] = [x - share * y for x, y in zip(form[i], form[k], strict=True)]
-            drive[i] = [x - share * y for x, y in zip(drive[i], drive[k], strict=True)]
-    if not n:
-        return matrix(np.zeros((0, 0)))
-    made: Matrix = flint().arb_mat([[rational(x) for x in row] for row in found])
+            if form[i][k] != 0:
+                share = form[i][k] / pivot
+                form[i] = [x - share * y for x, y in zip(form[i], form[k], strict=True)]
+                drive[i] = [x - share * y for x, y in zip(drive[i], drive[k], strict=True)]
+    made: Matrix = flint().arb_mat([list(map(flint().arb, row)) for row in found]) if n else matrix(np.zeros((0, 0)))
     return made
 
 

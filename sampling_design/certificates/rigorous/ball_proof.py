@@ -41,7 +41,7 @@ LOST = 1e6
 """Where the target is I: what comes here does not come back, or not soon."""
 PROPOSALS = {
     BITS: (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8, 1e-10, 1e-12, 1e-13, 1e-14),
-    400: (1e-20, 1e-26, 1e-32, 1e-38),
+    400: (1e-20, 1e-26, 1e-32, 1e-38, 1e-44),
 }
 """Noise added at every sample, where the target is I, to find the family: as much as the target bears; and the digits.
 

@@ -9,7 +9,7 @@ as near to failing as rounding); 130: interrupted.
 
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,28 +20,34 @@ if not __package__:  # run as a file: its folder is the package
     __import__(__package__)
 
 if TYPE_CHECKING:
-    from .outcome import Verdict
+    from .outcome import Proven, Verdict
     from .work import Work
 
 
 def verdict(data: Mapping[str, object], work: "Work | None" = None) -> "Verdict":
     """Return the `Verdict` on the plain data of a certificate file of any claim; `work` is what it may do."""
-    import numpy as np
-
     from .claims import certificate, claim_of
-    from .outcome import BAD_FILE, PROVEN, UNDECIDED, Refused, Verdict, refused
+    from .outcome import BAD_FILE, Verdict
     from .strict import Altered, BadFile
-    from .work import MOST_WORK, Work
 
-    work = Work(MOST_WORK) if work is None else work
     try:
-        c = certificate(data)
-        with np.errstate(all="ignore"):  # what overflows is compared, and never below a bound
-            found = claim_of(data).prove(c, work)
+        return verdict_on(certificate(data), claim_of(data).prove, work)
     except Altered as error:
         return Verdict(BAD_FILE, "digest", str(error))
     except BadFile as error:
         return Verdict(BAD_FILE, "form", f"the data are no certificate: {error}")
+
+
+def verdict_on(content: object, prove: "Callable[..., Proven]", work: "Work | None" = None) -> "Verdict":
+    """Return the `Verdict` on the judged content of a file, as its claim proves it."""
+    import numpy as np
+
+    from .outcome import PROVEN, UNDECIDED, Refused, Verdict, refused
+    from .work import MOST_WORK, Work
+
+    try:
+        with np.errstate(all="ignore"):  # what overflows is compared, and never below a bound
+            found = prove(content, Work(MOST_WORK) if work is None else work)
     except Refused as error:
         return refused(error)
     except (np.linalg.LinAlgError, OverflowError) as error:

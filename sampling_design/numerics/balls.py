@@ -131,7 +131,8 @@ def cholesky(M: Matrix) -> Matrix | None:
             return None
         above = [[*row, *[flint().arb(0)] * last.nrows()] for row in first.tolist()]
         below = zip(across.transpose().tolist(), last.tolist(), strict=True)
-        return flint().arb_mat([*above, *([*a, *b] for a, b in below)])
+        whole: Matrix = flint().arb_mat([*above, *([*a, *b] for a, b in below)])
+        return whole
     rows, L = M.tolist(), [[flint().arb(0)] * n for _ in range(n)]
     for k in range(n):
         if not rows[k][k] > 0:

@@ -129,7 +129,10 @@ def _arguments(
         for place, check in places:
             if place >= count:
                 break
-            given[place] = value = check(given[place])
+            try:
+                given[place] = value = check(given[place])
+            except ArgumentError as error:
+                raise ArgumentError(f"{error}{_exchanged(function, places, arguments, place)}") from None
             foreign = foreign or type(value) is _Foreign
         if options:
             named = {key: checks[key](value) if key in checks else value for key, value in options.items()}
@@ -237,6 +240,28 @@ def checked_methods(cls: type[T]) -> type[T]:
         if len(inspect.signature(inner).parameters) > (kind is not staticmethod):
             setattr(cls, name, kind(checked(inner)) if kind else checked(inner))
     return cls
+
+
+def _exchanged(
+    function: Callable[..., object], places: list[tuple[int, Check]], given: Sequence[object], failed: int
+) -> str:
+    """The sentence for two arguments that stand in each other's place, if that is the slip."""
+
+    def fits(check: Check, value: object) -> bool:
+        try:
+            check(value)
+        except ArgumentError:
+            return False
+        return True
+
+    own, names = dict(places)[failed], list(inspect.signature(function).parameters)
+    for place, check in places:
+        if place < len(given) and place != failed and fits(check, given[failed]) and fits(own, given[place]):
+            one, other = sorted((place, failed))
+            order = ", ".join(name for name in names[: other + 1] if name not in ("self", "cls"))
+            more = ", ..." * (len(names) > other + 1)
+            return f" `{names[one]}` and `{names[other]}` are exchanged: it is {function.__name__}({order}{more})."
+    return ""
 
 
 class _Foreign:

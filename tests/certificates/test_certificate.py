@@ -1,5 +1,7 @@
 """The record, its file, the choice of weights, existence and repair."""
 
+import collections
+import dataclasses
 import json
 
 import numpy as np
@@ -16,6 +18,8 @@ from sampling_design import (
     read_certificate,
 )
 from sampling_design.certificates.compare.tradeoff import tradeoff_curve
+from sampling_design.certificates.exact import certificate as record
+from sampling_design.certificates.exact import proof
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.window_gains import WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem
@@ -23,6 +27,7 @@ from sampling_design.certificates.existence.periodic import smallest_repair
 from sampling_design.certificates.form import digest
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, UndecidedError
 from sampling_design.plants.plant import Signals
+from tests import kept_certificates
 from tests.oracles import riccati as oracle
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], name="oscillator")
@@ -359,3 +364,42 @@ def test_weights_that_lambda_takes_below_all_doubles_are_undecided():
     small = {key: [[1e-300]] for key in ("P2", "Qw", "R", "Qv")}
     with pytest.raises(UndecidedError, match="P1 = P2/lambda cannot be held in doubles"):
         certify(Plant([[30.0]], [[1.0]]), PeriodicSchedule([1.0]), eta=0.4, **small)
+
+
+@pytest.mark.parametrize("tries", [1, 3])
+def test_a_certificate_is_sealed_and_read_once_however_often_it_is_tried(tries, monkeypatch):
+    """While it is sought its numbers are judged as they are, and no horizon is worked out."""
+    monkeypatch.setattr(kept_certificates, "keep", lambda made: None)
+    counts, judge = collections.Counter(), proof.verdict_on_schedule
+
+    def counted(module, name):
+        function = getattr(module, name)
+
+        def call(*arguments):
+            counts[name] += 1
+            return function(*arguments)
+
+        monkeypatch.setattr(module, name, call)
+
+    def doubted(content, work):
+        counts["tried"] += 1
+        found = judge(content, work)
+        if counts["tried"] == tries:
+            return found
+        return dataclasses.replace(found, passed=False, verdict="refuted", time=1.5, start=0.5)
+
+    counted(record, "sealed")
+    counted(record, "horizon_of")
+    counted(proof, "certificate")
+    monkeypatch.setattr(proof, "verdict_on_schedule", doubted)
+    made = given()
+    assert counts == {"sealed": 1, "certificate": 1, "tried": tries}
+    assert made.verify().passed
+
+
+def test_a_file_that_says_something_else_than_what_was_proven_is_never_returned(monkeypatch):
+    made = given()
+    other = dataclasses.replace(made, lam=made.lam * 1.001)
+    monkeypatch.setattr(proof, "certificate", lambda data: other.content)
+    with pytest.raises(AssertionError, match="the file says something else"):
+        proof.as_proven(made)

@@ -400,7 +400,7 @@ def test_fewer_digits_never_refute_what_is_proven(name, made):
 
 def test_a_witness_that_few_digits_lose_is_neither_reached_nor_refuted(made):
     c = content(made("double integrator").to_dict())
-    assert replays_in_balls(made("double integrator").to_dict())
+    assert replays_in_balls(c)
     with balls.precision(5), pytest.raises(BallFailure, match="the window of the witness is lost in rounding") as lost:
         attained(c, Budget(60.0))
     assert lost.value.verdict == "undecided"

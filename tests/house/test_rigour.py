@@ -177,7 +177,7 @@ def test_honest():
 def test_lying(monkeypatch):
     made, believed = proof._made, Verification(True, "", None, None, 1.0, "", verdict="proven")
     monkeypatch.setattr(proof, "_made", lambda *a: dataclasses.replace(made(*a), P1=[[1.0]]))
-    monkeypatch.setattr(proof, "verdict_of", lambda data, work=None: believed)
+    monkeypatch.setattr(proof, "verdict_on_schedule", lambda content, work: believed)
     assert certify(sd.Plant([[0.2]], [[1.0]]), sd.PeriodicSchedule([1.0]), eta=0.4, P2=[[1.0]])
 """
 

@@ -187,13 +187,13 @@ def open_proof(monkeypatch, *, spent=0.0, beyond=0.0):
     """
     tried, handed = list[float](), list[float]()
 
-    def floats(data, work):
-        tried.append(data["lam"])
+    def floats(content, work):
+        tried.append(content.weights.lam)
         work.spend(spent)
         return still_open
 
-    def balls(data, budget, work):
-        handed.append(data["lam"])
+    def balls(content, work):
+        handed.append(content.weights.lam)
         assert work.left == efforts.ONE_IN_BALLS
         return still_open
 
@@ -201,8 +201,8 @@ def open_proof(monkeypatch, *, spent=0.0, beyond=0.0):
     weights = (np.eye(2), *weights_of(oscillator, None, None, None))
     made = certify(oscillator, schedule, eta=0.4, P2=np.eye(2))
     still_open = dataclasses.replace(made.verify(), passed=False, verdict="undecided", time=None, start=None)
-    monkeypatch.setattr(proofs, "verdict_of", floats)
-    monkeypatch.setattr(proofs, "verify_rigorously", balls)
+    monkeypatch.setattr(proofs, "verdict_on_schedule", floats)
+    monkeypatch.setattr(proofs, "decided_on_schedule", balls)
     proof = proofs.ScheduleProof(oscillator, schedule, weights, 0.4, efforts.SearchEffort(), beyond * made.lam_samples)
 
     def asked(plainly=False):

@@ -383,3 +383,14 @@ def test_an_opened_verb_checks_the_arguments_of_every_kind(monkeypatch):
         opened(Own(), 1.0, scal=2.0)
     assert opened.__doc__ == "Return x in some unit."
     assert next(iter(inspect.signature(opened).parameters)) == "plant"
+
+
+def test_arguments_in_each_others_place_are_named():
+    """Whichever of the two the door stops at: a plant of another kind may be anything with a unit of time."""
+    plant, schedule = sd.Plant([[0.0]], [[1.0]]), sd.PeriodicSchedule([1.0])
+    for verb in (sd.certify, sd.window_sigma, sd.certificates.four_horizons, sd.certificates.certificate_exists):
+        with pytest.raises(ArgumentError, match=rf"`schedule` are exchanged: it is {verb.__name__}\(plant, schedule"):
+            verb(schedule, plant)
+        with pytest.raises(ArgumentError, match="`schedule` must be") as other:
+            verb(plant, plant)
+        assert "exchanged" not in str(other.value)

@@ -16,6 +16,9 @@ from sampling_design.certificates.form.digest import CLAIM, RESOLUTION, sealed
 from sampling_design.certificates.form.export import constants_of
 from sampling_design.certificates.form.horizon import Horizon, horizon_of, output_information
 from sampling_design.certificates.rigorous.decide import VerifiableRecord
+from sampling_design.checkers.parts import Plant as FilePlant
+from sampling_design.checkers.schedule_file import Sampled, of_schedule
+from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import generalised_max
 from sampling_design.observability.alignment import meet
@@ -151,14 +154,18 @@ class SampledCertificate(VerifiableRecord, ABC):
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data as in the file, digest included."""
-        seen = self.witness
         parts: dict[str, Plain] = {
             **self._file_parts(),
             **{key: getattr(self, key).tolist() for key in MATRICES},
             **{key: getattr(self, key) for key in NUMBERS},
-            "witness": None if seen is None else {**vars(seen), "direction": list(seen.direction)},
+            "witness": self._seen(),
         }
         return sealed(self.plant, parts, self.solver)
+
+    def _seen(self) -> dict[str, Plain] | None:
+        """The witness in plain data."""
+        seen = self.witness
+        return None if seen is None else {**vars(seen), "direction": list(seen.direction)}
 
     @property
     def constants(self) -> ConstantList:
@@ -258,6 +265,14 @@ class Certificate(SampledCertificate):
 
     def _file_parts(self) -> dict[str, Plain]:
         return {"claim": CLAIM, "times": times_to_dict(self.schedule)}
+
+    @property
+    def content(self) -> Sampled:
+        """What checkers judge: the numbers of its file, before there is one."""
+        own = self.plant
+        read: Tree = {key: getattr(self, key) for key in (*MATRICES, *NUMBERS)}
+        read |= {"times": times_to_dict(self.schedule), "witness": self._seen()}
+        return of_schedule(read, FilePlant(own.A, own.C, own.G, own.time_unit))
 
     @classmethod
     def from_matrices(

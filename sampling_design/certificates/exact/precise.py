@@ -18,11 +18,12 @@ from sampling_design import __version__
 from sampling_design.certificates.exact.canonical import NoiseWeights, ScaledProblem
 from sampling_design.certificates.exact.certificate import Certificate, times_to_dict
 from sampling_design.certificates.exact.efforts import BALL_PRICE, PRECISE_PROOF, PRECISE_WORK, ROOM
+from sampling_design.certificates.exact.proof import as_proven
 from sampling_design.certificates.exact.weight_choice import ROUNDNESS, ChosenWeights, WeightSearch
 from sampling_design.certificates.form.digest import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.rigorous.ball_problem import BallTimes, BallWeights, ScheduleFrame
 from sampling_design.certificates.rigorous.ball_proof import JUMP, one_period, rest
-from sampling_design.certificates.rigorous.decide import verify_rigorously
+from sampling_design.certificates.rigorous.decide import decided_on_schedule
 from sampling_design.checkers.parts import Plant as FilePlant
 from sampling_design.checkers.parts import Weights
 from sampling_design.checkers.schedule_file import times_of
@@ -225,7 +226,7 @@ def _proven(
         lam=lam, lam_samples=lam_samples, margin=STATED_MARGIN,
         solver=replace(solver, details={**solver.details, **spare}),
     )  # fmt: skip
-    verdict = verify_rigorously(made.to_dict(), np.inf, proofs.share(PRECISE_PROOF))
+    verdict = decided_on_schedule(made.content, proofs.share(PRECISE_PROOF))
     if verdict.passed:
-        return made
+        return as_proven(made)
     raise UndecidedError(f"undecided: {verdict.reason}.", verification=verdict, certificate=made)

@@ -15,8 +15,10 @@ from sampling_design.certificates.exact.efforts import ATTEMPTS, FINER, HIGHER, 
 from sampling_design.certificates.exact.riccati import RiccatiPeak, at_peak, located, refine, starts_at_sample, supremum
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.form.digest import RESOLUTION, STATED_MARGIN
-from sampling_design.certificates.form.verdict import replays, verdict_of
-from sampling_design.certificates.rigorous.decide import replays_in_balls, verify_rigorously
+from sampling_design.certificates.form.verdict import replays, verdict_on_schedule
+from sampling_design.certificates.rigorous.decide import decided_on_schedule, replays_in_balls
+from sampling_design.checkers.claims import certificate
+from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.checkers.work import Work
 from sampling_design.errors import ArgumentError, SolverError, UndecidedError
 from sampling_design.plants.plant import Plant
@@ -96,14 +98,15 @@ class ScheduleProof:
         handed = bool(again)  # whether balls have left it undecided
         for _ in range(ATTEMPTS + len(ROOM)):
             made = _made(self, (anywhere, at_samples), solver, room)
-            plain, stands = replace(made, witness=None), replays
-            verdict = verdict_of(plain.to_dict(), work := efforts.check())
+            content, stands = made.content, replays
+            plain = replace(content, witness=None)
+            verdict = verdict_on_schedule(plain, work := efforts.check())
             open_to_balls = room == in_balls and not (handed or work.over or efforts.balls.over)
             if verdict.verdict == "undecided" and open_to_balls and find_spec("flint") is not None:
-                verdict, stands = verify_rigorously(plain.to_dict(), np.inf, efforts.check_in_balls()), replays_in_balls
+                verdict, stands = decided_on_schedule(plain, efforts.check_in_balls()), replays_in_balls
                 handed = verdict.time is None  # a lambda that is hardly larger would not help
             if verdict.passed:  # a witness is true, but its replay may be lost in rounding
-                return made if stands(made.to_dict()) else plain
+                return as_proven(made if stands(content) else replace(made, witness=None))
             if efforts.over:
                 break
             if verdict.time is None or verdict.start is None:
@@ -137,6 +140,16 @@ class ScheduleProof:
         direction /= np.linalg.norm(direction)
         time = self.canon.time
         return Witness(t * time, start * time, tuple(float(v) for v in direction), float(values[-1]))
+
+
+def as_proven(made: Certificate) -> Certificate:
+    """A certificate that was proven while it was sought: its file, sealed and read as an auditor reads, holds that."""
+    read, proven = certificate(made.to_dict()), made.content
+    assert isinstance(read, Sampled)
+    for part in ("plant", "weights", "schedule"):
+        of_file, of_proof = vars(getattr(read, part)), vars(getattr(proven, part))
+        assert all(map(np.array_equal, of_file.values(), of_proof.values())), "the file says something else"
+    return made
 
 
 def _made(

@@ -9,9 +9,9 @@ from typing import ClassVar
 import numpy as np
 
 from sampling_design.checkers import verdict
-from sampling_design.checkers.claims import certificate
+from sampling_design.checkers.check import verdict_on
 from sampling_design.checkers.outcome import UNDECIDED, Refused
-from sampling_design.checkers.sampled import replay
+from sampling_design.checkers.sampled import proven, replay
 from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.checkers.work import Work
 from sampling_design.records.record import Plain, YesOrNo, short
@@ -74,10 +74,8 @@ class Verification(YesOrNo):
         return f"{self.verdict.capitalize()}: {self.reason}"
 
 
-def replays(data: Mapping[str, object]) -> bool:
+def replays(content: Sampled) -> bool:
     """Whether the checker finds the witness of a certificate on one schedule to reach its ratio, beyond rounding."""
-    content = certificate(data)
-    assert isinstance(content, Sampled)
     try:
         with np.errstate(all="ignore"):
             replay(content)
@@ -89,4 +87,10 @@ def replays(data: Mapping[str, object]) -> bool:
 def verdict_of(data: Mapping[str, object], work: Work | None = None) -> Verification:
     """Return the verdict of the independent checker on the plain data of a certificate; it does at most this work."""
     found = verdict(data, work)
+    return Verification(passed=found.passed, **vars(found))
+
+
+def verdict_on_schedule(content: Sampled, work: Work) -> Verification:
+    """The same of what a file on one schedule would hold, while it is sought."""
+    found = verdict_on(content, proven, work)
     return Verification(passed=found.passed, **vars(found))

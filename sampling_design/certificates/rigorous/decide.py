@@ -174,12 +174,22 @@ def verify_rigorously(
     family is found; eigenvalues are guessed in floats, gains and families in midpoints, and proven by the pivots of
     L D L' in balls.
     """
+    return _verified(lambda clock: _decided(dict(data), clock), budget, work)
+
+
+def decided_on_schedule(content: Sampled, work: Work) -> RigorousVerification:
+    """The same of what a file on one schedule would hold, while it is sought."""
+    return _verified(lambda clock: _proven(assumption_7(content, clock)), np.inf, work)
+
+
+def _verified(decide: Callable[[Budget], dict[str, object]], budget: float, work: Work | None) -> RigorousVerification:
+    """The verdict that `decide` finds, or is stopped with."""
     flint()
     clock = Budget(budget, work=work)
     found: Tree = {"passed": False, "inequality": "form", "time": None, "start": None, "amount": 0.0}
     try:
         with precision(), np.errstate(all="ignore"):  # floats only guess: what is not finite proves nothing
-            found |= _decided(dict(data), clock)
+            found |= decide(clock)
     except BallFailure as stop:
         found |= {"verdict": stop.verdict, "inequality": stop.inequality, "reason": stop.reason, **stop.where}
     except BudgetSpentError:
@@ -202,7 +212,11 @@ def _decided(data: Tree, clock: Budget) -> dict[str, object]:
         raise BallFailure(BAD_FILE, word, f"the data are no certificate: {error}") from None
     decides = CLAIMS.get(data["claim"]) or offered("verify_rigorously", data["claim"], BallDecision)
     assert decides is not None, "a claim that the auditor reads and nobody decides"
-    inequality, subject, slack = decides(content, clock)
+    return _proven(decides(content, clock))
+
+
+def _proven(decision: BallDecision) -> dict[str, object]:
+    inequality, subject, slack = decision
     reason = f"{inequality} for {subject}, slack {slack:.3g}"
     return {"verdict": PROVEN, "passed": True, "inequality": inequality, "amount": slack, "reason": reason}
 
@@ -243,10 +257,8 @@ def assumption_7(c: Sampled, clock: Budget) -> BallDecision:
     return BallDecision(names, "every real window start and every later t", slack)
 
 
-def replays_in_balls(data: Mapping[str, object]) -> bool:
+def replays_in_balls(content: Sampled) -> bool:
     """Whether the witness of a certificate on one schedule certainly reaches its ratio."""
-    content = certificate(data)
-    assert isinstance(content, Sampled)
     try:
         with precision(), np.errstate(all="ignore"):
             attained(content, ENDLESS)

@@ -18,13 +18,13 @@ from sampling_design.accuracy.undetectable import DetectablePart
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
-from sampling_design.records.record import CurveRecord, Plain, Record, Variable, finite_or_nones, short
+from sampling_design.records.record import CurveRecord, PlainRecord, Variable, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
 
 
-class AccuracyBracket(Record):
+class AccuracyBracket(PlainRecord):
     """The least guaranteed error of each wanted row, bracketed: `lower` attained, `upper` guaranteed."""
 
     rows: WantedRows
@@ -86,6 +86,11 @@ class Accuracy(AccuracyBracket, CurveRecord):
     proof: tuple[GapProof, ...] = field(repr=False)
     """Over the shortest period that the question has (`AccuracyQuestion.primitive`)."""
     deviation: StandardDeviation | None = None
+
+    _plain = (
+        "rows{names units matrix} time_unit:plant.time_unit schedule lower upper unknown worst offset known_from "
+        "closed at_samples profile{edges lower upper} witnesses deviation?"
+    )
 
     @property
     def plant(self) -> Plant:
@@ -243,30 +248,3 @@ class Accuracy(AccuracyBracket, CurveRecord):
             "sample": Variable(("sample",), profile.samples, time),
             "worst": Variable(("row",), self.worst, time),
         }
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data; what is infinite becomes None."""
-        data: dict[str, Plain] = {
-            "rows": {
-                "names": list(self.rows.names),
-                "units": list(self.rows.units),
-                "matrix": self.rows.matrix.tolist(),
-            },
-            "time_unit": self.plant.time_unit,
-            "schedule": self.schedule.to_dict(),
-            "lower": finite_or_nones(self.lower),
-            "upper": finite_or_nones(self.upper),
-            "unknown": list(self.unknown),
-            "worst": self.worst.tolist(),
-            "offset": self.offset.tolist(),
-            "known_from": finite_or_nones(self.known_from),
-            "closed": self.closed.tolist(),
-            "at_samples": [finite_or_nones(row) for row in self.at_samples],
-            "profile": {
-                "edges": self.profile.edges.tolist(),
-                "lower": [finite_or_nones(row) for row in self.profile.lower],
-                "upper": [finite_or_nones(row) for row in self.profile.upper],
-            },
-            "witnesses": [None if witness is None else witness.to_dict() for witness in self.witnesses],
-        }
-        return data if self.deviation is None else data | {"deviation": self.deviation.to_dict()}

@@ -19,7 +19,7 @@ from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -44,7 +44,7 @@ REFINED = 60
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StandardDeviation(Record):
+class StandardDeviation(PlainRecord):
     """The least standard deviation of wanted rows for white noise, over a whole schedule.
 
     Attributes
@@ -72,6 +72,8 @@ class StandardDeviation(Record):
     times: Array
     profile: Array
 
+    _plain = "rows:rows.names worst worst_at mean times profile"
+
     def lines(self) -> list[tuple[str, str]]:
         """Rows of a table."""
         unit = self.plant.time_unit
@@ -94,17 +96,6 @@ class StandardDeviation(Record):
         return (
             f"For white noise of the given sizes the best filter's standard deviation is at worst: {', '.join(parts)}."
         )
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data; what is infinite becomes None."""
-        return {
-            "rows": list(self.rows.names),
-            "worst": [float(x) if np.isfinite(x) else None for x in self.worst],
-            "worst_at": self.worst_at.tolist(),
-            "mean": [float(x) if np.isfinite(x) else None for x in self.mean],
-            "times": self.times.tolist(),
-            "profile": [[float(x) if np.isfinite(x) else None for x in row] for row in self.profile],
-        }
 
 
 @checked

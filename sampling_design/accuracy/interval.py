@@ -26,7 +26,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import Plain, PlainRecord, short
 from sampling_design.records.signatures import checked
 
 Array = npt.NDArray[np.float64]
@@ -39,7 +39,7 @@ MOSTLY = 0.9
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Disproof(Record):
+class Disproof(PlainRecord):
     """Why the data contradict the bounds: gains for the row 0, whose bound would have to be negative.
 
         0 <= sum lambda'(y - ybar) + theta b(lambda)
@@ -60,6 +60,8 @@ class Disproof(Record):
     factors: dict[str, float]
     gains: dict[str, Array]
     scales: Array = field(repr=False)
+
+    _plain = "times factors gains"
 
     @property
     def times(self) -> Array:
@@ -108,14 +110,6 @@ class Disproof(Record):
             f"{short(self.factors['all'], 3)} times as large; {alone}."
         )
 
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data; a factor that is infinite becomes None."""
-        return {
-            "times": self.times.tolist(),
-            "factors": {k: float(x) if np.isfinite(x) else None for k, x in self.factors.items()},
-            "gains": {k: x.tolist() for k, x in self.gains.items()},
-        }
-
 
 def _program(readings: Readings, scales: Array) -> RecordProgram:
     return RecordProgram(readings, GapTable(readings.A, readings.G, scales))
@@ -126,7 +120,7 @@ def _grown(factor: float) -> str:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Interval(Record):
+class Interval(PlainRecord):
     """The values that the data leave possible, for each wanted row.
 
         lower <= z <= upper,    upper = c'xbar + min over gains of sum lambda'y + b(lambda),   lower = -upper(-c)
@@ -158,6 +152,8 @@ class Interval(Record):
     scales: Array = field(repr=False)
     outer: Array | None = None
     disproof: Disproof | None = None
+
+    _plain = "t rows{names matrix} lower upper contradiction gains disproof"
 
     @property
     def plant(self) -> Plant:
@@ -324,18 +320,6 @@ class Interval(Record):
         """Eigenvalues that no output that was read shows, in words."""
         measured = {row.H.tobytes(): row.H for rows in self.readings.rows for row in rows if not row.below}
         return unseen_modes(self.plant.A, np.array(list(measured.values())).reshape(-1, self.plant.n_states))
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data; what is unbounded becomes None."""
-        return {
-            "t": self.t,
-            "rows": {"names": list(self.rows.names), "matrix": self.rows.matrix.tolist()},
-            "lower": [float(x) if np.isfinite(x) else None for x in self.lower],
-            "upper": [float(x) if np.isfinite(x) else None for x in self.upper],
-            "contradiction": self.contradiction,
-            "gains": self.gains.tolist(),
-            "disproof": None if self.disproof is None else self.disproof.to_dict(),
-        }
 
 
 @checked

@@ -21,7 +21,7 @@ from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 
@@ -61,7 +61,7 @@ class LimitWitness:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class AccuracyLimit(Record):
+class AccuracyLimit(PlainRecord):
     """A lower bound on the least guaranteed error of each row that holds for every schedule of the allowed times.
 
     Attributes
@@ -90,6 +90,11 @@ class AccuracyLimit(Record):
     witnesses: tuple[LimitWitness, ...]
     unknown: tuple[str, ...]
 
+    _plain = "rows:rows.names lower zones period unknown witnesses:_attacks"
+
+    def _attacks(self) -> tuple[AccuracyWitness | None, ...]:
+        return tuple(one.attack for one in self.witnesses)
+
     def verify(self) -> bool:
         """Whether every witness keeps its bounds at all allowed real times and reaches its value."""
         known = _known(self.plant)
@@ -117,17 +122,6 @@ class AccuracyLimit(Record):
         when = "Even measured at all times" if self.zones is None else "Even measured at all allowed times"
         parts = [f"{n} is uncertain by {short(x, 4)}" for n, x in zip(self.rows.labels(), self.lower, strict=True)]
         return f"{when}, {', '.join(parts)} at the worst moment: no schedule and no estimator knows more."
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data; what is infinite becomes None."""
-        return {
-            "rows": list(self.rows.names),
-            "lower": [float(x) if np.isfinite(x) else None for x in self.lower],
-            "zones": None if self.zones is None else self.zones.tolist(),
-            "period": self.period,
-            "unknown": list(self.unknown),
-            "witnesses": [None if one.attack is None else one.attack.to_dict() for one in self.witnesses],
-        }
 
 
 @checked

@@ -21,7 +21,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 
 Array = npt.NDArray[np.float64]
@@ -68,7 +68,7 @@ class ProjectionAreas(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Projection(Record):
+class Projection(PlainRecord):
     """What data that read zero leave possible of two rows at one time: a convex set about 0, inner <= set <= outer.
 
     Attributes
@@ -92,6 +92,8 @@ class Projection(Record):
     inner: Array
     ellipse: Array
 
+    _plain = "names t outer inner ellipse"
+
     def areas(self) -> ProjectionAreas:
         """Areas of inner polygon, outer polygon and ellipse."""
         ellipse = float(np.pi * np.sqrt(max(np.linalg.det(self.ellipse), 0.0)))
@@ -113,16 +115,6 @@ class Projection(Record):
             f"At {short(self.t)} {self.time_unit} nobody can place {' and '.join(self.names)} better than within a set "
             f"of area {short(inner, 4)} to {short(outer, 4)}; the ellipse of a quadratic cost has {short(ellipse, 4)}."
         )
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data."""
-        return {
-            "names": list(self.names),
-            "t": self.t,
-            "outer": self.outer.tolist(),
-            "inner": self.inner.tolist(),
-            "ellipse": self.ellipse.tolist(),
-        }
 
 
 @checked

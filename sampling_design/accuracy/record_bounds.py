@@ -16,7 +16,7 @@ from sampling_design.accuracy.record_readings import read_record
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 
 Array = npt.NDArray[np.float64]
@@ -29,7 +29,7 @@ GROWS = {"both": "all", "w": "w", "v": "v"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RecordBounds(Record):
+class RecordBounds(PlainRecord):
     """The least multiple of given bounds that a record does not disprove.
 
     What a record does not disprove need not hold next time: a candidate, no more than that.
@@ -55,6 +55,8 @@ class RecordBounds(Record):
     enough: float
     gains: Array = field(repr=False)
     scales: Array = field(repr=False)
+
+    _plain = "grow factor enough gains"
 
     @property
     def w_bound(self) -> Array:
@@ -92,15 +94,6 @@ class RecordBounds(Record):
             f"The record disproves {what} times less than {short(self.factor)} and does not disprove them times "
             f"{short(self.enough)}: a candidate for next time, no more than that."
         )
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data; what is infinite becomes None."""
-        return {
-            "grow": self.grow,
-            "factor": self.factor if np.isfinite(self.factor) else None,
-            "enough": self.enough if np.isfinite(self.enough) else None,
-            "gains": self.gains.tolist(),
-        }
 
 
 @checked

@@ -17,7 +17,7 @@ from sampling_design.numerics.linalg import forced_flow
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 
@@ -31,7 +31,7 @@ TINY = 1e-9
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PeriodicEstimate(Record):
+class PeriodicEstimate(PlainRecord):
     """Wanted rows after one sample: |z - value| <= radii if the bounds hold.
 
     Attributes
@@ -53,10 +53,6 @@ class PeriodicEstimate(Record):
         """Say what is guaranteed."""
         pairs = zip(self.value, self.radii, strict=True)
         return f"At {short(self.t)}: " + ", ".join(f"{short(z)} within {short(r, 4)}" for z, r in pairs) + "."
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data."""
-        return {"t": self.t, "value": self.value.tolist(), "radii": self.radii.tolist()}
 
 
 @dataclass(frozen=True, eq=False)

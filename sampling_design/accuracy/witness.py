@@ -77,6 +77,8 @@ class AccuracyWitness(Record):
     outputs: npt.NDArray[np.bool_]
     value: float
 
+    _table = {"value": "{value}", "samples": "{samples.size}", "duration": "{edges[-1]} {plant.time_unit}"}
+
     def simulate(self, units: Array | None = None) -> WitnessRun:
         """Return what happens: the noise that hides the state at the samples, its end, and the disturbance.
 
@@ -130,13 +132,6 @@ class AccuracyWitness(Record):
         _, W = discounted_flow(self.plant.A * balance / balance[:, None], G @ G.T, [longest])
         spread = np.sqrt(np.diag(W[0]))
         return np.asarray(balance * np.where(spread > 0, spread, 1.0))
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return [
-            ("value", short(self.value)),
-            ("samples", str(self.samples.size)),
-            ("duration", f"{short(self.edges[-1])} {self.plant.time_unit}"),
-        ]
 
     def explain(self) -> str:
         """Say what the witness does."""

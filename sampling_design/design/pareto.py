@@ -23,7 +23,7 @@ from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed
 from sampling_design.records.file_io import from_json, read_text, to_json, write_text
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import Plain, TableRecord, counted, short
+from sampling_design.records.record import PlainRecord, TableRecord, counted, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.workers import Workers, check_workers, mapped
 
@@ -45,7 +45,7 @@ class ParetoPoint:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ParetoFront(TableRecord):
+class ParetoFront(TableRecord, PlainRecord):
     """Sigma and its bound over the number of samples per period.
 
     Attributes
@@ -56,6 +56,8 @@ class ParetoFront(TableRecord):
 
     points: tuple[ParetoPoint, ...]
 
+    _plain = "points"
+
     @property
     def efficient(self) -> tuple[ParetoPoint, ...]:
         """The points that no smaller count reaches or exceeds."""
@@ -64,10 +66,6 @@ class ParetoFront(TableRecord):
             if point.sigma > max((p.sigma for p in kept), default=0.0):
                 kept.append(point)
         return tuple(kept)
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data, one entry per count."""
-        return {"points": [asdict(point) for point in self.points]}
 
     def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:
         names = ("samples", "sigma", "upper_bound", "times", "obstacle")

@@ -21,13 +21,12 @@ from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 from sampling_design.records.evidence import Claim, SolverRecord
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import Plain, Record, counted, short
-from sampling_design.schedules.files import schedule_to_dict
+from sampling_design.records.record import Plain, PlainRecord, counted, short
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ScheduleDesign(Record):
+class ScheduleDesign(PlainRecord):
     """A designed schedule, what it proves, and how far from the best it can be.
 
     Attributes
@@ -79,6 +78,12 @@ class ScheduleDesign(Record):
     status: str = "complete"
     notes: tuple[str, ...] = field(default=())
     other_counts: dict[int, UpperBound] = field(default_factory=dict)
+
+    _plain = (
+        "format:_format status claim plant requirement defaults_used retained_states:split.retained.n_states schedule "
+        "coordinates sigma sigma_attained upper_bound gap deviations cost zero_count bound other_counts history solver notes"
+    )
+    _format = "sampling-design/design/1"
 
     @property
     def gap(self) -> float:
@@ -177,32 +182,6 @@ class ScheduleDesign(Record):
         used = there if self.schedule.outputs is None else self.schedule.outputs
         complete = self.schedule.outputs is not None or bool(there.all())
         return complete and not bool(np.any(used & ~there)) and self.cost <= self.problem.cost_limit * (1 + 1e-9)
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data with everything that a re-check needs."""
-        return {
-            "format": "sampling-design/design/1",
-            "status": self.status,
-            "claim": self.claim.to_dict(),
-            "plant": self.plant.to_dict(),
-            "requirement": self.requirement.to_dict(),
-            "defaults_used": dict(self.defaults_used),
-            "retained_states": self.split.retained.n_states,
-            "schedule": None if self.schedule is None else schedule_to_dict(self.schedule),
-            "coordinates": self.coordinates,
-            "sigma": None if self.schedule is None else self.sigma,
-            "sigma_attained": None if self.schedule is None else self.sigma_attained,
-            "upper_bound": self.upper_bound if np.isfinite(self.upper_bound) else None,
-            "gap": self.gap,
-            "deviations": None if self.deviations is None else self.deviations.to_dict(),
-            "cost": self.cost,
-            "zero_count": None if self.zero_count is None else self.zero_count.to_dict(),
-            "bound": None if self.bound is None else self.bound.to_dict(),
-            "other_counts": {str(count): bound.to_dict() for count, bound in self.other_counts.items()},
-            "history": list(self.history),
-            "solver": [record.to_dict() for record in self.solver],
-            "notes": list(self.notes),
-        }
 
     def _rows(self) -> list[tuple[str, str]]:
         if self.schedule is None:

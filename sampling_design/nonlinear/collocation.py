@@ -53,6 +53,8 @@ class Collocation(Record):
 
     _slip: ClassVar[str] = "Use Collocation(w_step=, degree=, capacity=, accuracy=, inputs=)."
 
+    _table = {"degree": "{degree}", "pieces": "{w_step:or M/60}", "capacity": "{capacity}"}
+
     def __post_init__(self) -> None:
         if self.w_step is not None:
             object.__setattr__(self, "w_step", checks.positive("w_step", self.w_step))
@@ -62,10 +64,6 @@ class Collocation(Record):
         if self.accuracy is not None:
             object.__setattr__(self, "accuracy", checks.positive("accuracy", self.accuracy))
         checks.word("inputs", self.inputs, BETWEEN)
-
-    def _rows(self) -> list[tuple[str, str]]:
-        rows = [("degree", str(self.degree)), ("pieces", "M/60" if self.w_step is None else short(self.w_step))]
-        return rows + ([] if self.capacity is None else [("capacity", str(self.capacity))])
 
     def explain(self) -> str:
         """Say what a piece is."""
@@ -104,13 +102,12 @@ class WindowSolver(Record):
 
     _slip: ClassVar[str] = "Use WindowSolver(tolerance=, max_iterations=, starts=)."
 
+    _table = {"tolerance": "{tolerance}", "max_iterations": "{max_iterations}", "starts": "{starts}"}
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "tolerance", checks.positive("tolerance", self.tolerance))
         object.__setattr__(self, "max_iterations", checks.whole("max_iterations", self.max_iterations, 1))
         object.__setattr__(self, "starts", checks.whole("starts", self.starts))
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return [(key, short(getattr(self, key))) for key in ("tolerance", "max_iterations", "starts")]
 
     def explain(self) -> str:
         """Say how a window is solved."""

@@ -92,6 +92,24 @@ class DetectabilityEvidence(YesOrNo):
     witness: PairWitness
     claim: Claim
 
+    _table = {
+        "worst ratio": "{ratio} ({_word})",
+        "pairs": "{pairs}{_left_out} (evidence, not proof)",
+        "at": "pair {witness.pair}, K_{witness.start}, t = {witness.t} {time_unit}",
+        "median ratio": "{_median}",
+        "lambda, at least": "{least_lambda} (at t = {least_lambda_time})",
+        "lambda, at least, equal disturbances": "{quiet_lambda}",
+        "horizon of Theorem 9, at least": "{least_horizon} {time_unit}",
+        "eta": "{eta} 1/{time_unit}",
+        "duration": "{duration} {time_unit}",
+    }
+
+    def _left_out(self) -> str:
+        return f", {self.left_out} more left out" if self.left_out else ""
+
+    def _median(self) -> float:
+        return float(np.median(self.ratios))
+
     @property
     def holds(self) -> bool:
         """Whether (16) held at every time that was looked at."""
@@ -103,20 +121,6 @@ class DetectabilityEvidence(YesOrNo):
     def least_horizon(self) -> float:
         """Return 2 ln(2 least_lambda)/eta: with these weights Theorem 9 asks for more than this, whatever P1 is."""
         return float(2 * np.log(2 * self.least_lambda) / self.eta) if self.eta > 0 else float("inf")
-
-    def _rows(self) -> list[tuple[str, str]]:
-        left = f", {self.left_out} more left out" if self.left_out else ""
-        return [
-            ("worst ratio", f"{short(self.ratio)} ({self._word()})"),
-            ("pairs", f"{self.pairs}{left} (evidence, not proof)"),
-            ("at", f"pair {self.witness.pair}, K_{self.witness.start}, t = {short(self.witness.t)} {self.time_unit}"),
-            ("median ratio", short(np.median(self.ratios))),
-            ("lambda, at least", f"{short(self.least_lambda)} (at t = {short(self.least_lambda_time)})"),
-            ("lambda, at least, equal disturbances", short(self.quiet_lambda)),
-            ("horizon of Theorem 9, at least", f"{short(self.least_horizon())} {self.time_unit}"),
-            ("eta", f"{short(self.eta)} 1/{self.time_unit}"),
-            ("duration", f"{short(self.duration)} {self.time_unit}"),
-        ]
 
     def explain(self) -> str:
         """Say what was seen and that it proves nothing."""

@@ -53,16 +53,14 @@ class Outliers(Record):
 
     _slip: ClassVar[str] = "Use Outliers(huber=, gate=, patience=)."
 
+    _table = {"huber": "{huber:or -}", "gate": "{gate:or -}", "patience": "{patience}"}
+
     def __post_init__(self) -> None:
         for key in ("huber", "gate"):
             value = getattr(self, key)
             if value is not None:
                 object.__setattr__(self, key, checks.positive(key, value))
         object.__setattr__(self, "patience", checks.whole("patience", self.patience, 1))
-
-    def _rows(self) -> list[tuple[str, str]]:
-        rows = [(key, "-" if getattr(self, key) is None else short(getattr(self, key))) for key in ("huber", "gate")]
-        return [*rows, ("patience", str(self.patience))]
 
     def explain(self) -> str:
         """Say what happens to a large residual."""

@@ -47,6 +47,17 @@ class SmoothedWindow(TableRecord, CurveRecord):
     residuals: Array
     covariance: Array
 
+    _table = {
+        "window": "{times[0]} to {times[-1]} {plant.time_unit}",
+        "samples": "{_samples}",
+        "pieces": "{w.__len__}",
+        "x at its end": "{x[-1]}",
+        "standard deviation there": "{deviation[-1]}",
+    }
+
+    def _samples(self) -> int:
+        return int(np.isfinite(self.residuals).any(axis=1).sum())
+
     def __len__(self) -> int:
         return self.times.size
 
@@ -77,17 +88,6 @@ class SmoothedWindow(TableRecord, CurveRecord):
             "residuals": Variable(("time", "output"), self.residuals),
             "covariance": Variable(("time", "state", "other_state"), self.covariance),
         }
-
-    def _rows(self) -> list[tuple[str, str]]:
-        unit = self.plant.time_unit
-        seen = int(np.isfinite(self.residuals).any(axis=1).sum())
-        return [
-            ("window", f"{short(self.times[0])} to {short(self.times[-1])} {unit}"),
-            ("samples", str(seen)),
-            ("pieces", str(len(self.w))),
-            ("x at its end", short(self.x[-1])),
-            ("standard deviation there", short(self.deviation[-1])),
-        ]
 
     def explain(self) -> str:
         """Say what the window found."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeVar
 
-from sampling_design.records.record import Record, short
+from sampling_design.records.record import PlainRecord, short
 
 UNSETTLED = ("budget", "rounding", "timing", "too many states", "sampled")
 """Of a search: what ends it with a bracket that is wider than was asked."""
@@ -25,7 +25,7 @@ class ProvenBound(Protocol):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SigmaBracket(Record):
+class SigmaBracket(PlainRecord):
     """A proven lower and an attained upper bound of sigma, with why the search between them ended."""
 
     lower: float = field(kw_only=True)
@@ -34,6 +34,11 @@ class SigmaBracket(Record):
     rtol: float = field(kw_only=True)
     coordinates: str = field(default="physical", kw_only=True)
     rigorous: bool = field(default=False, kw_only=True)
+
+    _table = {
+        "sigma at least": "{lower} ({_grounds}; {coordinates} coordinates, state at the window's start)",
+        "sigma at most": "{upper} (attained)",
+    }
 
     @property
     def closed(self) -> bool:
@@ -45,15 +50,6 @@ class SigmaBracket(Record):
         if self.status == "sampled":
             return "nothing is proven"
         return "proven in ball arithmetic" if self.rigorous else "proven"
-
-    def _between(self, *inside: tuple[str, str]) -> list[tuple[str, str]]:
-        """The rows of the table: both bounds, and those of the kind."""
-        where = f"{self.coordinates} coordinates, state at the window's start"
-        return [
-            ("sigma at least", f"{short(self.lower)} ({self._grounds}; {where})"),
-            ("sigma at most", f"{short(self.upper)} (attained)"),
-            *inside,
-        ]
 
     def _concluded(self, claim: str, where: str, reasons: dict[str, str]) -> str:
         """The claim, what is attained and where; why the bracket did not close, if `reasons` knows the status."""

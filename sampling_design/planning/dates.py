@@ -27,7 +27,7 @@ from sampling_design.planning.sequence_deviation import (
 )
 from sampling_design.planning.start import plan_start
 from sampling_design.records import checks
-from sampling_design.records.record import Plain, Record, counted, short
+from sampling_design.records.record import PlainRecord, counted, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken
 from sampling_design.schedules.schedule import Schedule
@@ -82,7 +82,7 @@ class DateException:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PlanDates(Record):
+class PlanDates(PlainRecord):
     """A plan written out on real dates.
 
     Attributes
@@ -100,6 +100,8 @@ class PlanDates(Record):
     entries: tuple[PlannedDate, ...]
     exceptions: tuple[DateException, ...]
     kept_from: float = 0.0
+
+    _plain = "entries{date time outputs added} kept_from exceptions{what date proven ratio}"
 
     @property
     def keeps(self) -> bool:
@@ -152,20 +154,6 @@ class PlanDates(Record):
         for words, dates in (("not kept", bad), ("not proven", doubtful)):
             told += f"; {words}: {', '.join(dates)}" if dates else ""
         return f"{told}." if bad or doubtful else f"{told}; every tolerance is kept across them."
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data."""
-        return {
-            "entries": [
-                {"date": e.date.isoformat(), "time": e.time, "outputs": list(e.outputs), "added": e.added}
-                for e in self.entries
-            ],
-            "kept_from": self.kept_from if np.isfinite(self.kept_from) else None,
-            "exceptions": [
-                {"what": e.what, "date": e.date, "proven": e.proven, "ratio": e.ratio if np.isfinite(e.ratio) else None}
-                for e in self.exceptions
-            ],
-        }
 
 
 @checked

@@ -20,6 +20,7 @@ from sampling_design.planning.filter_deviation import RasterFilter
 from sampling_design.planning.problem import PlanProblem
 from sampling_design.planning.start import PlanStart, starts
 from sampling_design.plants.plant import first_difference
+from sampling_design.records.declarations import plain, selected
 from sampling_design.records.record import Plain, counted, short
 from sampling_design.records.units import spoken
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -123,24 +124,15 @@ class Plan(PlanFigures):
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data with everything that a re-check needs."""
-        data: dict[str, object] = {
+        bound = self.bound
+        return {
             "format": FORMAT,
-            "status": self.status,
-            "plant": self.plant.to_dict(),
-            "requirement": self.requirement.to_dict(),
-            "schedule": self.schedule.to_dict(),
-            "reached": self.reached.tolist(),
-            "cost": self.cost,
-            "ratio": self.ratio,
-            "attacks": [attack_to_dict(attack) for attack in self.bound.attacks],
-            "no_better_than": None if self.bound.ratio is None else proof_to_dict(self.bound.ratio),
-            "no_cheaper_than": None if self.bound.cost is None else proof_to_dict(self.bound.cost),
-            "certificate": None if self.certificate is None else self.certificate.to_dict(),
-            "robustness": None if self.robustness is None else self.robustness.to_dict(),
-            "left_out": list(self.left_out),
-            "start": None if self.start is None else self.start.to_dict(),
+            **selected(self, "status plant requirement schedule reached cost ratio"),
+            "attacks": plain([attack_to_dict(attack) for attack in bound.attacks]),
+            "no_better_than": plain(bound.ratio and proof_to_dict(bound.ratio)),
+            "no_cheaper_than": plain(bound.cost and proof_to_dict(bound.cost)),
+            **selected(self, "certificate robustness left_out start"),
         }
-        return data  # type: ignore[return-value]
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("samples", f"{self.samples} in {spoken(self.schedule.period, self.plant.time_unit)}")]

@@ -14,7 +14,7 @@ from sampling_design.accuracy.start import InitialError
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.opening import OpeningCalendar, week_hours
 from sampling_design.records import checks
-from sampling_design.records.record import Plain, Record, counted, short
+from sampling_design.records.record import Plain, PlainRecord, Record, counted, short
 from sampling_design.records.units import SECONDS, check_time_unit
 
 Array = npt.NDArray[np.float64]
@@ -71,6 +71,8 @@ class AccuracyGoal(Record):
     row: Array | None = None
     kind: str = KINDS[0]
 
+    _table = {"tolerance": "{tolerance}", "at": "{when}"}
+
     if TYPE_CHECKING:  # callers may pass anything that becomes an array
 
         def __init__(
@@ -96,9 +98,6 @@ class AccuracyGoal(Record):
         times = self.at if isinstance(self.at, str) else "at " + short(list(self.at))
         return times if self.kind == KINDS[0] else f"{self.kind}, {times}"
 
-    def _rows(self) -> list[tuple[str, str]]:
-        return [("tolerance", short(self.tolerance)), ("at", self.when())]
-
     def explain(self) -> str:
         """Say the goal in words."""
         return f"Within {short(self.tolerance)}, {self.when()}."
@@ -112,7 +111,7 @@ class AccuracyGoal(Record):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SensorTerms(Record):
+class SensorTerms(PlainRecord):
     """What one sensor costs and can do.
 
     Parameters
@@ -143,6 +142,11 @@ class SensorTerms(Record):
     spacing: Duration | None = None
     noise_deviation: float | None = None
 
+    _plain = "price noise_bound? noise_deviation? longest_use? spacing? hours?:_file_hours"
+
+    def _file_hours(self) -> Plain:
+        return None if self.hours is None else _plain_hours(self.hours)
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "price", checks.nonnegative("price", self.price))
         if self.noise_bound is not None:
@@ -164,14 +168,6 @@ class SensorTerms(Record):
     def explain(self) -> str:
         """Say the terms in words."""
         return ", ".join(f"{label} {value}" for label, value in self._rows()) + "."
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data; what was not given is left out."""
-        data: dict[str, Plain] = {"price": self.price}
-        for key in ("noise_bound", "noise_deviation", "longest_use", "spacing"):
-            value = getattr(self, key)
-            data |= {} if value is None else {key: value}
-        return data if self.hours is None else {**data, "hours": _plain_hours(self.hours)}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.records.record import Plain, Record, finite_or_nones, short
+from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.units import spoken
 
 Array = npt.NDArray[np.float64]
@@ -17,7 +17,7 @@ LOST = ("none", "any one", "any two in a row")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PlanRobustness(Record):
+class PlanRobustness(PlainRecord):
     """How late samples may be, and how many may be lost, before a tolerance breaks.
 
     Attributes
@@ -77,15 +77,3 @@ class PlanRobustness(Record):
         worst = float(np.max(self.lost_ratio))
         after = f"the accuracy is then {100 * worst:.3g} % of the tolerance at worst" if np.isfinite(worst) else ""
         return f"{text}; {lost}{'; ' if after else ''}{after}."
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data."""
-        return {
-            "time_unit": self.time_unit,
-            "times": self.times.tolist(),
-            "late": self.late.tolist(),
-            "step": self.step.tolist(),
-            "late_ratio": self.late_ratio.tolist(),
-            "lost": self.lost,
-            "lost_ratio": finite_or_nones(self.lost_ratio),
-        }

@@ -12,7 +12,7 @@ from sampling_design.planning.opening import PlanClock
 from sampling_design.planning.sequence import proven_ratio, settles
 from sampling_design.planning.sequence_deviation import GRAIN, ORDINARY, SampleSequence, planned
 from sampling_design.records.budget import Budget
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.units import spoken
 
 LONGER = 2
@@ -23,7 +23,7 @@ SAME = 1e-4
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PlanStart(Record):
+class PlanStart(PlainRecord):
     """From when on a plan keeps its tolerances after its start, proven.
 
     Attributes
@@ -62,16 +62,6 @@ class PlanStart(Record):
     def explain(self) -> str:
         """Say from when on the tolerances are kept."""
         return f"Of a plan that is followed from its start on: {self.told()} ({short(self.ratio, 3)} of them)."
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data."""
-        finite = np.isfinite(self.from_time)
-        return {
-            "time_unit": self.time_unit,
-            "from_time": self.from_time if finite else None,
-            "ratio": self.ratio if np.isfinite(self.ratio) else None,
-            "bounded": self.bounded,
-        }
 
 
 def plan_start(plan: PlanFigures, work: Budget | None = None) -> PlanStart | None:

@@ -17,7 +17,7 @@ from sampling_design.plants.grouping import (
     radius,
 )
 from sampling_design.records import checks
-from sampling_design.records.record import Record, short
+from sampling_design.records.record import Record
 from sampling_design.records.signatures import checked
 
 Complex = npt.NDArray[np.complex128]
@@ -57,15 +57,14 @@ class EigenvalueCluster(Record):
     sure: bool
     members: Complex
 
-    def _rows(self) -> list[tuple[str, str]]:
-        return [
-            ("value", self.label()),
-            ("multiplicity", str(self.multiplicity)),
-            ("index", str(self.index)),
-            ("sure", "yes" if self.sure else "no"),
-            ("radius", short(self.radius, 3)),
-            ("uncertainty", short(self.uncertainty, 3)),
-        ]
+    _table = {
+        "value": "{label}",
+        "multiplicity": "{multiplicity}",
+        "index": "{index}",
+        "sure": "{sure}",
+        "radius": "{radius:3}",
+        "uncertainty": "{uncertainty:3}",
+    }
 
     def label(self) -> str:
         """Return the value as text; a part below its uncertainty is written as zero."""

@@ -19,7 +19,7 @@ from sampling_design.plants.grouping import CLUSTER_CAP, SchurForm, balanced_sch
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 
 __all__ = ["EigenvalueCluster", "ModalSplit", "eigenvalue_clusters", "split_modes"]
@@ -30,7 +30,7 @@ OFFSET = 1e-8  # stability margin in units of |A|: the spread of a double eigenv
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ModalSplit(Record):
+class ModalSplit(PlainRecord):
     """A plant split into a retained and a residual part.
 
         x = basis_retained z_r + basis_residual z_s,    z_r = left_retained x,    z_s = left_residual x
@@ -80,26 +80,18 @@ class ModalSplit(Record):
     clusters: tuple[EigenvalueCluster, ...]
     retained_clusters: tuple[EigenvalueCluster, ...]
 
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data: eigenvalues with multiplicity and index, and what was decided about them."""
-        modes: list[Plain] = [
-            {
-                "eigenvalue": [c.value.real, c.value.imag],
-                "multiplicity": c.multiplicity,
-                "index": c.index,
-                "retained": c in self.retained_clusters,
-            }
+    _plain = (
+        "decay_rate retained_states:retained.n_states residual_states:residual.n_states "
+        "modes:_modes near_line separation condition"
+    )
+
+    def _modes(self) -> list[dict[str, object]]:
+        """The clusters, for plain data."""
+        kept = self.retained_clusters
+        return [
+            {"eigenvalue": c.value, "multiplicity": c.multiplicity, "index": c.index, "retained": c in kept}
             for c in self.clusters
         ]
-        return {
-            "decay_rate": self.decay_rate,
-            "retained_states": self.retained.n_states,
-            "residual_states": self.residual.n_states,
-            "modes": modes,
-            "near_line": [[v.real, v.imag] for v in self.near_line.tolist()],
-            "separation": self.separation if np.isfinite(self.separation) else None,
-            "condition": self.condition,
-        }
 
     def _rows(self) -> list[tuple[str, str]]:
         near = (format_eigenvalue(value, grain=1e-4 * self.offset) for value in self.near_line)

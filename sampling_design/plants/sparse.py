@@ -14,7 +14,7 @@ from scipy.sparse.linalg import ArpackError, eigsh, splu
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.plants.plant import ORDER, Plant, Signals
 from sampling_design.records import checks
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import check_time_unit
 
@@ -29,7 +29,7 @@ FURTHER = 4.0  # by how much a shift grows from one try to the next
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SparsePlant(Record):
+class SparsePlant(PlainRecord):
     """A linear plant with many states and sparse matrices.
 
         M x'(t) = A x(t) + B u(t) + G w(t),    y(t) = C x(t) + D u(t) + v(t)
@@ -82,6 +82,8 @@ class SparsePlant(Record):
     inputs: Signals = None  # type: ignore[assignment]
     disturbances: Signals | None = None
     n_states: int = field(init=False)
+
+    _plain = "name states:n_states entries:A.nnz outputs:outputs.names time_unit"
 
     if TYPE_CHECKING:  # callers may pass anything that becomes a matrix
 
@@ -137,16 +139,6 @@ class SparsePlant(Record):
         for key, value in {**values, **names, "disturbances": None if G is None else small.disturbances}.items():
             object.__setattr__(self, key, value)
 
-    def to_dict(self) -> dict[str, Plain]:
-        """Sizes and names; the matrices stay arrays."""
-        return {
-            "name": self.name,
-            "states": self.n_states,
-            "entries": int(self.A.nnz),
-            "outputs": list(self.outputs.names),
-            "time_unit": self.time_unit,
-        }
-
     def _rows(self) -> list[tuple[str, str]]:
         return [
             ("states", str(self.n_states)),
@@ -163,7 +155,7 @@ class SparsePlant(Record):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SparseSplit(Record):
+class SparseSplit(PlainRecord):
     """The modes of a sparse plant that do not decay fast enough, and the proof that there are no others.
 
         x = basis z + a part whose error decays at least like e^{-decay_rate t/2},    z = left x
@@ -204,26 +196,14 @@ class SparseSplit(Record):
     perturbation: float
     clearance: float
 
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data, without the bases."""
-        return {
-            "states": self.plant.n_states,
-            "decay_rate": self.decay_rate,
-            "eigenvalues": self.eigenvalues.tolist(),
-            "line": self.line,
-            "proof": self.proof,
-            "perturbation": self.perturbation,
-            "clearance": self.clearance if np.isfinite(self.clearance) else None,
-        }
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return [
-            ("retained", f"{self.eigenvalues.size} of {self.plant.n_states} modes"),
-            ("eigenvalues retained", short(self.eigenvalues[:8]) if self.eigenvalues.size else "none"),
-            ("all others left of", f"{short(self.line)} 1/{self.plant.time_unit}"),
-            ("proof", self.proof),
-            ("rounding moves by", short(self.perturbation, 3)),
-        ]
+    _table = {
+        "retained": "{eigenvalues.size} of {plant.n_states} modes",
+        "eigenvalues retained": "{eigenvalues:or none}",
+        "all others left of": "{line} 1/{plant.time_unit}",
+        "proof": "{proof}",
+        "rounding moves by": "{perturbation:3}",
+    }
+    _plain = "states:plant.n_states decay_rate eigenvalues line proof perturbation clearance"
 
     def explain(self) -> str:
         """Say what is retained and why nothing else is."""

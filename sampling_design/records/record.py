@@ -1,6 +1,10 @@
 """What all records share: a one-line repr, a small table, an HTML table, words, and a picture.
 
-A record lists its rows once, in `_rows`; everything that shows it is made from them.
+A record says once, beside its fields, what its table shows (`_table`) and what its plain data holds (`_plain`); text,
+HTML and `to_dict` are made from that. A record that computes a line overrides `_rows`, or `to_dict`.
+
+    _table = {"eta": "{eta} 1/{plant.time_unit}", "margin": "{margin:3}", "critical length": "{critical_length:or -}"}
+    _plain = "eta margin time_unit:plant.time_unit rows{names matrix} claim"
 """
 
 from __future__ import annotations
@@ -9,22 +13,23 @@ import inspect
 import math
 from abc import ABCMeta
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from html import escape
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError, MissingExtraError, UndecidedError
+from sampling_design.records.declarations import Plain as Plain
+from sampling_design.records.declarations import said, selected
+from sampling_design.records.declarations import short as short
 from sampling_design.records.dispatch import offered
 from sampling_design.records.signatures import checked_methods, misfit, within
 
 if TYPE_CHECKING:
     from pandas import DataFrame
     from xarray import Dataset
-
-Plain: TypeAlias = "str | float | bool | Sequence[Plain] | Mapping[str, Plain] | None"
-"""Plain data, as it stands in a file: texts, numbers, and lists and tables of them."""
 
 
 class _Kind(ABCMeta):
@@ -57,9 +62,15 @@ class Record(metaclass=_Kind):
         super().__init_subclass__(**options)
         checked_methods(cls)
 
+    _table: ClassVar[Mapping[str, str]] = {}
+    """Label and value of each line, templates as `said` reads them."""
+
     def _rows(self) -> list[tuple[str, str]]:
-        """Label and value of each line of the table, in order."""
-        raise NotImplementedError
+        """Label and value of each line of the table, in order; a line about what is None is left out."""
+        if not self._table:
+            raise NotImplementedError
+        lines = ((said(self, label), said(self, value)) for label, value in self._table.items())
+        return [(label, value) for label, value in lines if label is not None and value is not None]
 
     def _title(self) -> str:
         return type(self).__name__
@@ -87,6 +98,17 @@ class Record(metaclass=_Kind):
             for label, value in self._rows()
         )
         return f"<table><caption>{escape(self._title())}</caption>{body}</table>"
+
+
+class PlainRecord(Record):
+    """Base of the records that are plain data too, for files and other programs."""
+
+    _plain: ClassVar[str] = ""
+    """What the data holds, as `selected` reads it; all fields where nothing is said."""
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data: arrays are lists, what is infinite or no number is None."""
+        return selected(self, self._plain or " ".join(each.name for each in fields(self)))  # type: ignore[arg-type]
 
 
 class YesOrNo(Record):
@@ -200,13 +222,3 @@ def finite_or_none(value: float) -> float | None:
 def finite_or_nones(values: npt.NDArray[np.float64]) -> list[float | None]:
     """The same for a row of numbers."""
     return [value if math.isfinite(value) else None for value in values.tolist()]
-
-
-def short(value: object, digits: int = 6) -> str:
-    """Return a number, or a short list of numbers, as text of `digits` significant digits."""
-    numbers = np.asarray(value, dtype=float)
-    if numbers.ndim == 0:
-        return f"{float(numbers):.{digits}g}"
-    flat = numbers.ravel()
-    shown = ", ".join(f"{v:.{digits}g}" for v in flat[:8])
-    return f"[{shown}{', ...' if flat.size > 8 else ''}]"

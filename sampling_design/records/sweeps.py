@@ -12,7 +12,7 @@ from sampling_design.records import checks
 from sampling_design.records.file_io import from_json, to_json
 from sampling_design.records.journal import Journal, digest
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import Plain, Record
+from sampling_design.records.record import Plain, PlainRecord
 from sampling_design.records.signatures import checked
 from sampling_design.records.workers import Workers, check_workers, numbered
 
@@ -29,7 +29,7 @@ class HasDict(Protocol):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Sweep(Record):
+class Sweep(PlainRecord):
     """Answers to one question, as plain data, in the order in which things were given.
 
     Attributes
@@ -63,10 +63,6 @@ class Sweep(Record):
         if found is None:
             raise ArgumentError(f"`name` = {name!r} has no answer: {self.obstacles[k]}")
         return found
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data."""
-        return {"names": list(self.names), "answers": list(self.answers), "obstacles": list(self.obstacles)}
 
     def _rows(self) -> list[tuple[str, str]]:
         return [(name, obstacle or "answered") for name, obstacle in zip(self.names, self.obstacles, strict=True)]

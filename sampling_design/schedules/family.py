@@ -14,7 +14,7 @@ import numpy.typing as npt
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.checks import Seed
-from sampling_design.records.record import Plain, Record
+from sampling_design.records.record import PlainRecord
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 AnySchedule = Schedule | PeriodicSchedule
@@ -80,7 +80,7 @@ class TimingTolerance:
     of: int = 1
 
 
-class SamplingFamily(Record, ABC):
+class SamplingFamily(PlainRecord, ABC):
     """A set of schedules.
 
     A subclass is a frozen dataclass that names its kind, `class MyFamily(SamplingFamily, kind="my-family")`; its fields
@@ -135,10 +135,6 @@ class SamplingFamily(Record, ABC):
     @abstractmethod
     def draw(self, rng: Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
         """Return a random finite member that covers [0, duration] or has `samples` samples."""
-
-    @abstractmethod
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data with a key "kind"; `family_from_dict` reads it back."""
 
     # The graph whose paths are the members (certificates/families/).
 

@@ -10,7 +10,7 @@ import numpy as np
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.checks import Seed
-from sampling_design.records.record import Plain, short
+from sampling_design.records.record import short
 from sampling_design.records.units import check_time_unit
 from sampling_design.schedules.family import (
     AnySchedule,
@@ -52,6 +52,8 @@ class GapRange(SamplingFamily, kind="gap-range"):
     longest: float
     time_unit: str | None = field(default=None, kw_only=True)
     remembers = False
+
+    _plain = "kind shortest longest time_unit?"
 
     def __post_init__(self) -> None:
         shortest, longest = checks.positive("shortest", self.shortest), checks.positive("longest", self.longest)
@@ -116,11 +118,6 @@ class GapRange(SamplingFamily, kind="gap-range"):
         """Return the range around the same middle, `fraction` times as wide."""
         middle, half = (self.shortest + self.longest) / 2, fraction * (self.longest - self.shortest) / 2
         return type(self)(middle - half, middle + half, time_unit=self.time_unit)
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data; `family_from_dict` reads it back."""
-        data: dict[str, Plain] = {"kind": self.kind, "shortest": self.shortest, "longest": self.longest}
-        return data | ({} if self.time_unit is None else {"time_unit": self.time_unit})
 
     def _rows(self) -> list[tuple[str, str]]:
         unit = f" {self.time_unit}" if self.time_unit else ""

@@ -13,7 +13,7 @@ import numpy as np
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.checks import Seed
-from sampling_design.records.record import Plain, short
+from sampling_design.records.record import short
 from sampling_design.schedules.family import (
     OUTWARD,
     RANDOM_WORDS,
@@ -71,6 +71,9 @@ class Jitter(SamplingFamily, kind="jitter"):
 
     schedule: AnySchedule
     radius: float
+
+    _plain = "kind schedule radius"
+    _table = {"nominal": "{schedule.explain}", "radius": "{radius}"}
 
     def __post_init__(self) -> None:
         least = SamplingSet(self.schedule).min_gap
@@ -216,13 +219,6 @@ class Jitter(SamplingFamily, kind="jitter"):
     def narrowed(self, fraction: float) -> Self:
         """Return the family of `fraction` times the radius."""
         return type(self)(self.schedule, fraction * self.radius)
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data; `family_from_dict` reads it back."""
-        return {"kind": self.kind, "schedule": self.schedule.to_dict(), "radius": self.radius}
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return [("nominal", self.schedule.explain()), ("radius", short(self.radius))]
 
     def explain(self) -> str:
         """Say which schedules belong."""

@@ -14,7 +14,6 @@ import numpy.typing as npt
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.checks import Seed
-from sampling_design.records.record import Plain, short
 from sampling_design.schedules.family import (
     START,
     AnySchedule,
@@ -66,6 +65,9 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
     schedule: AnySchedule
     most: int
     of: int
+
+    _plain = "kind schedule most of"
+    _table = {"nominal": "{schedule.explain}", "lost at most": "{most} of {of}", "longest gap": "{d_max}"}
 
     def __post_init__(self) -> None:
         SamplingSet(self.schedule)
@@ -229,17 +231,6 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
     def variation(self, start: PeriodicSchedule) -> None:
         """Patterns of losses do not vary continuously."""
         return
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data; `family_from_dict` reads it back."""
-        return {"kind": self.kind, "schedule": self.schedule.to_dict(), "most": self.most, "of": self.of}
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return [
-            ("nominal", self.schedule.explain()),
-            ("lost at most", f"{self.most} of {self.of}"),
-            ("longest gap", short(self.d_max)),
-        ]
 
     def explain(self) -> str:
         """Say which schedules belong."""

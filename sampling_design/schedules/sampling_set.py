@@ -71,6 +71,14 @@ class SamplingSet(Record):
 
     schedule: Schedule | PeriodicSchedule
 
+    _table = {
+        "first": "{first}",
+        "d_max": "{d_max}",
+        "min gap": "{min_gap}",
+        "distinct": "{distinct}",
+        "periodic": "{is_periodic}",
+    }
+
     def __post_init__(self) -> None:
         if not isinstance(self.schedule, (Schedule, PeriodicSchedule)):
             raise ArgumentError(
@@ -168,15 +176,6 @@ class SamplingSet(Record):
         ends = starts + T
         inside = np.searchsorted(times, ends + ROUNDING * ends, side="right") - np.arange(starts.size)
         return int(np.max(inside))
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return [
-            ("first", short(self.first)),
-            ("d_max", short(self.d_max)),
-            ("min gap", short(self.min_gap)),
-            ("distinct", str(self.distinct)),
-            ("periodic", "yes" if self.is_periodic else "no"),
-        ]
 
     def explain(self) -> str:
         """Say how many sets there are and how far apart samples lie."""

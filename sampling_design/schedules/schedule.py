@@ -93,6 +93,8 @@ class Schedule(_Sampled):
     times: Array
     outputs: Mask | None = None
 
+    _table = {"samples": "{__len__}", "times": "{times}", "time unit": "{time_unit:or -}"}
+
     if TYPE_CHECKING:  # callers may pass anything that becomes an array
 
         def __init__(
@@ -149,9 +151,6 @@ class Schedule(_Sampled):
         """Plain data, exact; `schedule_from_dict` reads it back."""
         return self._plain(self.outputs, kind="finite", times=self.times.tolist())
 
-    def _rows(self) -> list[tuple[str, str]]:
-        return [("samples", str(len(self))), ("times", short(self.times)), ("time unit", self.time_unit or "-")]
-
     def explain(self) -> str:
         """Say what the schedule is, in words."""
         if not len(self):
@@ -204,6 +203,13 @@ class PeriodicSchedule(_Sampled):
     outputs: Mask | None = None
     times: Array = field(init=False)
     period: float = field(init=False)
+
+    _table = {
+        "samples per period": "{__len__}",
+        "period": "{period}",
+        "times": "{times}",
+        "time unit": "{time_unit:or -}",
+    }
 
     if TYPE_CHECKING:  # likewise
 
@@ -322,14 +328,6 @@ class PeriodicSchedule(_Sampled):
         """Plain data, exact; `schedule_from_dict` reads it back."""
         period = {"gaps": self.gaps.tolist(), "first": self.first, "times": self.times.tolist(), "period": self.period}
         return self._plain(self.outputs, kind="periodic", **period)
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return [
-            ("samples per period", str(len(self))),
-            ("period", short(self.period)),
-            ("times", short(self.times)),
-            ("time unit", self.time_unit or "-"),
-        ]
 
     def explain(self) -> str:
         """Say what the schedule is, in words."""

@@ -9,7 +9,7 @@ import numpy as np
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.records import checks
 from sampling_design.records.checks import Seed
-from sampling_design.records.record import Plain, short
+from sampling_design.records.record import short
 from sampling_design.records.units import check_time_unit
 from sampling_design.schedules.family import (
     GAP_MEMORY,
@@ -76,6 +76,8 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
     count: int
     spacing: float
     time_unit: str | None = field(default=None, kw_only=True)
+
+    _plain = "kind window count spacing time_unit?"
 
     def __post_init__(self) -> None:
         window, count = checks.positive("window", self.window), checks.whole("count", self.count, 1)
@@ -226,16 +228,6 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
         k, old = self.count, [float(gap) for gap in word]
         least = min(self.window - sum(old[:i]) - (k - 1 - i) * self.spacing for i in range(min(len(old), k - 1) + 1))
         return float(least + OUTWARD * self.window)
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data; `family_from_dict` reads it back."""
-        data: dict[str, Plain] = {
-            "kind": self.kind,
-            "window": self.window,
-            "count": self.count,
-            "spacing": self.spacing,
-        }
-        return data | ({} if self.time_unit is None else {"time_unit": self.time_unit})
 
     def _rows(self) -> list[tuple[str, str]]:
         unit = f" {self.time_unit}" if self.time_unit else ""

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sampling_design.plants.plant import Plant
 from sampling_design.records.evidence import Strength
-from sampling_design.records.record import Plain, YesOrNo, short
+from sampling_design.records.record import Plain, PlainRecord, YesOrNo, short
 
 Array = npt.NDArray[np.float64]
 
@@ -52,6 +52,16 @@ class Finding(YesOrNo):
     note: str = ""
     checked: bool = True
 
+    _table = {
+        "claim": "{claim}",
+        "scenario": "{scenario}",
+        "predicted": "{sense} {predicted}",
+        "observed": "{observed}",
+        "margin": "{margin:3}",
+        "passed": "{passed}",
+        "note": "{note:or }",
+    }
+
     @property
     def margin(self) -> float:
         """Share of the prediction that is left (negative where it is broken)."""
@@ -80,17 +90,6 @@ class Finding(YesOrNo):
         if not self.checked:
             data |= {"observed": None, "margin": None}
         return {**data, "passed": self.passed}
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return [
-            ("claim", self.claim),
-            ("scenario", self.scenario),
-            ("predicted", f"{self.sense} {short(self.predicted)}"),
-            ("observed", short(self.observed)),
-            ("margin", short(self.margin, 3)),
-            ("passed", "yes" if self.passed else "no"),
-            *([("note", self.note)] if self.note else []),
-        ]
 
     def explain(self) -> str:
         """Say whether the promise held."""
@@ -122,7 +121,7 @@ class ExampleRun:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ValidationReport(YesOrNo):
+class ValidationReport(YesOrNo, PlainRecord):
     """What a plant's schedule and certificate promised, and whether it came true.
 
     True if every promise held, false if one was broken; neither where none was, and not all were checked.
@@ -155,6 +154,11 @@ class ValidationReport(YesOrNo):
     settings: Mapping[str, object] = field(default_factory=dict)
     skipped: tuple[str, ...] = ()
 
+    _plain = (
+        "format:_format plant:plant.name passed findings skipped settings norm times bound courses{name largest median}"
+    )
+    _format = "sampling-design/validation/1"
+
     @property
     def passed(self) -> bool:
         """Whether every promise was checked and held, of one at least."""
@@ -184,23 +188,6 @@ class ValidationReport(YesOrNo):
             ]
             for f in self.findings
         ]
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data: findings, settings, and the courses of the errors."""
-        return {
-            "format": "sampling-design/validation/1",
-            "plant": self.plant.name,
-            "passed": self.passed,
-            "findings": [finding.to_dict() for finding in self.findings],
-            "skipped": list(self.skipped),
-            "settings": dict(self.settings),
-            "norm": self.norm,
-            "times": self.times.tolist(),
-            "bound": None if self.bound is None else self.bound.tolist(),
-            "courses": [
-                {"name": c.name, "largest": c.largest.tolist(), "median": c.median.tolist()} for c in self.courses
-            ],
-        }
 
     def to_markdown(self) -> str:
         """Return the report as a page: verdict, findings, notes, settings."""

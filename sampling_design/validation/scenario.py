@@ -14,6 +14,7 @@ from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.checks import Seed
+from sampling_design.records.declarations import selected
 from sampling_design.records.record import Plain, Record, counted, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule
@@ -69,7 +70,7 @@ class ScenarioBounds:
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
-        return {"w_bound": self.w.tolist(), "v_bound": self.v.tolist(), "initial_error": self.e0.tolist()}
+        return selected(self, "w_bound:w v_bound:v initial_error:e0")
 
 
 def _bound(name: str, value: npt.ArrayLike | None, scales: Array) -> Array:

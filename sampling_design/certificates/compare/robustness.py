@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -20,7 +20,7 @@ from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.jitter import Jitter
@@ -84,7 +84,7 @@ class FamilyTrial:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Robustness(Record):
+class Robustness(PlainRecord):
     """Timing errors and losses under which a certificate survives.
 
     It survives if a family certificate with the same P2, Qw, R, Qv and eta holds whose lambda still lets the same
@@ -128,35 +128,13 @@ class Robustness(Record):
     others: tuple[FamilyTrial, ...]
     closed: bool
 
+    _plain = "horizon:length limit radius broken tolerated trials losses families:others{family lam survives} closed"
+
     @property
     def tolerated(self) -> tuple[tuple[int, int], ...]:
         """(d, w): at most d of any w consecutive samples may be lost, w the least for each d."""
         leeways = [c.family.leeway for c in self.thinned]
         return tuple((leeway.most, leeway.of) for leeway in leeways if leeway is not None)
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data, without the certificates; a lambda that does not exist is None."""
-
-        def known(lam: float) -> float | None:
-            return lam if np.isfinite(lam) else None
-
-        def plain(entry: TimingTrial | LossTrial) -> dict[str, Plain]:
-            return {**asdict(entry), "lam": known(entry.lam)}
-
-        return {
-            "horizon": self.length,
-            "limit": self.limit,
-            "radius": self.radius,
-            "broken": self.broken,
-            "tolerated": [list(pair) for pair in self.tolerated],
-            "trials": [plain(trial) for trial in self.trials],
-            "losses": [plain(loss) for loss in self.losses],
-            "families": [
-                {"family": trial.family.to_dict(), "lam": known(trial.lam), "survives": trial.survives}
-                for trial in self.others
-            ],
-            "closed": self.closed,
-        }
 
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.certificate.plant.time_unit

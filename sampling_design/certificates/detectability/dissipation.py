@@ -87,6 +87,19 @@ class DetectabilityCertificate(VerifiableRecord):
     constants: ConstantList = field(default=ConstantList(), kw_only=True)
     solver: SolverRecord | None = field(default=None, kw_only=True)
 
+    _table = {
+        "eta": "{eta} 1/{plant.time_unit}",
+        "c_w": "{c_w}",
+        "c_y": "{c_y}",
+        "cond P": "{overshoot}",
+        "method": "{method}",
+        "margin": "{margin:3}",
+        "slack": "{verify.amount}",
+    }
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return super()._rows() + self.constants.lines()
+
     if TYPE_CHECKING:  # callers may pass anything that becomes an array
 
         def __init__(
@@ -143,19 +156,6 @@ class DetectabilityCertificate(VerifiableRecord):
         numbers = {key: getattr(self, key) for key in ("eta", "c_w", "c_y", "margin")}
         parts = {"claim": DETECTABILITY_CLAIM, "P": self.P.tolist(), **numbers, "method": self.method}
         return sealed(self.plant, parts, self.solver)
-
-    def _rows(self) -> list[tuple[str, str]]:
-        unit = self.plant.time_unit
-        rows = [
-            ("eta", f"{short(self.eta)} 1/{unit}"),
-            ("c_w", short(self.c_w)),
-            ("c_y", short(self.c_y)),
-            ("cond P", short(self.overshoot)),
-            ("method", self.method),
-            ("margin", short(self.margin, 3)),
-            ("slack", short(self.verify().amount)),
-        ]
-        return rows + [(c.name, f"{short(c.value)}  ({c.source})") for c in self.constants]
 
     def explain(self) -> str:
         """Say what the certificate promises."""

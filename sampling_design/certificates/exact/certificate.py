@@ -97,6 +97,19 @@ class SampledCertificate(VerifiableRecord, ABC):
     witness: Witness | None = field(default=None, kw_only=True)
     solver: SolverRecord = field(default_factory=lambda: SolverRecord("given"), kw_only=True)
 
+    _table = {
+        "eta": "{eta} 1/{plant.time_unit}",
+        "lambda": "{lam}",
+        "lambda, sample starts": "{lam_samples}",
+        "horizon, sharp": "M > {horizon.minimum} {plant.time_unit}",
+        "horizon, paper": "M > {_paper_horizon.minimum} {plant.time_unit}",
+        "C_x, C_w, C_v": "{horizon.C_x:3}, {horizon.C_w:3}, {horizon.C_v:3}",
+        "margin": "{margin:3}",
+    }
+
+    def _paper_horizon(self) -> Horizon:
+        return self.horizon("paper")
+
     def __post_init__(self) -> None:
         if not isinstance(self.plant, Plant):
             raise ArgumentError(f"`plant` must be a Plant, got {type(self.plant).__name__}.")
@@ -224,19 +237,6 @@ class SampledCertificate(VerifiableRecord, ABC):
         squared = found.C_x * start * decay + found.C_w * w2 * (1 - decay) / rate
         with np.errstate(over="ignore"):
             return np.asarray(unit * np.sqrt(squared + found.C_v * v2 * (hits(times) if v2 else 0.0)))
-
-    def _rows(self) -> list[tuple[str, str]]:
-        unit = self.plant.time_unit
-        sharp, paper = self.horizon(), self.horizon("paper")
-        return [
-            ("eta", f"{short(self.eta)} 1/{unit}"),
-            ("lambda", short(self.lam)),
-            ("lambda, sample starts", short(self.lam_samples)),
-            ("horizon, sharp", f"M > {short(sharp.minimum)} {unit}"),
-            ("horizon, paper", f"M > {short(paper.minimum)} {unit}"),
-            ("C_x, C_w, C_v", f"{short(sharp.C_x, 3)}, {short(sharp.C_w, 3)}, {short(sharp.C_v, 3)}"),
-            ("margin", short(self.margin, 3)),
-        ]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

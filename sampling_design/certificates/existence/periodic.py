@@ -80,13 +80,7 @@ class Existence(ExistenceAnswer):
     period: float = 0.0
     reason: str = "every mode that does not fade by itself is seen within a period"
 
-    def _rows(self) -> list[tuple[str, str]]:
-        return [
-            ("exists", "yes" if self.exists else "no"),
-            ("margin", short(self.margin, 3)),
-            ("period", short(self.period)),
-            ("reason", self.reason),
-        ]
+    _table = {"exists": "{exists}", "margin": "{margin:3}", "period": "{period}", "reason": "{reason}"}
 
     def explain(self) -> str:
         """Say why."""

@@ -60,6 +60,10 @@ class ConstantList(tuple[Constant, ...]):
         """Names in order."""
         return (c.name for c in self)
 
+    def lines(self) -> list[tuple[str, str]]:
+        """Return the rows of a table: constant, value and source."""
+        return [(c.name, f"{short(c.value)}  ({c.source})") for c in self]
+
     def to_markdown(self) -> str:
         """Return a table: constant, value, formula, source."""
         rows = [f"| {c.name} | {short(c.value)} | $ {c.formula} $ | {c.source} |" for c in self]

@@ -80,6 +80,17 @@ class Horizon(Record):
     lam: float
     time_unit: str = "s"
 
+    _table = {
+        "theorem": "{theorem}",
+        "M >": "{minimum} {time_unit}",
+        "M": "{length} {time_unit}",
+        "eta_tilde": "{eta_tilde} 1/{time_unit}",
+        "C_x": "{C_x}",
+        "C_w": "{C_w}",
+        "C_v": "{C_v}",
+        "lambda": "{lam}",
+    }
+
     def __float__(self) -> float:
         """The length M, so that `float(certificate.horizon())` is a horizon to use."""
         return self.length
@@ -92,19 +103,6 @@ class Horizon(Record):
             return Claim("RGES of the estimator with the cost (15)", "Theorem 9", given)
         convex = ("convex constraints that hold the truth", "half-open windows (t-M, t]", "every real window start")
         return Claim("RGES of the estimator with the certificate's cost", "sharper horizon theorem", (*given, *convex))
-
-    def _rows(self) -> list[tuple[str, str]]:
-        unit = self.time_unit
-        return [
-            ("theorem", self.theorem),
-            ("M >", f"{short(self.minimum)} {unit}"),
-            ("M", f"{short(self.length)} {unit}"),
-            ("eta_tilde", f"{short(self.eta_tilde)} 1/{unit}"),
-            ("C_x", short(self.C_x)),
-            ("C_w", short(self.C_w)),
-            ("C_v", short(self.C_v)),
-            ("lambda", short(self.lam)),
-        ]
 
     def explain(self) -> str:
         """Say what the horizon promises."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -14,11 +14,11 @@ from sampling_design.checkers.outcome import UNDECIDED, Refused
 from sampling_design.checkers.sampled import proven, replay
 from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.checkers.work import Work
-from sampling_design.records.record import Plain, YesOrNo, short
+from sampling_design.records.record import PlainRecord, YesOrNo
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Verification(YesOrNo):
+class Verification(YesOrNo, PlainRecord):
     """The verdict of `verify` on a certificate; true if it is proven, false if not, and neither where it is undecided.
 
     Attributes
@@ -52,22 +52,18 @@ class Verification(YesOrNo):
 
     _asked: ClassVar[str] = "verdict"
 
+    _table = {
+        "passed": "{passed}",
+        "inequality": "{inequality}",
+        "time": "{time}",
+        "window from": "{start}",
+        "direction": "{direction:3}",
+        "slack": "{amount:3}",
+        "reason": "{reason}",
+    }
+
     def _answer(self) -> bool | None:
         return None if self.verdict == UNDECIDED else self.passed
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data."""
-        return asdict(self)
-
-    def _rows(self) -> list[tuple[str, str]]:
-        rows = [("passed", "yes" if self.passed else "no"), ("inequality", self.inequality)]
-        if self.time is not None:
-            rows.append(("time", short(self.time)))
-        if self.start is not None:
-            rows.append(("window from", short(self.start)))
-        if self.direction is not None:
-            rows.append(("direction", short(self.direction, 3)))
-        return [*rows, ("slack", short(self.amount, 3)), ("reason", self.reason)]
 
     def explain(self) -> str:
         """Say the verdict."""

@@ -28,7 +28,7 @@ from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.records import checks
 from sampling_design.records.evidence import Claim, SolverRecord
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -38,7 +38,7 @@ RESIDUAL_SHARE = 0.95
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ProofConstants(Record):
+class ProofConstants(PlainRecord):
     """Assumption 7 with the constants that the paper's proofs give, each with its formula and source.
 
     Parameters
@@ -72,6 +72,17 @@ class ProofConstants(Record):
     constants: ConstantList
     detectability: DetectabilityCertificate | None
     split: ModalSplit
+
+    _plain = "variant P1 P2 Qw R Qv eta constants{name value formula source}"
+    _table = {
+        "variant": "{variant}",
+        "horizon": "M > {horizon} {plant.time_unit}",
+        "lambda": "{lam}",
+        "rate": "{eta} 1/{plant.time_unit}",
+    }
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return super()._rows() + self.constants.lines()
 
     def __getitem__(self, name: str) -> Constant:
         return self.constants.named(name)
@@ -108,21 +119,6 @@ class ProofConstants(Record):
     def to_latex(self) -> str:
         """Return the constants as a LaTeX tabular."""
         return self.constants.to_latex()
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data: variant, weights and constants."""
-        weights = {key: getattr(self, key).tolist() for key in ("P1", "P2", "Qw", "R", "Qv")}
-        listed = [{"name": c.name, "value": c.value, "formula": c.formula, "source": c.source} for c in self.constants]
-        return {"variant": self.variant, **weights, "eta": self.eta, "constants": listed}
-
-    def _rows(self) -> list[tuple[str, str]]:
-        rows = [
-            ("variant", self.variant),
-            ("horizon", f"M > {short(self.horizon)} {self.plant.time_unit}"),
-            ("lambda", short(self.lam)),
-            ("rate", f"{short(self.eta)} 1/{self.plant.time_unit}"),
-        ]
-        return rows + [(c.name, f"{short(c.value)}  ({c.source})") for c in self.constants]
 
     def explain(self) -> str:
         """Say what the proof's constants ask for."""

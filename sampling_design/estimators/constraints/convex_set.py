@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
-from sampling_design.records.record import Record, short
+from sampling_design.records.record import Record
 
 Array = npt.NDArray[np.float64]
 
@@ -73,6 +73,14 @@ class ConvexSet(Record):
     rows: Array
     offsets: Array
     balls: tuple[NormBall, ...] = ()
+
+    _table = {
+        "dimension": "{dimension}",
+        "lower": "{lower}",
+        "upper": "{upper}",
+        "half-spaces": "{rows.shape[0]}",
+        "balls": "{balls.__len__}",
+    }
 
     def __post_init__(self) -> None:
         lower, upper = _bounds("lower", self.lower), _bounds("upper", self.upper)
@@ -249,15 +257,6 @@ class ConvexSet(Record):
         size = max([1.0, *np.abs(self.offsets), *(b.radius for b in self.balls)])
         if conic_programs.usable(record) and float(excess.value) > EMPTY_MARGIN * size:
             raise ArgumentError(f"the set is empty: every point violates it by {float(excess.value):.3g} or more.")
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return [
-            ("dimension", str(self.dimension)),
-            ("lower", short(self.lower)),
-            ("upper", short(self.upper)),
-            ("half-spaces", str(self.rows.shape[0])),
-            ("balls", str(len(self.balls))),
-        ]
 
     def explain(self) -> str:
         """Say what bounds the set."""

@@ -40,8 +40,7 @@ class EstimateCurve(Record):
     tube: StateTube | None
     measurements: Measurements
 
-    def _rows(self) -> list[tuple[str, str]]:
-        return [("samples", str(len(self.measurements))), ("points", str(len(self.estimates)))]
+    _table = {"samples": "{measurements.__len__}", "points": "{estimates.__len__}"}
 
     def explain(self) -> str:
         """Say what holds the truth between samples."""

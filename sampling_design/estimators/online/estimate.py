@@ -15,7 +15,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.state_tube import StateTube
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import Plain, Record, finite_or_none, finite_or_nones, short
+from sampling_design.records.record import Plain, PlainRecord, finite_or_none, short
 
 Array = npt.NDArray[np.float64]
 
@@ -98,7 +98,7 @@ class ProvesIntervals(Protocol):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Estimate(Record):
+class Estimate(PlainRecord):
     """The state at one time, with the ellipsoid that holds it and the interval of each entry that the data prove.
 
         |x(t) - x|^2_Pi <= radius,    |x_i(t) - x_i| <= radii_i <= sqrt(radius (Pi^-1)_ii)
@@ -149,6 +149,18 @@ class Estimate(Record):
     note: str = ""
     contradiction: Contradiction | None = None
     proof: ProvesIntervals | None = field(default=None, repr=False)
+
+    _plain = "t x radii radius status cost certified on_schedule note contradiction"
+    _table = {
+        "t": "{t}",
+        "x": "{x}",
+        "radii": "{radii}",
+        "status": "{status}",
+        "certified": "{certified}",
+        "on schedule": "{on_schedule}",
+        "cost": "{cost}",
+        "note": "{note:or }",
+    }
 
     def interval(self, of: Wanted = None) -> Interval:
         """Return the values that the data and the bounds leave possible, for the states or for wanted rows.
@@ -252,18 +264,6 @@ class Estimate(Record):
             return np.nan
         return square / self.radius if self.radius > 0 else (0.0 if square == 0 else np.inf)
 
-    def _rows(self) -> list[tuple[str, str]]:
-        return [
-            ("t", short(self.t)),
-            ("x", short(self.x)),
-            ("radii", short(self.radii)),
-            ("status", self.status),
-            ("certified", "yes" if self.certified else "no"),
-            ("on schedule", "yes" if self.on_schedule else "no"),
-            ("cost", short(self.cost)),
-            *([("note", self.note)] if self.note else []),
-        ]
-
     def explain(self) -> str:
         """Say what this estimate promises."""
         radii = self.radii  # before the status: what they disprove stands in it
@@ -273,21 +273,6 @@ class Estimate(Record):
         else:
             text += " No radius is proven."
         return text + (f" {self.note}" if self.note else "")
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data; NaN and infinity become None."""
-        return {
-            "t": self.t,
-            "x": self.x.tolist(),
-            "radii": finite_or_nones(self.radii),
-            "radius": finite_or_none(self.radius),
-            "status": self.status,
-            "cost": finite_or_none(self.cost),
-            "certified": self.certified,
-            "on_schedule": self.on_schedule,
-            "note": self.note,
-            "contradiction": None if self.contradiction is None else self.contradiction.to_dict(),
-        }
 
 
 def estimate_of(**entries: object) -> Estimate:

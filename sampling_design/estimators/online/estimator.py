@@ -17,7 +17,7 @@ from sampling_design.estimators.online.tally import EstimateCounts
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import CurveRecord, Plain, TableRecord, Variable, finite_or_nones
+from sampling_design.records.record import CurveRecord, PlainRecord, TableRecord, Variable
 
 Array = npt.NDArray[np.float64]
 
@@ -52,7 +52,7 @@ class HasStates(Protocol):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class EstimateRecord(TableRecord, CurveRecord):
+class EstimateRecord(TableRecord, CurveRecord, PlainRecord):
     """Estimates in order of time, as arrays.
 
     Attributes
@@ -79,6 +79,11 @@ class EstimateRecord(TableRecord, CurveRecord):
     notes: tuple[str, ...] = field(default=())
     contradictions: tuple[Contradiction | None, ...] = field(default=())
     estimates: tuple[Estimate, ...] = field(default=(), repr=False)
+
+    _plain = (
+        "states:plant.states.names time_unit:plant.time_unit times x radii radius cost status certified on_schedule "
+        "notes contradictions:first_contradictions"
+    )
 
     @classmethod
     def collect(cls, plant: Plant | HasStates, estimates: Iterable[Estimate]) -> EstimateRecord:
@@ -130,23 +135,6 @@ class EstimateRecord(TableRecord, CurveRecord):
     def ellipsoid_radii(self) -> Array:
         """Half-widths of the ellipsoids, (N, n)."""
         return freeze(half_widths(self.radius[:, None], np.einsum("kii->ki", self.covariance)))
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data, one entry per estimate; NaN and infinity become None."""
-        return {
-            "states": list(self.plant.states.names),
-            "time_unit": self.plant.time_unit,
-            "times": self.times.tolist(),
-            "x": self.x.tolist(),
-            "radii": [finite_or_nones(row) for row in self.radii],
-            "radius": finite_or_nones(self.radius),
-            "cost": finite_or_nones(self.cost),
-            "status": list(self.status),
-            "certified": self.certified.tolist(),
-            "on_schedule": self.on_schedule.tolist(),
-            "notes": list(self.notes),
-            "contradictions": [each.to_dict() for each in self.first_contradictions],
-        }
 
     def _variables(self) -> dict[str, Variable]:
         states, time = self.plant.states.names, self.plant.time_unit

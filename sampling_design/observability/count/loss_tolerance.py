@@ -15,7 +15,7 @@ from sampling_design.plants.clusters import eigenvalue_clusters
 from sampling_design.plants.modes import split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.records.evidence import Claim
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 
@@ -38,7 +38,7 @@ MOST_GROWTH = 30.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LossTolerance(Record):
+class LossTolerance(PlainRecord):
     """Probabilities of independent losses that a periodic schedule bears.
 
     Attributes
@@ -74,21 +74,15 @@ class LossTolerance(Record):
     periods: int
     claim: Claim
 
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data."""
-        keys = ("lower", "upper", "limit", "growth", "density", "period", "periods")
-        numbers = {key: getattr(self, key) for key in keys}
-        return {**numbers, "hidden_times": self.hidden_times.tolist(), "claim": self.claim.to_dict()}
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return [
-            ("losses borne", f"below {short(self.lower)}"),
-            ("not borne", f"from {short(self.upper)}"),
-            ("any schedule as dense", f"below {short(self.limit)}"),
-            ("growth", short(self.growth)),
-            ("samples per time", short(self.density)),
-            ("hidden together", f"{self.hidden_times.size} samples in {self.periods} periods"),
-        ]
+    _table = {
+        "losses borne": "below {lower}",
+        "not borne": "from {upper}",
+        "any schedule as dense": "below {limit}",
+        "growth": "{growth}",
+        "samples per time": "{density}",
+        "hidden together": "{hidden_times.size} samples in {periods} periods",
+    }
+    _plain = "lower upper limit growth density period periods hidden_times claim"
 
     def explain(self) -> str:
         """Say how many losses are borne, and which samples are worth moving."""

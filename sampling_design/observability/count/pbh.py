@@ -56,6 +56,13 @@ class UnobservableModes(Record):
     tolerance: float
     names: tuple[str, ...]
 
+    _table = {
+        "unseen": "{__len__}",
+        "modes": "{describe:or -}",
+        "margin": "{margin:3}",
+        "tolerance": "{tolerance:3}",
+    }
+
     def __len__(self) -> int:
         return self.eigenvalues.size
 
@@ -66,14 +73,6 @@ class UnobservableModes(Record):
             for value, d in zip(self.eigenvalues, self.directions.T, strict=True)
             if value.imag >= 0
         )
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return [
-            ("unseen", str(len(self))),
-            ("modes", self.describe() or "-"),
-            ("margin", short(self.margin, 3)),
-            ("tolerance", short(self.tolerance, 3)),
-        ]
 
     def explain(self) -> str:
         """Say which modes are unseen."""

@@ -14,7 +14,7 @@ from sampling_design.plants.clusters import EigenvalueCluster, eigenvalue_cluste
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.evidence import Claim
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import open_verb
 
 ROUNDING_GUARD = 1e-9
@@ -24,7 +24,7 @@ MOST_SAMPLES = 1e15  # beyond, the next whole number is no double any more
 LARGEST_SUBSETS = 12  # outputs up to which every set of outputs is tried for the lower bound (2^12 rank decisions)
 
 
-class SampleCount(Record):
+class SampleCount(PlainRecord):
     """How many samples in a closed window of length `duration` determine the state of every plant asked about."""
 
     value: float
@@ -76,6 +76,27 @@ class ZeroCountBound(SampleCount):
     samples_least: int
     claim: Claim
 
+    _plain = (
+        "value samples_needed order frequency_spread duration n_states n_outputs critical_length:_length "
+        "samples_critical samples_least binding samples claim"
+    )
+
+    def _length(self) -> float | str | None:
+        """The critical length for a file, in which an infinite one (all eigenvalues real) is a word."""
+        return "infinite" if self.critical_length == np.inf else self.critical_length
+
+    _table = {
+        "k*": "{value}",
+        "samples needed": "{samples_needed}",
+        "order r": "{order}",
+        "frequency spread": "{frequency_spread}",
+        "duration": "{duration}",
+        "critical length": "{critical_length:or -}",
+        "samples by critical length": "{samples_critical:or -}",
+        "samples at least": "{samples_least}",
+        "binding": "{binding}: {samples}",
+    }
+
     @property
     def binding(self) -> str:
         """Which count asks for the fewest samples: "zero count" or "critical length"."""
@@ -88,34 +109,6 @@ class ZeroCountBound(SampleCount):
         """The binding count: this many distinct times suffice wherever they are placed in the window."""
         critical = self.samples_critical
         return self.samples_needed if critical is None else min(critical, self.samples_needed)
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data; an infinite critical length (all eigenvalues real) becomes the word "infinite"."""
-        length = "infinite" if self.critical_length == np.inf else self.critical_length
-        keys = ("value", "samples_needed", "order", "frequency_spread", "duration", "n_states", "n_outputs")
-        return {
-            **{key: getattr(self, key) for key in keys},
-            "critical_length": length,
-            "samples_critical": self.samples_critical,
-            "samples_least": self.samples_least,
-            "binding": self.binding,
-            "samples": self.samples,
-            "claim": self.claim.to_dict(),
-        }
-
-    def _rows(self) -> list[tuple[str, str]]:
-        length = "-" if self.critical_length is None else short(self.critical_length)
-        return [
-            ("k*", short(self.value)),
-            ("samples needed", str(self.samples_needed)),
-            ("order r", str(self.order)),
-            ("frequency spread", short(self.frequency_spread)),
-            ("duration", short(self.duration)),
-            ("critical length", length),
-            ("samples by critical length", "-" if self.samples_critical is None else str(self.samples_critical)),
-            ("samples at least", str(self.samples_least)),
-            ("binding", f"{self.binding}: {self.samples}"),
-        ]
 
     def explain(self) -> str:
         """Say how many samples suffice, and by which count."""

@@ -19,7 +19,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import CurveRecord, Plain, Record, TableRecord, Variable, short
+from sampling_design.records.record import CurveRecord, Record, TableRecord, Variable, short
 from sampling_design.records.signatures import open_verb
 from sampling_design.schedules.jitter import Jitter
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -66,18 +66,17 @@ class WindowWitness(Record):
     direction: Array
     sigma: float
 
+    _table = {
+        "window end": "{position}",
+        "samples": "{samples}",
+        "direction": "{direction}",
+        "sigma": "{sigma}",
+    }
+
     @property
     def position(self) -> str:
         """The end of the window in words, such as 'just after 3'."""
         return {"at": "", "after": "just after ", "before": "just before "}[self.side] + short(self.t)
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return [
-            ("window end", self.position),
-            ("samples", short(self.samples)),
-            ("direction", short(self.direction)),
-            ("sigma", short(self.sigma)),
-        ]
 
     def explain(self) -> str:
         """Say which window it is and what it sees least."""
@@ -147,6 +146,21 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
     slack: float = field(default=0.0, kw_only=True)
     timing_tolerance: float = field(default=0.0, kw_only=True)
 
+    _plain = (
+        "lower upper closed status window from_time rtol time_unit refers_to:_refers_to rigorous slack "
+        "timing_tolerance witness{t side samples direction} coordinates claim"
+    )
+    _refers_to = "the state at the window's start"
+
+    _table = {
+        **SigmaBracket._table,
+        "worst window ends": "{witness.position} {time_unit}",
+        "samples in it": "{witness.samples.size}",
+        "window": "{window} {time_unit}, from {from_time} {time_unit} on",
+        "samples early or late": "{_late}",
+        "status": "{status}",
+    }
+
     @property
     def claim(self) -> Claim:
         """What `lower` claims, and on what grounds."""
@@ -180,45 +194,12 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
         proven = profile.lower[np.searchsorted(np.unique(profile.piece), profile.piece)]
         return {"window_end": profile.t, "sigma": profile.sigma, "piece": profile.piece, "proven": proven}
 
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data, without the curve; infinite values (a plant without states) become None."""
-        finite = bool(np.isfinite(self.upper))
-        witness = self.witness
-        return {
-            "lower": self.lower if finite else None,
-            "upper": self.upper if finite else None,
-            "closed": self.closed,
-            "status": self.status,
-            "window": self.window,
-            "from_time": self.from_time,
-            "rtol": self.rtol,
-            "time_unit": self.time_unit,
-            "refers_to": "the state at the window's start",
-            "rigorous": self.rigorous,
-            "slack": self.slack,
-            "timing_tolerance": self.timing_tolerance,
-            "witness": {
-                "t": witness.t,
-                "side": witness.side,
-                "samples": witness.samples.tolist(),
-                "direction": witness.direction.tolist(),
-            },
-            "coordinates": self.coordinates,
-            "claim": self.claim.to_dict(),
-        }
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return self._between(
-            ("worst window ends", f"{self.witness.position} {self.time_unit}"),
-            ("samples in it", str(self.witness.samples.size)),
-            ("window", f"{short(self.window)} {self.time_unit}, from {short(self.from_time)} {self.time_unit} on"),
-            *([("samples early or late", f"up to {self._tolerance}")] if self.timing_tolerance else []),
-            ("status", self.status),
-        )
-
     @property
     def _tolerance(self) -> str:
         return f"{short(self.timing_tolerance)} {self.time_unit}"
+
+    def _late(self) -> str | None:
+        return f"up to {self._tolerance}" if self.timing_tolerance else None
 
     def explain(self) -> str:
         """Say what was proven, where the worst window is, and why a bracket did not close."""

@@ -22,7 +22,7 @@ from sampling_design.records.checks import Seed
 from sampling_design.records.dispatch import OpenPlant
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import Plain, counted, short
+from sampling_design.records.record import counted, short
 from sampling_design.records.signatures import open_verb
 from sampling_design.schedules.spaced_windows import SpacedWindows
 
@@ -95,6 +95,25 @@ class WorstCaseSigma(SigmaBracket):
     profile: WorstCaseProfile
     time_unit: str = field(default="s", kw_only=True)
 
+    _plain = (
+        "lower upper witness direction closed status method cells rtol rigorous family{window count spacing} time_unit "
+        "coordinates claim"
+    )
+    _table = {
+        **SigmaBracket._table,
+        "worst times": "{witness} {time_unit}",
+        "worst state": "{direction}",
+        "family": "{_counted} in {family.window} {time_unit}, {family.spacing} {time_unit} apart",
+        "status": "{status}",
+        "method": "{_method}",
+    }
+
+    def _counted(self) -> str:
+        return counted(self.family.count, "sample")
+
+    def _method(self) -> str:
+        return f"{self.method}, {self.cells} cells" if self.cells else self.method
+
     @property
     def claim(self) -> Claim:
         """What `lower` claims, and on what grounds."""
@@ -108,36 +127,6 @@ class WorstCaseSigma(SigmaBracket):
                 "every sample measures all outputs",
                 f"{self.coordinates} coordinates",
             ),
-        )
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data, without the profile; infinite values (a plant without states) become None."""
-        f, finite = self.family, bool(np.isfinite(self.upper))
-        return {
-            "lower": self.lower if finite else None,
-            "upper": self.upper if finite else None,
-            "witness": self.witness.tolist(),
-            "direction": self.direction.tolist(),
-            "closed": self.closed,
-            "status": self.status,
-            "method": self.method,
-            "cells": self.cells,
-            "rtol": self.rtol,
-            "rigorous": self.rigorous,
-            "family": {"window": f.window, "count": f.count, "spacing": f.spacing},
-            "time_unit": self.time_unit,
-            "coordinates": self.coordinates,
-            "claim": self.claim.to_dict(),
-        }
-
-    def _rows(self) -> list[tuple[str, str]]:
-        f, unit = self.family, self.time_unit
-        return self._between(
-            ("worst times", f"{short(self.witness)} {unit}"),
-            ("worst state", short(self.direction)),
-            ("family", f"{counted(f.count, 'sample')} in {short(f.window)} {unit}, {short(f.spacing)} {unit} apart"),
-            ("status", self.status),
-            ("method", f"{self.method}, {self.cells} cells" if self.cells else self.method),
         )
 
     def explain(self) -> str:

@@ -21,7 +21,7 @@ from sampling_design.records import checks
 from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import Plain, finite_or_nones, short
+from sampling_design.records.record import short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.branching import BALL_ROOM, bisected
 from sampling_design.uncertain.box.expansion import BoxCells
@@ -75,6 +75,8 @@ class AccuracyOverBox(AccuracyBracket):
     plant: UncertainPlant
     schedule: PeriodicSchedule
 
+    _plain = "rows{names matrix} lower upper worst closed cells claim"
+
     @property
     def claim(self) -> Claim:
         """What `upper` claims."""
@@ -83,18 +85,6 @@ class AccuracyOverBox(AccuracyBracket):
             "Theorem D for each plant of the box, the mismatch within a cell as a disturbance that bounds itself",
             ("constant parameters in their ranges, known to the estimator", "bounded disturbance and noise"),
         )
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data."""
-        return {
-            "rows": {"names": list(self.rows.names), "matrix": self.rows.matrix.tolist()},
-            "lower": self.lower.tolist(),
-            "upper": finite_or_nones(self.upper),
-            "worst": [dict(each) for each in self.worst],
-            "closed": self.closed.tolist(),
-            "cells": self.cells,
-            "claim": self.claim.to_dict(),
-        }
 
     def _rows(self) -> list[tuple[str, str]]:
         found = [

@@ -21,7 +21,7 @@ from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import Plain, finite_or_nones, short
+from sampling_design.records.record import short
 from sampling_design.schedules.schedule import Schedule
 from sampling_design.uncertain.accuracy.accuracy_over_box import refuse_others
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
@@ -70,6 +70,8 @@ class AccuracyAlong(AccuracyBracket):
     error: float
     proven: bool
 
+    _plain = "rows{names matrix} times time_unit:plant.time_unit lower upper worst known_from closed error claim"
+
     @property
     def claim(self) -> Claim:
         """What `upper` claims: numerical evidence, as integrals over w are sums."""
@@ -78,21 +80,6 @@ class AccuracyAlong(AccuracyBracket):
             "optimal recovery, integrals by Simpson's rule",
             ("bounded disturbance, noise and first error", "the plant varies as stated"),
         )
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data; what is infinite becomes None."""
-        return {
-            "rows": {"names": list(self.rows.names), "matrix": self.rows.matrix.tolist()},
-            "times": self.times.tolist(),
-            "time_unit": self.plant.time_unit,
-            "lower": [finite_or_nones(row) for row in self.lower],
-            "upper": [finite_or_nones(row) for row in self.upper],
-            "worst": self.worst.tolist(),
-            "known_from": finite_or_nones(self.known_from),
-            "closed": self.closed.tolist(),
-            "error": self.error,
-            "claim": self.claim.to_dict(),
-        }
 
     @property
     def largest(self) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ from sampling_design.observability.windows.pieces import window_pieces
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import Claim
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.branching import TOGETHER, bisected
@@ -39,7 +39,7 @@ NEAREST = 32
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LargestBox(Record):
+class LargestBox(PlainRecord):
     """How much of its ranges about the nominal values a plant may take before a schedule fails some plant.
 
     Attributes
@@ -66,6 +66,8 @@ class LargestBox(Record):
     cells: int
     plant: UncertainPlant
 
+    _plain = "share refuted low high worst closed claim"
+
     @property
     def box(self) -> UncertainPlant:
         """The plant with the ranges that are proven, the same nominal values."""
@@ -79,18 +81,6 @@ class LargestBox(Record):
         """What is proven."""
         ranges = "; ".join(f"{k} in [{short(v)}, {short(self.high[k])}]" for k, v in self.low.items())
         return Claim(f"{self.question} for every plant with {ranges}", assumptions=("constant parameters",))
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data; infinity becomes None."""
-        return {
-            "share": self.share,
-            "refuted": self.refuted if np.isfinite(self.refuted) else None,
-            "low": dict(self.low),
-            "high": dict(self.high),
-            "worst": None if self.worst is None else dict(self.worst),
-            "closed": self.closed,
-            "claim": self.claim.to_dict(),
-        }
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("share of the ranges", f"{short(self.share)} (proven)")]

@@ -15,7 +15,7 @@ from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.observability.windows.window_sigma import asked, refuse_tolerance
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import Plain, short
+from sampling_design.records.record import short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.branching import BALL_ROOM, BoxBounds, branch
 from sampling_design.uncertain.box.model import BoxModel
@@ -69,6 +69,19 @@ class WindowSigmaOverBox(SigmaBracket):
     from_time: float = field(default=0.0, kw_only=True)
     slack: float = field(default=0.0, kw_only=True)
 
+    _table = {
+        **SigmaBracket._table,
+        "worst plant": "{worst:or the nominal plant}",
+        "worst window begins": "{window_start} {time_unit}",
+        "samples in it": "{samples.size}",
+        "window": "{window} {time_unit}, from {from_time} {time_unit} on",
+        "status": "{status}, {cells} cells",
+    }
+    _plain = (
+        "lower upper worst window_start samples closed status window from_time rtol cells rigorous slack time_unit "
+        "coordinates claim"
+    )
+
     @property
     def time_unit(self) -> str:
         """Unit of all times."""
@@ -90,37 +103,6 @@ class WindowSigmaOverBox(SigmaBracket):
             f"t >= T + {short(self.from_time)}, T = {short(self.window)}",
             theorem="Theorem 14, hypothesis, for each plant of the box" + balls,
             assumptions=("constant parameters in their ranges", "the sample times are exact"),
-        )
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data; infinite values (a plant without states) become None."""
-        finite = bool(np.isfinite(self.upper))
-        return {
-            "lower": self.lower if finite else None,
-            "upper": self.upper if finite else None,
-            "worst": dict(self.worst),
-            "window_start": self.window_start,
-            "samples": self.samples.tolist(),
-            "closed": self.closed,
-            "status": self.status,
-            "window": self.window,
-            "from_time": self.from_time,
-            "rtol": self.rtol,
-            "cells": self.cells,
-            "rigorous": self.rigorous,
-            "slack": self.slack,
-            "time_unit": self.time_unit,
-            "coordinates": self.coordinates,
-            "claim": self.claim.to_dict(),
-        }
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return self._between(
-            ("worst plant", at_parameters(self.worst)),
-            ("worst window begins", f"{short(self.window_start)} {self.time_unit}"),
-            ("samples in it", str(self.samples.size)),
-            ("window", f"{short(self.window)} {self.time_unit}, from {short(self.from_time)} {self.time_unit} on"),
-            ("status", f"{self.status}, {self.cells} cells"),
         )
 
     def explain(self) -> str:

@@ -16,7 +16,7 @@ from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import Plain, short
+from sampling_design.records.record import short
 from sampling_design.schedules.spaced_windows import SpacedWindows
 from sampling_design.uncertain.box.branching import BALL_ROOM
 from sampling_design.uncertain.box.expansion import UP, BoxCells
@@ -68,6 +68,18 @@ class WorstCaseOverBox(SigmaBracket):
     plants: int
     plant: UncertainPlant
 
+    _table = {
+        **SigmaBracket._table,
+        "worst plant": "{worst:or the nominal plant}",
+        "worst times": "{witness} {plant.time_unit}",
+        "family": "{family.count} samples in {family.window} {_unit}, {family.spacing} {_unit} apart",
+        "status": "{status}, {plants} plants",
+    }
+    _plain = "lower upper worst witness status rtol plants rigorous coordinates family{window count spacing} claim"
+
+    def _unit(self) -> str:
+        return self.plant.time_unit
+
     @property
     def claim(self) -> Claim:
         """What `lower` claims, and on what grounds."""
@@ -77,32 +89,6 @@ class WorstCaseOverBox(SigmaBracket):
             f"samples, at least {short(f.spacing)} apart, in every window of {short(f.window)}",
             theorem="Theorem 17, for each plant of the box" + (", in ball arithmetic" if self.rigorous else ""),
             assumptions=("constant parameters in their ranges", "every sample measures all outputs"),
-        )
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data; infinite values (a plant without states) become None."""
-        finite, f = bool(np.isfinite(self.upper)), self.family
-        return {
-            "lower": self.lower if finite else None,
-            "upper": self.upper if finite else None,
-            "worst": dict(self.worst),
-            "witness": self.witness.tolist(),
-            "status": self.status,
-            "rtol": self.rtol,
-            "plants": self.plants,
-            "rigorous": self.rigorous,
-            "coordinates": self.coordinates,
-            "family": {"window": f.window, "count": f.count, "spacing": f.spacing},
-            "claim": self.claim.to_dict(),
-        }
-
-    def _rows(self) -> list[tuple[str, str]]:
-        f, unit = self.family, self.plant.time_unit
-        return self._between(
-            ("worst plant", at_parameters(self.worst)),
-            ("worst times", f"{short(self.witness)} {unit}"),
-            ("family", f"{f.count} samples in {short(f.window)} {unit}, {short(f.spacing)} {unit} apart"),
-            ("status", f"{self.status}, {self.plants} plants"),
         )
 
     def explain(self) -> str:

@@ -13,7 +13,7 @@ from sampling_design.observability.count.zero_count import SampleCount, samples_
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.evidence import Claim
-from sampling_design.records.record import Plain, short
+from sampling_design.records.record import short
 from sampling_design.uncertain.box.branching import BoxBounds, branch
 from sampling_design.uncertain.box.expansion import UP, BoxCells, bases, signs
 from sampling_design.uncertain.box.least import least_sigma
@@ -56,6 +56,15 @@ class ZeroCountOverBox(SampleCount):
     cells: int
     plant: UncertainPlant
 
+    _table = {
+        "k*, at most": "{value}",
+        "samples needed": "{samples_needed}",
+        "frequency spread": "{attained} to {frequency_spread}",
+        "fastest plant": "{worst:or the nominal plant}",
+        "duration": "{duration}",
+    }
+    _plain = "value samples_needed frequency_spread attained duration cells worst claim"
+
     @property
     def claim(self) -> Claim:
         """What the count claims."""
@@ -66,21 +75,6 @@ class ZeroCountOverBox(SampleCount):
             ("constant parameters in their ranges",),
             citation="paper, equation (29)",
         )
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data."""
-        keys = ("value", "samples_needed", "frequency_spread", "attained", "duration", "cells")
-        own: dict[str, Plain] = {key: getattr(self, key) for key in keys}
-        return own | {"worst": dict(self.worst), "claim": self.claim.to_dict()}
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return [
-            ("k*, at most", short(self.value)),
-            ("samples needed", str(self.samples_needed)),
-            ("frequency spread", f"{short(self.attained)} to {short(self.frequency_spread)}"),
-            ("fastest plant", at_parameters(self.worst)),
-            ("duration", short(self.duration)),
-        ]
 
     def explain(self) -> str:
         """Say how many samples suffice, and for which plant they are needed."""

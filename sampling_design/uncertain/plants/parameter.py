@@ -10,14 +10,14 @@ import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import PlainRecord, short
 
 Array = npt.NDArray[np.float64]
 _MOVED = ("A", "C", "G")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class UncertainParameter(Record):
+class UncertainParameter(PlainRecord):
     """A number that is only known to lie in a range, and how it enters a plant.
 
     Parameters
@@ -43,6 +43,8 @@ class UncertainParameter(Record):
     C: Array | None = None
     G: Array | None = None
     nominal: float = field(default=None, kw_only=True)  # type: ignore[assignment]
+
+    _plain = "name low nominal high A? C? G?"
 
     if TYPE_CHECKING:  # callers may pass anything that becomes an array
 
@@ -74,11 +76,6 @@ class UncertainParameter(Record):
             raise ArgumentError(f"parameter {self.name!r} must move an entry of A, C or G.")
         for key, item in owned.items():
             object.__setattr__(self, key, item)
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data as in a file."""
-        data: dict[str, Plain] = {"name": self.name, "low": self.low, "nominal": self.nominal, "high": self.high}
-        return data | {key: M.tolist() for key in _MOVED if (M := getattr(self, key)) is not None}
 
     def _rows(self) -> list[tuple[str, str]]:
         moved = ", ".join(key for key in _MOVED if getattr(self, key) is not None)

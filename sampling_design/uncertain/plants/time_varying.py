@@ -116,6 +116,13 @@ class TimeVaryingPlant(Record):
     disturbances: Signals = field(default=None, kw_only=True)  # type: ignore[assignment]
     name: str = field(default="", kw_only=True)
 
+    _table = {
+        "name": "{name:or -}",
+        "states": "{states.names}",
+        "outputs": "{outputs.names}",
+        "horizon": "{horizon} {time_unit}",
+    }
+
     def __post_init__(self) -> None:
         check_time_unit(self.time_unit)
         object.__setattr__(self, "horizon", checks.positive("horizon", self.horizon))
@@ -254,14 +261,6 @@ class TimeVaryingPlant(Record):
             both = path.y[:, -1].reshape(2 * n, n)
             found.append(np.vstack([both[:n], symmetrise(both[n:])]))
         return np.array(found).reshape(-1, 2 * n, n)
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return [
-            ("name", self.name or "-"),
-            ("states", ", ".join(self.states.names)),
-            ("outputs", ", ".join(self.outputs.names)),
-            ("horizon", f"{short(self.horizon)} {self.time_unit}"),
-        ]
 
     def explain(self) -> str:
         """Say what the plant is."""

@@ -17,7 +17,7 @@ from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records import checks
 from sampling_design.records.checks import Seed
 from sampling_design.records.file_io import read_tree, usable, write_tree
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import Plain, PlainRecord, short
 from sampling_design.uncertain.plants.inclusion import BoxColumns, InclusionMembers, LinearInclusion
 from sampling_design.uncertain.plants.parameter import UncertainParameter
 from sampling_design.uncertain.plants.plant_files import (
@@ -37,7 +37,7 @@ DRAWN = 1024
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class UncertainPlant(LinearInclusion, Record):
+class UncertainPlant(LinearInclusion, PlainRecord):
     """A linear plant whose matrices depend on parameters in a box, or lie between vertices.
 
         A(theta) = A + sum_k (theta_k - nominal_k) A_k,    likewise C and G,    low_k <= theta_k <= high_k
@@ -75,6 +75,8 @@ class UncertainPlant(LinearInclusion, Record):
     parameters: tuple[UncertainParameter, ...] = ()
     vertices: tuple[Plant, ...] = field(default=(), kw_only=True)
     varying: bool = field(default=False, kw_only=True)
+
+    _plain = "plant:nominal model:model_to_dict"
 
     if TYPE_CHECKING:  # callers may pass lists
 
@@ -351,10 +353,6 @@ class UncertainPlant(LinearInclusion, Record):
             If the suffix is another or the file cannot be written.
         """
         return write_tree(path, self.to_tree(), "an uncertain plant")
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data: the nominal plant and the model."""
-        return {"plant": self.nominal.to_dict(), "model": self.model_to_dict()}
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [(each.name, f"{short(each.low)} to {short(each.high)}") for each in self.parameters]

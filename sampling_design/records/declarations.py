@@ -1,0 +1,172 @@
+"""How a record's declarations are read: templates of its table, and names of what its plain data holds."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from datetime import date
+from functools import singledispatch
+from typing import TypeAlias, cast
+
+import numpy as np
+import numpy.typing as npt
+
+Plain: TypeAlias = "str | float | bool | Sequence[Plain] | Mapping[str, Plain] | None"
+"""Plain data, as it stands in a file: texts, numbers, and lists and tables of them."""
+
+STEP = re.compile(r"-?\w+")
+PLACE = re.compile(r"\{([\w.\[\]-]+)(?::(\d*)(?:or ([^}]*))?)?\}")
+"""A place of a template: the path, the number of digits, and the word for what is absent."""
+ITEM = re.compile(r"(\w+)(\?)?(?::([\w.\[\]-]+))?(?:\{([^{}]*)\})?")
+"""An entry of plain data: the key, whether it may be left out, the path, and what of it is said."""
+
+
+def said(record: object, template: str) -> str | None:
+    """Return a template with what its places name, or None where one of them is None.
+
+    Parameters
+    ----------
+    record : object
+    template : str
+        "{eta} 1/{plant.time_unit}", "{margin:3}" with so many digits, "{name:or -}" with a word for what is None or
+        empty (none: the line is left out).
+    """
+    absent = False
+
+    def at(place: re.Match[str]) -> str:
+        nonlocal absent
+        path, digits, other = place.groups()
+        value = _reached(record, path)
+        if value is None or (other is not None and _empty(value)):
+            absent = absent or not other
+            return other or ""
+        return in_words(value, int(digits or 6))
+
+    text = PLACE.sub(at, template)
+    return None if absent else text
+
+
+def selected(record: object, what: str) -> dict[str, Plain]:
+    """Return some attributes as plain data.
+
+    Parameters
+    ----------
+    record : object
+    what : str
+        Their names, "eta margin". "key:plant.time_unit" is one that stands elsewhere, "cost?" is left out where it is
+        None or empty, and of "rows{names matrix}", or of each of them, no more than that is said.
+    """
+    return dict(_selection(record, what))
+
+
+def _selection(record: object, what: str) -> Iterator[tuple[str, Plain]]:
+    for key, optional, path, inner in ITEM.findall(what):
+        value = _reached(record, path or key)
+        if not inner or value is None:
+            if not (optional and _empty(value)):
+                yield key, plain(value)
+        elif isinstance(value, tuple):
+            yield key, [selected(each, inner) for each in value]
+        else:
+            yield key, selected(value, inner)
+
+
+def _reached(value: object, path: str) -> object:
+    """What stands at "plant.time_unit" or "times[-1]"; a method is asked, and None has nothing inside."""
+    for step in STEP.findall(path):
+        if value is None:
+            return None
+        value = getattr(value, step) if step.isidentifier() else cast("Sequence[object]", value)[int(step)]
+        value = value() if callable(value) else value
+    return value
+
+
+def _empty(value: object) -> bool:
+    return value is None or (hasattr(value, "__len__") and not len(value))
+
+
+def short(value: object, digits: int = 6) -> str:
+    """Return a number, or a short list of numbers, as text of `digits` significant digits."""
+    numbers = np.asarray(value, dtype=float)
+    if numbers.ndim == 0:
+        return f"{float(numbers):.{digits}g}"
+    flat = numbers.ravel()
+    shown = ", ".join(f"{v:.{digits}g}" for v in flat[:8])
+    return f"[{shown}{', ...' if flat.size > 8 else ''}]"
+
+
+@singledispatch
+def in_words(value: object, digits: int = 6) -> str:
+    """Return a value as a table says it: numbers short, truths as yes or no, names and named values in a row."""
+    return str(value)
+
+
+@in_words.register(float)
+@in_words.register(np.floating)
+@in_words.register(np.ndarray)
+def _numbers_in_words(value: object, digits: int = 6) -> str:
+    return short(value, digits)
+
+
+@in_words.register(bool)
+@in_words.register(np.bool_)
+def _truth_in_words(value: object, digits: int = 6) -> str:
+    return "yes" if value else "no"
+
+
+@in_words.register(tuple)
+@in_words.register(list)
+def _list_in_words(value: Sequence[object], digits: int = 6) -> str:
+    return ", ".join(map(str, value)) if all(isinstance(each, str) for each in value) else short(value, digits)
+
+
+@in_words.register(Mapping)
+def _table_in_words(value: Mapping[str, object], digits: int = 6) -> str:
+    return ", ".join(f"{name} = {in_words(each, digits)}" for name, each in value.items())
+
+
+@singledispatch
+def plain(value: object) -> Plain:
+    """Return a value as plain data: arrays are lists, numbers that are not finite are None, records their `to_dict`."""
+    if hasattr(value, "to_dict"):
+        return cast("Plain", value.to_dict())
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    return cast("Plain", value)
+
+
+@plain.register(float)
+def _plain_number(value: float) -> Plain:
+    return value if math.isfinite(value) else None
+
+
+@plain.register(complex)
+def _plain_pair(value: complex) -> Plain:
+    return [value.real, value.imag]
+
+
+@plain.register(np.ndarray)
+@plain.register(np.generic)
+def _plain_array(value: npt.NDArray[np.generic]) -> Plain:
+    whole = value.dtype.kind != "f" or bool(np.isfinite(value).all())
+    return cast("Plain", value.tolist()) if whole and value.dtype.kind != "c" else plain(value.tolist())
+
+
+@plain.register(tuple)
+@plain.register(list)
+def _plain_list(value: Sequence[object]) -> Plain:
+    if hasattr(value, "to_dict"):
+        return cast("Plain", value.to_dict())
+    return [plain(each) for each in value]
+
+
+@plain.register(Mapping)
+def _plain_table(value: Mapping[object, object]) -> Plain:
+    return {str(key): plain(each) for key, each in value.items()}
+
+
+@plain.register(date)
+def _plain_date(value: date) -> Plain:
+    return value.isoformat()

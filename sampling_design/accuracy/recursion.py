@@ -19,7 +19,7 @@ from sampling_design.records import checks
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
-from sampling_design.schedules.schedule import PeriodicSchedule
+from sampling_design.schedules.family import period_of
 
 Array = npt.NDArray[np.float64]
 
@@ -126,9 +126,8 @@ class PeriodicGains:
         prior: npt.ArrayLike | None = None,
         first: int = 0,
     ) -> None:
-        plant, schedule = found.plant, found.schedule
-        if not isinstance(schedule, PeriodicSchedule):
-            raise ArgumentError("`found` must be the accuracy of a periodic schedule, got that of one that ends.")
+        plant, finite = found.plant, "`found` must be the accuracy of a periodic schedule, got that of one that ends."
+        schedule = period_of(found.schedule, finite)
         if found.unknown or not np.all(np.isfinite(found.upper)):
             raise ArgumentError(
                 f"`found` must know every mode, but no sample shows {', '.join(found.unknown)}. "

@@ -263,8 +263,8 @@ class PlanRequirement(Record):
             ("accuracy", self.accuracy, "goals by row"),
             ("sensors", self.sensors, "terms by output"),
         ):
-            if not isinstance(held, (Mapping, type(None))):
-                raise ArgumentError(f"`{key}` must be a table of {of}, got {checks.described(held)}.")
+            if held is not None:
+                checks.of_kind(key, held, Mapping, f"a table of {of}")  # type: ignore[type-abstract]
         own["accuracy"] = {str(k): _goal(str(k), v) for k, v in dict(self.accuracy or {}).items()}
         own["sensors"] = {str(k): _terms(str(k), v) for k, v in dict(self.sensors or {}).items()}
         if self.calendar is not None and not isinstance(self.calendar, OpeningCalendar):
@@ -348,10 +348,9 @@ def _word(name: str, value: object, known: tuple[str, ...]) -> None:
 
 
 def _table(name: str, value: object, kind: type) -> dict[str, object]:
-    if not isinstance(value, Mapping):
-        raise ArgumentError(f"`{name}` must be a table of keys and values, got {checks.described(value)}.")
-    checks.known_keys(f"`{name}`", value, [f.name for f in fields(kind)])
-    return {str(key): item for key, item in value.items()}
+    table = checks.of_kind(name, value, Mapping, "a table of keys and values")  # type: ignore[type-abstract]
+    checks.known_keys(f"`{name}`", table, [f.name for f in fields(kind)])
+    return {str(key): item for key, item in table.items()}
 
 
 def _goal(name: str, value: object) -> AccuracyGoal:

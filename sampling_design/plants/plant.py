@@ -203,8 +203,7 @@ class Plant(Record):
         owned: dict[str, object] = {"A": A, "B": B, "C": C, "D": D, "G": G}
         owned["time_unit"] = check_time_unit("s" if self.time_unit is None else self.time_unit)
         for key in ("name", "source"):
-            if not isinstance(getattr(self, key), str):
-                raise ArgumentError(f"`{key}` must be a string, got {checks.described(getattr(self, key))}.")
+            checks.of_kind(key, getattr(self, key), str, "a string")
         sizes = {"states": n, "outputs": p, "inputs": B.shape[1], "disturbances": G.shape[1]}
         for key, size in sizes.items():
             owned[key] = _signals(key, getattr(self, key), size)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numbers
 from collections.abc import Iterable, Sequence
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,7 @@ from sampling_design.checkers.strict import likely
 from sampling_design.errors import ArgumentError
 
 Array = npt.NDArray[np.float64]
+Kind = TypeVar("Kind")
 Seed: TypeAlias = np.random.Generator | int | None
 """What random numbers are drawn from: a generator, its seed, or None for the seed 0."""
 
@@ -93,6 +94,19 @@ def described(value: object) -> str:
         return f"{name} {' '.join(repr(value).split()):.60}"
     except ValueError:  # an integer of thousands of digits has no text
         return f"{name} of more than 4000 digits"
+
+
+def of_kind(name: str, value: object, kind: type[Kind], expected: str = "") -> Kind:
+    """Return `value` if it is of a class.
+
+    Raises
+    ------
+    ArgumentError
+        If it is not; `expected` says what the class is where its name does not.
+    """
+    if not isinstance(value, kind):
+        raise ArgumentError(f"`{name}` must be {expected or f'a {kind.__name__}'}, got {described(value)}.")
+    return value
 
 
 def matrix(name: str, value: object, rows: int | None = None, columns: int | None = None) -> Array:

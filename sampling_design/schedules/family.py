@@ -245,16 +245,19 @@ def reach_of(schedule: PeriodicSchedule) -> list[float]:
     return reach
 
 
-def period_of(schedule: AnySchedule) -> PeriodicSchedule:
+FINITE_FAMILY = "`schedule` of the family must be a PeriodicSchedule: a finite one has no long run."
+
+
+def period_of(schedule: AnySchedule, refusal: str = FINITE_FAMILY) -> PeriodicSchedule:
     """Return the schedule if it is endless.
 
     Raises
     ------
     ArgumentError
-        If it is finite.
+        If it is finite, with the sentence that says why that is refused.
     """
     if not isinstance(schedule, PeriodicSchedule):
-        raise ArgumentError("`schedule` of the family must be a PeriodicSchedule: a finite one has no long run.")
+        raise ArgumentError(refusal)
     return schedule
 
 

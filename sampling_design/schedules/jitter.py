@@ -119,7 +119,7 @@ class Jitter(SamplingFamily, kind="jitter"):
         mine = self.schedule
         if isinstance(schedule, PeriodicSchedule):
             return isinstance(mine, PeriodicSchedule) and self._contains_endless(mine, schedule)
-        if isinstance(mine, Schedule) and len(mine) != len(schedule):
+        if not mine.endless and len(mine) != len(schedule):
             return False
         return self._near(_first(mine, len(schedule)), schedule)
 

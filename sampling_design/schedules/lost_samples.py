@@ -90,15 +90,12 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
     @property
     def d_max(self) -> float:
         """Longest gap, or latest first sample, when `most` samples in a row are lost."""
-        part = nominal_part(self.schedule, None, 2 * len(self.schedule) + self.most + 1, 0.0) if self._endless else None
-        times = self.schedule.times if part is None else part.times
+        times = self.schedule.times
+        if self.schedule.endless:
+            times = nominal_part(self.schedule, None, 2 * len(self.schedule) + self.most + 1, 0.0).times
         reach = min(self.most + 1, times.size - 1)
         later = float(np.max(times[reach:] - times[: times.size - reach], initial=0.0)) if reach else 0.0
         return max(float(times[min(self.most, times.size - 1)]), later)
-
-    @property
-    def _endless(self) -> bool:
-        return isinstance(self.schedule, PeriodicSchedule)
 
     @property
     def nominal(self) -> AnySchedule:

@@ -91,7 +91,7 @@ class SamplingSet(Record):
     @property
     def is_periodic(self) -> bool:
         """Whether D has no end."""
-        return isinstance(self.schedule, PeriodicSchedule)
+        return self.schedule.endless
 
     @property
     def first(self) -> float:

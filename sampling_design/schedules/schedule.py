@@ -37,6 +37,21 @@ class _Sampled(Record):
     origin: str | None = field(default=None, kw_only=True)
     output_names: tuple[str, ...] | None = field(default=None, kw_only=True)
 
+    endless: ClassVar[bool] = False
+    """Whether it repeats without end."""
+
+    def between(self, start: float, stop: float, closed: str = "both") -> Schedule:
+        """Return the samples in [start, stop]; `closed` = "both", "left", "right" or "neither"."""
+        raise NotImplementedError
+
+    def window(self, t: float, T: float) -> Schedule:
+        """Return the samples in the closed window [t - T, t], times as they are."""
+        return self.between(t - T, t)
+
+    def count(self, start: float, stop: float, closed: str = "both") -> int:
+        """Return the number of samples in [start, stop]; `closed` as for `between`."""
+        return len(self.between(start, stop, closed))
+
     def _own(self, **values: Array | Mask | float | tuple[str, ...] | None) -> None:
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
@@ -134,14 +149,6 @@ class Schedule(_Sampled):
         mask = None if self.outputs is None else self.outputs[keep]
         return Schedule(self.times[keep], mask, **self._details())
 
-    def window(self, t: float, T: float) -> Schedule:
-        """Return the samples in the closed window [t - T, t], times as they are."""
-        return self.between(t - T, t)
-
-    def count(self, start: float, stop: float, closed: str = "both") -> int:
-        """Return the number of samples in [start, stop]; `closed` as for `between`."""
-        return len(self.between(start, stop, closed))
-
     def in_unit(self, unit: str) -> Schedule:
         """Return the same schedule with times in `unit`; its own unit must be known."""
         c = time_factor(self.time_unit or "", unit)
@@ -204,6 +211,7 @@ class PeriodicSchedule(_Sampled):
     times: Array = field(init=False)
     period: float = field(init=False)
 
+    endless: ClassVar[bool] = True
     _table = {
         "samples per period": "{__len__}",
         "period": "{period}",
@@ -295,14 +303,6 @@ class PeriodicSchedule(_Sampled):
         keep = _inside(times, start, stop, closed)
         mask = None if self.outputs is None else np.tile(self.outputs, (high - low + 1, 1))[keep]
         return Schedule(times[keep], mask, **self._details())
-
-    def window(self, t: float, T: float) -> Schedule:
-        """Return the samples in the closed window [t - T, t], times as they are."""
-        return self.between(t - T, t)
-
-    def count(self, start: float, stop: float, closed: str = "both") -> int:
-        """Return the number of samples in [start, stop]; `closed` as for `between`."""
-        return len(self.between(start, stop, closed))
 
     def primitive(self) -> PeriodicSchedule:
         """Return the same samples with the shortest period that gaps and outputs have, to the last bit; else itself."""

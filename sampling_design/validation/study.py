@@ -21,7 +21,6 @@ from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.records.workers import Workers
 from sampling_design.schedules.family import AnySchedule
-from sampling_design.schedules.schedule import Schedule
 from sampling_design.validation.error_map import ErrorMap, build_error_map
 from sampling_design.validation.monte_carlo import Trials, measured, monte_carlo, ratio
 from sampling_design.validation.pairs import random_pairs, worst_pair
@@ -102,7 +101,7 @@ class Study:
     def _timeline(self, duration: float | None, horizon: float) -> Timeline:
         length = default_duration(self.schedule, horizon) if duration is None else duration
         length = checks.positive("duration", length)
-        if isinstance(self.schedule, Schedule):
+        if not self.schedule.endless:
             length = min(length, float(self.schedule.times[-1]))
         return build_timeline(self.plant, self.schedule, length, horizon, self.begins)
 

@@ -8,15 +8,16 @@ import numpy.typing as npt
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.exact.riccati import push, updated
 from sampling_design.certificates.exact.window_problem import WindowProblem, window_problem
-from sampling_design.errors import ArgumentError, UndecidedError
+from sampling_design.errors import UndecidedError
 from sampling_design.numerics.linalg import expm_batch
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget
 from sampling_design.records.signatures import checked
-from sampling_design.schedules.schedule import PeriodicSchedule
+from sampling_design.schedules.family import period_of
 
 Array = npt.NDArray[np.float64]
 
+FINITE = "`certificate` must be on a periodic schedule: a finite one has no long run."
 MOST_PERIODS = 64
 """A window is compared with itself this many times at most: e(t) -> e(t + M) repeats when M is whole periods."""
 MOST_AT_ONCE = 4096
@@ -82,9 +83,7 @@ def spectral_radius(certificate: Certificate, length: float, cost: str = "certif
     *Method.* Windows follow each other; after at most 64 of them they start at the same phase of it to 1e-9, and
     the radius of the product is taken per window. Where they never do, after 64.
     """
-    schedule = certificate.schedule
-    if not isinstance(schedule, PeriodicSchedule):
-        raise ArgumentError("`certificate` must be on a periodic schedule: a finite one has no long run.")
+    schedule = period_of(certificate.schedule, FINITE)
     period, first = schedule.period, schedule.first
     if not certificate.plant.n_states:
         return 0.0
@@ -128,9 +127,7 @@ def least_contracting(certificate: Certificate, cost: str = "certificate", budge
         If the budget ends before.
     """
     given = Budget(None if budget is None else checks.positive("budget", budget))
-    schedule = certificate.schedule
-    if not isinstance(schedule, PeriodicSchedule):
-        raise ArgumentError("`certificate` must be on a periodic schedule: a finite one has no long run.")
+    schedule = period_of(certificate.schedule, FINITE)
     lengths = np.unique(np.round(np.cumsum(np.tile(schedule.gaps, 3))[: len(schedule) + 4], 12))
     best = np.inf
     for length in lengths[::-1]:

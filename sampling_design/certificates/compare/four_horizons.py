@@ -18,7 +18,6 @@ from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.records.record import TableRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule
-from sampling_design.schedules.schedule import PeriodicSchedule
 
 
 @dataclass(frozen=True)
@@ -165,7 +164,7 @@ def four_horizons(
             proof = constants_from_proof(plant, schedule)
         except SamplingDesignError as error:
             note = f"the paper's hypotheses fail: {error}"
-    periodic = isinstance(exact.schedule, PeriodicSchedule) and bool(plant.n_states)
+    periodic = exact.schedule.endless and bool(plant.n_states)
     sharp, paper = exact.horizon("sharp"), exact.horizon("paper")
     chain = None if proof is None else proof.certificate().horizon("paper")
     true, missing = None, "" if periodic else "a finite schedule has none"

@@ -22,7 +22,7 @@ from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
-from sampling_design.schedules.family import SamplingFamily
+from sampling_design.schedules.family import SamplingFamily, period_of
 from sampling_design.schedules.jitter import Jitter
 from sampling_design.schedules.lost_samples import LostSamples
 from sampling_design.schedules.sampling_set import SamplingSet
@@ -285,9 +285,9 @@ def robustness(
     if not isinstance(held, (Schedule, PeriodicSchedule)):
         raise ArgumentError(f"`certificate` must be one about samples, got {checks.described(certificate)}.")
     planned = certificate if isinstance(certificate, Certificate) else certify(plant, held)
-    schedule = planned.schedule
-    if not isinstance(schedule, PeriodicSchedule):
-        raise ArgumentError("`certificate` must be on a PeriodicSchedule: losses and delays are counted without end.")
+    schedule = period_of(
+        planned.schedule, "`certificate` must be on a PeriodicSchedule: losses and delays are counted without end."
+    )
     if other := first_difference(plant, planned.plant):
         raise ArgumentError(f"`certificate` certifies another plant: {other}.")
     M = planned.horizon().length if length is None else checks.positive("length", length)

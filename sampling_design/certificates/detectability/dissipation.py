@@ -118,8 +118,7 @@ class DetectabilityCertificate(VerifiableRecord):
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        if not isinstance(self.plant, Plant):
-            raise ArgumentError(f"`plant` must be a Plant, got {type(self.plant).__name__}.")
+        checks.of_kind("plant", self.plant, Plant)
         checks.word("method", self.method, METHODS)
         n, p = self.plant.n_states, self.plant.n_outputs
         object.__setattr__(self, "P", checks.definite("P", self.P, n))

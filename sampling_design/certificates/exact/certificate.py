@@ -111,8 +111,7 @@ class SampledCertificate(VerifiableRecord, ABC):
         return self.horizon("paper")
 
     def __post_init__(self) -> None:
-        if not isinstance(self.plant, Plant):
-            raise ArgumentError(f"`plant` must be a Plant, got {type(self.plant).__name__}.")
+        checks.of_kind("plant", self.plant, Plant)
         n, p, q = self.plant.n_states, self.plant.n_outputs, self.plant.n_disturbances
         owned: dict[str, Array | float] = {"Qw": checks.definite("Qw", self.Qw, q, FREE_DISTURBANCE)}
         for key, size in (("P1", n), ("P2", n), ("R", p), ("Qv", p)):
@@ -338,12 +337,14 @@ class Certificate(SampledCertificate):
     @property
     def claim(self) -> Claim:
         """What the certificate says; `verify()` proves it."""
-        until = "" if isinstance(self.schedule, PeriodicSchedule) else f" up to time {short(self.schedule.times[-1])}"
         return Claim(
-            f"sample-based exponential i-iIOSS with rate {short(self.eta)}{until}, for every real window start",
+            f"sample-based exponential i-iIOSS with rate {short(self.eta)}{self._until()}, for every real window start",
             "Assumption 7",
             ("linear plant",),
         )
+
+    def _until(self) -> str:
+        return "" if self.schedule.endless else f" up to time {short(self.schedule.times[-1])}"
 
     @property
     def d_max(self) -> float:
@@ -357,11 +358,10 @@ class Certificate(SampledCertificate):
 
     def explain(self) -> str:
         """Say what the certificate proves."""
-        until = "" if isinstance(self.schedule, PeriodicSchedule) else f" up to time {short(self.schedule.times[-1])}"
         return (
-            f"On this schedule the past fades at rate {short(self.eta)} per {self.plant.time_unit}{until}: whatever "
-            f"the window start, the information kept is at least 1/{short(self.lam)} of the prior weight P2, so that a "
-            f"window longer than {short(self.horizon().minimum)} contracts."
+            f"On this schedule the past fades at rate {short(self.eta)} per {self.plant.time_unit}{self._until()}: "
+            f"whatever the window start, the information kept is at least 1/{short(self.lam)} of the prior weight P2, "
+            f"so that a window longer than {short(self.horizon().minimum)} contracts."
         )
 
 

@@ -10,7 +10,6 @@ from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.schedules.family import AnySchedule
-from sampling_design.schedules.schedule import PeriodicSchedule
 
 Array = npt.NDArray[np.float64]
 
@@ -61,7 +60,7 @@ def met(plant: Plant, schedule: AnySchedule) -> AnySchedule:
         If they do not fit, or the schedule holds no sample later than time 0.
     """
     schedule = meet(plant, schedule)
-    endless = isinstance(schedule, PeriodicSchedule)  # whose period comes again, though its first sample be at time 0
-    if not len(schedule) or (schedule.times[-1] == 0 and not endless):
+    # the period of an endless one comes again, though its first sample be at time 0
+    if not len(schedule) or (schedule.times[-1] == 0 and not schedule.endless):
         raise ArgumentError("`schedule` must hold a sample later than time 0: without one there is nothing to certify.")
     return schedule

@@ -17,6 +17,7 @@ from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant
 from sampling_design.records.record import YesOrNo, short
 from sampling_design.records.signatures import checked, open_verb
+from sampling_design.schedules.family import period_of
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
@@ -196,8 +197,7 @@ def require_certificate(plant: Plant, schedule: PeriodicSchedule | Schedule, eta
     found = certificate_exists(plant, schedule, eta)
     if found.exists:
         return found
-    assert isinstance(schedule, PeriodicSchedule)
-    repair = smallest_repair(plant, schedule, eta)
+    repair = smallest_repair(plant, period_of(schedule), eta)
     words = (
         f"The smallest change of one gap that repairs it: gaps[{repair['gap']}] = {repair['from']:.6g} to "
         f"{repair['to']:.6g}."

@@ -51,8 +51,7 @@ class FamilyCertificate(SampledCertificate):
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "family", in_plant_terms(self.plant, self.family))
-        if not isinstance(self.graph, PathCompleteGraph):
-            raise ArgumentError(f"`graph` must be a PathCompleteGraph, got {checks.described(self.graph)}.")
+        checks.of_kind("graph", self.graph, PathCompleteGraph)
         P = checks.floats("P", self.P)
         if P.shape != (self.graph.count, *self.P2.shape) or not np.array_equal(P[0], self.P2):
             raise ArgumentError(f"`P` must hold one matrix per node of the graph, P2 first, got shape {P.shape}.")

@@ -54,7 +54,7 @@ def measure_hypotheses(
 
 def _windows(schedule: Schedule | PeriodicSchedule, states: int) -> list[float]:
     """Largest sum of j consecutive gaps, j = 1, 2, ...: the least T for which every window holds j samples or more."""
-    periodic = isinstance(schedule, PeriodicSchedule)
+    periodic = schedule.endless
     most = LONGEST_WINDOW * states + (len(schedule) if periodic else 0)
     gaps = np.tile(schedule.gaps, most // len(schedule) + 2) if periodic else schedule.gaps
     sums = np.concatenate([[0.0], np.cumsum(gaps)])

@@ -80,7 +80,7 @@ class ScheduleWatch:
             return t - before <= longest + self._room(t)
         before, t = before - self.zero, t - self.zero
         last = self._due(before, first) + self.losses[0]
-        if isinstance(self.nominal, Schedule) and last >= len(self.nominal):
+        if not self.nominal.endless and last >= len(self.nominal):
             return False
         return self._planned(last) >= t - self._room(t)
 
@@ -109,7 +109,7 @@ class ScheduleWatch:
         """Number of the sample planned nearest to t; None if there is none."""
         assert self.nominal is not None
         after = self._first_from(t)
-        if isinstance(self.nominal, Schedule) and after >= len(self.nominal):
+        if not self.nominal.endless and after >= len(self.nominal):
             return len(self.nominal) - 1 if len(self.nominal) else None
         near = [k for k in (after - 1, after) if k >= 0]
         return min(near, key=lambda k: abs(self._planned(k) - t))

@@ -22,6 +22,7 @@ from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
+from sampling_design.schedules.family import period_of
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.branching import BALL_ROOM, bisected
 from sampling_design.uncertain.box.expansion import BoxCells
@@ -129,10 +130,9 @@ def accuracy_over_box(
         If some plant of the box could not be bounded.
     """
     refuse_others("over a box of parameters", **others)
-    schedule, rtol = meet(plant.nominal, schedule), checks.positive("rtol", RTOL if rtol is None else rtol)
+    aligned, rtol = meet(plant.nominal, schedule), checks.positive("rtol", RTOL if rtol is None else rtol)
     require_constant_box(plant, "accuracy")
-    if not isinstance(schedule, PeriodicSchedule):
-        raise ArgumentError("`schedule` must be periodic for accuracy over a box of parameters.")
+    schedule = period_of(aligned, "`schedule` must be periodic for accuracy over a box of parameters.")
     w = _entries("w_bound", w_bound, plant.nominal.n_disturbances)
     v = _entries("v_bound", v_bound, plant.nominal.n_outputs)
     rows = wanted_rows(plant.nominal, of)

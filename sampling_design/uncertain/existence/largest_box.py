@@ -17,6 +17,7 @@ from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
+from sampling_design.schedules.family import period_of
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.branching import TOGETHER, bisected
 from sampling_design.uncertain.box.branching import descended as descended_sigma
@@ -163,14 +164,13 @@ def largest_box(
         if asked.too_few() is not None:
             return _found(model, 0.0, 0.0, model.start, False, question, 0)
     else:
-        if not isinstance(aligned, PeriodicSchedule):
-            raise ArgumentError(
-                "`schedule` must be periodic with `eta`: on a finite one every plant has a certificate."
-            )
+        repeated = period_of(
+            aligned, "`schedule` must be periodic with `eta`: on a finite one every plant has a certificate."
+        )
         rate = checks.nonnegative("eta", eta)
         question = f"a certificate with rate {short(rate)} exists"
         cells = BoxCells.whole(model.m)
-        judge = _ByGains(model, aligned, rate)
+        judge = _ByGains(model, repeated, rate)
     return _searched(model, cells, judge, tolerance, checks.positive("budget", budget), question)
 
 

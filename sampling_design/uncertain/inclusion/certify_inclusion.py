@@ -20,7 +20,7 @@ from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
-from sampling_design.schedules.family import SamplingFamily
+from sampling_design.schedules.family import SamplingFamily, period_of
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
@@ -233,8 +233,7 @@ def in_terms(plant: LinearInclusion, schedule: object, **others: object) -> Sche
     if isinstance(schedule, SamplingFamily):
         return in_plant_terms(plant.centre, schedule)
     known = met(plant.centre, schedule)
-    assert isinstance(known, PeriodicSchedule)
-    return known.primitive()
+    return period_of(known).primitive()
 
 
 def choose_rate(search: InclusionSearch, pieces: int, arrival: bool, report: Progress) -> float:

@@ -90,8 +90,7 @@ class UncertainPlant(LinearInclusion, PlainRecord):
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        if not isinstance(self.nominal, Plant):
-            raise ArgumentError(f"`nominal` must be a Plant, got {checks.described(self.nominal)}.")
+        checks.of_kind("nominal", self.nominal, Plant)
         for key, kind in (("parameters", UncertainParameter), ("vertices", Plant)):
             value = getattr(self, key)
             if not isinstance(value, Sequence) or not all(isinstance(each, kind) for each in value):

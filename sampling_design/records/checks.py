@@ -16,7 +16,7 @@ from sampling_design.checkers.strict import likely
 from sampling_design.errors import ArgumentError
 
 Array = npt.NDArray[np.float64]
-Kind = TypeVar("Kind")
+Instance = TypeVar("Instance")
 Seed: TypeAlias = np.random.Generator | int | None
 """What random numbers are drawn from: a generator, its seed, or None for the seed 0."""
 
@@ -96,7 +96,7 @@ def described(value: object) -> str:
         return f"{name} of more than 4000 digits"
 
 
-def of_kind(name: str, value: object, kind: type[Kind], expected: str = "") -> Kind:
+def of_kind(name: str, value: object, kind: type[Instance], expected: str = "") -> Instance:
     """Return `value` if it is of a class.
 
     Raises

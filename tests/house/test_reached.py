@@ -145,6 +145,14 @@ def pairs(part: ast.AST) -> list[tuple[str, str]]:
     return [(row[0], row[1]) for row in texts if len(row) == 2 and all(isinstance(each, str) for each in row)]
 
 
+def declared(node: ast.Assign) -> list[str]:
+    """The names in what a record declares of itself: its table and its plain data."""
+    if ast.unparse(node.targets[0]) not in ("_table", "_plain"):
+        return []
+    texts = [each.value for each in ast.walk(node.value) if isinstance(each, ast.Constant)]
+    return [word for text in texts for word in re.findall(r"\w+", str(text))]
+
+
 def unmentioned(package: Path, besides: str) -> list[str]:
     """Methods whose names stand nowhere but in their definitions: private ones in the package, others in no text."""
     trees = [ast.parse(path.read_text()) for path in sorted(package.rglob("*.py"))]
@@ -152,6 +160,7 @@ def unmentioned(package: Path, besides: str) -> list[str]:
     known = {node.attr for node in nodes if isinstance(node, ast.Attribute)}
     known |= {node.id for node in nodes if isinstance(node, ast.Name)}
     known |= {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    known |= {word for node in nodes if isinstance(node, ast.Assign) for word in declared(node)}
     methods = [
         f"{node.name}.{each.name}"
         for node in nodes
@@ -208,5 +217,8 @@ def test_what_nobody_reaches_is_found(tmp_path):
     (package / "below.py").write_text("def used(): ...\ndef by_name(): ...\ndef unused(): ...\n")
     (package / "whole.py").write_text("def offered(): ...\n")
     assert House(package).unreached() == ["house.below.unused", "house.room.FORGOTTEN", "house.room.closed_verb"]
-    (package / "room.py").write_text("class One:\n    def _left(self): ...\n    def asked(self): ...\n")
+    (package / "room.py").write_text(
+        "class One:\n    _table = {'a': '{_shown} s'}\n    def _shown(self): ...\n    def _left(self): ...\n"
+        "    def asked(self): ...\n"
+    )
     assert unmentioned(package, "one.asked()") == ["One._left"]

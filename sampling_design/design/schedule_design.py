@@ -81,7 +81,8 @@ class ScheduleDesign(PlainRecord):
 
     _plain = (
         "format:_format status claim plant requirement defaults_used retained_states:split.retained.n_states schedule "
-        "coordinates sigma sigma_attained upper_bound gap deviations cost zero_count bound other_counts history solver notes"
+        "coordinates sigma sigma_attained upper_bound gap deviations cost zero_count bound other_counts "
+        "history solver notes"
     )
     _format = "sampling-design/design/1"
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sampling_design.certificates.form.constants import ConstantList
 from sampling_design.certificates.form.digest import DETECTABILITY_CLAIM, sealed
 from sampling_design.certificates.rigorous.decide import VerifiableRecord
-from sampling_design.errors import ArgumentError, CertificateError
+from sampling_design.errors import CertificateError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.evidence import Claim, SolverRecord

@@ -130,7 +130,11 @@ class BoundPart:
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
-        return selected(self, "method side value price starts weights zones tilt tied chosen")
+        return {
+            **selected(self, "method side value price starts weights zones tilt tied chosen"),
+            "value": self.value,
+            "price": self.price,
+        }
 
 
 @checked_methods
@@ -221,7 +225,7 @@ class UpperBound:
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
-        return selected(self, "value parts")
+        return {**selected(self, "value parts"), "value": self.value}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, object]) -> UpperBound:

@@ -18,6 +18,7 @@ from sampling_design.design.search.fedorov_exchange import is_admissible, packed
 from sampling_design.design.search.local_search import _kick, _ranked, _Refinement, search
 from sampling_design.design.search.refine import refined
 from sampling_design.numerics.linalg import expm_batch
+from sampling_design.records.budget import ENDLESS
 
 
 def problem(**changes):
@@ -41,13 +42,13 @@ def test_kicks_leave_a_poor_local_optimum():
     case = problem(forbidden=np.array([[i, i + 0.55] for i in range(6)]), samples=10, spacing=0.1)
     poor = packed(case)
     poor, value = refined(case, poor, float(worst_sigma2(case, poor[None, :])[0]), steps=100)
-    run = _Refinement(case, np.inf, np.inf, poor, value, [])
+    run = _Refinement(case, ENDLESS, np.inf, poor, value, [])
     _kick(run, np.random.default_rng(0), 20)
     assert run.value > 1.01 * value
     assert run.value == pytest.approx(worst_sigma2(case, run.best[None, :])[0])
     assert is_admissible(case, run.best)
     assert {trial.start for trial in run.trials} == {"kick"}
-    over = _Refinement(case, np.inf, np.sqrt(value) * (1 - 1e-9), poor, value, [])
+    over = _Refinement(case, ENDLESS, np.sqrt(value) * (1 - 1e-9), poor, value, [])
     _kick(over, np.random.default_rng(0), 20)
     assert over.trials == []  # as good as the bound already
 
@@ -126,7 +127,7 @@ def test_fewer_kicks_are_tried_of_many_samples(monkeypatch):
         stretching = replace(turning, plant=Plant(turning.plant.A * units[:, None] / units, turning.plant.C / units))
         times = spread(turning, (np.arange(samples) + 0.5) / samples)
         for case in (turning, stretching):
-            _kick(_Refinement(case, np.inf, np.inf, times, 1e9, []), np.random.default_rng(0), 100)
+            _kick(_Refinement(case, ENDLESS, np.inf, times, 1e9, []), np.random.default_rng(0), 100)
     assert tried.count(4) == 12
     assert 0 < tried.count(96) <= 4
     assert tried.count(-4) == local_search._CHEAPER * 12
@@ -232,14 +233,14 @@ def test_kicks_end_where_all_that_was_refined_ends_alike(monkeypatch):
     times = spread(case, (np.arange(4) + 0.5) / 4)
     for found, most in ((trials(*[2.0] * 11), 0), (trials(*[2.0] * 8), 2 * 3), (trials(1.0, 1.5, 1.8, 2.0), 2 * 12)):
         tried.clear()
-        _kick(_Refinement(case, np.inf, np.inf, times, 4.0, found), np.random.default_rng(0), 100)
+        _kick(_Refinement(case, ENDLESS, np.inf, times, 4.0, found), np.random.default_rng(0), 100)
         assert len(tried) == most  # a first refinement and a second one for each kick
 
 
 def test_the_share_of_starts_that_lead_to_other_optima():
     def share(*sigmas, abandoned=0):
         return _Refinement(
-            problem(), np.inf, np.inf, np.zeros(4), 4.0, trials(*sigmas), abandoned=abandoned
+            problem(), ENDLESS, np.inf, np.zeros(4), 4.0, trials(*sigmas), abandoned=abandoned
         ).other_optima
 
     assert share(2.0) == 1.0

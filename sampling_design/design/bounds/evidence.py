@@ -37,7 +37,6 @@ from sampling_design.numerics.linalg import expm_batch, psd_root
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.budget import ENDLESS, Budget
-from sampling_design.records.declarations import selected
 from sampling_design.records.record import Plain
 from sampling_design.records.signatures import checked_methods
 
@@ -130,11 +129,8 @@ class BoundPart:
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
-        return {
-            **selected(self, "method side value price starts weights zones tilt tied chosen"),
-            "value": self.value,
-            "price": self.price,
-        }
+        plain = {key: getattr(self, key).tolist() for key in ("starts", "weights", "zones", "tilt", "tied", "chosen")}
+        return {"method": self.method, "side": self.side, "value": self.value, "price": self.price, **plain}
 
 
 @checked_methods
@@ -225,7 +221,7 @@ class UpperBound:
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
-        return {**selected(self, "value parts"), "value": self.value}
+        return {"value": self.value, "parts": [part.to_dict() for part in self.parts]}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, object]) -> UpperBound:

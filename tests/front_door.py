@@ -261,6 +261,7 @@ def special() -> dict[str, dict[str, Any]]:
         "weights_from_bounds": {},
         "information_curve": {"samples": 2},
         "simulate_record": {"inputs": ()},
+        "estimator_for": {"certificate": None},
         "estimate_curve": {"estimator": owner("KalmanFilter"), "points": 2},
         "error_map": {"cost": "certificate"},
         "plant_along": {"plant": t["nonlinear"], "start": [0.5, 0.2], "horizon": 1.0},
@@ -355,7 +356,7 @@ def _thyroid_report() -> Any:
 
 NEEDED = {"y", "span", "budget", "starts", "branches", "pairs"}
 """Optional parameters that a valid call gives: without them it would be refused, or slow."""
-UNCALLED = {"library", "thyroid", "Estimator", "SamplingFamily", "GuaranteeWarning", "Sample"}
+UNCALLED = {"library", "thyroid", "Estimator", "SamplingFamily", "GuaranteeWarning", "Sample", "RecordEstimator"}
 """Modules, protocols and plain tuples: nothing of ours runs when they are called."""
 STATEFUL = {"MovingHorizonEstimator", "KalmanFilter", "NonlinearMovingHorizonEstimator"}
 INHERITED = {"count", "index", "add_note", "with_traceback"}

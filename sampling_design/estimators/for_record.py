@@ -1,0 +1,179 @@
+"""The estimator of a record, with the strongest guarantee that is at hand: of its gaps, of its own times, or none."""
+
+from __future__ import annotations
+
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.certificates.exact.certificate import SampledCertificate
+from sampling_design.certificates.for_bounds import ErrorBoundArguments, certify_for_bounds
+from sampling_design.errors import MathematicsError, SolverError
+from sampling_design.estimators.mhe import MovingHorizonEstimator
+from sampling_design.estimators.online.estimator import GuaranteeWarning
+from sampling_design.estimators.records.measurements import Measurements
+from sampling_design.plants.plant import Plant
+from sampling_design.records.progress import Progress
+from sampling_design.records.record import short
+from sampling_design.records.signatures import checked
+from sampling_design.schedules.family import AnySchedule
+from sampling_design.schedules.gap_range import GapRange
+from sampling_design.schedules.sampling_set import SamplingSet
+from sampling_design.schedules.schedule import Schedule
+
+GAPS_IN_HORIZON = 10
+"""Longest gaps in the horizon of an estimator that has no certificate."""
+
+FAMILY_STATES = 8
+"""Most states of which a certificate for all schedules with the record's gaps is sought in passing: the work grows with
+their sixth power, two seconds for six, minutes for eleven."""
+
+OWN_SAMPLES = 10_000
+"""Most samples whose own times are certified in passing: some six seconds; memory and work grow with their number, and
+some three times as many are more than one proof may follow."""
+
+
+class RecordEstimator(NamedTuple):
+    """An estimator for a record, what it rests on (in words, too), and the defaults that were used, by argument."""
+
+    estimator: MovingHorizonEstimator
+    certificate: SampledCertificate | None
+    guarantee: str
+    defaults_used: dict[str, str]
+
+
+@checked
+def estimator_for(
+    plant: Plant,
+    record: Measurements,
+    certificate: SampledCertificate | None = None,
+    *,
+    schedule: AnySchedule | None = None,
+    eta: float | None = None,
+    horizon: float | None = None,
+    prior: npt.ArrayLike | None = None,
+    w_bound: npt.ArrayLike | None = None,
+    v_bound: npt.ArrayLike | None = None,
+    initial_error: npt.ArrayLike | None = None,
+    progress: Progress | None = None,
+) -> RecordEstimator:
+    """Return a moving horizon estimator for a record, with the strongest guarantee that is at hand.
+
+    That of the certificate or the schedule given; else for all schedules with the record's gaps; else for its own
+    times, counted from its start; else the ellipsoid alone.
+
+    Parameters
+    ----------
+    plant : Plant
+    record : Measurements
+    certificate : Certificate or FamilyCertificate, optional
+    schedule : Schedule or PeriodicSchedule, optional
+        Certified with weights that follow the bounds (`certify_for_bounds`).
+    eta : float, optional [1/time]
+        Rate, where one is certified. Default: one over the longest gap.
+    horizon : float, optional [time]
+        Default: the certificate's, without one ten times the longest gap.
+    prior : (n,) array, optional
+        State before any sample; default 0.
+    w_bound, v_bound, initial_error : float or array, optional
+        Default: the plant's scales.
+    progress : callable, optional
+        Called with (fraction, message) while a certificate is sought.
+
+    Returns
+    -------
+    RecordEstimator
+        A horizon that gives up the guarantee is named in `defaults_used["notice"]`.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument has the wrong shape or sign.
+
+    Examples
+    --------
+    >>> plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    >>> times = np.array([0.5, 1.2, 2.0, 2.6])
+    >>> chosen = estimator_for(plant, Measurements(plant, times, np.cos(times)[:, None]), w_bound=0.1, v_bound=0.1)
+    >>> chosen.guarantee
+    'Guarantee for all schedules with gaps from 0.6 to 0.8 s.'
+    """
+    ordered, used = record.in_order(), dict[str, str]()
+    scales = {"w_bound": plant.disturbances, "v_bound": plant.outputs, "initial_error": plant.states}
+    given = {"w_bound": w_bound, "v_bound": v_bound, "initial_error": initial_error}
+    for name, signals in scales.items():
+        if given[name] is None:
+            given[name], used[name] = signals.scales, f"the plant's scales {short(signals.scales)} are used"
+    bounds = ErrorBoundArguments(
+        w_bound=given["w_bound"], v_bound=given["v_bound"], initial_error=given["initial_error"]
+    )
+    start = ordered.start if certificate is None and schedule is None else 0.0
+    guarantee = "Guarantee of the certificate given."
+    if certificate is None and schedule is not None:
+        rate = _rate(plant, eta, SamplingSet(schedule).d_max, used)
+        certificate = certify_for_bounds(plant, schedule, eta=rate, progress=progress, **bounds)
+        guarantee = "Guarantee for the schedule given."
+    elif certificate is None:
+        certificate, guarantee = _from_gaps(plant, ordered, eta, bounds, used, progress)
+    if certificate is None and horizon is None:
+        longest = float(np.max(np.diff(np.unique(ordered.times)), initial=0.0))
+        horizon = GAPS_IN_HORIZON * longest if longest > 0 else 1.0
+        used["horizon"] = f"{short(horizon)} {plant.time_unit} is used"
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", GuaranteeWarning)
+        estimator = MovingHorizonEstimator(
+            plant, certificate, horizon=horizon, prior=prior, prior_time=start, schedule_zero=start, **bounds
+        )
+    if caught:
+        used["notice"] = " ".join(str(warning.message) for warning in caught)
+    return RecordEstimator(estimator, certificate, guarantee, used)
+
+
+def _rate(plant: Plant, eta: float | None, longest: float, used: dict[str, str]) -> float:
+    """The rate that was asked for, else one over the longest gap."""
+    if eta is not None:
+        return eta
+    used["eta"] = f"{short(1 / longest)} per {plant.time_unit}, one over the longest gap, is used"
+    return 1 / longest
+
+
+def _from_gaps(
+    plant: Plant,
+    record: Measurements,
+    eta: float | None,
+    bounds: ErrorBoundArguments,
+    used: dict[str, str],
+    progress: Progress | None,
+) -> tuple[SampledCertificate | None, str]:
+    """A certificate for every schedule with the record's gaps, else for its own times, else none; and words for it."""
+    times, taken = record.samples(numbers=True)
+    times = times - record.start
+    if times.size < 2:
+        return None, "No guarantee: one sample is no schedule that could be certified."
+    gaps = np.diff(times)
+    shortest, longest = float(gaps.min()), float(gaps.max())
+    seen = f"gaps from {short(shortest)} to {short(longest)} {plant.time_unit}"
+    seen += " between numbers, limits and means left out" if any(record.told) else ""
+    rate = _rate(plant, eta, longest, used)
+    asked = plant.n_states <= FAMILY_STATES
+    if asked and taken.all():
+        family = GapRange(shortest, max(longest, float(times[0])), time_unit=plant.time_unit)
+        try:
+            found = certify_for_bounds(plant, family, eta=rate, progress=progress, **bounds)
+            return found, f"Guarantee for all schedules with {seen}."
+        except (MathematicsError, SolverError):
+            pass  # not every schedule with these gaps can be certified: perhaps this one can
+    if times.size > OWN_SAMPLES:
+        words = f"No guarantee beyond the ellipsoid: the file's own {times.size} times ({seen}) are more than the "
+        return None, words + f"{OWN_SAMPLES} that are certified in passing. Give a certificate or a schedule."
+    try:
+        own = Schedule(times, taken, time_unit=plant.time_unit)
+        certificate = certify_for_bounds(plant, own, eta=rate, progress=progress, **bounds)
+    except (MathematicsError, SolverError) as error:
+        return None, f"No guarantee beyond the ellipsoid: {seen} cannot be certified ({str(error).rstrip('.')})."
+    words = f"Guarantee for the file's own times only, certified to its last time ({seen})."
+    if not asked:
+        words += f" For all schedules with such gaps ask `certify --gap-range`: {plant.n_states} states take it long."
+    return certificate, words

@@ -175,16 +175,16 @@ def cells(name):
 def designed_anew(name):
     """Today's design beside what the searchers of the page found in ten times the CPU time of an earlier one."""
     found = [float(cell) for cell in PAGE.rows()[TABLE.head, name][5:7] if cell != "-"]
-    return row(name, *measured(name), found)
+    return row(name, *measured(name), found, rounding=1e-5)
 
 
-def row(name, design, seconds, found):
+def row(name, design, seconds, found, rounding=1e-9):
     """Columns after the name; no search may exceed the bound."""
-    assert max(found) <= design.upper_bound * (1 + 1e-9), name
+    assert max(found) <= design.upper_bound * (1 + rounding), name
     more = max(found) / design.sigma_attained - 1
     best = [f"{value:.6g}" for value in found] + ["-"] * (2 - len(found))
     told = f"{design.sigma:.6g}", f"{design.upper_bound:.6g}", f"{100 * design.gap:.2f} %"
-    return f"{seconds:.2f}", *told, *best, f"{100 * more:.3f} %" if more > 0 else "-"
+    return f"{seconds:.2f}", *told, *best, f"{100 * more:.3f} %" if more > rounding else "-"
 
 
 EVERY = CASES | PROBLEMS

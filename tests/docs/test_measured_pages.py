@@ -32,15 +32,20 @@ SHORT = (
     ("plans", "double integrator, place"),
 )
 LONG = (
-    ("bench_design_search", "oscillator, closed times"),
+    ("plans", "activated_sludge"),
+    ("plans", "thyroid_month"),
+    ("plans", "tide_gauge"),
+    ("plans", "satellite_passes"),
+    ("plans", "cart_pendulum"),
+    ("plans", "oscillator, velocity"),
+    ("bench_design_search", "satellite, 12 samples"),
+    ("bench_design_search", "oscillator, closed times"),  # in the middle, which a quick look at long tests takes
     ("bench_worst_case", "chain of five k=7, 1 %"),
     ("design_bounds", "spiral e^20"),
     ("inclusion_figures", "oscillator, frequency within 10 %, eta .02, 8 pieces"),
     ("inclusion_figures", "pendulum, all angles, gaps to 1, eta .4"),
     ("library_accuracy", "satellite"),
-    ("plans", "activated_sludge"),
-    ("plans", "thyroid_month"),
-    ("plans", "satellite_passes"),
+    ("library_accuracy", "three_compartment"),
 )
 NUMBER = r"-?\d*\.?\d+(?:e[+-]?\d+)?"
 

@@ -120,7 +120,8 @@ def next_sample(
 ) -> None:
     """Say by when the next sample must be taken so that every tolerance is kept, now and afterwards.
 
-    Where one cannot be kept (exit code 1): since when, what is known now, and which sample brings it back soonest.
+    Where one cannot be kept (exit code 1): since when, what is known now, and which sample brings it back soonest. So
+    it is before the first samples of a plan, unless its requirement says what is known then (`initial_error`).
 
     Example: sampling-design next out/plan.json --now 7
     """

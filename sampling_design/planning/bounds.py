@@ -30,6 +30,9 @@ INTEGRAL = 1e-6
 MOST_NODES = 200
 """Leaves of a proof, at most."""
 
+CLOSED_NODES = 5000
+"""The same of a tree that is only of use if it proves all that is asked for: half of the work left may go into it."""
+
 FEW_NODES = 50
 """The same where every row is a tangent's, which has all variables."""
 
@@ -144,8 +147,12 @@ def prove_cost(
         return counted
     found, _ = separated(cover, pool, level, list(keys or []), work, target)
     prover = _Prover(cover, pool, level, target, found, work, find=find, decide=decide)
-    tree, value = prover.node(np.zeros(cover.columns), cover.ceiling(target))
-    return CostProof(level, min(cover.lifted(value), target), tuple(prover.keys), tree)
+    proof = prover.proof()
+    if decide or proof.value >= target or work.over:
+        return proof
+    half, keys = work.share(0.5), list(proof.keys)
+    closed = _Prover(cover, pool, level, target, keys, half, find=find, decide=True, most=CLOSED_NODES)
+    return max(proof, closed.proof(), key=lambda each: each.value)
 
 
 def _counted(
@@ -175,14 +182,20 @@ class _Prover:
         *,
         find: Finder | None,
         decide: bool,
+        most: int = MOST_NODES,
     ):
         self.cover, self.pool, self.level, self.target, self.work = cover, pool, level, target, work
         self.keys, self.find, self.decide = keys, find, decide
         dense = all(attack.flight is None for attack in pool.attacks)
-        self.left, self.lost = FEW_NODES if dense else MOST_NODES, False
+        self.left, self.lost = FEW_NODES * most // MOST_NODES if dense else most, False
         self.cuts = CUTS[1] if find is not None else 0
         self.model = cover.model(pool.attacks, keys, level)
         self.price = OPEN_ROW * float(np.max(cover.cost, initial=1.0))
+
+    def proof(self) -> CostProof:
+        """The proof from the root."""
+        tree, value = self.node(np.zeros(self.cover.columns), self.cover.ceiling(self.target))
+        return CostProof(self.level, min(self.cover.lifted(value), self.target), tuple(self.keys), tree)
 
     def node(self, low: Array, high: Array) -> tuple[CostTree, float]:
         """The tree below a node and what it proves; nodes are shared out evenly."""

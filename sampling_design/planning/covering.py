@@ -266,18 +266,26 @@ def cheapest(
 ) -> tuple[Mask | None, bool]:
     """Return a cheap choice that keeps every row, and whether the solver says that there is none.
 
-    `tie` is a small cost that decides among choices of equal price; only those `below` a cost are of use.
+    `tie` is a small cost that decides among choices of equal price; only those `below` a cost are of use. That is a row
+    of the program, too: without it the solver goes through all choices of just that cost before it says so.
     """
     from scipy.optimize import Bounds, LinearConstraint, milp
 
+    rows = [LinearConstraint(model.A, model.b, np.inf)]
+    if np.isfinite(below):
+        most = below - cover.grain / 2 if cover.grain else below * (1 - GRAIN)
+        rows.append(LinearConstraint(sparse.csr_matrix(model.c[None]), -np.inf, most))
+    size = max(1, model.A.nnz)
+    left = (work.left / (COVER[1] * size) - cover.columns) / NODE
+    most = int(np.clip(left, 1, NODES))  # no more than there is work left for
     found = milp(
         model.c + tie,
-        constraints=LinearConstraint(model.A, model.b, np.inf),
+        constraints=rows,
         integrality=np.ones(cover.columns),
         bounds=Bounds(0, cover.ceiling(min(below, cover.dearest))),
-        options={"node_limit": max(FEWEST, min(nodes, ENTRIES // max(1, model.A.nnz))), "mip_rel_gap": NEAR},
+        options={"node_limit": min(most, max(FEWEST, min(nodes, ENTRIES // size))), "mip_rel_gap": NEAR},
     )
-    work.add(COVER, model.A.nnz * (cover.columns + NODE * max(1, found.mip_node_count or 1)))
+    work.add(COVER, size * (cover.columns + NODE * max(1, found.mip_node_count or 1)))
     if found.x is None:
         return None, found.status == 2
     return cover.choice(found.x), False

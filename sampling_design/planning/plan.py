@@ -21,6 +21,7 @@ from sampling_design.errors import (
 )
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.bounds import out_of_reach, prove_cost
+from sampling_design.planning.coarser_raster import coarser, lifted_attacks, lifted_choices
 from sampling_design.planning.covering import CoveringRows, cheapest
 from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.disturbed import plan_robustness
@@ -28,7 +29,7 @@ from sampling_design.planning.evidence import EASED, PlanBound, gathered
 from sampling_design.planning.feasible_choices import FeasibleChoices, GoalProofs, ProvenChoice
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.planning.plan_record import Plan, is_free, limit_of, reached, without_limits
-from sampling_design.planning.problem import SAME_PRICE, PlanProblem, coarser, pose_plan
+from sampling_design.planning.problem import SAME_PRICE, PlanProblem, pose_plan
 from sampling_design.planning.proven_choice import plan_of, proof_of
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.search import PlanSearch
@@ -204,6 +205,7 @@ class _Planning:
         """What a search on a coarser raster holds: it is as good on this one, which has all of its times.
 
         So a finer raster makes no plan worse, as far as the share of the work that is spent on the coarser one goes.
+        What it found against other choices joins the attacks here: what is held needs no more of them, its bound does.
         """
         coarse, work = coarser(self.problem), self.oracle.work
         if coarse is None:
@@ -215,19 +217,17 @@ class _Planning:
         try:
             run.sought()
         except KeyboardInterrupt:
-            self.search.held += [(chosen, self.oracle.judge(chosen)[0]) for chosen in self._lifted(run.search)]
+            self.search.held += [(chosen, self.oracle.judge(chosen)[0]) for chosen in self._lifted(run)]
             raise
         except (MathematicsError, UndecidedError):  # what cannot be kept there may be kept here
             pass
         work.spend(run.oracle.work.spent)
-        return self._lifted(run.search)
+        self.search.add(lifted_attacks(self.oracle, run.motion, run.search.pool.attacks), 1.0)
+        return self._lifted(run)
 
-    def _lifted(self, coarse: PlanSearch) -> list[Mask]:
+    def _lifted(self, run: _Planning) -> list[Mask]:
         """What a search on a coarser raster holds, the last first, on this one."""
-        found = np.zeros((len(coarse.held), *self.problem.allowed.shape), dtype=bool)
-        for lifted, (chosen, _) in zip(found, coarse.held[::-1], strict=True):
-            lifted[:: self.problem.steps // coarse.problem.steps] = chosen
-        return [lifted for lifted in found if self.problem.is_admissible(lifted)]
+        return lifted_choices(self.problem, [chosen for chosen, _ in run.search.held[::-1]])
 
     def sought(self) -> ProvenChoice:
         """What the search for the requirement's aim comes to, proven."""

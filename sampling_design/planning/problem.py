@@ -26,9 +26,6 @@ WHOLE = 1e-6
 DEFAULT_STEPS = 96
 """Steps of a period without a raster."""
 
-COARSE = 168
-"""Steps of a raster, the hours of a week, up to which it is not looked at more coarsely first."""
-
 MOST_STEPS = 20_000
 
 SAME_PRICE = 1e-9
@@ -227,31 +224,6 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
         most_cost=np.inf if requirement.cost_limit is None else requirement.cost_limit,
         initial=InitialSet.of(plant, requirement.initial_error),
     )
-
-
-def coarser(problem: PlanProblem) -> PlanProblem | None:
-    """The same on a raster of a third as many steps or fewer, all of them steps of this one; None where it is short.
-
-    With a calendar its steps make up whole hours, then days: rasters that people use are among those that follow.
-    """
-    requirement, whole = problem.requirement, np.inf
-    if requirement.calendar is not None:
-        seconds = problem.step * SECONDS[problem.plant.time_unit]
-        whole = (SECONDS["h"] if seconds < SECONDS["h"] * (1 - WHOLE) else SECONDS["d"]) / seconds
-    parts = [k for k in range(2, problem.steps) if problem.steps % k == 0 and _divides(k, whole)]
-    if problem.steps <= COARSE or not parts:
-        return None
-    step = problem.step * next((k for k in parts if k > 2), 2)
-    unit = requirement.time_unit or problem.plant.time_unit
-    try:
-        return pose_plan(problem.plant, requirement.replace(raster=step * time_factor(problem.plant.time_unit, unit)))
-    except (ArgumentError, InfeasibleRequirementError):  # times that a goal asks for, or hours, fall between its steps
-        return None
-
-
-def _divides(k: int, whole: float) -> bool:
-    """Whether a number of steps divides another one, which need not be whole."""
-    return not np.isfinite(whole) or abs(whole / k - round(whole / k)) <= WHOLE
 
 
 def _raster(plant: Plant, requirement: PlanRequirement, unit: str) -> tuple[int, float]:

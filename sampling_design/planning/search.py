@@ -392,12 +392,10 @@ class PlanSearch:
         for _ in range(rounds):
             if self.late:
                 return
-            chosen, none = self._candidate(keys, level)
-            if chosen is None:
-                self.found.out_of_reach = level if none else 0.0
-                return
-            if self.problem.cost(chosen) >= best * (1 - 1e-9):
-                self.found.complete = True
+            chosen, none = self._candidate(keys, level, best)
+            if chosen is None or self.problem.cost(chosen) >= best * (1 - 1e-9):
+                self.found.complete = best < np.inf and (none or chosen is not None)
+                self.found.out_of_reach = level if none and best == np.inf else 0.0
                 return
             if self.late and self.found.chosen is not None:  # cut short: what a longer search would never look at
                 return

@@ -232,11 +232,14 @@ def _gap_bound(search: ChainSearch, opened: RowBetweenSamples, k: int, goal: Row
 
 
 def known_at(plan: PlanFigures, history: SampleSequence, t: float) -> dict[str, float]:
-    """How well each goal is known at a time at or after the last sample: bounds that are proven, or deviations."""
+    """How well each goal is known at a time at or after the last sample: bounds that are proven, or deviations.
+
+    Infinite where an error of any size at the plan's start would not have shown.
+    """
     found = {} if plan.deviation is None else spread_of(plan).at(history, t)
     if plan.accuracy is not None:
         filtered, last = plan_chain(plan), len(history.times) - 1
-        search = ChainSearch(*sequence_chain(plan, filtered, history))
+        search = ChainSearch(*sequence_chain(plan, filtered, history, limited=False))
         search.back = looks_back(plan)
         since = t - float(history.times[-1])
         found |= {goal.name: at_offset(search, goal.row, last, since) for goal in plan.goals if not goal.spread}

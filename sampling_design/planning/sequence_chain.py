@@ -66,13 +66,14 @@ def phase_of(schedule: PeriodicSchedule, t: float) -> int:
 
 
 def sequence_chain(
-    plan: PlanFigures, own: SampleChain, sequence: SampleSequence, settles: int = 1
+    plan: PlanFigures, own: SampleChain, sequence: SampleSequence, settles: int = 1, *, limited: bool = True
 ) -> tuple[SampleChain, list[BoundedDirections]]:
     """The chain of a sequence and what its filter bounds; `own` is the plan's chain.
 
     Coordinates and gains after a sample that is the plan's are the plan's: any of them are a proof. Before the first
     change the plan's filter bounds the error, whatever it once was; where the sequence is the plan's start, what is
-    known then does, and the filter is followed from there on until it is the plan's.
+    known then does, and the filter is followed from there on until it is the plan's. Where nothing is known then, that
+    is `limited`, or free: then what no sample has determined since has no bound.
     """
     times, gaps = sequence.times, np.diff(sequence.times)
     refuse_growth(plan.plant, gaps)
@@ -110,7 +111,8 @@ def sequence_chain(
             made.append(make_gap(own.A, own.G, h, L[k], L[k + 1], flows[k][0], lengths))
     if sequence.begins:
         initial = plan.problem.initial
-        start = _limited(initial.scaled(own.D[:, None] * L[0], own.D, NO_ERROR), np.linalg.solve(L[0], own.L[0]), own)
+        start = initial.scaled(own.D[:, None] * L[0], own.D, NO_ERROR)
+        start = _limited(start, np.linalg.solve(L[0], own.L[0]), own) if limited else start
         chain = replace(own, L=np.array(L), samples=tuple(samples), gaps=tuple(made), start=start, last=0.0)
         chain = replace(chain, known=initial.exact)
         return chain, finite_atoms(chain)

@@ -22,9 +22,6 @@ from sampling_design.records import checks
 from sampling_design.records.record import Plain, Record, short
 from sampling_design.records.signatures import checked
 
-NOTHING = 1e4
-"""Tolerances wide, an accuracy after an unknown start is the limit of that start (`UNKNOWN`), and no knowledge."""
-
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
@@ -301,19 +298,9 @@ def next_sample(
         alone_due=alone_due,
         kept_from=full.kept_from,
         exceeded=exceeded,
-        known=_known(plan, run.history, at),
+        known=known_at(plan, run.history, at),
         judged_until=run.judged_until(max(at, full.t)),
     )
-
-
-def _known(plan: Plan, history: SampleSequence, t: float) -> dict[str, float]:
-    """How well each goal is known: infinite where only the limit of an unknown start bounds it."""
-    found = known_at(plan, history, t)
-    if not history.begins or plan.requirement.initial_error is not None:
-        return found
-    return {
-        goal.name: found[goal.name] if found[goal.name] < NOTHING * goal.tolerance else np.inf for goal in plan.goals
-    }
 
 
 def _named(plan: Plan, mask: Mask) -> tuple[str, ...]:

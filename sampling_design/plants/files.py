@@ -18,6 +18,7 @@ from sampling_design.checkers.strict import MOST_BYTES, Tree
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.plant import FORMAT, GROUPS, MATRICES, Plant, Signals
 from sampling_design.records import checks, file_io
+from sampling_design.records.dispatch import offered
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import check_time_unit
 
@@ -115,6 +116,12 @@ def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
         raise ArgumentError("the file is empty, expected a plant.")
     if stray := [key for key in MATRICES if key in data and "matrices" not in data]:
         raise ArgumentError(f"`{stray[0]}` stands in a table: write the line [matrices] before it.")
+    kind = data.get("format")
+    other = offered("read_plant", kind, object) if isinstance(kind, str) and kind != FORMAT else None
+    if other is not None:
+        raise ArgumentError(
+            f"`format` is {kind!r}, of another kind of plant: `{other.__qualname__}.read(path)` reads it."
+        )
     checks.known_keys("the file", data, _TREE)
     if "format" not in data:
         raise ArgumentError(f'`format` is missing: the file begins with the line format = "{FORMAT}".')

@@ -28,6 +28,7 @@ _REGISTERED = {
     ("guaranteed_accuracy", _VARYING): "accuracy.accuracy_varying:accuracy_along",
     ("certify", f"{__name__}.plants.inclusion.LinearInclusion"): "inclusion.certify_inclusion:certify_plant",
     ("read_certificate", "inclusion"): "inclusion.certificate_file:read_inclusion",
+    ("read_plant", "sampling-design/uncertain-plant/1"): "plants.uncertain_plant:UncertainPlant",
     ("verify_rigorously", "inclusion"): "inclusion.inclusion_balls:inclusion",
 }
 for (_verb, _kind), _does in _REGISTERED.items():

@@ -5,7 +5,9 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.planning import plan as room
-from sampling_design.planning.problem import coarser, pose_plan
+from sampling_design.planning.coarser_raster import coarser, lifted_attacks
+from sampling_design.planning.evidence import reflown
+from sampling_design.planning.problem import pose_plan
 from tests.cases import few
 
 BARE = {"certificate": False, "robustness": False}
@@ -40,6 +42,26 @@ def test_the_most_accurate_plan_is_as_good_as_those_it_starts_from():
     assert all(not start[np.arange(216) % 3 > 0].any() for start in starts)
     best = min(run.held.proven(start).worst for start in starts)
     assert sd.plan_samples(OSCILLATOR, wanted, search_seconds=1, **BARE).ratio <= best * (1 + 1e-9)
+
+
+def test_what_refutes_choices_on_a_coarser_raster_does_on_the_finer_one():
+    """Lifted attacks reach what they did, are proven anew by the same bounds, and show no less between the steps."""
+    for accuracy in ({"position": 0.35}, {"position": {"tolerance": 0.2, "kind": "standard deviation"}}):
+        terms = {"y": {"noise_bound": 0.2, "noise_deviation": 0.2}}
+        wanted = sd.PlanRequirement(accuracy, raster=0.8 / 27, w_intensity=0.01, **{**GIVEN, "sensors": terms})
+        run = room._Planning(pose_plan(OSCILLATOR, wanted), 1.0, None)
+        coarse = room._Planning(coarser(run.problem), 1.0, None)
+        coarse._cheapest()
+        attacks = coarse.search.pool.attacks
+        lifted = lifted_attacks(run.oracle, coarse.motion, attacks)
+        assert len(lifted) == len(attacks) > 0
+        for one, other in zip(attacks, lifted, strict=True):
+            if one.flight is not None:
+                assert other.reach == pytest.approx(one.reach, rel=1e-6)
+                assert other.end == 3 * one.end
+                assert np.all(other.peaks[::3] >= one.peaks * (1 - 1e-6) - 1e-9)
+                again = reflown(run.problem, run.motion, other)
+                assert again.reach == pytest.approx(other.reach, rel=1e-5)
 
 
 LADDERS = [("1 min", (3360, 840, 168)), ("5 min", (672, 168)), ("1 h", ())]

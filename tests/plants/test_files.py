@@ -14,6 +14,7 @@ from sampling_design.errors import FileFormatError
 from sampling_design.plants import files, library
 from sampling_design.plants.files import plant_from_dict, write_plant
 from sampling_design.plants.plant import Signals
+from sampling_design.uncertain import UncertainParameter, UncertainPlant
 
 SUFFIXES = ["toml", "json", "mat", "npz"]
 
@@ -269,3 +270,12 @@ def test_archives_that_name_an_array_twice_or_swell_are_refused(tmp_path, monkey
         archive.writestr("A.npy", content)
     with pytest.raises(FileFormatError, match=r"\.npz: holds the array 'A' twice"):
         read_plant(path)
+
+
+def test_a_file_of_an_uncertain_plant_is_refused_with_what_reads_it(tmp_path):
+    path = UncertainPlant(Plant([[-1.0]], [[1.0]]), [UncertainParameter("k", -0.1, 0.1, A=[[1.0]])]).save(
+        tmp_path / "plant.toml"
+    )
+    with pytest.raises(FileFormatError, match=r"of another kind of plant: `UncertainPlant\.read\(path\)` reads it"):
+        read_plant(path)
+    assert UncertainPlant.read(path).nominal.A[0, 0] == -1.0

@@ -1,0 +1,82 @@
+"""A coarser raster of the same problem, and what a search there says on the finer one.
+
+All of its times are times of the finer raster: a choice is one there, and so is a disturbance, constant for more steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.errors import ArgumentError, InfeasibleRequirementError
+from sampling_design.planning.accuracy_oracle import AccuracyOracle
+from sampling_design.planning.adversary_program import fly
+from sampling_design.planning.discrete_plant import DiscretePlant
+from sampling_design.planning.hidden_trajectories import HiddenTrajectory
+from sampling_design.planning.problem import WHOLE, PlanProblem, pose_plan
+from sampling_design.records.units import SECONDS, time_factor
+
+Mask = npt.NDArray[np.bool_]
+
+COARSE = 168
+"""Steps of a raster, the hours of a week, up to which it is not looked at more coarsely first."""
+
+
+def coarser(problem: PlanProblem) -> PlanProblem | None:
+    """The same on a raster of a third as many steps or fewer, all of them steps of this one; None where it is short.
+
+    With a calendar its steps make up whole hours, then days: rasters that people use are among those that follow.
+    """
+    requirement, whole = problem.requirement, np.inf
+    if requirement.calendar is not None:
+        seconds = problem.step * SECONDS[problem.plant.time_unit]
+        whole = (SECONDS["h"] if seconds < SECONDS["h"] * (1 - WHOLE) else SECONDS["d"]) / seconds
+    parts = [k for k in range(2, problem.steps) if problem.steps % k == 0 and _divides(k, whole)]
+    if problem.steps <= COARSE or not parts:
+        return None
+    step = problem.step * next((k for k in parts if k > 2), 2)
+    unit = requirement.time_unit or problem.plant.time_unit
+    try:
+        return pose_plan(problem.plant, requirement.replace(raster=step * time_factor(problem.plant.time_unit, unit)))
+    except (ArgumentError, InfeasibleRequirementError):  # times that a goal asks for, or hours, fall between its steps
+        return None
+
+
+def _divides(k: int, whole: float) -> bool:
+    """Whether a number of steps divides another one, which need not be whole."""
+    return not np.isfinite(whole) or abs(whole / k - round(whole / k)) <= WHOLE
+
+
+def lifted_choices(problem: PlanProblem, coarse: Iterable[Mask]) -> list[Mask]:
+    """The choices of a coarser raster, on this one, as far as they are admissible here."""
+    found = []
+    for chosen in coarse:
+        lifted = np.zeros(problem.allowed.shape, dtype=bool)
+        lifted[:: problem.steps // len(chosen)] = chosen
+        found += [lifted] if problem.is_admissible(lifted) else []
+    return found
+
+
+def lifted_attacks(
+    oracle: AccuracyOracle, motion: DiscretePlant, attacks: Iterable[HiddenTrajectory]
+) -> list[HiddenTrajectory]:
+    """The attacks of a coarser raster, where `motion` is the plant, on the raster of an oracle.
+
+    Flown over its steps, with what all of these would show. Of a tangent: the one that touches at the same samples.
+    """
+    found, steps = [], oracle.problem.steps
+    for attack in attacks:
+        part = steps // len(attack.peaks)
+        if attack.flight is None:
+            z = np.zeros(oracle.problem.allowed.shape)
+            z[::part] = np.roll(attack.touches, -(attack.end + 1) % len(attack.peaks), axis=0)[::-1]
+            lifted = oracle.tangent(z, attack.goal)
+        else:
+            flight = attack.flight
+            states = np.linalg.lstsq(oracle.motion.T, motion.T @ flight.states.T)[0].T
+            flown = fly(oracle.motion, flight.knots * part, states, np.repeat(flight.w, part, axis=0))
+            lifted = oracle.scaled(flown, attack.goal, attack.end * part, attack.at_sample)
+        found += [lifted] if lifted is not None else []
+    return found

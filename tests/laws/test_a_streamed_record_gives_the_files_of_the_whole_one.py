@@ -197,7 +197,7 @@ def test_a_hole_in_any_stretch_is_found_and_what_is_left_open_stays_open(monkeyp
         assert log.actual_sigma.upper < 0.99 * log.planned_sigma.lower
         assert hole <= log.actual_sigma.witness.t <= hole + 4
     sigma = log.actual_sigma
-    unfinished = replace(sigma, lower=0.5 * sigma.lower, closed=False, status="budget")
+    unfinished = replace(sigma, lower=0.5 * sigma.lower, status="budget")
     for joint in (schedule_log._joint(sigma, unfinished), schedule_log._joint(unfinished, sigma)):
         assert (joint.lower, joint.upper) == (unfinished.lower, sigma.upper)
         assert (joint.closed, joint.status) == (False, "budget")

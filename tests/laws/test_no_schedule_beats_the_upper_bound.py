@@ -10,6 +10,7 @@ from sampling_design.design.bounds.branching import narrowed
 from sampling_design.design.bounds.evidence import UpperBound, placed_part, slow_part, slow_states
 from sampling_design.design.bounds.relaxation import relax_placed
 from sampling_design.design.problem.posing import pose
+from sampling_design.records.budget import ENDLESS
 from tests.oracles.design import best_on_grid, is_allowed, random_schedule, window_sigma_scan
 
 OSCILLATOR = ([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -114,7 +115,7 @@ def test_boxes_cut_again_and_again_stay_above_every_schedule_of_a_grid(case, win
 class Scripted:
     """A tree of boxes whose bound falls as it is told, a cut at a time."""
 
-    deadline, bound = np.inf, branching._BoxTree.bound
+    budget, bound = ENDLESS, branching._BoxTree.bound
 
     def __init__(self, values):
         self.values, self.spent, self.parts = values, 0, ()

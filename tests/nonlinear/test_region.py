@@ -106,7 +106,8 @@ def test_instructions_say_what_the_function_is():
     program = programs.read(instructions(function, ("x", "w")), "f", {"x": 2, "u": 0, "w": 1})
     for point in np.random.default_rng(0).uniform(0.1, 2.0, (10, 3)):
         inside = [Interval(np.array([v]), np.array([v])) for v in point]
-        found = [v for v, _ in programs.run(program, {"x": inside[:2], "w": inside[2:]}, ())]
+        done = programs.every(program, {"x": inside[:2], "w": inside[2:]}, ())
+        found = [done[k][0] for k in program.outputs]
         truth = np.array(function(point[:2], point[2:])).ravel()
         for value, interval in zip(truth, found, strict=True):
             assert interval.low[0] - 1e-12 <= value <= interval.high[0] + 1e-12

@@ -7,7 +7,7 @@ from typing import Protocol, TypeVar
 
 from sampling_design.records.record import PlainRecord, short
 
-UNSETTLED = ("budget", "rounding", "timing", "too many states", "sampled")
+UNSETTLED = ("budget", "interrupted", "rounding", "timing", "too many states", "sampled")
 """Of a search: what ends it with a bracket that is wider than was asked."""
 Bracket = TypeVar("Bracket", bound="SigmaBracket")
 

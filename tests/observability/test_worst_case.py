@@ -6,6 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 
+import sampling_design as sd
 from sampling_design import Plant
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.windows.sampled import sigma_min
@@ -347,3 +348,39 @@ def test_what_rounding_may_take_from_the_sums_is_less_than_is_allowed():
                 f, g = (seen * mpmath.matrix(v.tolist()) for v in (y[0], (y + step)[0]))
                 true = sum(a * b for a, b in zip(f, g, strict=True))
                 assert abs(float(true - computed[0, k, w])) <= allowed[0, k, w]
+
+
+@pytest.mark.parametrize("at", [0, 1, 5, 20])
+def test_an_interrupt_of_the_proof_leaves_what_is_proven(at, monkeypatch):
+    plant = sd.Plant(
+        [[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0], [0.0, 0.0, -2.0, 0.0]],
+        [[1.0, 0.0, 1.0, 0.0]],
+    )
+    family, calls, worked = sd.SpacedWindows(4.0, 6, 0.3), [], spaced_sphere._SphereSearch._worked
+
+    def rung(search, cells):
+        calls.append(1)
+        if len(calls) == at + 1:
+            raise KeyboardInterrupt
+        return worked(search, cells)
+
+    whole = sd.worst_case_sigma(plant, family)
+    monkeypatch.setattr(spaced_sphere._SphereSearch, "_worked", rung)
+    left = sd.worst_case_sigma(plant, family)
+    assert len(calls) == at + 1
+    assert (left.status, left.closed) == ("interrupted", False)
+    assert 0 <= left.lower <= whole.upper
+    assert whole.lower <= left.upper
+    assert "interrupted before the bracket closed" in left.explain()
+
+
+def test_an_interrupt_of_one_plant_ends_the_search_over_a_box(monkeypatch):
+    def rung(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(spaced_sphere._SphereSearch, "_worked", rung)
+    plant = sd.UncertainPlant(
+        sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), [sd.UncertainParameter("k", -0.1, 0.1, A=np.eye(2))]
+    )
+    with pytest.raises(KeyboardInterrupt):
+        sd.worst_case_sigma(plant, sd.SpacedWindows(4.0, 3, 0.5))

@@ -133,25 +133,37 @@ class _SphereSearch:
         return float((self.best.sigma * (1 - 0.99 * self.rtol)) ** 2)
 
     def run(self, seconds: float, progress: Progress | None) -> SphereBounds:
-        """Work on the cells with the lowest bounds until all are closed or the budget is spent."""
+        """Work on the cells with the lowest bounds until all are closed or the budget is spent.
+
+        An interrupt ends it too: the cells that were taken out are open again, with the bounds that they had.
+        """
         budget, status = Budget(seconds), ""
-        while self.open.face.size:
-            if self.open.face.size > _MOST_CELLS:
+        while self.open.face.size and not status:
+            before = self.open
+            try:
+                status = self._stepped(budget, progress)
+            except KeyboardInterrupt:
+                self.open, status = before, "interrupted"
+        ended = self._verdict() if status in ("", "zero") else status
+        return SphereBounds(self.lower, self.best, ended, self.cells)
+
+    def _stepped(self, budget: Budget, progress: Progress | None) -> str:
+        """One round: why the search ends, or nothing."""
+        if self.open.face.size > _MOST_CELLS:
+            return "budget"
+        batches, status = self._batches(self._round()), ""
+        results = [self.open]
+        for part in batches:
+            if not status and budget.over:
                 status = "budget"
-                break
-            batches = self._batches(self._round())
-            results = [self.open]
-            for part in batches:
-                if not status and budget.over:
-                    status = "budget"
-                results.append(part if status else self._worked(part))
-            self.open = joined(results)
-            if status or self.rows.counts_as_zero(self.best.sigma, self.best.slacks):
-                break
-            if progress is not None:
-                share = 1 - self.open.volume() - self.stuck.volume()
-                progress(share, f"worst case sigma: {self.open.face.size} cells open, at least {self.lower:.6g}")
-        return SphereBounds(self.lower, self.best, status or self._verdict(), self.cells)
+            results.append(part if status else self._worked(part))
+        self.open = joined(results)
+        if not status and self.rows.counts_as_zero(self.best.sigma, self.best.slacks):
+            status = "zero"
+        if not status and progress is not None:
+            share = 1 - self.open.volume() - self.stuck.volume()
+            progress(share, f"worst case sigma: {self.open.face.size} cells open, at least {self.lower:.6g}")
+        return status
 
     @property
     def lower(self) -> float:

@@ -36,6 +36,7 @@ RTOL = 0.01
 _PICTURE = 401  # points of the profile
 _REASONS = {
     "budget": "the budget ran out before the bracket closed; more time narrows it",
+    "interrupted": "the search was interrupted before the bracket closed",
     "rounding": "rounding keeps the bracket open; scale the plant",
     "too many states": f"a proof by directions is not tried beyond {MOST_STATES} states; retain fewer of them",
 }
@@ -72,7 +73,7 @@ class WorstCaseSigma(SigmaBracket):
     closed : bool
         Whether lower >= (1 - rtol) upper, or sigma is zero (exactly, or below rounding).
     status : str
-        Why the search ended: "closed", "too few samples", "below rounding", "budget", "rounding",
+        Why the search ended: "closed", "too few samples", "below rounding", "budget", "interrupted", "rounding",
         "too many states" or "no states".
     method : str
         What `lower` rests on, in words.
@@ -169,7 +170,8 @@ def worst_case_sigma(
     rtol : float
         The search ends when lower >= (1 - rtol) upper; in (0, 1). Default 0.01, over a box 0.1.
     budget : float, optional [seconds]
-        When it runs out, the bounds so far are returned with closed = False. None: no limit.
+        When it runs out, the bounds so far are returned with closed = False; so they are after an interrupt (Ctrl-C) of
+        the proof. None: no limit.
     rng : numpy.random.Generator or its seed, optional
         Draws the starts of the search for the attained bound; the proof draws nothing. Default: seed 0.
     progress : callable, optional

@@ -118,6 +118,8 @@ def worst_case_over_box(
     def one(member: Plant, fine: float, left: float) -> tuple[float, float, Array]:
         limit = max(left, LEAST_SEARCH) if np.isfinite(left) else None
         found = worst_case_sigma(member, replace(family, time_unit=None), fine, limit)
+        if found.status == "interrupted":  # of one plant: the others are not looked at
+            raise KeyboardInterrupt
         return found.lower, found.upper, found.witness
 
     settled: list[BoxCells] = []

@@ -75,7 +75,7 @@ def lifted_attacks(
             lifted = oracle.tangent(z, attack.goal)
         else:
             flight = attack.flight
-            states = np.linalg.lstsq(oracle.motion.T, motion.T @ flight.states.T)[0].T
+            states = np.asarray(np.linalg.lstsq(oracle.motion.T, motion.T @ flight.states.T)[0].T, dtype=np.float64)
             flown = fly(oracle.motion, flight.knots * part, states, np.repeat(flight.w, part, axis=0))
             lifted = oracle.scaled(flown, attack.goal, attack.end * part, attack.at_sample)
         found += [lifted] if lifted is not None else []

@@ -104,7 +104,7 @@ def test_a_spacing_beyond_the_period_is_refused(sensor):
 
 
 @pytest.mark.parametrize("A", few([[[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0], [-1.0, 0.0]], [[-0.1, 0.0], [0.0, -0.2]],
-                                   [[0.1, 0.0], [1.0, -0.2]]], 0, 2))  # fmt: skip
+                                   [[0.1, 0.0], [1.0, -0.2]]], 0))  # fmt: skip
 def test_a_motion_that_nothing_drives_is_planned_and_proven(A):
     plant = sd.Plant(A, [[1.0, 0.0]], states=["first", "second"], outputs=["y"])
     given = {**GIVEN, "raster": 0.8, "w_bound": 0.0, "sensors": {"y": {"noise_bound": 0.1}}}

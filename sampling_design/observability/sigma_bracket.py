@@ -42,7 +42,7 @@ class SigmaBracket(PlainRecord):
 
     @property
     def closed(self) -> bool:
-        """Whether the bracket is as narrow as was asked, or sigma is zero."""
+        """Whether lower >= (1 - rtol) upper, or sigma is zero: exactly, or below rounding."""
         return self.status not in UNSETTLED
 
     @property

@@ -113,8 +113,6 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
     upper : float
         Attained at `witness`.
     witness : WindowWitness
-    closed : bool
-        Whether lower >= (1 - rtol) upper, or sigma is zero (exactly, or below rounding).
     status : str
         Why the search ended: "closed", "too few samples", "below rounding", "budget", "rounding", "timing" where late
         and early samples leave the bracket wider than `rtol`, "no states", or "sampled" where the plant varies in time

@@ -70,8 +70,6 @@ class WorstCaseSigma(SigmaBracket):
         Sample times within [0, T], relative to the window's start.
     direction : (n,) array
         Unit state at the window's start that `witness` sees least.
-    closed : bool
-        Whether lower >= (1 - rtol) upper, or sigma is zero (exactly, or below rounding).
     status : str
         Why the search ended: "closed", "too few samples", "below rounding", "budget", "interrupted", "rounding",
         "too many states" or "no states".

@@ -43,8 +43,6 @@ class WindowSigmaOverBox(SigmaBracket):
     window_start : float [time]
     samples : (k,) array [time]
         In that window.
-    closed : bool
-        Whether lower >= (1 - rtol) upper, or sigma is zero at `worst`.
     status : str
         "closed", "unseen" (the plant `worst` is not seen, as nearly as a descent can tell), "too few samples",
         "budget", "rounding" or "no states".

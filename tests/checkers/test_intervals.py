@@ -89,10 +89,12 @@ def test_derivatives_over_a_cell_hold_differences():
 
     def value(z):
         point = [Interval(np.array([v]), np.array([v])) for v in z]
-        return np.array([v.middle[0] for v, _ in programs.run(program, {"x": point[:2], "w": point[2:]}, ())])
+        done = programs.every(program, {"x": point[:2], "w": point[2:]}, ())
+        return np.array([done[k][0].middle[0] for k in program.outputs])
 
     cell = [Interval(np.array([a]), np.array([b])) for a, b in zip(low, high, strict=True)]
-    found = programs.run(program, {"x": cell[:2], "w": cell[2:]}, ("x", "w"))
+    done = programs.every(program, {"x": cell[:2], "w": cell[2:]}, ("x", "w"))
+    found = [done[k] for k in program.outputs]
     for _ in range(6):
         z, step = rng.uniform(low, high - 1e-5), 1e-6
         for j, key in enumerate([("x", 0), ("x", 1), ("w", 0)]):

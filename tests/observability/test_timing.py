@@ -8,6 +8,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError
+from tests import command_lines
 from tests.cases import few
 
 DAYS = 5554.0
@@ -168,7 +169,7 @@ def test_what_is_refused():
     schedule = sd.PeriodicSchedule([0.5])
     with pytest.raises(ArgumentError, match="`timing_tolerance` must"):
         sd.window_sigma(plant, schedule, 2.0, timing_tolerance=-0.1)
-    with pytest.raises(ArgumentError, match=r"half of the least gap 0\.5"):
+    with pytest.raises(ArgumentError, match=r"`timing_tolerance` must be less than half of the least gap 0\.5"):
         sd.window_sigma(plant, schedule, 2.0, timing_tolerance=0.25)
     with pytest.raises(ArgumentError, match="longer than twice `timing_tolerance`"):
         sd.window_sigma(plant, schedule, 0.2, timing_tolerance=0.1)
@@ -177,3 +178,14 @@ def test_what_is_refused():
     box = sd.UncertainPlant(plant, [sd.UncertainParameter("k", -0.1, 0.1, A=np.eye(2))])
     with pytest.raises(ArgumentError, match="`timing_tolerance` is for exactly known plants"):
         sd.window_sigma(box, schedule, 2.0, timing_tolerance=0.1)
+
+
+@pytest.mark.parametrize(("tolerance", "code"), [("0.02", 0), ("0.14", 3), ("0.15", 2)])
+def test_the_command_ends_with_what_is_proven(tolerance, code, tmp_path):
+    plant = sd.Plant([[0.0, 6.0], [-6.0, 0.0]], [[1.0, 0.0]])
+    sd.plants.write_plant(plant, tmp_path / "plant.toml")
+    sd.schedules.write_schedule(sd.PeriodicSchedule([0.3], time_unit="s"), tmp_path / "schedule.csv")
+    asked = [str(tmp_path / "plant.toml"), str(tmp_path / "schedule.csv"), "--window", "1.0"]
+    ended = command_lines.run(["sigma", *asked, "--timing-tolerance", tolerance])
+    assert ended.code == code
+    assert ended.raw() == ""

@@ -21,7 +21,7 @@ from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import CurveRecord, Record, TableRecord, Variable, short
 from sampling_design.records.signatures import open_verb
-from sampling_design.schedules.jitter import Jitter
+from sampling_design.schedules.sampling_set import SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
@@ -315,7 +315,12 @@ def window_sigma(
     aligned = meet(plant, schedule)
     late = checks.nonnegative("timing_tolerance", timing_tolerance)
     if late:
-        late = Jitter(aligned, late).radius  # or refused
+        least = SamplingSet(aligned).min_gap
+        if 2 * late >= least:
+            raise ArgumentError(
+                f"`timing_tolerance` must be less than half of the least gap {short(least)}, got {short(late)}: "
+                "samples could change places."
+            )
         if rigorous:
             raise ArgumentError("`rigorous` is for exact sample times: leave it or `timing_tolerance` out.")
         if not 2 * late < checks.positive("window", window):

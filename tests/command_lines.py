@@ -24,7 +24,7 @@ import numpy as np
 
 import sampling_design as sd
 from sampling_design.cli.app import loaded
-from sampling_design.cli.settings import NO_BUDGET
+from sampling_design.cli.settings import flags_of
 from sampling_design.planning.files import save_plan
 from sampling_design.planning.requirement_file import write_plan_requirement
 from tests.front_door import EXAMPLES, MEMORY
@@ -146,7 +146,7 @@ def drawn(count: int, seed: int) -> list[list[str]]:
         if kinds[-1:] == ("requirement",) and rng.random() < 0.3:
             arguments.pop()
         line = [name, *arguments, *ALWAYS.get(name, []), "--quiet"]
-        line += [] if name in NO_BUDGET else ["--budget", "3"]
+        line += ["--budget", "3"] if "budget" in flags_of(name) else []
         for flag in rng.permutation(list(flags))[: int(rng.integers(0, 3))]:
             value = flags[str(flag)]
             line.append(str(flag))
@@ -180,7 +180,7 @@ def wrong(count: int, seed: int) -> list[list[str]]:
         name = names[k % len(names)] if k < len(names) else str(rng.choice(names))
         arguments = [str(files()[USUAL[kind]]) for kind in COMMANDS[name][0]]
         line = [name, *arguments, *ALWAYS.get(name, []), "--quiet"]
-        line += [] if name in NO_BUDGET else ["--budget", "3"]
+        line += ["--budget", "3"] if "budget" in flags_of(name) else []
         for _ in range(1 + (rng.random() < 1 / 3)):
             line = _spoilt(line, len(arguments), rng)
         lines.append(line)

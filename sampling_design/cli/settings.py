@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from sampling_design.records.workers import Workers
 
 
-_COMMON: dict[str, tuple[object, object]] = {
+COMMON_FLAGS: dict[str, tuple[object, object]] = {
     "as_json": (Annotated[bool, typer.Option("--json", help="Print the result as JSON.")], False),
     "output": (Annotated[Path | None, typer.Option("-o", "--output", help="Folder for files.", metavar="DIR")], None),
     "seed": (Annotated[int, typer.Option(help="Seed of everything random.")], 0),
@@ -52,12 +52,27 @@ _COMMON: dict[str, tuple[object, object]] = {
 }
 
 
-NO_BUDGET = ("accuracy", "plan", "next", "estimate", "explore", "new", "pareto", "validate", "thyroid")
-"""Commands whose work is given by their arguments: nothing in them ends early with what it has, unless (`pareto`) it is
-told to. What ends by the clock depends on how many share the work."""
+ONLY: dict[str, tuple[str, ...]] = {
+    "seed": ("design", "pareto", "losses", "validate", "thyroid"),
+    "budget": ("design", "losses", "sigma", "worst-case", "certify", "verify", "survive", "log"),
+    "decay_rate": ("info", "design", "pareto", "losses", "sigma", "worst-case", "log", "explore"),
+}
+"""Flags of those commands alone that draw at random; that end early with what they have (the others' work is given by
+their arguments, or they have a limit of their own: what ends by the clock depends on how many share the work); and
+that ask for observability of some modes."""
 
-NO_PICTURE = ("info", "verify", "next", "explore", "new")
-"""Commands that draw nothing."""
+WITHOUT: dict[str, tuple[str, ...]] = {
+    "no_picture": ("info", "verify", "next", "explore", "new"),
+    "output": ("new",),
+}
+"""Flags that every command has but these: they draw nothing, or are given their folder."""
+
+
+def flags_of(command: str) -> list[str]:
+    """Return the names of the common flags that a command takes."""
+    return [
+        name for name in COMMON_FLAGS if command in ONLY.get(name, (command,)) and command not in WITHOUT.get(name, ())
+    ]
 
 
 @dataclass
@@ -188,18 +203,18 @@ def with_common_flags(function: Callable[..., None], command_name: str) -> Calla
     asked = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
     groups = {p.name: p.annotation for p in asked if isinstance(p.annotation, type) and is_dataclass(p.annotation)}
     own = [flag for p in asked for flag in (_flags(p.annotation) if p.name in groups else [p])]
-    without = {"budget": NO_BUDGET, "no_picture": NO_PICTURE}
-    flags_of_this = [name for name in _COMMON if command_name not in without.get(name, ())]
+    flags_of_this = flags_of(command_name)
     common = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-        for name, (annotation, default) in ((name, _COMMON[name]) for name in flags_of_this)
+        for name, (annotation, default) in ((name, COMMON_FLAGS[name]) for name in flags_of_this)
     ]
 
     @functools.wraps(function)
     def command(**arguments: Any) -> None:
         flags = {name: arguments.pop(name) for name in flags_of_this}
         flags.pop("version")
-        whole("seed", flags["seed"])
+        if "seed" in flags:
+            whole("seed", flags["seed"])
         if "budget" in flags:
             positive("budget", flags["budget"])
         for name, kind in groups.items():

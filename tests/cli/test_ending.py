@@ -157,9 +157,9 @@ def test_memory_and_numbers_of_processes(shell, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("info", OSCILLATOR, "--seed", -1), "`seed` must be a whole number of at least 0, got -1"),
-        (("info", OSCILLATOR, "--budget", 0), "`budget` must be positive"),
-        (("info", OSCILLATOR, "--budget", "nan"), "`budget` must be finite"),
+        (("design", OSCILLATOR, "--seed", -1), "`seed` must be a whole number of at least 0, got -1"),
+        (("design", OSCILLATOR, "--budget", 0), "`budget` must be positive"),
+        (("design", OSCILLATOR, "--budget", "nan"), "`budget` must be finite"),
         (("pareto", OSCILLATOR, "--counts", "2,3", "--workers", 0), "`workers` must be a number of processes"),
         (("thyroid", "--workers", 0), "`workers` must be a number of processes"),
     ],

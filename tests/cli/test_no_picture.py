@@ -4,14 +4,8 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.cli import track
-from sampling_design.cli.app import COMMANDS, loaded
-from sampling_design.cli.settings import NO_PICTURE, Settings
+from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError
-
-
-def test_every_command_that_draws_takes_the_flag_and_no_other():
-    takes = {name for name in COMMANDS if "no_picture" in {p.name for p in loaded(name).params}}
-    assert takes == set(COMMANDS) - set(NO_PICTURE)
 
 
 def test_the_flag_leaves_out_the_picture_and_nothing_else(shell, tmp_path):

@@ -48,13 +48,19 @@ def test_the_table_of_commands_is_the_command_line():
 
 def test_the_flags_that_the_readme_gives_to_every_command_are_those_that_every_command_has():
     from sampling_design.cli.app import COMMANDS, loaded
+    from sampling_design.cli.settings import COMMON_FLAGS
 
     flags = {name: {flag for option in loaded(name).params for flag in option.opts} for name in COMMANDS}
-    told = re.search(r"^Each takes (.*?); those that search take `--budget SECONDS`(.*?);", README, flags=re.M | re.S)
-    every = set(re.findall(r"`(-[a-z-]+)", told[1]))
-    assert every == set.intersection(*flags.values()) - {"--output", "--version"}
-    without = set(re.findall(r"`([a-z-]+)`", told[2]))
-    assert without == {name for name, own in flags.items() if "--budget" not in own}
+    told = re.search(
+        r"^Each takes (.*?), all but `new` take `-o DIR`, and each takes those of (.*?)that", README, flags=re.M | re.S
+    )
+    named = [set(re.findall(r"`(--[a-z-]+)", part)) for part in told.groups()]
+    assert named[0] == set.intersection(*flags.values()) - {"--version"}
+    assert {name for name, own in flags.items() if "-o" not in own} == {"new"}
+    common = {name: "--" + name.replace("_", "-") for name in COMMON_FLAGS}
+    assert named[1] == {
+        flag for flag in common.values() if 0 < sum(flag in own for own in flags.values()) < len(COMMANDS) - 1
+    }
 
 
 def test_the_exit_codes_are_the_same_everywhere():

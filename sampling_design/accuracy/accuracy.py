@@ -136,7 +136,7 @@ def guaranteed_accuracy(
     limit = Budget(None if budget is None else checks.positive("budget", budget))
     schedule = meet(plant, schedule)
     rows = wanted_rows(plant, of)
-    if isinstance(schedule, PeriodicSchedule):
+    if schedule.endless:
         given = [n for n, x in (("initial_error", initial_error), ("start", start), ("end", end)) if x is not None]
         if given:
             raise ArgumentError(

@@ -171,7 +171,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
 
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.plant.time_unit
-        if isinstance(self.schedule, PeriodicSchedule):
+        if self.schedule.endless:
             lines = [("samples per period", f"{len(self.schedule)} in {short(self.schedule.period)} {unit}")]
         else:
             span = f"from {short(self.question.nodes[0])} to {short(self.question.end)} {unit}"

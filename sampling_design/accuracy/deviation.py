@@ -160,7 +160,7 @@ def standard_deviation(
     schedule = meet(plant, schedule)
     rows = wanted_rows(plant, of)
     nothing = np.zeros(plant.n_outputs)
-    if isinstance(schedule, PeriodicSchedule):
+    if schedule.endless:
         question = AccuracyQuestion.endless(plant, schedule, 0.0, nothing)
     else:
         question = AccuracyQuestion.finite(plant, schedule, 0.0, nothing, None, start, end)
@@ -174,7 +174,7 @@ def deviations(
     plant, schedule = question.plant, question.schedule
     W, v = _intensity(plant, w_intensity), _deviation(plant, len(schedule), v_deviation)
     amplitude = np.sqrt(np.diag(W))
-    if isinstance(schedule, PeriodicSchedule):
+    if schedule.endless:
         question = AccuracyQuestion.endless(plant, schedule, amplitude, v)
     else:
         question = AccuracyQuestion.finite(plant, schedule, amplitude, v, None, float(question.nodes[0]), question.end)

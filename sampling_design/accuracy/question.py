@@ -92,7 +92,7 @@ class AccuracyQuestion:
 
     def primitive(self) -> AccuracyQuestion:
         """The same question over the shortest period that samples and bounds on their noise have."""
-        if not isinstance(self.schedule, PeriodicSchedule):
+        if not self.schedule.endless:
             return self
         found, count = self.schedule.primitive(), len(self.schedule)
         part = len(found)
@@ -112,7 +112,7 @@ class AccuracyQuestion:
 
     def known(self) -> DetectablePart:
         """The plant without what an endless schedule can never show."""
-        if not isinstance(self.schedule, PeriodicSchedule):
+        if not self.schedule.endless:
             n = self.plant.n_states
             return DetectablePart(self.plant, np.eye(n), np.zeros((n, 0)), ())
         outputs = [self.bounds.measured(j) for j in range(self.nodes.size)]

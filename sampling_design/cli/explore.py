@@ -18,7 +18,6 @@ from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.requirement_file import requirement_and_plant
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
-from sampling_design.schedules.schedule import PeriodicSchedule
 
 
 def explore(
@@ -59,7 +58,7 @@ def explore(
     else:
         plant, requirement = _wanted(settings, plant_file, requirement_file)
         schedule = None if schedule_file is None else schedule_for(settings, plant, schedule_file)
-        if schedule is not None and not isinstance(schedule, PeriodicSchedule):
+        if schedule is not None and not schedule.endless:
             raise ArgumentError(
                 f"`--schedule` must be a schedule that repeats, got {schedule_file}, which has no period."
             )

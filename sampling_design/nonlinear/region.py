@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +10,7 @@ import numpy.typing as npt
 from sampling_design.checkers.half_spaces import holds_a_point
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
+from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import Plain, Record, finite_or_nones, short
 
 Array = npt.NDArray[np.float64]
@@ -21,7 +20,7 @@ FAR = 10.0
 """Scales beyond zero up to which an unbounded entry is looked at: sampling only, proofs take it as unbounded."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class StateRegion(Record):
     """A convex set of states: lower <= x <= upper and rows x <= offsets.
 
@@ -41,22 +40,11 @@ class StateRegion(Record):
         If sizes differ, no state is in the box and the half-spaces, or `about` lies outside of the box.
     """
 
-    lower: Array
-    upper: Array
-    rows: Array = None  # type: ignore[assignment]
-    offsets: Array = None  # type: ignore[assignment]
-    about: Array = None  # type: ignore[assignment]
-
-    if TYPE_CHECKING:  # callers may pass anything that becomes an array
-
-        def __init__(
-            self,
-            lower: npt.ArrayLike,
-            upper: npt.ArrayLike,
-            rows: npt.ArrayLike | None = None,
-            offsets: npt.ArrayLike | None = None,
-            about: npt.ArrayLike | None = None,
-        ) -> None: ...
+    lower: Converted[npt.ArrayLike, Array]
+    upper: Converted[npt.ArrayLike, Array]
+    rows: Converted[npt.ArrayLike | None, Array] = None  # type: ignore[assignment]
+    offsets: Converted[npt.ArrayLike | None, Array] = None  # type: ignore[assignment]
+    about: Converted[npt.ArrayLike | None, Array] = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         lower, upper = (checks.floats(key, getattr(self, key)) for key in ("lower", "upper"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TypeVar, cast
 
 import numpy as np
@@ -67,7 +68,7 @@ def meet(plant: Plant, schedule: TimesKind) -> TimesKind:
     return schedule
 
 
-def _in_order(schedule: AnySchedule, theirs: tuple[str, ...], mine: tuple[str, ...]) -> AnySchedule:
+def _in_order(schedule: AnySchedule, theirs: Sequence[str], mine: tuple[str, ...]) -> AnySchedule:
     """The schedule with one column per output of the plant, False where it does not name that output."""
     if not set(theirs) & set(mine):
         raise ArgumentError(
@@ -78,6 +79,6 @@ def _in_order(schedule: AnySchedule, theirs: tuple[str, ...], mine: tuple[str, .
     mask = np.zeros((len(schedule), len(mine)), dtype=bool)
     mask[:, [mine.index(name) for name in theirs]] = True if schedule.outputs is None else schedule.outputs
     details = ScheduleDetails(time_unit=schedule.time_unit, origin=schedule.origin, output_names=mine)
-    if isinstance(schedule, PeriodicSchedule):
+    if schedule.endless:
         return PeriodicSchedule.from_times(schedule.times, schedule.period, mask, **details)
     return Schedule(schedule.times, mask, **details)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, ClassVar, TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -14,12 +14,14 @@ from sampling_design.accuracy.start import InitialError
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.opening import OpeningCalendar, week_hours
 from sampling_design.records import checks
+from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import Plain, PlainRecord, Record, counted, short
 from sampling_design.records.units import SECONDS, check_time_unit
 
 Array = npt.NDArray[np.float64]
 Duration: TypeAlias = float | str
 DisturbanceBound: TypeAlias = float | Sequence[float] | None
+Goals: TypeAlias = "Mapping[str, AccuracyGoal | Mapping[str, object] | float] | None"
 
 FORMAT = "sampling-design/plan-requirement/1"
 KINDS = ("guaranteed", "standard deviation")
@@ -44,7 +46,7 @@ def duration(name: str, value: object, unit: str) -> float:
     return float(found[1]) * (SECONDS[found[2]] / SECONDS[unit])
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class AccuracyGoal(Record):
     """How well one row must be known.
 
@@ -68,20 +70,10 @@ class AccuracyGoal(Record):
 
     tolerance: float
     at: str | Sequence[float] = "all times"
-    row: Array | None = None
+    row: Converted[npt.ArrayLike | None, Array | None] = None  # type: ignore[assignment]
     kind: str = KINDS[0]
 
     _table = {"tolerance": "{tolerance}", "at": "{when}"}
-
-    if TYPE_CHECKING:  # callers may pass anything that becomes an array
-
-        def __init__(
-            self,
-            tolerance: float,
-            at: str | Sequence[float] = "all times",
-            row: npt.ArrayLike | None = None,
-            kind: str = "guaranteed",
-        ) -> None: ...
 
     def __post_init__(self) -> None:
         _word("kind", self.kind, KINDS)
@@ -170,7 +162,7 @@ class SensorTerms(PlainRecord):
         return ", ".join(f"{label} {value}" for label, value in self._rows()) + "."
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class PlanRequirement(Record):
     """What a plan must keep and may use.
 
@@ -222,7 +214,9 @@ class PlanRequirement(Record):
     """
 
     _reader: ClassVar[str] = "read_plan_requirement"
-    accuracy: Mapping[str, AccuracyGoal] = None  # type: ignore[assignment]
+    accuracy: Converted[
+        Mapping[str, AccuracyGoal | Mapping[str, object] | float] | None, Mapping[str, AccuracyGoal]
+    ] = None  # type: ignore[assignment]
     period: Duration | None = None
     raster: Duration | None = None
     spacing: Duration | None = None
@@ -231,31 +225,11 @@ class PlanRequirement(Record):
     visit_price: float = 0.0
     aim: str | None = None
     w_bound: DisturbanceBound = None
-    sensors: Mapping[str, SensorTerms] = None  # type: ignore[assignment]
-    calendar: OpeningCalendar | None = None
+    sensors: Converted[Mapping[str, SensorTerms | Mapping[str, object]] | None, Mapping[str, SensorTerms]] = None  # type: ignore[assignment]
+    calendar: Converted[OpeningCalendar | Mapping[str, object] | None, OpeningCalendar | None] = None  # type: ignore[assignment]
     time_unit: str | None = None
     w_intensity: DisturbanceBound = None
     initial_error: InitialError = None
-
-    if TYPE_CHECKING:  # callers may pass tables, and anything that becomes an array
-
-        def __init__(
-            self,
-            accuracy: Mapping[str, AccuracyGoal | Mapping[str, object] | float] | None = None,
-            period: Duration | None = None,
-            raster: Duration | None = None,
-            spacing: Duration | None = None,
-            samples: int | None = None,
-            cost_limit: float | None = None,
-            visit_price: float = 0.0,
-            aim: str | None = None,
-            w_bound: DisturbanceBound = None,
-            sensors: Mapping[str, SensorTerms | Mapping[str, object]] | None = None,
-            calendar: OpeningCalendar | Mapping[str, object] | None = None,
-            time_unit: str | None = None,
-            w_intensity: DisturbanceBound = None,
-            initial_error: InitialError = None,
-        ) -> None: ...
 
     def __post_init__(self) -> None:
         own: dict[str, object] = {}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -13,6 +13,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.numerics.modal_flow import exponential
 from sampling_design.plants.systems import CARRIED, StateSpace, check_system, driven, is_system, parts_of
 from sampling_design.records import checks
+from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import Plain, Record, counted, short
 from sampling_design.records.units import check_time_unit
 
@@ -30,7 +31,7 @@ GROUPS = ("states", "outputs", "inputs", "disturbances")
 _PREFIX = {"states": "x", "outputs": "y", "inputs": "u", "disturbances": "w"}
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class Signals(Record):
     """Names, units and typical magnitudes of the entries of one vector.
 
@@ -48,15 +49,9 @@ class Signals(Record):
         If lengths differ, a name repeats or a scale is not positive.
     """
 
-    names: tuple[str, ...]
-    units: tuple[str, ...] = ()
-    scales: Array = None  # type: ignore[assignment]
-
-    if TYPE_CHECKING:  # callers may pass anything that becomes an array
-
-        def __init__(
-            self, names: Sequence[str], units: Sequence[str] = (), scales: npt.ArrayLike | None = None
-        ) -> None: ...
+    names: Converted[Sequence[str], tuple[str, ...]]
+    units: Converted[Sequence[str], tuple[str, ...]] = ()  # type: ignore[assignment]
+    scales: Converted[npt.ArrayLike | None, Array] = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         if isinstance(self.names, str) or not isinstance(self.names, Sequence):
@@ -97,7 +92,7 @@ class Signals(Record):
         return "Entries: " + ", ".join(self.labels()) + "."
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class Plant(Record):
     """A linear continuous-time plant.
 
@@ -153,37 +148,18 @@ class Plant(Record):
 
     _reader: ClassVar[str] = "read_plant"
     _order: ClassVar[str] = ORDER
-    A: Array
-    C: Array = None  # type: ignore[assignment]
-    B: Array = field(default=None, kw_only=True)  # type: ignore[arg-type]
-    D: Array = field(default=None, kw_only=True)  # type: ignore[arg-type]
-    G: Array = field(default=None, kw_only=True)  # type: ignore[arg-type]
+    A: Converted[npt.ArrayLike | StateSpace, Array]
+    C: Converted[npt.ArrayLike | None, Array] = None  # type: ignore[assignment]
+    B: Converted[npt.ArrayLike | None, Array] = field(default=None, kw_only=True)  # type: ignore[arg-type]
+    D: Converted[npt.ArrayLike | None, Array] = field(default=None, kw_only=True)  # type: ignore[arg-type]
+    G: Converted[npt.ArrayLike | None, Array] = field(default=None, kw_only=True)  # type: ignore[arg-type]
     time_unit: str = field(default=None, kw_only=True)  # type: ignore[assignment]
     name: str = field(default="", kw_only=True)
-    states: Signals = field(default=None, kw_only=True)  # type: ignore[assignment]
-    outputs: Signals = field(default=None, kw_only=True)  # type: ignore[assignment]
-    inputs: Signals = field(default=None, kw_only=True)  # type: ignore[assignment]
-    disturbances: Signals = field(default=None, kw_only=True)  # type: ignore[assignment]
+    states: Converted[Signals | Sequence[str] | None, Signals] = field(default=None, kw_only=True)  # type: ignore[arg-type]
+    outputs: Converted[Signals | Sequence[str] | None, Signals] = field(default=None, kw_only=True)  # type: ignore[arg-type]
+    inputs: Converted[Signals | Sequence[str] | None, Signals] = field(default=None, kw_only=True)  # type: ignore[arg-type]
+    disturbances: Converted[Signals | Sequence[str] | None, Signals] = field(default=None, kw_only=True)  # type: ignore[arg-type]
     source: str = field(default="", kw_only=True)
-
-    if TYPE_CHECKING:  # callers may pass anything that becomes an array
-
-        def __init__(
-            self,
-            A: npt.ArrayLike | StateSpace,
-            C: npt.ArrayLike | None = None,
-            *,
-            B: npt.ArrayLike | None = None,
-            D: npt.ArrayLike | None = None,
-            G: npt.ArrayLike | None = None,
-            time_unit: str = ...,
-            name: str = "",
-            states: Signals | Sequence[str] | None = None,
-            outputs: Signals | Sequence[str] | None = None,
-            inputs: Signals | Sequence[str] | None = None,
-            disturbances: Signals | Sequence[str] | None = None,
-            source: str = "",
-        ) -> None: ...
 
     def __post_init__(self) -> None:
         self._take_system()

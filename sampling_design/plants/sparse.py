@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,7 @@ from scipy.sparse.linalg import ArpackError, eigsh, splu
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.plants.plant import ORDER, Plant, Signals
 from sampling_design.records import checks
+from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import check_time_unit
@@ -28,7 +29,7 @@ SHIFTS = 12  # of the line, until no eigenvalue is too near it to be counted
 FURTHER = 4.0  # by how much a shift grows from one try to the next
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class SparsePlant(PlainRecord):
     """A linear plant with many states and sparse matrices.
 
@@ -69,39 +70,21 @@ class SparsePlant(PlainRecord):
     """
 
     _order: ClassVar[str] = ORDER.replace("Plant", "SparsePlant")
-    A: sparse.csc_array
-    C: sparse.csr_array
+    A: Converted[npt.ArrayLike | sparse.sparray, sparse.csc_array]
+    C: Converted[npt.ArrayLike | sparse.sparray, sparse.csr_array]
     _: KW_ONLY
-    mass: Array = None  # type: ignore[assignment]
-    B: sparse.csr_array = None
-    D: Array = None  # type: ignore[assignment]
-    G: sparse.csr_array | None = None
+    mass: Converted[npt.ArrayLike | None, Array] = None  # type: ignore[assignment]
+    B: Converted[npt.ArrayLike | sparse.sparray | None, sparse.csr_array] = None  # type: ignore[assignment]
+    D: Converted[npt.ArrayLike | None, Array] = None  # type: ignore[assignment]
+    G: Converted[npt.ArrayLike | sparse.sparray | None, sparse.csr_array | None] = None  # type: ignore[assignment]
     time_unit: str = "s"
     name: str = ""
-    outputs: Signals = None  # type: ignore[assignment]
-    inputs: Signals = None  # type: ignore[assignment]
-    disturbances: Signals | None = None
+    outputs: Converted[Signals | Sequence[str] | None, Signals] = None  # type: ignore[assignment]
+    inputs: Converted[Signals | Sequence[str] | None, Signals] = None  # type: ignore[assignment]
+    disturbances: Converted[Signals | Sequence[str] | None, Signals | None] = None  # type: ignore[assignment]
     n_states: int = field(init=False)
 
     _plain = "name states:n_states entries:A.nnz outputs:outputs.names time_unit"
-
-    if TYPE_CHECKING:  # callers may pass anything that becomes a matrix
-
-        def __init__(
-            self,
-            A: npt.ArrayLike | sparse.sparray,
-            C: npt.ArrayLike | sparse.sparray,
-            *,
-            mass: npt.ArrayLike | None = None,
-            B: npt.ArrayLike | sparse.sparray | None = None,
-            D: npt.ArrayLike | None = None,
-            G: npt.ArrayLike | sparse.sparray | None = None,
-            time_unit: str = "s",
-            name: str = "",
-            outputs: Signals | Sequence[str] | None = None,
-            inputs: Signals | Sequence[str] | None = None,
-            disturbances: Signals | Sequence[str] | None = None,
-        ) -> None: ...
 
     def __post_init__(self) -> None:
         A = sparse.csc_array(_sparse("A", self.A))

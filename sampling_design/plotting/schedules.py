@@ -21,7 +21,7 @@ def draw_schedule(schedule: Schedule | PeriodicSchedule, ax: Axes | None = None)
     """Draw the samples of a schedule (of two periods, the second pale, if it is periodic)."""
     ax = style.new_axes(ax, height=1.8 + 0.25 * _rows(schedule))
     _stems(ax, schedule.times, schedule.outputs, _rows(schedule), 1.0)
-    if isinstance(schedule, PeriodicSchedule):
+    if schedule.endless:
         _stems(ax, schedule.times + schedule.period, schedule.outputs, _rows(schedule), 0.35)
         ax.axvline(schedule.first + schedule.period, color=style.ALLOWED, linewidth=0.8, linestyle=":")
     names = schedule.output_names or tuple(f"y{i + 1}" for i in range(_rows(schedule)))
@@ -44,7 +44,7 @@ def draw_family(family: SamplingFamily, ax: Axes | None = None) -> Axes:
     members = [family.draw(rng) for _ in range(MEMBERS)]
     end = min(GAPS_SHOWN * family.d_max, max(float(member.times[-1]) for member in members))
     nominal = family.nominal
-    planned = nominal.between(0.0, end) if isinstance(nominal, PeriodicSchedule) else nominal
+    planned = nominal.between(0.0, end) if nominal.endless else nominal
     for row, member in enumerate([planned, *members]):
         shown, colour = member.times[member.times <= end], style.TRUTH if row == 0 else style.MEASURED
         ax.vlines(shown, -row - 0.32, -row + 0.32, color=colour, linewidth=1.8)

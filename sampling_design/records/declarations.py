@@ -5,16 +5,46 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import date
 from functools import singledispatch
-from typing import TypeAlias, cast
+from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar, cast, dataclass_transform
 
 import numpy as np
 import numpy.typing as npt
 
 Plain: TypeAlias = "str | float | bool | Sequence[Plain] | Mapping[str, Plain] | None"
 """Plain data, as it stands in a file: texts, numbers, and lists and tables of them."""
+
+Given = TypeVar("Given")
+Held = TypeVar("Held")
+Kind = TypeVar("Kind")
+
+
+@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
+def frozen(kind: type[Kind]) -> type[Kind]:
+    """Make a frozen dataclass of a record with `Converted` fields."""
+    return dataclass(frozen=True, eq=False, repr=False)(kind)
+
+
+class Converted(Generic[Given, Held]):
+    """The kind of a field that `__post_init__` converts: it is given as one kind and held as another.
+
+        times: Converted[npt.ArrayLike, Array]
+
+    For the type checker it is a descriptor; when the program runs, the annotation is the kind that is held.
+    """
+
+    if TYPE_CHECKING:
+
+        def __get__(self, record: object, kind: object = None) -> Held: ...
+        def __set__(self, record: object, value: Given) -> None: ...
+
+    else:
+
+        def __class_getitem__(cls, kinds):
+            return kinds[1]
+
 
 STEP = re.compile(r"-?\w+")
 PLACE = re.compile(r"\{([\w.\[\]-]+)(?::(\d*)(?:or ([^}]*))?)?\}")

@@ -190,7 +190,7 @@ def write_ics(
     if grain != int(grain):
         raise ArgumentError(f"`raster` must be whole seconds in an iCalendar file, got {raster!r}.")
     rule = None
-    if isinstance(schedule, PeriodicSchedule):
+    if schedule.endless:
         rule = _rule(schedule.period * SECONDS[schedule.time_unit or ""], grain)
         if rule is None and span is None:
             raise ArgumentError(
@@ -242,18 +242,18 @@ def _grain(schedule: AnySchedule, raster: float | None) -> int:
 
 def _part(schedule: AnySchedule, span: float | None) -> Schedule:
     if span is None:
-        if isinstance(schedule, Schedule):
+        if not schedule.endless:
             return schedule
         return Schedule(schedule.times, schedule.outputs, **schedule._details())
     span = checks.positive("span", span)
-    if isinstance(schedule, PeriodicSchedule) and span / schedule.period * len(schedule) > _MOST_ENTRIES:
+    if schedule.endless and span / schedule.period * len(schedule) > _MOST_ENTRIES:
         raise ArgumentError(f"`span` = {span!r} {schedule.time_unit} asks for more than {_MOST_ENTRIES} dates.")
     return schedule.between(0.0, span, closed="left")
 
 
 def _columns(schedule: AnySchedule) -> tuple[str, ...]:
     if schedule.output_names is not None or schedule.outputs is None:
-        return schedule.output_names or ()
+        return tuple(schedule.output_names or ())
     return tuple(f"y{i + 1}" for i in range(schedule.outputs.shape[1]))
 
 

@@ -192,7 +192,7 @@ def _ending(path: str | os.PathLike[str]) -> str:
 
 def _to_csv(schedule: AnySchedule) -> str:
     head = [_MARK, f"time_unit={schedule.time_unit}"]
-    if isinstance(schedule, PeriodicSchedule):
+    if schedule.endless:
         head.append(f"period={schedule.period!r}")
     if schedule.origin is not None:
         head.append(f"origin={schedule.origin}")

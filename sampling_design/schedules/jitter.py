@@ -117,8 +117,8 @@ class Jitter(SamplingFamily, kind="jitter"):
         if not len(schedule):
             return False
         mine = self.schedule
-        if isinstance(schedule, PeriodicSchedule):
-            return isinstance(mine, PeriodicSchedule) and self._contains_endless(mine, schedule)
+        if schedule.endless:
+            return mine.endless and self._contains_endless(mine, schedule)
         if not mine.endless and len(mine) != len(schedule):
             return False
         return self._near(_first(mine, len(schedule)), schedule)
@@ -227,7 +227,7 @@ class Jitter(SamplingFamily, kind="jitter"):
 
 def _first(schedule: AnySchedule, count: int) -> Schedule:
     """The first `count` samples, or fewer if a finite schedule has fewer."""
-    if isinstance(schedule, PeriodicSchedule):
+    if schedule.endless:
         cycles = -(-count // len(schedule))
         times = (schedule.times + schedule.period * np.arange(cycles)[:, None]).ravel()[:count]
         mask = None if schedule.outputs is None else np.tile(schedule.outputs, (cycles, 1))[:count]
@@ -251,7 +251,7 @@ def nominal_part(schedule: AnySchedule, duration: float | None, samples: int | N
     ArgumentError
         If an extent is given for a finite schedule, or both are given.
     """
-    if isinstance(schedule, Schedule):
+    if not schedule.endless:
         if duration is not None or samples is not None:
             raise ArgumentError("`duration` and `samples` are for an endless nominal schedule; this one is finite.")
         return schedule

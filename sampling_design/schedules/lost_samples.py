@@ -111,11 +111,11 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
         if not len(schedule):
             return False
         mine = self.schedule
-        if not isinstance(schedule, PeriodicSchedule):
-            if isinstance(mine, PeriodicSchedule):
+        if not schedule.endless:
+            if mine.endless:
                 mine = mine.between(0.0, float(schedule.times[-1]) * (1 + ROUNDING))
             return self._judge(mine, schedule, cyclic=False)
-        if not isinstance(mine, PeriodicSchedule):
+        if not mine.endless:
             return False
         ratio = Fraction(schedule.period / mine.period).limit_denominator(_MOST_PERIODS)
         off = abs(schedule.period * ratio.denominator - mine.period * ratio.numerator)

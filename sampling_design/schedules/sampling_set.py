@@ -101,7 +101,7 @@ class SamplingSet(Record):
     @property
     def later_gaps(self) -> Array:
         """d_2, d_3, ...: to the end of a finite schedule, one period of a periodic one."""
-        if isinstance(self.schedule, PeriodicSchedule):
+        if self.schedule.endless:
             return np.roll(self.schedule.gaps, -1)
         return self.schedule.gaps
 
@@ -135,7 +135,7 @@ class SamplingSet(Record):
         if i == 1:
             return self.schedule
         mask, details = self.schedule.outputs, self.schedule._details() | ScheduleDetails(origin=None)
-        if isinstance(self.schedule, PeriodicSchedule):
+        if self.schedule.endless:
             turn = -((i - 1) % len(self.schedule))
             turned = None if mask is None else np.roll(mask, turn, axis=0)
             return PeriodicSchedule(np.roll(self.schedule.gaps, turn), None, turned, **details)
@@ -151,7 +151,7 @@ class SamplingSet(Record):
     @cached_property
     def distinct(self) -> int:
         """How many K_i differ: every one of a finite schedule; one period (and perhaps K_1) of a periodic one."""
-        if not isinstance(self.schedule, PeriodicSchedule):
+        if not self.schedule.endless:
             return len(self.schedule)
         cycle = _least_period(self.schedule)
         off = abs(self.first - float(self.schedule.gaps[0]))
@@ -168,7 +168,7 @@ class SamplingSet(Record):
         """
         T = checks.nonnegative("T", T)
         starts = self.schedule.times
-        if isinstance(self.schedule, PeriodicSchedule):
+        if self.schedule.endless:
             last = float(starts[-1]) + T
             times = self.schedule.between(0.0, last * (1 + ROUNDING) + self.schedule.period).times
         else:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar, TypedDict, Unpack
+from dataclasses import field
+from typing import ClassVar, Literal, TypedDict, Unpack
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
+from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import Plain, Record, counted, short
 from sampling_design.records.units import check_time_unit, time_factor
 
@@ -29,15 +30,15 @@ class ScheduleDetails(TypedDict, total=False):
     output_names: Sequence[str] | None
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class _Sampled(Record):
     """Details that every schedule may carry besides its times."""
 
     time_unit: str | None = field(default=None, kw_only=True)
     origin: str | None = field(default=None, kw_only=True)
-    output_names: tuple[str, ...] | None = field(default=None, kw_only=True)
+    output_names: Converted[Sequence[str] | None, tuple[str, ...] | None] = field(default=None, kw_only=True)  # type: ignore[arg-type]
 
-    endless: ClassVar[bool] = False
+    endless: ClassVar[bool]
     """Whether it repeats without end."""
 
     def between(self, start: float, stop: float, closed: str = "both") -> Schedule:
@@ -76,7 +77,7 @@ class _Sampled(Record):
         return {key: value for key, value in data.items() if value is not None}
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class Schedule(_Sampled):
     """A finite schedule: times t_1 < t_2 < ... < t_N, all >= 0.
 
@@ -105,16 +106,11 @@ class Schedule(_Sampled):
 
     _slip: ClassVar[str] = "Did you pass times? Use Schedule(times)."
     _reader: ClassVar[str] = "read_schedule"
-    times: Array
-    outputs: Mask | None = None
+    times: Converted[npt.ArrayLike, Array]
+    outputs: Converted[npt.ArrayLike | None, Mask | None] = None  # type: ignore[assignment]
 
+    endless: ClassVar[Literal[False]] = False
     _table = {"samples": "{__len__}", "times": "{times}", "time unit": "{time_unit:or -}"}
-
-    if TYPE_CHECKING:  # callers may pass anything that becomes an array
-
-        def __init__(
-            self, times: npt.ArrayLike, outputs: npt.ArrayLike | None = None, **details: Unpack[ScheduleDetails]
-        ) -> None: ...
 
     def __post_init__(self) -> None:
         times = checks.increasing("times", self.times, _GAPS_SLIP)
@@ -166,7 +162,7 @@ class Schedule(_Sampled):
         return f"{counted(len(self), 'sample')} from {short(self.times[0])} to {short(self.times[-1])}{unit}."
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class PeriodicSchedule(_Sampled):
     """An endless schedule that repeats after sum(gaps).
 
@@ -205,29 +201,19 @@ class PeriodicSchedule(_Sampled):
     array([4., 5.])
     """
 
-    gaps: Array
-    first: float = None  # type: ignore[assignment]
-    outputs: Mask | None = None
+    gaps: Converted[npt.ArrayLike, Array]
+    first: Converted[float | None, float] = None  # type: ignore[assignment]
+    outputs: Converted[npt.ArrayLike | None, Mask | None] = None  # type: ignore[assignment]
     times: Array = field(init=False)
     period: float = field(init=False)
 
-    endless: ClassVar[bool] = True
+    endless: ClassVar[Literal[True]] = True
     _table = {
         "samples per period": "{__len__}",
         "period": "{period}",
         "times": "{times}",
         "time unit": "{time_unit:or -}",
     }
-
-    if TYPE_CHECKING:  # likewise
-
-        def __init__(
-            self,
-            gaps: npt.ArrayLike,
-            first: float | None = None,
-            outputs: npt.ArrayLike | None = None,
-            **details: Unpack[ScheduleDetails],
-        ) -> None: ...
 
     def __post_init__(self) -> None:
         gaps = checks.vector("gaps", self.gaps)

@@ -144,7 +144,7 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
         if not len(schedule):
             return False
         T, k = self.window, self.count
-        if isinstance(schedule, PeriodicSchedule):
+        if schedule.endless:
             cycle = float(schedule.times[-1])
             times = schedule.between(0.0, cycle + k * schedule.period).times
             last = len(schedule) - 1

@@ -274,7 +274,7 @@ def _told_apart(plan: Schedule | PeriodicSchedule, planned: Schedule, end: float
     `end` is where the first window ends; every later one is, but for the number of periods before it, one of those that
     begin within two periods.
     """
-    if not isinstance(plan, PeriodicSchedule):
+    if not plan.endless:
         return planned
     cut = planned.between(0.0, max(end, float(plan.first)) + 2 * plan.period)
     return cut if len(cut) < len(planned) else planned

@@ -111,7 +111,7 @@ def build_timeline(
 
 def default_duration(schedule: Schedule | PeriodicSchedule, horizon: float) -> float:
     """Return three horizons and at least 40 mean gaps (but at most 200); of a finite schedule its last time."""
-    if isinstance(schedule, Schedule):
+    if not schedule.endless:
         return float(schedule.times[-1])
     gap = schedule.period / len(schedule)
     return float(schedule.first + min(max(3 * horizon, 40 * gap), 200 * gap))

@@ -24,7 +24,7 @@ GROWTH = 3.0
 def driven(plant: Plant) -> Plant:
     """Return the plant with an input on every state in place of its own: only that moves an unstable truth about."""
     n = plant.n_states
-    return replace(plant, B=np.eye(n), D=np.zeros((plant.n_outputs, n)), inputs=None)  # type: ignore[arg-type]
+    return replace(plant, B=np.eye(n), D=np.zeros((plant.n_outputs, n)), inputs=None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NoReturn
+from dataclasses import field
+from typing import NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,7 @@ from sampling_design.certificates.rigorous.decide import VerifiableRecord
 from sampling_design.errors import CertificateError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.evidence import Claim, SolverRecord
 from sampling_design.records.record import Plain, short
 
@@ -21,7 +22,7 @@ Array = npt.NDArray[np.float64]
 METHODS = ("riccati", "lmi", "proof", "given")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class DetectabilityCertificate(VerifiableRecord):
     """V(x) = x'Px decays at rate eta up to disturbance and output, so that the plant is exponentially i-iIOSS.
 
@@ -77,13 +78,13 @@ class DetectabilityCertificate(VerifiableRecord):
     """
 
     plant: Plant
-    P: Array
+    P: Converted[npt.ArrayLike, Array]
     eta: float
     c_w: float
     c_y: float
     margin: float = field(default=0.0, kw_only=True)
     method: str = field(default="given", kw_only=True)
-    gain: Array | None = field(default=None, kw_only=True)
+    gain: Converted[npt.ArrayLike | None, Array | None] = field(default=None, kw_only=True)  # type: ignore[arg-type]
     constants: ConstantList = field(default=ConstantList(), kw_only=True)
     solver: SolverRecord | None = field(default=None, kw_only=True)
 
@@ -99,23 +100,6 @@ class DetectabilityCertificate(VerifiableRecord):
 
     def _rows(self) -> list[tuple[str, str]]:
         return super()._rows() + self.constants.lines()
-
-    if TYPE_CHECKING:  # callers may pass anything that becomes an array
-
-        def __init__(
-            self,
-            plant: Plant,
-            P: npt.ArrayLike,
-            eta: float,
-            c_w: float,
-            c_y: float,
-            *,
-            margin: float = 0.0,
-            method: str = "given",
-            gain: npt.ArrayLike | None = None,
-            constants: ConstantList = ...,
-            solver: SolverRecord | None = None,
-        ) -> None: ...
 
     def __post_init__(self) -> None:
         checks.of_kind("plant", self.plant, Plant)

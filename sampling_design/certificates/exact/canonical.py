@@ -116,7 +116,7 @@ def evened(canon: ScaledProblem) -> ScaledProblem:
     A, C, G = time * plant.A * x / x[:, None], plant.C * x / y[:, None], time * plant.G * w / x[:, None]
     found = Plant(cut(A), cut(C), G=cut(G), states=states, outputs=outputs, disturbances=disturbances)
     schedule: AnySchedule
-    if isinstance(old, PeriodicSchedule):
+    if old.endless:
         even = cut(old.gaps / time)
         schedule = PeriodicSchedule(even, min(float(cut(old.first / time)), float(np.sum(even))), outputs=old.outputs)
     else:
@@ -176,7 +176,7 @@ def _power(logs: npt.ArrayLike) -> Array:
 
 
 def _timed(schedule: AnySchedule, time: float) -> AnySchedule:
-    if isinstance(schedule, PeriodicSchedule):
+    if schedule.endless:
         return PeriodicSchedule(schedule.gaps / time, schedule.first / time, outputs=schedule.outputs)
     return Schedule(schedule.times / time, schedule.outputs)
 

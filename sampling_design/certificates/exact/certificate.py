@@ -368,6 +368,6 @@ class Certificate(SampledCertificate):
 def times_to_dict(schedule: Schedule | PeriodicSchedule) -> dict[str, Plain]:
     """Return the `times` of a certificate file; outputs null means that every sample measures all of them."""
     outputs = None if schedule.outputs is None else schedule.outputs.astype(int).tolist()
-    if isinstance(schedule, PeriodicSchedule):
+    if schedule.endless:
         return {"kind": "periodic", "gaps": schedule.gaps.tolist(), "first": schedule.first, "outputs": outputs}
     return {"kind": "finite", "times": schedule.times.tolist(), "outputs": outputs}

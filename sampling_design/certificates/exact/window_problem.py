@@ -16,7 +16,6 @@ from scipy.linalg import solve_triangular
 from sampling_design.numerics.linalg import discounted_flow, symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.family import AnySchedule
-from sampling_design.schedules.schedule import PeriodicSchedule
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -121,7 +120,7 @@ def window_problem(
     rows = whitened_rows(plant.C, R, Qv, schedule.outputs, len(schedule))
     rows = np.swapaxes(np.linalg.solve(root, np.swapaxes(rows, 1, 2)), 1, 2)
     times = np.array(schedule.times)
-    if isinstance(schedule, PeriodicSchedule):
+    if schedule.endless:
         gaps = np.array(schedule.gaps)
         reach = gaps.copy()
         reach[0] = max(gaps[0], times[0])

@@ -132,7 +132,7 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
     False
     """
     schedule = meet(plant, schedule)
-    if isinstance(schedule, Schedule):
+    if not schedule.endless:
         return Existence(True, float("inf"), period=0.0, reason="a finite schedule is certified to its last time")
     found = judged(plant, schedule, eta)
     if not found.exists and (turn := too_dense(plant, schedule, eta, found)):

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, ClassVar
+from dataclasses import field, fields
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
+from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import Plain, Record, short
 from sampling_design.records.units import check_time_unit
 
@@ -18,7 +19,7 @@ Array = npt.NDArray[np.float64]
 COUNTS = ("exactly", "at_least", "at_most")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class OutputAccess(Record):
     """When one output can be measured, and what a measurement of it costs.
 
@@ -35,12 +36,8 @@ class OutputAccess(Record):
         If an interval is empty or the cost is negative.
     """
 
-    available: Array | None = None
+    available: Converted[npt.ArrayLike | None, Array | None] = None  # type: ignore[assignment]
     cost: float = 0.0
-
-    if TYPE_CHECKING:  # callers may pass anything that becomes an array
-
-        def __init__(self, available: npt.ArrayLike | None = None, cost: float = 0.0) -> None: ...
 
     def __post_init__(self) -> None:
         if self.available is not None:
@@ -55,7 +52,7 @@ class OutputAccess(Record):
         return f"Available {_spans(self.available, 'always')}, cost {short(self.cost)} a measurement."
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class Requirement(Record):
     """What an endless periodic schedule must respect.
 
@@ -111,32 +108,14 @@ class Requirement(Record):
     window: float | None = None
     period: float | None = None
     spacing: float | None = None
-    samples: dict[str, int] = None  # type: ignore[assignment]
+    samples: Converted[int | Mapping[str, int] | None, dict[str, int]] = None  # type: ignore[assignment]
     target_sigma: float | None = None
     decay_rate: float = 0.0
-    forbidden: Array = None  # type: ignore[assignment]
-    fixed: Array = None  # type: ignore[assignment]
-    outputs: Mapping[str, OutputAccess] = None  # type: ignore[assignment]
+    forbidden: Converted[npt.ArrayLike | None, Array] = None  # type: ignore[assignment]
+    fixed: Converted[npt.ArrayLike | None, Array] = None  # type: ignore[assignment]
+    outputs: Converted[Mapping[str, OutputAccess | Mapping[str, object]] | None, Mapping[str, OutputAccess]] = None  # type: ignore[assignment]
     cost_limit: float | None = None
     time_unit: str | None = field(default=None, kw_only=True)
-
-    if TYPE_CHECKING:  # callers may pass tables, and anything that becomes an array
-
-        def __init__(
-            self,
-            window: float | None = None,
-            period: float | None = None,
-            spacing: float | None = None,
-            samples: int | Mapping[str, int] | None = None,
-            target_sigma: float | None = None,
-            decay_rate: float = 0.0,
-            forbidden: npt.ArrayLike | None = None,
-            fixed: npt.ArrayLike | None = None,
-            outputs: Mapping[str, OutputAccess | Mapping[str, object]] | None = None,
-            cost_limit: float | None = None,
-            *,
-            time_unit: str | None = None,
-        ) -> None: ...
 
     def __post_init__(self) -> None:
         own: dict[str, object] = {}

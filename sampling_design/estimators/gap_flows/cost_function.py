@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
+from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import Record, short
 
 Array = npt.NDArray[np.float64]
@@ -19,7 +19,7 @@ Beginning = Literal["horizon", "sample"]
 MATRICES = ("P2", "Qw", "R", "Qv")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class CostFunction(Record):
     """The cost that an estimator minimises over a window that began at s, at time t.
 
@@ -64,30 +64,16 @@ class CostFunction(Record):
     array([1.5])
     """
 
-    P2: Array | None = None
-    Qw: Array | None = None
-    R: Array | None = None
-    Qv: Array | None = None
+    P2: Converted[npt.ArrayLike | None, Array | None] = None  # type: ignore[assignment]
+    Qw: Converted[npt.ArrayLike | None, Array | None] = None  # type: ignore[assignment]
+    R: Converted[npt.ArrayLike | None, Array | None] = None  # type: ignore[assignment]
+    Qv: Converted[npt.ArrayLike | None, Array | None] = None  # type: ignore[assignment]
     eta: float | None = None
     form: Form | None = None
     arrival: ArrivalKind = "fixed"
     begins: Beginning = "horizon"
 
     _slip: ClassVar[str] = "Use CostFunction(P2=, Qw=, R=, Qv=, eta=, form=, arrival=, begins=)."
-
-    if TYPE_CHECKING:  # callers may pass anything that becomes an array
-
-        def __init__(
-            self,
-            P2: npt.ArrayLike | None = None,
-            Qw: npt.ArrayLike | None = None,
-            R: npt.ArrayLike | None = None,
-            Qv: npt.ArrayLike | None = None,
-            eta: float | None = None,
-            form: Form | None = None,
-            arrival: ArrivalKind = "fixed",
-            begins: Beginning = "horizon",
-        ) -> None: ...
 
     def __post_init__(self) -> None:
         for key in MATRICES:

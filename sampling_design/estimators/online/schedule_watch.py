@@ -92,14 +92,14 @@ class ScheduleWatch:
         """Planned time of sample k, counted from 0."""
         assert self.nominal is not None
         periods, place = divmod(k, len(self.nominal))
-        period = self.nominal.period if isinstance(self.nominal, PeriodicSchedule) else 0.0
+        period = self.nominal.period if self.nominal.endless else 0.0
         return float(self.nominal.times[place]) + periods * period
 
     def _first_from(self, t: float) -> int:
         """Number of the first sample planned at t or later."""
         assert self.nominal is not None
         cycle, periods = self.nominal.times, 0
-        if isinstance(self.nominal, PeriodicSchedule):
+        if self.nominal.endless:
             period = self.nominal.period
             periods = max(0, int(np.floor((t - float(cycle[0])) / period)))
             t = t - periods * period

@@ -184,7 +184,7 @@ def _seen(
 
 def exact_times(schedule: Schedule | PeriodicSchedule, pieces: Pieces) -> list[Fraction]:
     """The times of the pieces without rounding: times of one period plus whole periods."""
-    if not isinstance(schedule, PeriodicSchedule):
+    if not schedule.endless:
         return [Fraction(t) for t in pieces.times.tolist()]
     cycle, period = [Fraction(t) for t in schedule.times.tolist()], Fraction(schedule.period)
     found: list[Fraction] = []
@@ -197,7 +197,7 @@ def exact_times(schedule: Schedule | PeriodicSchedule, pieces: Pieces) -> list[F
 
 def last_start(schedule: Schedule | PeriodicSchedule, pieces: Pieces) -> Fraction:
     """The last window start that has to be looked at, without rounding."""
-    if isinstance(schedule, PeriodicSchedule):
+    if schedule.endless:
         return Fraction(schedule.first) + Fraction(schedule.period)
     return max(Fraction(float(schedule.times[-1])) - Fraction(pieces.window), Fraction(float(pieces.left[0])))
 

@@ -79,7 +79,7 @@ def window_pieces(schedule: Schedule | PeriodicSchedule, window: float, start: f
     property of the schedule. An endless one is judged from time 0 on. One period stands for all windows in its rhythm;
     if its first sample comes later than that rhythm has one, the windows that miss what came before are judged too.
     """
-    if isinstance(schedule, PeriodicSchedule):
+    if schedule.endless:
         start = 0.0 if start is None else start
         high, missed = schedule.first + schedule.period, schedule.first - float(schedule.gaps[0])
         low = min(start, schedule.first) if start < missed - SAME_TIME * high else schedule.first

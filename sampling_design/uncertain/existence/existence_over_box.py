@@ -106,7 +106,7 @@ def existence_over_box(
         If the budget ran out before every cell was proven and no plant without certificate was found.
     """
     schedule, eta = meet(plant.nominal, schedule), checks.nonnegative("eta", eta)
-    if isinstance(schedule, Schedule):
+    if not schedule.endless:
         nominal = {each.name: each.nominal for each in plant.parameters}
         return ExistenceOverBox(True, nominal, np.inf, "a finite schedule is certified to its last time", 0, plant)
     model, margin = BoxModel.of(plant, "certificate_exists"), margin_on(schedule, eta)

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import field
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
+from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import PlainRecord, short
 
 Array = npt.NDArray[np.float64]
 _MOVED = ("A", "C", "G")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class UncertainParameter(PlainRecord):
     """A number that is only known to lie in a range, and how it enters a plant.
 
@@ -39,26 +39,12 @@ class UncertainParameter(PlainRecord):
     name: str
     low: float
     high: float
-    A: Array | None = None
-    C: Array | None = None
-    G: Array | None = None
-    nominal: float = field(default=None, kw_only=True)  # type: ignore[assignment]
+    A: Converted[npt.ArrayLike | None, Array | None] = None  # type: ignore[assignment]
+    C: Converted[npt.ArrayLike | None, Array | None] = None  # type: ignore[assignment]
+    G: Converted[npt.ArrayLike | None, Array | None] = None  # type: ignore[assignment]
+    nominal: Converted[float | None, float] = field(default=None, kw_only=True)  # type: ignore[arg-type]
 
     _plain = "name low nominal high A? C? G?"
-
-    if TYPE_CHECKING:  # callers may pass anything that becomes an array
-
-        def __init__(
-            self,
-            name: str,
-            low: float,
-            high: float,
-            A: npt.ArrayLike | None = None,
-            C: npt.ArrayLike | None = None,
-            G: npt.ArrayLike | None = None,
-            *,
-            nominal: float | None = None,
-        ) -> None: ...
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:

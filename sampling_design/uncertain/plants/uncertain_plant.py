@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +15,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records import checks
 from sampling_design.records.checks import Seed
+from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.file_io import read_tree, usable, write_tree
 from sampling_design.records.record import Plain, PlainRecord, short
 from sampling_design.uncertain.plants.inclusion import BoxColumns, InclusionMembers, LinearInclusion
@@ -36,7 +36,7 @@ DRAWN = 1024
 """Corners that are drawn where there are more."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class UncertainPlant(LinearInclusion, PlainRecord):
     """A linear plant whose matrices depend on parameters in a box, or lie between vertices.
 
@@ -72,22 +72,11 @@ class UncertainPlant(LinearInclusion, PlainRecord):
     """
 
     nominal: Plant
-    parameters: tuple[UncertainParameter, ...] = ()
-    vertices: tuple[Plant, ...] = field(default=(), kw_only=True)
+    parameters: Converted[Sequence[UncertainParameter], tuple[UncertainParameter, ...]] = ()  # type: ignore[assignment]
+    vertices: Converted[Sequence[Plant], tuple[Plant, ...]] = field(default=(), kw_only=True)  # type: ignore[arg-type]
     varying: bool = field(default=False, kw_only=True)
 
     _plain = "plant:nominal model:model_to_dict"
-
-    if TYPE_CHECKING:  # callers may pass lists
-
-        def __init__(
-            self,
-            nominal: Plant,
-            parameters: Sequence[UncertainParameter] = (),
-            *,
-            vertices: Sequence[Plant] = (),
-            varying: bool = False,
-        ) -> None: ...
 
     def __post_init__(self) -> None:
         checks.of_kind("nominal", self.nominal, Plant)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,6 @@ from rich.table import Table as RichTable
 
 import sampling_design as sd
 from sampling_design.certificates.compare.four_horizons import FourHorizons
-from sampling_design.certificates.detectability.best_rate import NOISE_GAIN as OF_PLANTS
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.checkers.strict import Tree
 from sampling_design.cli import reading
@@ -23,8 +23,6 @@ from sampling_design.records.checks import positive
 from sampling_design.records.file_io import write_text
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 
-NOISE_GAIN = 3.0
-"""Default of `--noise-gain` for a certificate about samples."""
 LEAST_LEFT = 1e-3
 """Seconds that the comparison of horizons is given where the certificate has taken all of them: its row says so."""
 
@@ -57,6 +55,10 @@ Lost = Annotated[
     tuple[int, int] | None, typer.Option(metavar="D W", help="SCHEDULE with at most D of any W samples lost.")
 ]
 Detectability = Annotated[bool, typer.Option("--detectability", help="The plant alone, no samples: Theorem 10.")]
+Horizons = Annotated[
+    bool,
+    typer.Option("--horizons", help="Set four horizons of SCHEDULE side by side, too."),
+]
 NewFile = Annotated[
     Path | None, typer.Option("--certificate", metavar="FILE", help="Where to write the certificate (.json).")
 ]
@@ -74,17 +76,20 @@ def certify(
     lost: Lost = None,
     detectability: Detectability = False,
     certificate_file: NewFile = None,
+    horizons: Horizons = False,
 ) -> None:
     """Prove sample-based exponential i-iIOSS on a schedule, or on every schedule of a family.
 
-    With -o DIR: certificate.json, constants.md, constants.tex and horizons.png (family.png for a family). With
-    --detectability: exponential i-iIOSS of the plant, measured all the time, and certificate.json alone.
+    With -o DIR: certificate.json and .png (family.png for a family, horizons.png with --horizons), constants.md and
+    constants.tex. With --detectability: exponential i-iIOSS of the plant, measured all the time; one file.
 
     Example: sampling-design certify examples/plants/oscillator.toml out/schedule.csv --eta 0.3 -o out
     """
     plant = reading.plant(plant_file)
     given = {"gap-range": gap_range, "spaced": spaced, "jitter": jitter, "lost": lost}
     families: dict[str, object] = {k: v for k, v in given.items() if v is not None}
+    if horizons and (families or schedule_file is None):
+        raise ArgumentError("`--horizons` compares those of one SCHEDULE: it goes without a family or --detectability.")
     if detectability:
         _refuse_samples(schedule_file, families)
         _detectability(settings, plant, certificate_file, eta, noise_gain)
@@ -93,19 +98,20 @@ def certify(
     budget = Budget(settings.budget)
     with settings.progress("certify") as progress:
         certificate = sd.certify(
-            plant, times, eta=eta, noise_gain=NOISE_GAIN if noise_gain is None else noise_gain,
-            budget=settings.budget, progress=progress,
+            plant, times, eta=eta, budget=settings.budget, progress=progress,
+            **({} if noise_gain is None else {"noise_gain": noise_gain}),
         )  # fmt: skip
-    horizons = None
-    if isinstance(times, (sd.Schedule, sd.PeriodicSchedule)) and isinstance(certificate, sd.Certificate):
+    compared = None
+    if horizons:
+        assert isinstance(certificate, sd.Certificate)  # of one schedule
         left = max(budget.left, LEAST_LEFT)
-        horizons = sd.certificates.four_horizons(plant, times, certificate, budget=left)
+        compared = sd.certificates.four_horizons(plant, certificate.schedule, certificate, budget=left)
     if certificate_file is not None:
         settings.wrote(certificate.save(certificate_file))
     if settings.folder() is not None:
-        _files(settings, certificate, horizons)
-    notes: list[RichTable | str] = [] if horizons is None else [_horizons(horizons)]
-    notes += [] if horizons is None else [f"{r.name}: {r.note}" for r in horizons.rows if r.note]
+        _files(settings, certificate, compared)
+    notes: list[RichTable | str] = [] if compared is None else [_horizons(compared)]
+    notes += [] if compared is None else [f"{r.name}: {r.note}" for r in compared.rows if r.note]
     settings.show(certificate.to_dict(), record_table(certificate), *notes, certificate.explain())
 
 
@@ -120,8 +126,8 @@ def _detectability(
 ) -> None:
     """Certify the plant alone, at the rate and with the noise gain that are asked for."""
     rate = None if eta is None else positive("eta", eta)
-    gain = OF_PLANTS if noise_gain is None else positive("noise-gain", noise_gain)
-    certificate = sd.certificates.certify_detectability(plant, rate, noise_gain=gain)
+    made = partial(sd.certificates.certify_detectability, plant, rate)
+    certificate = made() if noise_gain is None else made(noise_gain=positive("noise-gain", noise_gain))
     folder = settings.folder()
     for place in (path, None if folder is None else folder / "certificate.json"):
         if place is not None:
@@ -181,7 +187,8 @@ def _files(settings: Settings, certificate: SampledCertificate, horizons: FourHo
         latex.append(horizons.to_latex())
         settings.draw(horizons, folder / "horizons.png")
     else:
-        settings.draw(certificate, folder / "family.png")
+        alone = isinstance(certificate, sd.Certificate)
+        settings.draw(certificate, folder / ("certificate.png" if alone else "family.png"))
     settings.wrote(write_text(folder / "constants.md", "\n".join(markdown)))
     settings.wrote(write_text(folder / "constants.tex", "\n".join(latex)))
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+import sampling_design as sd
 from sampling_design import PeriodicSchedule, read_certificate, read_plant
 from sampling_design.certificates.detectability.best_rate import certify_detectability
 from sampling_design.cli.prove import certify, sampling_certificate
@@ -27,7 +28,7 @@ def certified(shell, tmp_path, tmp_path_factory):
     if not MADE:
         folder = tmp_path_factory.mktemp("certified")
         write_schedule(PeriodicSchedule([0.7, 1.6, 0.9], time_unit="s"), folder / "schedule.csv")
-        MADE.append((shell("certify", OSCILLATOR, folder / "schedule.csv", "-o", folder), folder))
+        MADE.append((shell("certify", OSCILLATOR, folder / "schedule.csv", "--horizons", "-o", folder), folder))
     said, folder = MADE[0]
     shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     return said, tmp_path
@@ -121,6 +122,17 @@ def test_families_exclude_each_other_and_say_what_they_need():
         certify(Settings(), OSCILLATOR, OSCILLATOR, gap_range=(1.0, 2.0))
     with pytest.raises(ArgumentError, match="`certify` needs a SCHEDULE file or a family"):
         certify(Settings(), OSCILLATOR)
+    with pytest.raises(ArgumentError, match="`--horizons` compares those of one SCHEDULE: it goes without a family"):
+        certify(Settings(), OSCILLATOR, gap_range=(1.0, 2.0), horizons=True)
+
+
+def test_a_certificate_is_made_and_no_horizon_is_compared_unless_asked(shell, tmp_path, monkeypatch):
+    monkeypatch.setattr(sd.certificates, "four_horizons", None)
+    write_schedule(PeriodicSchedule([1.0], time_unit="s"), tmp_path / "even.csv")
+    told = shell("certify", OSCILLATOR, tmp_path / "even.csv", "--eta", 0.1, "-o", tmp_path)
+    assert told.code == 0
+    assert (tmp_path / "certificate.png").read_bytes().startswith(b"\x89PNG")
+    assert not (tmp_path / "horizons.png").exists()
 
 
 def test_survive_finds_a_timing_error_and_draws_it(shell, tmp_path):

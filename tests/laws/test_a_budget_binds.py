@@ -240,7 +240,7 @@ def test_what_follows_a_certificate_has_the_rest_of_the_seconds(files, monkeypat
     monkeypatch.chdir(files)
     monkeypatch.setattr(sd, "certify", lambda *plain, **named: made)
     with Counted().running() as clock:
-        ended = command_lines.run(["certify", "oscillator.toml", "schedule.csv", "--budget", "0.02"])
+        ended = command_lines.run(["certify", "oscillator.toml", "schedule.csv", "--horizons", "--budget", "0.02"])
     assert clock.read() <= allowed(0.4) + 2.0
     assert ended.code == 0
     assert "not every length was tried within" in " ".join(ended.out.split())

@@ -1,6 +1,7 @@
 """Certificates for uncertain plants: proven, tight, refused where they are wrong, read back from their file."""
 
 import json
+from collections import Counter
 from dataclasses import replace
 from itertools import pairwise
 
@@ -8,6 +9,8 @@ import numpy as np
 import pytest
 
 from sampling_design import GapRange, PeriodicSchedule, Plant, Schedule, certify, read_certificate
+from sampling_design.certificates.exact import certificate as record
+from sampling_design.certificates.exact import proof
 from sampling_design.certificates.rigorous.ball_problem import BallFailure
 from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.checkers import check, claims, inclusion, jumps
@@ -17,13 +20,14 @@ from sampling_design.errors import ArgumentError, CertificateError, FileFormatEr
 from sampling_design.numerics import balls
 from sampling_design.plants.plant import Signals
 from sampling_design.records.budget import Budget
-from sampling_design.uncertain.inclusion import inclusion_balls
+from sampling_design.uncertain.inclusion import inclusion_balls, search
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion, longest_gap
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.uncertain.inclusion.program import InclusionProgram
 from sampling_design.uncertain.inclusion.search import InclusionSearch
 from sampling_design.uncertain.plants.parameter import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
+from tests import kept_certificates
 from tests.oracles import inclusions
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], name="oscillator")
@@ -519,14 +523,28 @@ def test_linear_coordinates_change_nothing_that_is_proven():
         certify_inclusion(UNCERTAIN, GapRange(0.2, 2.4), eta=0.02, pieces=8)
 
 
-def test_coordinates_in_which_no_short_decimals_are_definite_are_proven_in_balls():
-    """Two states that are nearly the same number: seven decimals of P are indefinite, doubles leave it undecided."""
+def test_coordinates_in_which_no_short_decimals_are_definite_are_proven_in_balls(monkeypatch):
+    """Two states that are nearly the same number: seven decimals of P are indefinite, doubles leave it undecided.
+
+    However often it is tried, numbers are judged as they are, and one file is sealed and read.
+    """
+    monkeypatch.setattr(kept_certificates, "keep", lambda made: None)
+    counts = Counter()
+
+    def counted(module, name):
+        function = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda *given: [counts.update([name]), function(*given)][1])
+
+    for module, name in ((record, "sealed"), (proof, "certificate"), (search, "judged_while_sought")):
+        counted(module, name)
     T = np.array([[1.0, 0.0], [1.0, 1e-3]])
     inverse = np.linalg.inv(T)
     plant = Plant(T @ OSCILLATOR.A @ inverse, OSCILLATOR.C @ inverse, G=T[:, 1:])
     part = UncertainParameter("omega^2", 0.9, 1.1, A=T @ np.array(STIFFNESS.A) @ inverse, nominal=1.0)
     turned = certify_inclusion(UncertainPlant(plant, [part]), GapRange(0.5, 1.0), eta=0.1, pieces=8)
     assert turned.solver.details["digits"] == 15
+    assert counts.pop("judged_while_sought") > 1
+    assert counts == {"sealed": 1, "certificate": 1}
     assert turned.verify().verdict == "proven"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -16,8 +16,10 @@ from sampling_design.certificates.form.digest import CLAIM, RESOLUTION, sealed
 from sampling_design.certificates.form.export import constants_of
 from sampling_design.certificates.form.horizon import Horizon, horizon_of, output_information
 from sampling_design.certificates.rigorous.decide import VerifiableRecord
+from sampling_design.checkers.claims import claim_of
+from sampling_design.checkers.parts import FORMAT
 from sampling_design.checkers.parts import Plant as FilePlant
-from sampling_design.checkers.schedule_file import Sampled, of_schedule
+from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import generalised_max
@@ -138,8 +140,8 @@ class SampledCertificate(VerifiableRecord, ABC):
         """Largest gap, the one before the first sample included."""
 
     @abstractmethod
-    def _file_parts(self) -> dict[str, Plain]:
-        """What the file says of claim and times."""
+    def _file_parts(self) -> Tree:
+        """What the file says of claim and times; arrays as they are."""
 
     @abstractmethod
     def _samples_until(self, end: float) -> Array:
@@ -166,18 +168,20 @@ class SampledCertificate(VerifiableRecord, ABC):
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data as in the file, digest included."""
-        parts: dict[str, Plain] = {
-            **self._file_parts(),
-            **{key: getattr(self, key).tolist() for key in MATRICES},
-            **{key: getattr(self, key) for key in NUMBERS},
-            "witness": self._seen(),
-        }
-        return sealed(self.plant, parts, self.solver)
+        return sealed(self.plant, self._stated(), self.solver)
 
-    def _seen(self) -> dict[str, Plain] | None:
-        """The witness in plain data."""
+    def _stated(self) -> Tree:
+        """What the file states; arrays as they are."""
         seen = self.witness
-        return None if seen is None else {**vars(seen), "direction": list(seen.direction)}
+        witness = None if seen is None else {**vars(seen), "direction": list(seen.direction)}
+        return {**self._file_parts(), **{key: getattr(self, key) for key in (*MATRICES, *NUMBERS)}, "witness": witness}
+
+    @property
+    def content(self) -> object:
+        """What checkers judge: the numbers of the file, before there is one."""
+        own, stated = self.plant, self._stated()
+        judge = claim_of({"format": FORMAT, **stated}).record
+        return judge(stated, FilePlant(own.A, own.C, own.G, own.time_unit))
 
     @property
     def constants(self) -> ConstantList:
@@ -262,16 +266,13 @@ class Certificate(SampledCertificate):
         """The schedule."""
         return self.schedule
 
-    def _file_parts(self) -> dict[str, Plain]:
+    def _file_parts(self) -> Tree:
         return {"claim": CLAIM, "times": times_to_dict(self.schedule)}
 
     @property
     def content(self) -> Sampled:
         """What checkers judge: the numbers of its file, before there is one."""
-        own = self.plant
-        read: Tree = {key: getattr(self, key) for key in (*MATRICES, *NUMBERS)}
-        read |= {"times": times_to_dict(self.schedule), "witness": self._seen()}
-        return of_schedule(read, FilePlant(own.A, own.C, own.G, own.time_unit))
+        return cast("Sampled", super().content)
 
     @classmethod
     def from_matrices(

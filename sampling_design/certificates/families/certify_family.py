@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from sampling_design.certificates.exact.canonical import NoiseWeights
 from sampling_design.certificates.exact.given_weights import above_one, weights_of
+from sampling_design.certificates.exact.proof import as_proven
 from sampling_design.certificates.exact.riccati import periodic_riccati_solution
 from sampling_design.certificates.exact.weight_choice import rate_range
 from sampling_design.certificates.exact.window_problem import window_problem
@@ -27,7 +28,8 @@ from sampling_design.certificates.families.step_proof import (
     node_conditions,
 )
 from sampling_design.certificates.families.step_proof import prove as proven_along
-from sampling_design.certificates.form.digest import RESOLUTION, STATED_MARGIN
+from sampling_design.certificates.form.digest import FAMILY_CLAIM, RESOLUTION, STATED_MARGIN
+from sampling_design.certificates.rigorous.decide import judged_while_sought
 from sampling_design.errors import CertificateError, UndecidedError
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
@@ -63,6 +65,8 @@ MEMORY_GAIN = 1.1
 """Factor by which two levels of memory must raise the information that is kept, for a further one to be tried."""
 NARROWINGS = 5
 """Halvings of the part of a family that is certified where the whole is undecided."""
+LONGEST_PROOF = 60.0
+"""Seconds in ball arithmetic for what doubles leave undecided."""
 ROOM = 1.05
 """Factor on lambda where a gap that was added leaves no point at the lambda found before."""
 
@@ -386,14 +390,14 @@ def certified(
         graph=found.graph,
         P=P,
     )
-    verdict = made.verify()
+    verdict = judged_while_sought(made.content, FAMILY_CLAIM, LONGEST_PROOF)
     if not verdict.passed:
         raise UndecidedError(
             f"undecided: the proof of the certificate did not close: {verdict.reason}.",
             verification=verdict,
             certificate=made,
         )
-    return made
+    return as_proven(made)
 
 
 def without_states(

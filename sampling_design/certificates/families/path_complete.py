@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.records.record import Plain
+from sampling_design.checkers.strict import Tree
 from sampling_design.schedules.family import Word
 
 Array = npt.NDArray[np.float64]
@@ -67,12 +67,12 @@ class PathCompleteGraph:
             tops[edge.source] = max(tops[edge.source], edge.high)
         return tops
 
-    def to_dict(self, P: Array) -> dict[str, Plain]:
-        """Plain data, with the information matrix of each node but the start (that one is P2)."""
+    def to_dict(self, P: Array) -> Tree:
+        """What a file holds: the information matrix of each node but the start (that one is P2), too."""
         return {
             "words": [list(word) for word in self.words],
             "edges": [[e.source, e.target, e.low, e.high, [int(on) for on in e.outputs]] for e in self.edges],
-            "P": [matrix.tolist() for matrix in P[1:]],
+            "P": list(P[1:]),
         }
 
 

@@ -12,6 +12,7 @@ from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import file_io
+from sampling_design.records.declarations import plain
 from sampling_design.records.evidence import SolverRecord
 from sampling_design.records.record import Plain
 
@@ -38,7 +39,7 @@ def sealed(plant: Plant, parts: Tree, solver: SolverRecord | None) -> Tree:
     data: Tree = {
         "format": FORMAT,
         "plant": plant.to_dict(),
-        **parts,
+        **{key: plain(part) for key, part in parts.items()},
         "tool": {"name": "sampling_design", "version": __version__},
         "solver": None if solver is None else solver.to_dict(),
     }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from sampling_design.checkers import verdict
 from sampling_design.checkers.check import verdict_on
-from sampling_design.checkers.outcome import UNDECIDED, Refused
+from sampling_design.checkers.outcome import UNDECIDED, Proven, Refused
 from sampling_design.checkers.sampled import proven, replay
 from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.checkers.work import Work
@@ -86,7 +86,12 @@ def verdict_of(data: Mapping[str, object], work: Work | None = None) -> Verifica
     return Verification(passed=found.passed, **vars(found))
 
 
-def verdict_on_schedule(content: Sampled, work: Work) -> Verification:
-    """The same of what a file on one schedule would hold, while it is sought."""
-    found = verdict_on(content, proven, work)
+def verdict_on_content(content: object, prove: Callable[..., Proven], work: Work | None = None) -> Verification:
+    """The same of what a file would hold, while it is sought, as its claim proves it."""
+    found = verdict_on(content, prove, work)
     return Verification(passed=found.passed, **vars(found))
+
+
+def verdict_on_schedule(content: Sampled, work: Work) -> Verification:
+    """The same of a file on one schedule."""
+    return verdict_on_content(content, proven, work)

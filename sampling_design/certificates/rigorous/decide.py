@@ -18,7 +18,7 @@ from sampling_design.certificates.form.digest import (
     RESOLUTION,
     write_certificate,
 )
-from sampling_design.certificates.form.verdict import Verification, verdict_of
+from sampling_design.certificates.form.verdict import Verification, verdict_of, verdict_on_content
 from sampling_design.certificates.rigorous.ball_problem import (
     BallDecision,
     BallFailure,
@@ -32,10 +32,10 @@ from sampling_design.certificates.rigorous.ball_proof import PROPOSALS, BallWind
 from sampling_design.certificates.rigorous.dissipation_balls import detectability
 from sampling_design.certificates.rigorous.family_balls import family
 from sampling_design.certificates.rigorous.refutation import refute
-from sampling_design.checkers.claims import certificate
+from sampling_design.checkers.claims import certificate, claim_of
 from sampling_design.checkers.family_file import OfFamily
 from sampling_design.checkers.outcome import BAD_FILE, PROVEN, REFUTED, UNDECIDED
-from sampling_design.checkers.parts import Weights
+from sampling_design.checkers.parts import FORMAT, Weights
 from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.checkers.strict import Altered, BadFile, Tree
 from sampling_design.checkers.work import Work
@@ -140,6 +140,14 @@ def judged(data: Mapping[str, object], rigorous: bool, budget: float) -> Verific
     return verify_rigorously(data, budget, None if rigorous else Work(HANDED_OVER))
 
 
+def judged_while_sought(content: object, claim: str, budget: float) -> Verification:
+    """The same of what a file of a claim would hold, before there is one."""
+    found = verdict_on_content(content, claim_of({"format": FORMAT, "claim": claim}).prove)
+    if found.verdict != "undecided" or find_spec("flint") is None:
+        return found
+    return _verified(lambda clock: _decided_as(claim, content, clock), budget, Work(HANDED_OVER))
+
+
 def verify_rigorously(
     data: Mapping[str, object], budget: float = 60.0, work: Work | None = None
 ) -> RigorousVerification:
@@ -210,7 +218,11 @@ def _decided(data: Tree, clock: Budget) -> dict[str, object]:
     except BadFile as error:
         word = "digest" if isinstance(error, Altered) else "form"
         raise BallFailure(BAD_FILE, word, f"the data are no certificate: {error}") from None
-    decides = CLAIMS.get(data["claim"]) or offered("verify_rigorously", data["claim"], BallDecision)
+    return _decided_as(data["claim"], content, clock)
+
+
+def _decided_as(claim: str, content: object, clock: Budget) -> dict[str, object]:
+    decides = CLAIMS.get(claim) or offered("verify_rigorously", claim, BallDecision)
     assert decides is not None, "a claim that the auditor reads and nobody decides"
     return _proven(decides(content, clock))
 

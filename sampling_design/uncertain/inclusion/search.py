@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.certificates.exact.proof import as_proven
+from sampling_design.certificates.form.digest import INCLUSION_CLAIM
 from sampling_design.certificates.form.verdict import Verification
-from sampling_design.certificates.rigorous.decide import judged
+from sampling_design.certificates.rigorous.decide import judged_while_sought
 from sampling_design.errors import ArgumentError
 from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import SolverRecord
@@ -219,7 +221,7 @@ class InclusionSearch(PosedMembers):
                 except ArgumentError:  # so few decimals leave P or its bounds indefinite in the plant's own coordinates
                     continue
                 last = proofs > 1 and digits == precisions[-1]
-                verdict = judged(made.to_dict(), False, LONGEST_PROOF if last else 0.0)
+                verdict = judged_while_sought(made.content, INCLUSION_CLAIM, LONGEST_PROOF if last else 0.0)
                 if verdict.passed:
                     return accepted(made)
                 tried += 1
@@ -230,7 +232,7 @@ class InclusionSearch(PosedMembers):
 
 def accepted(made: InclusionCertificate) -> InclusionCertificate:
     """A certificate that was proven, on its way out: where all of them can be watched (tests/kept_certificates.py)."""
-    return made
+    return as_proven(made)
 
 
 def rounded(P: Array, digits: int) -> Array:

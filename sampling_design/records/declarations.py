@@ -16,18 +16,18 @@ import numpy.typing as npt
 Plain: TypeAlias = "str | float | bool | Sequence[Plain] | Mapping[str, Plain] | None"
 """Plain data, as it stands in a file: texts, numbers, and lists and tables of them."""
 
-Given = TypeVar("Given")
+Converting = TypeVar("Converting")
 Held = TypeVar("Held")
-Kind = TypeVar("Kind")
+RecordClass = TypeVar("RecordClass")
 
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
-def frozen(kind: type[Kind]) -> type[Kind]:
+def frozen(kind: type[RecordClass]) -> type[RecordClass]:
     """Make a frozen dataclass of a record with `Converted` fields."""
     return dataclass(frozen=True, eq=False, repr=False)(kind)
 
 
-class Converted(Generic[Given, Held]):
+class Converted(Generic[Converting, Held]):
     """The kind of a field that `__post_init__` converts: it is given as one kind and held as another.
 
         times: Converted[npt.ArrayLike, Array]
@@ -38,7 +38,7 @@ class Converted(Generic[Given, Held]):
     if TYPE_CHECKING:
 
         def __get__(self, record: object, kind: object = None) -> Held: ...
-        def __set__(self, record: object, value: Given) -> None: ...
+        def __set__(self, record: object, value: Converting) -> None: ...
 
     else:
 

@@ -28,7 +28,7 @@ from sampling_design.records.evidence import SolverRecord
 from sampling_design.schedules.family import AnySchedule
 
 Array = npt.NDArray[np.float64]
-Made = TypeVar("Made", bound=SampledCertificate)
+Provable = TypeVar("Provable", bound=SampledCertificate)
 
 
 class ScheduleProof:
@@ -144,7 +144,7 @@ class ScheduleProof:
         return Witness(t * time, start * time, tuple(float(v) for v in direction), float(values[-1]))
 
 
-def as_proven(made: Made) -> Made:
+def as_proven(made: Provable) -> Provable:
     """A certificate that was proven while it was sought: its file, sealed and read as an auditor reads, holds that."""
     assert plain(certificate(made.to_dict())) == plain(made.content), "the file says something else"
     return made

@@ -15,6 +15,8 @@ from sampling_design.cli.version import show_version
 DEFECT = 70
 """Exit code of an error that is none of ours: a defect of this program, with its traceback."""
 INTERRUPTED = 130
+ONE_THREAD = "OPENBLAS_NUM_THREADS"
+"""Matrices here have 2 to 20 rows: a second thread of the BLAS waits, and takes half as many seconds again."""
 
 
 class _Interrupt:
@@ -50,6 +52,7 @@ class _Interrupt:
 
 def main() -> None:
     """Run the command line; every expected error is one sentence on stderr."""
+    os.environ.setdefault(ONE_THREAD, "1")  # read by the BLAS when numpy is imported, here and in worker processes
     interrupt = _Interrupt()
     try:
         code = _run()

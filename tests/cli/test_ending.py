@@ -171,6 +171,15 @@ def test_flags_out_of_range_are_one_sentence(shell, arguments, words):
     assert result.err.count("\n") == 1
 
 
+@pytest.mark.parametrize(("given", "kept"), [(None, "1"), ("2", "2")])
+def test_the_blas_has_one_thread_unless_somebody_says_otherwise(shell, monkeypatch, given, kept):
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", given or "")
+    if given is None:
+        monkeypatch.delenv("OPENBLAS_NUM_THREADS")
+    assert shell("--version").code == 0
+    assert os.environ["OPENBLAS_NUM_THREADS"] == kept
+
+
 def test_help_shows_brackets_and_one_unbroken_example(shell):
     told = shell("info", "--help").out
     assert "[plant's time unit]" in told

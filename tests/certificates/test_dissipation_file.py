@@ -4,6 +4,7 @@ import copy
 import dataclasses
 import json
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from sampling_design.checkers import check, claims, detectability
 from sampling_design.checkers.detectability import INEQUALITY
 from sampling_design.checkers.outcome import Refused
 from sampling_design.errors import CertificateError, FileFormatError
+from tests.cases import few
 from tests.oracles import dissipation as oracle
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -229,8 +231,7 @@ def test_one_percent_too_much_is_refused_along_a_direction_in_which_a_trajectory
     assert oracle.excess(data, x, gain, 1e-3 / np.linalg.norm(A, 2)) > 0
 
 
-@pytest.mark.parametrize("k", [0, 1, 3, 5])
-@pytest.mark.parametrize("key", ["eta", "c_w", "c_y"])
+@pytest.mark.parametrize(("key", "k"), few(product(["eta", "c_w", "c_y"], [0, 1, 3, 5]), 0, 5, 10))
 def test_just_feasible_passes_and_just_infeasible_does_not(k, key):
     """The threshold of one number, by bisection at 50 digits: 1e-11 to either side decides."""
     data, worse = stated(k), 1 if key == "eta" else -1

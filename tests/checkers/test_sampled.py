@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +47,7 @@ FAMILIES = [
 TILTED = Plant([[-0.5, -1.1], [1.5, 0.6]], [[0.5, -0.4], [1.0, 0.2]], G=[[1.0], [0.4]])
 
 
+@cache
 def certificates():
     mask = [[1, 0], [1, 1]]
     return [
@@ -210,6 +212,7 @@ def test_digest_and_claim_come_first():
     assert (other["verdict"], "`claim` must be" in other["reason"]) == ("bad file", True)
 
 
+@cache
 def tight_one():
     """x' = -x/4 at rate 1/2: the discounted information stands still between samples."""
     still = Plant([[-0.25]], [[1.0]], G=[[0.0]])

@@ -15,6 +15,7 @@ from tests.oracles.design import is_allowed, window_sigma_scan
 A = np.kron(np.diag([1.0, 2.0]), [[0.0, 1.0], [-1.0, 0.0]])
 C = np.array([[1.0, 0.0, 1.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
 PLANT = Plant(A, C)
+SMALL = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0], [0.3, 1.0]])
 COSTS = np.array([2.0, 1.0])
 OUTPUTS = {"y1": {"cost": 2.0}, "y2": {"cost": 1.0}}
 
@@ -51,7 +52,7 @@ def test_no_affordable_schedule_exceeds_the_bound_and_few_exceed_the_design(limi
 
 
 def test_a_limit_that_does_not_bind_changes_nothing():
-    free, rich = (design_schedule(PLANT, asked(**more), starts=1, branches=0) for more in ({}, {"cost_limit": 12.0}))
+    free, rich = (design_schedule(SMALL, asked(**more), starts=1, branches=0) for more in ({}, {"cost_limit": 12.0}))
     assert rich.sigma == free.sigma
     assert rich.schedule.outputs is None
     assert rich.cost == 12.0
@@ -102,10 +103,10 @@ def test_the_best_choice_is_the_best_by_enumeration():
 def test_a_limit_that_is_too_low_names_one_that_works(changes, words):
     requirement = asked(**changes)
     with pytest.raises(InfeasibleRequirementError, match=words) as caught:
-        design_schedule(PLANT, requirement, starts=1, branches=0)
+        design_schedule(SMALL, requirement, starts=1, branches=0)
     assert caught.value.obstacle == "cost_limit"
     for change in (caught.value.nearest, {"cost_limit": caught.value.nearest["cost_limit"]}):
-        assert design_schedule(PLANT, requirement.replace(**change), starts=1, branches=0).verify()
+        assert design_schedule(SMALL, requirement.replace(**change), starts=1, branches=0).verify()
 
 
 def test_the_limit_is_kept_in_files_and_words(tmp_path):
@@ -117,10 +118,10 @@ def test_the_limit_is_kept_in_files_and_words(tmp_path):
 
 
 def test_losses_of_a_design_that_chooses_outputs():
-    design = design_schedule(PLANT, asked(samples=5, cost_limit=11.0), starts=1, branches=0)
+    design = design_schedule(SMALL, asked(samples=5, cost_limit=11.0), starts=1, branches=0)
     losses = sample_losses(design, every_period=True)
     times, mask = design.schedule.times, design.schedule.outputs
     for i in range(5):
-        scan = window_sigma_scan(A, C, np.delete(times, i), 4.0, 4.0, mask=np.delete(mask, i, axis=0))
+        scan = window_sigma_scan(SMALL.A, SMALL.C, np.delete(times, i), 4.0, 4.0, mask=np.delete(mask, i, axis=0))
         assert losses.lower[i] == pytest.approx(scan, rel=5e-3)
         assert losses.lower[i] <= losses.bound[i]

@@ -5,8 +5,12 @@ import inspect
 import re
 from collections.abc import Iterable
 
+import pytest
+
 from tests.front_door import public
 from tests.house.sources import PACKAGE, SOURCES, nodes, parsed
+
+pytestmark = pytest.mark.long  # a lint, which the style step of .ci/run runs
 
 MOST_BY_PLACE = 8
 """Arguments of one call that are told apart by their place alone."""

@@ -3,7 +3,11 @@
 import ast
 import re
 
+import pytest
+
 from tests.house.sources import ROOT, SOURCES, nodes
+
+pytestmark = pytest.mark.long  # a lint, which the style step of .ci/run runs
 
 BIBLIOGRAPHY = (ROOT / "docs" / "references.bib").read_text()
 PAPER_ITEMS = re.compile(r"(Definition|Assumption|Theorem|Lemma|Remark|equation|Section|Appendix|appendix)")

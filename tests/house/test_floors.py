@@ -8,6 +8,8 @@ import pytest
 
 from tests.house.sources import PACKAGE, nodes
 
+pytestmark = pytest.mark.long  # a lint, which the style step of .ci/run runs
+
 FLOORS = {
     "checkers": 0,
     "plants": 1,

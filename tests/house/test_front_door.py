@@ -166,6 +166,7 @@ def docstring_examples():
     return "".join(f"def example_{k}() -> None:\n{text}\n" for k, text in enumerate(texts))
 
 
+@pytest.mark.long  # a lint: mypy, in the style step of .ci/run
 def test_an_editor_knows_our_types(tmp_path):
     """One run of mypy, away from the checkout: the README's eight lines pass as `strict`, each wrong line fails.
 

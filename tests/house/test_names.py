@@ -5,7 +5,11 @@ import re
 from collections import defaultdict
 from pathlib import Path
 
+import pytest
+
 from tests.house.sources import PACKAGE, SOURCES, nodes, parsed
+
+pytestmark = pytest.mark.long  # a lint, which the style step of .ci/run runs
 
 
 def places() -> dict[tuple[bool, str], list[str]]:

@@ -46,12 +46,14 @@ def is_quoted(pieces: list[str]) -> bool:
     return any(text in piece or (len(piece) >= 12 and piece.strip() in text) for text in quotes() for piece in pieces)
 
 
+@pytest.mark.long  # a lint, as others of this folder
 def test_every_raise_is_quoted_by_a_test():
     found = list(raises())
     assert len(found) > 600
     assert [place for place, pieces in found if not is_quoted(pieces)] == []
 
 
+@pytest.mark.long  # a lint, as others of this folder
 def test_every_exception_of_the_house_is_watched():
     kinds = {node.name: (node, path) for path in SOURCES for node in nodes(path) if isinstance(node, ast.ClassDef)}
     errors = {name for name, kind in vars(builtins).items() if isinstance(kind, type) and issubclass(kind, Exception)}

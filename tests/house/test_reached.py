@@ -6,7 +6,11 @@ from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 
+import pytest
+
 from tests.house.sources import PACKAGE, ROOT, parsed
+
+pytestmark = pytest.mark.long  # a lint, which the style step of .ci/run runs
 
 Name = tuple[str, str]
 """A module and what is defined in it; "" for the module itself."""

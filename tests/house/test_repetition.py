@@ -12,6 +12,8 @@ import pytest
 
 from tests.house.sources import PACKAGE, SOURCES, nodes
 
+pytestmark = pytest.mark.long  # a lint, which the style step of .ci/run runs
+
 MOST = 5
 """Lines of code that may stand in two places; never raise it."""
 LEAST = 4

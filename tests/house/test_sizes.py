@@ -5,7 +5,11 @@ import io
 import re
 import tokenize
 
+import pytest
+
 from tests.house.sources import PACKAGE, SOURCES, nodes
+
+pytestmark = pytest.mark.long  # a lint, which the style step of .ci/run runs
 
 FILE_WALL = 500
 FUNCTION_WALL = 60

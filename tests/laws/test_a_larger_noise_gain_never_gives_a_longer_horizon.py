@@ -19,7 +19,7 @@ CASES += [(DOUBLE, Schedule([0.5, 1.0, 2.5, 3.0])), (FOUR, PeriodicSchedule([1.0
 ROUNDING = 1e-6
 
 
-@pytest.mark.parametrize(("plant", "schedule"), few(CASES, 1, 2), ids=["oscillator", "double", "finite", "four states"])
+@pytest.mark.parametrize(("plant", "schedule"), few(CASES, 2), ids=["oscillator", "double", "finite", "four states"])
 def test_horizons_fall_along_any_list_of_gains(plant, schedule):
     budgets = sorted([1.2, 1.5, 2.0, 3.0, 10.0, *np.exp(np.random.default_rng(7).uniform(0.1, 3.0, 3))])
     found = chosen(plant, schedule, weights_of(plant, None, None, None), 0.4, [float(b) for b in budgets])
@@ -28,7 +28,7 @@ def test_horizons_fall_along_any_list_of_gains(plant, schedule):
     assert horizons[-1] < 0.95 * horizons[0]
 
 
-@pytest.mark.parametrize("budget", few([1.2, 1.5, 2.0, 3.0], 0, 3))
+@pytest.mark.parametrize("budget", few([1.2, 1.5, 2.0, 3.0], 0))
 def test_a_gain_alone_gives_what_it_gives_among_others(budget):
     """And for the oscillator no less than the best that was ever found: 2.71, 2.39, 2.11, 1.88 were reached."""
     alone = certify(OSCILLATOR, PeriodicSchedule([1.0]), eta=0.4, noise_gain=budget).horizon().minimum

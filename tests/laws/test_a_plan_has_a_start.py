@@ -35,7 +35,7 @@ def asked(name, error, unit=1.0):
     plant, period, w, v, tolerance = PLANTS[name]
     wanted = {"a": tolerance * unit}
     terms = {"y": {"noise_bound": v * unit}}
-    given = {"period": period, "raster": period / 32, "w_bound": w * unit, "sensors": terms, "initial_error": error}
+    given = {"period": period, "raster": period / 16, "w_bound": w * unit, "sensors": terms, "initial_error": error}
     return plant, sd.PlanRequirement(wanted, **given)
 
 

@@ -39,7 +39,9 @@ def test_outputs_that_are_available_at_different_times():
     A = np.array([[0.0, 1.0], [-1.0, 0.0]])
     plant = Plant(A, np.eye(2), outputs=["position", "speed"])
     rules = {"position": {"available": [[0.0, 2.0]]}, "speed": {"available": [[1.0, 4.0]]}}
-    design = design_schedule(plant, Requirement(window=4.0, spacing=0.4, samples=4, outputs=rules), starts=4)
+    design = design_schedule(
+        plant, Requirement(window=4.0, spacing=0.4, samples=4, outputs=rules), starts=2, branches=2
+    )
     mask = design.schedule.outputs
     times = design.schedule.times
     assert np.array_equal(mask[:, 0], times < 2.0)

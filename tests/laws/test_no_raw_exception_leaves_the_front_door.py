@@ -16,8 +16,7 @@ from sampling_design.records.record import Record
 from tests import front_door
 from tests.cases import few
 
-SEEDS = range(4)
-CALLS = 200
+DRAWN = [(0, 80), *((seed, 200) for seed in range(4))]
 
 
 FOUND = (
@@ -49,10 +48,10 @@ def test_calls_that_were_raw_once_are_no_longer(tmp_path, monkeypatch):
     assert {str(call): found for call in calls if (found := call.raw())} == {}
 
 
-@pytest.mark.parametrize("seed", few(SEEDS, 0))
-def test_random_calls_end_in_a_value_or_in_one_sentence(seed, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("seed", "calls"), few(DRAWN, 0))
+def test_random_calls_end_in_a_value_or_in_one_sentence(seed, calls, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # "nosuch" is a name that a file may have
-    raw = {str(call): found for call in front_door.drawn(CALLS, seed) if (found := call.raw())}
+    raw = {str(call): found for call in front_door.drawn(calls, seed) if (found := call.raw())}
     assert raw == {}
 
 

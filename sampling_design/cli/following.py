@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from contextlib import ExitStack
-from itertools import islice
 
 import numpy as np
 import numpy.typing as npt
@@ -14,30 +12,22 @@ from rich.table import Table as RichTable
 import sampling_design as sd
 from sampling_design.cli.settings import Settings, rows_table, table
 from sampling_design.estimators.estimate_file import (
-    TOGETHER,
+    FEW_STATES,
     EstimateBlock,
     EstimateColumns,
     EstimateTable,
-    as_written,
     check_radii,
+    estimates_along,
+    usual_radii,
 )
 from sampling_design.estimators.online.curve import CurveCollector
 from sampling_design.estimators.online.envelope import EstimateEnvelope
 from sampling_design.estimators.online.estimate import Estimate
-from sampling_design.estimators.online.in_order import AHEAD
 from sampling_design.estimators.online.tally import EstimateCounts
 from sampling_design.records.file_io import AtomicWriter
-from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 
 Array = npt.NDArray[np.float64]
-
-CLOSELY = 1000
-"""Rows up to which radii are those of intervals unless told."""
-FEW = 4
-"""States up to which that holds; of more it is fewer rows, since the work of one grows with the cube of the states."""
-TOLD = 1000
-"""Times that the progress of a record is told."""
 
 
 def followed(
@@ -64,8 +54,7 @@ def followed(
                 open_files.enter_context(each)
         tally, last = EstimateCounts(plant.time_unit) if columns is None else columns.tally, None
         with settings.progress("estimate") as progress:
-            told = _told(_each(estimator, record, curve, kind), len(record), progress)
-            while some := list(islice(told, TOGETHER)):
+            for some in estimates_along(estimator, record, kind, curve, progress):
                 last = some[-1]
                 if rows is not None or columns is not None:  # always where there is a picture
                     block = EstimateBlock.of(some, kind)
@@ -98,50 +87,20 @@ def followed(
 def _usual(settings: Settings, estimator: sd.MovingHorizonEstimator, record: sd.Measurements) -> str:
     """The kind of radii where none was asked for, with a notice where it is the wider one."""
     n = estimator.plant.n_states
-    if _closely(record, n):
-        return "intervals"
-    if not estimator.bounds.note:
-        states = f" and {n} states" if n > FEW else ""
+    kind = usual_radii(len(record), n)
+    if kind == "ellipsoids" and not estimator.bounds.note:
+        states = f" and {n} states" if n > FEW_STATES else ""
         settings.notice(
             f"--radii not given: of {len(record)} rows{states} the radii are those of ellipsoids; --radii intervals "
             "are narrower and take longer."
         )
-    return "ellipsoids"
-
-
-def _closely(record: sd.Measurements, states: int) -> bool:
-    """Whether every row can be looked at closely in bearable time."""
-    return len(record) * max(1.0, states / FEW) ** 3 <= CLOSELY
+    return kind
 
 
 def _take(envelope: EstimateEnvelope, block: EstimateBlock) -> None:
     """Take in estimates as they are written."""
     certified, failed = np.array([(e.certified, e.failed) for e in block.estimates], dtype=bool).T
     envelope.add(block.times, block.x, block.around, certified, failed)
-
-
-def _each(
-    estimator: sd.MovingHorizonEstimator, record: sd.Measurements, curve: CurveCollector | None, kind: str
-) -> Iterator[Estimate]:
-    """Estimates at every row, as they stand beside radii of a kind."""
-    for k, (t, y, u) in enumerate(record):
-        if k % AHEAD == 0:
-            estimator.expect(record.times[k : k + AHEAD])
-        if curve is not None:
-            curve.before(t)
-        estimate = as_written(estimator.update(t, y, u), kind)
-        if curve is not None:
-            curve.after(t, estimate)
-        yield estimate
-
-
-def _told(estimates: Iterator[Estimate], count: int, progress: Progress) -> Iterator[Estimate]:
-    """The same, with its progress told now and then."""
-    every = max(1, count // TOLD)
-    for k, estimate in enumerate(estimates, 1):
-        yield estimate
-        if k % every == 0 or k == count:
-            progress(k / count, f"{k} of {count} rows")
 
 
 def _own_radii(estimate: Estimate, kind: str) -> Array:

@@ -10,7 +10,6 @@ from datetime import date, timedelta
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 import sampling_design as sd
@@ -67,27 +66,9 @@ class Motions:
         rhythms, decays = positive_numbers("--rhythm", self.rhythm), positive_numbers("--decay", self.decay)
         if not rhythms and not decays:
             raise ArgumentError("`new` needs to know what moves: give --rhythm PERIODS, --decay TIMES, or both.")
-        level, sensors = self.level, [s.strip() for s in self.sensors.split(",")]
-        n = level + 2 * len(rhythms) + len(decays)
-        A, row, names, at = np.zeros((n, n)), np.zeros(n), ["level"] * level, int(level)
-        row[:at] = 1.0
-        for k, length in enumerate(rhythms, 1):
-            rate = 2 * np.pi / length
-            A[at, at + 1], A[at + 1, at], row[at] = rate, -rate, 1.0
-            names += [f"rhythm_{k}", f"rhythm_{k}_quadrature"]
-            at += 2
-        for k, time in enumerate(decays, 1):
-            A[at, at], row[at] = -np.log(3.0) / time, 1.0
-            names.append(f"decaying_{k}")
-            at += 1
-        C = np.tile(row, (len(sensors), 1))
-        return sd.Plant(
-            A,
-            C,
-            time_unit=self.unit,
-            states=sd.plants.Signals(names),
-            outputs=sd.plants.Signals(sensors),
-            name=self.name,
+        sensors = [sensor.strip() for sensor in self.sensors.split(",")]
+        return sd.plants.plant_of_motions(
+            rhythms, decays, level=self.level, sensors=sensors, time_unit=self.unit, name=self.name
         )
 
     def span(self) -> float:

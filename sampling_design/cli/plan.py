@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from datetime import timedelta
 from pathlib import Path
 from typing import Annotated
 
@@ -21,13 +19,8 @@ from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.records.checks import positive
 from sampling_design.records.record import short
-from sampling_design.records.units import SECONDS
-from sampling_design.schedules.calendar import clock_changes, repeats_by_rule, write_calendar_csv
 from sampling_design.schedules.family import AnySchedule
-from sampling_design.schedules.time_stamps import parse_date, passed
-
-AHEAD = 400
-"""Days in which the next change of a zone's clocks is looked for."""
+from sampling_design.schedules.time_stamps import parse_date
 
 PlantFile = Annotated[Path, typer.Argument(metavar="PLANT", help="Plant file: .toml, .json, .mat or .npz.")]
 ScheduleFile = Annotated[Path, typer.Argument(metavar="SCHEDULE", help="Schedule file: .csv or .json.")]
@@ -158,46 +151,12 @@ def _write_design(settings: Settings, result: ScheduleDesign, zero: str | None, 
         return
     settings.write_json(folder / "design.json", result.to_dict())
     if result.schedule is not None and result.sigma > 0:
-        _schedule_files(settings, result, result.schedule, folder, (zero, zone))
+        files, notes = sd.design.write_design(result, folder, start=zero, zone=zone)
+        for path in files:
+            settings.wrote(path)
+        for note in notes:
+            settings.notice(note)
         settings.draw(result, folder / "design.png", origin=zero)
-
-
-def _schedule_files(
-    settings: Settings,
-    result: ScheduleDesign,
-    schedule: sd.PeriodicSchedule,
-    folder: Path,
-    calendar: tuple[str | None, str | None],
-) -> None:
-    zero, zone = calendar
-    if zero is None:
-        settings.wrote(sd.schedules.write_schedule(schedule, folder / "schedule.csv"))
-        return
-    dated = replace(schedule, origin=zero)
-    settings.wrote(sd.schedules.write_schedule(dated, folder / "schedule.csv"))
-    settings.wrote(write_calendar_csv(dated, folder / "calendar.csv", zone=zone))
-    title = f"{result.plant.name or 'plant'}: sample"
-    span = None if zone is None else _until_clocks_change(settings, result, zero, zone)
-    if span is None and not repeats_by_rule(dated):
-        span = dated.period
-        settings.notice("The period is no whole number of seconds, which no calendar repeats: schedule.ics holds one.")
-    settings.wrote(sd.schedules.write_ics(dated, folder / "schedule.ics", summary=title, span=span, zone=zone))
-
-
-def _until_clocks_change(settings: Settings, result: ScheduleDesign, zero: str, zone: str) -> float | None:
-    """How long closed hours are where the schedule has them, with a notice: until the clocks change, if they do."""
-    wanted = result.requirement
-    if not wanted.forbidden.size and all(access.available is None for access in wanted.outputs.values()):
-        return None
-    start = parse_date("--start", zero)
-    before, after = next(clock_changes(zone, start, start + timedelta(days=AHEAD)), (None, None))
-    if before is None or after is None:
-        return None
-    settings.notice(
-        f"The clocks of {zone} change on {after:%Y-%m-%d}: schedule.ics ends there, since the same times would be "
-        "other hours. Design again with --start after it; `plan` keeps local hours all year."
-    )
-    return passed(start, after) / timedelta(seconds=SECONDS[result.plant.time_unit])
 
 
 def _samples(result: ScheduleDesign) -> list[RichTable | str]:

@@ -15,13 +15,10 @@ import sampling_design as sd
 from sampling_design.cli import reading
 from sampling_design.cli.settings import Settings, record_table, table
 from sampling_design.errors import ArgumentError
-from sampling_design.planning.dates import PlanDates, plan_dates
-from sampling_design.planning.files import save_plan
+from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.opening import WEEK
 from sampling_design.planning.plan_record import Plan
-from sampling_design.planning.sampling_sheet import write_form, write_sheet
 from sampling_design.records.checks import number
-from sampling_design.schedules.calendar import write_calendar_csv
 from sampling_design.schedules.time_stamps import parse_date
 
 
@@ -65,9 +62,15 @@ def plan(
     dates = None
     if requirement.calendar is not None and result.keeps:
         dates = plan_dates(result, periods)
-    _write(settings, result, dates, person)
-    comparison = None if other is None else other.compare(result, ("before", "now"))
     folder = settings.folder()
+    if folder is not None:
+        files, notes = sd.planning.write_plan(result, folder, dates, person=person)
+        for path in files:
+            settings.wrote(path)
+        for note in notes:
+            settings.notice(note)
+        settings.draw(result, folder / "plan.png")
+    comparison = None if other is None else other.compare(result, ("before", "now"))
     if comparison is not None and folder is not None:
         settings.write_json(folder / "comparison.json", comparison.to_dict())
         settings.draw(comparison, folder / "comparison.png")
@@ -80,31 +83,6 @@ def plan(
     settings.show(result.to_dict(), *tables)
     if not result.keeps and requirement.aim == "cheapest":
         raise typer.Exit(3)
-
-
-def _write(settings: Settings, result: Plan, dates: PlanDates | None, person: str) -> None:
-    folder = settings.folder()
-    if folder is None:
-        return
-    settings.wrote(save_plan(result, folder / "plan.json"))
-    settings.wrote(sd.plants.write_plant(result.plant, folder / "plant.toml"))
-    settings.wrote(sd.schedules.write_schedule(result.schedule, folder / "schedule.csv"))
-    if result.certificate is not None:
-        settings.wrote(result.certificate.save(folder / "certificate.json"))
-    elif "certificate" in result.left_out:
-        why = "interrupted" if result.status == "interrupted" else "`--search-seconds` were spent before it was made"
-        settings.notice(f"certificate.json is not written: {why}.")
-    settings.draw(result, folder / "plan.png")
-    if dates is not None and dates.entries and result.requirement.calendar is not None:
-        real, zone = dates.schedule(), result.requirement.calendar.zone
-        title = f"{result.plant.name or 'plant'}: sample"
-        settings.wrote(write_calendar_csv(real, folder / "calendar.csv", zone=zone))
-        settings.wrote(sd.schedules.write_schedule(real, folder / "dates.csv"))
-        settings.wrote(write_form(dates, folder / "form.csv"))
-        settings.wrote(
-            sd.schedules.write_ics(real, folder / "plan.ics", summary=title, span=real.times[-1] + 1.0, zone=zone)
-        )
-        settings.wrote(write_sheet(dates, folder / "sheet.html", person=person))
 
 
 def next_sample(

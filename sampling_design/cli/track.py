@@ -11,7 +11,7 @@ import typer
 import sampling_design as sd
 from sampling_design.certificates.for_bounds import ErrorBoundArguments
 from sampling_design.cli import reading
-from sampling_design.cli.following import CLOSELY, FEW, followed
+from sampling_design.cli.following import followed
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for, window_length
 from sampling_design.cli.prove import sampling_certificate
 from sampling_design.cli.settings import (
@@ -24,6 +24,7 @@ from sampling_design.cli.settings import (
     workforce,
 )
 from sampling_design.errors import ArgumentError
+from sampling_design.estimators.estimate_file import FEW_STATES, MOST_INTERVALS
 from sampling_design.records.file_io import write_text
 from sampling_design.records.record import short
 from sampling_design.validation.report import ValidationReport
@@ -56,7 +57,7 @@ def estimate(
         typer.Option(
             help="intervals: as narrow as data and bounds allow; centred: the same, and each estimate in the middle of "
             "its interval, where no other has a smaller radius; ellipsoids: wider, a hundred times faster. Default: "
-            f"intervals up to {CLOSELY} rows (of more than {FEW} states: fewer), ellipsoids beyond."
+            f"intervals up to {MOST_INTERVALS} rows (of more than {FEW_STATES} states: fewer), ellipsoids beyond."
         ),
     ] = None,
     tube: Annotated[

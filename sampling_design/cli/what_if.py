@@ -120,17 +120,13 @@ def losses(
     if settings.decay_rate is not None:
         requirement = requirement.replace(decay_rate=settings.decay_rate)
     with settings.progress("losses") as progress:
-        rng = np.random.default_rng(settings.seed)
-        half = settings.budget / 2
-        design = sd.design_schedule(plant, requirement, rng=rng, budget=half, progress=progress)
-        if design.schedule is None or not design.sigma > 0:
-            settings.show({"without": []}, design.explain())
-            end_unseen(design)
-            return
-        if design.status == "interrupted":
-            raise KeyboardInterrupt
-        rng = np.random.default_rng(settings.seed)
-        result = sd.sample_losses(design, every_period=every_period, rng=rng, budget=half, progress=progress)
+        design, result = sd.design.design_and_losses(
+            plant, requirement, every_period=every_period, rng=settings.seed, budget=settings.budget, progress=progress
+        )
+    if result is None:
+        settings.show({"without": []}, design.explain())
+        end_unseen(design)
+        return
     folder = settings.folder()
     if folder is not None:
         settings.write_json(folder / "losses.json", result.to_dict())

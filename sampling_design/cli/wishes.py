@@ -14,14 +14,15 @@ import typer
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError
-from sampling_design.planning.opening import DAYS, WeekHours, minutes, week_hours
+from sampling_design.planning.opening import DAYS, OpeningCalendar, WeekHours, minutes, week_hours
 from sampling_design.records.checks import known_keys
 from sampling_design.records.units import SECONDS
-from sampling_design.schedules.time_stamps import parse_date
 
 Array = npt.NDArray[np.float64]
 
 MOST_DAYS = 400
+A_MONDAY = "2001-01-01"
+"""Time zero of opening hours where no date is given."""
 RASTER = "1 h"
 """Of a plan with a calendar, where none is given: a week is then 168 steps."""
 _HOUR = r"(\d{1,2}(?:\.\d+|:[0-5]\d)?)"
@@ -123,37 +124,27 @@ def _clock(text: str) -> int:
     return int(hour) * 60 + int(minute) if colon else round(float(text) * 60)
 
 
-def closed(unit: str, period: float, hours: WeekHours | None, first: int = 0) -> Array:
-    """Return the half-open intervals of a period that lie outside opening hours; it begins on weekday `first`."""
-    if hours is None:
-        return np.zeros((0, 2))
-    day = 86400.0 / SECONDS[unit]
-    days = int(np.ceil(period / day * (1 - 1e-12)))
-    if days > MOST_DAYS:
-        raise ArgumentError(f"`--open` closes every day: a period of {days} days is too long, at most {MOST_DAYS}.")
-    spans: list[list[float]] = []
-    for k in range(days):
-        edges = [0, *(minutes(c) for span in hours.get(DAYS[(first + k) % 7], ()) for c in span), 1440]
-        for a, b in zip(edges[::2], edges[1::2], strict=True):
-            start, stop = (k + a / 1440) * day, min((k + b / 1440) * day, period)
-            if stop <= start:
-                continue
-            if spans and abs(spans[-1][1] - start) <= 1e-9 * day:
-                spans[-1][1] = stop
-            else:
-                spans.append([start, stop])
-    return np.array(spans).reshape(-1, 2)
-
-
 def requirement(asked: AskedFor, unit: str, span: float) -> sd.Requirement:
     """Return what a schedule must keep: a window and, unless told, a period of one rhythm, in whole days of opening."""
     hours = week(asked.open_hours, asked.weekend)
     period = span if asked.period is None else asked.period
     if hours is not None:
         period = whole_days(period, unit, hours, given=asked.period is not None)
-    first = parse_date("--start", asked.start).weekday() if asked.start else 0
-    shut = closed(unit, period, hours, first)
-    return sd.Requirement(window=period, period=period, samples=asked.samples, spacing=asked.spacing, forbidden=shut)
+    minute, shut = 60.0 / SECONDS[unit], list[tuple[float, float]]()
+    if hours is not None:
+        days = period / (1440 * minute)
+        if days > MOST_DAYS:
+            raise ArgumentError(
+                f"`--open` closes every day: a period of {days:.4g} days is too long, at most {MOST_DAYS}."
+            )
+        shut = OpeningCalendar(asked.start or A_MONDAY, asked.zone or "UTC", hours).closed(period / minute)
+    return sd.Requirement(
+        window=period,
+        period=period,
+        samples=asked.samples,
+        spacing=asked.spacing,
+        forbidden=np.multiply(shut, minute).reshape(-1, 2),
+    )
 
 
 def whole_days(period: float, unit: str, hours: WeekHours, *, given: bool) -> float:

@@ -5,7 +5,8 @@ from sampling_design.records.lazy import lazy
 _NAMES = {
     "bounds.evidence": ("BoundPart", "UpperBound"),
     "design": ("design_schedule",),
-    "losses": ("SampleLosses", "sample_losses"),
+    "design_files": ("write_design",),
+    "losses": ("SampleLosses", "design_and_losses", "sample_losses"),
     "pareto": ("ParetoFront", "ParetoPoint", "pareto_front"),
     "problem.requirement": ("OutputAccess", "Requirement"),
     "problem.requirement_file": ("read_requirement", "requirement_from_dict", "write_requirement"),

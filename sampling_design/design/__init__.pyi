@@ -5,7 +5,9 @@ from sampling_design.design import search as search
 from sampling_design.design.bounds.evidence import BoundPart as BoundPart
 from sampling_design.design.bounds.evidence import UpperBound as UpperBound
 from sampling_design.design.design import design_schedule as design_schedule
+from sampling_design.design.design_files import write_design as write_design
 from sampling_design.design.losses import SampleLosses as SampleLosses
+from sampling_design.design.losses import design_and_losses as design_and_losses
 from sampling_design.design.losses import sample_losses as sample_losses
 from sampling_design.design.pareto import ParetoFront as ParetoFront
 from sampling_design.design.pareto import ParetoPoint as ParetoPoint

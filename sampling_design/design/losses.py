@@ -17,6 +17,7 @@ from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.windows.window_sigma import WindowSigma
+from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed
@@ -160,6 +161,48 @@ def sample_losses(
     return SampleLosses(
         design.schedule.times, design.sigma, lower, upper, bound, every_period, design.schedule.time_unit
     )
+
+
+@checked
+def design_and_losses(
+    plant: Plant,
+    requirement: Requirement | None = None,
+    *,
+    every_period: bool = False,
+    rng: Seed = None,
+    budget: float | None = None,
+    progress: Progress | None = None,
+) -> tuple[ScheduleDesign, SampleLosses | None]:
+    """Design a schedule, and prove what the loss of each of its samples costs; each takes half of the budget.
+
+    Parameters
+    ----------
+    plant : Plant
+    requirement : Requirement, optional
+    every_period, progress
+        As for `sample_losses`.
+    rng : numpy.random.Generator or its seed, optional
+        Both begin with it, as it was.
+    budget : float, optional [seconds]
+        Of both together.
+
+    Returns
+    -------
+    ScheduleDesign, SampleLosses or None
+        None where there is no sample to lose: no schedule, or one that leaves a state unseen.
+
+    Raises
+    ------
+    InfeasibleRequirementError
+        As `design_schedule`.
+    """
+    half = None if budget is None else checks.positive("budget", budget) / 2
+    design = design_schedule(plant, requirement, rng=copy.deepcopy(rng), budget=half, progress=progress)
+    if design.schedule is None or not design.sigma > 0:
+        return design, None
+    if design.status == "interrupted":
+        raise KeyboardInterrupt
+    return design, sample_losses(design, every_period=every_period, rng=rng, budget=half, progress=progress)
 
 
 def _bounds(design: ScheduleDesign, every_period: bool, budget: Budget, rng: Seed) -> Array:

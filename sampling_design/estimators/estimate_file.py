@@ -7,7 +7,7 @@ import io
 import json
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import lru_cache
 from pathlib import Path
@@ -17,14 +17,17 @@ from typing import IO, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.estimators.online.curve import CurveCollector
 from sampling_design.estimators.online.estimate import Estimate, half_widths
 from sampling_design.estimators.online.estimator import EstimateRecord
+from sampling_design.estimators.online.in_order import AHEAD, OnlineEstimator
 from sampling_design.estimators.online.tally import EstimateCounts
 from sampling_design.estimators.records.measurement_table import date_of, dated
-from sampling_design.estimators.records.measurements import cell_of
+from sampling_design.estimators.records.measurements import Measurements, cell_of
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.file_io import AtomicWriter
+from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked
 
 Array = npt.NDArray[np.float64]
@@ -34,6 +37,11 @@ PIECE = 1 << 20
 
 TOGETHER = 32
 """Estimates that are written at a time."""
+
+MOST_INTERVALS, FEW_STATES = 1000, 4
+"""Rows up to which radii are those of intervals unless told, and states up to which that holds."""
+REPORTS = 1000
+"""Times that the progress of a record is told."""
 
 RADII = ("intervals", "centred", "ellipsoids")
 
@@ -253,6 +261,43 @@ def _listed(columns: list[list[str]]) -> list[str]:
     """The rows of a table of texts as lists."""
     known = [[text or "null" for text in column] for column in columns]
     return ["[\n      " + ",\n      ".join(row) + "\n    ]" for row in zip(*known, strict=True)]
+
+
+def usual_radii(rows: int, states: int) -> str:
+    """Return the kind of radii where none is asked for: those of intervals, if the record takes bearable time.
+
+    The work of one interval grows with the cube of the states.
+    """
+    return "intervals" if rows * max(1.0, states / FEW_STATES) ** 3 <= MOST_INTERVALS else "ellipsoids"
+
+
+def estimates_along(
+    estimator: OnlineEstimator,
+    record: Measurements,
+    kind: str,
+    curve: CurveCollector | None = None,
+    progress: Progress | None = None,
+) -> Iterator[list[Estimate]]:
+    """Yield the estimates at every row of a record, `TOGETHER` at a time, as they stand beside radii of a kind.
+
+    A `curve` that is given takes in what is between the rows; memory does not grow with the record.
+    """
+    report = progress or (lambda fraction, message: None)
+    every, found = max(1, len(record) // REPORTS), list[Estimate]()
+    for k, (t, y, u) in enumerate(record):
+        if k % AHEAD == 0:
+            estimator.expect(record.times[k : k + AHEAD])
+        if curve is not None:
+            curve.before(t)
+        found.append(as_written(estimator.update(t, y, u), kind))
+        if curve is not None:
+            curve.after(t, found[-1])
+        last = k + 1 == len(record)
+        if last or (k + 1) % every == 0:
+            report((k + 1) / len(record), f"{k + 1} of {len(record)} rows")
+        if last or len(found) == TOGETHER:
+            yield found
+            found = []
 
 
 def check_radii(radii: str) -> str:

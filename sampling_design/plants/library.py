@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy import sparse
+from scipy.linalg import block_diag
 
 from sampling_design.checkers.strict import likely
 from sampling_design.errors import ArgumentError
@@ -328,6 +329,57 @@ def helicopter_he1() -> Plant:
         "linear systems and application to control of aircraft, Journal of Dynamic Systems, Measurement and Control "
         "106, 1984.",
     )
+
+
+@checked
+def plant_of_motions(
+    rhythms: Sequence[float] = (),
+    decays: Sequence[float] = (),
+    *,
+    level: bool = True,
+    sensors: Sequence[str] = ("sensor",),
+    time_unit: str = "h",
+    name: str = "",
+) -> Plant:
+    """Return the plant of a level that stays, rhythms and decaying motions; every sensor shows their sum.
+
+    Parameters
+    ----------
+    rhythms : sequence of float [time]
+        Periods of what goes round for ever.
+    decays : sequence of float [time]
+        Times in which what fades falls to a third.
+    level : bool
+        Whether there is a level that stays.
+    sensors : sequence of str
+        Names of the outputs.
+    time_unit, name : str
+
+    Returns
+    -------
+    Plant
+
+    Raises
+    ------
+    ArgumentError
+        If nothing moves, or a time is not positive.
+
+    Examples
+    --------
+    >>> plant_of_motions([24.0], [6.0]).states.names
+    ('level', 'rhythm_1', 'rhythm_1_quadrature', 'decaying_1')
+    """
+    if not len(rhythms) and not len(decays):
+        raise ArgumentError("`rhythms` or `decays` must name a time, or nothing moves.")
+    rates = [2 * np.pi / checks.positive(f"rhythms[{k}]", length) for k, length in enumerate(rhythms)]
+    losses = [np.log(3.0) / checks.positive(f"decays[{k}]", time) for k, time in enumerate(decays)]
+    turning = [np.array([[0.0, rate], [-rate, 0.0]]) for rate in rates]
+    A = block_diag(*[np.zeros((1, 1))] * level, *turning, *[np.array([[-rate]]) for rate in losses])
+    row = np.concatenate([[1.0] * level, [1.0, 0.0] * len(rates), [1.0] * len(losses)])
+    turns = [f"rhythm_{k}{part}" for k in range(1, len(rates) + 1) for part in ("", "_quadrature")]
+    states = [*["level"] * level, *turns, *[f"decaying_{k}" for k in range(1, len(losses) + 1)]]
+    C = np.tile(row, (len(sensors), 1))
+    return Plant(A, C, time_unit=time_unit, states=states, outputs=Signals(sensors), name=name)
 
 
 PLANTS: dict[str, Callable[[], Plant]] = {

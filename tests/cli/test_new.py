@@ -7,7 +7,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.cli.new import flat
-from sampling_design.cli.wishes import AskedFor, by_name, closed, plan_requirement, positive_numbers, requirement, week
+from sampling_design.cli.wishes import AskedFor, by_name, plan_requirement, positive_numbers, requirement, week
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.requirement_file import read_plan_requirement
 
@@ -37,14 +37,19 @@ def test_nobody_copies_thirty_closed_nights_by_hand(shell, tmp_path):
 
 
 def test_weekends_are_closed_and_other_units_are_converted():
-    hours = week("8-16", weekend=False)
-    spans = closed("h", 168.0, hours)
+    def closed(unit, period, hours="8-16", weekend=False, start=""):
+        return requirement(AskedFor(open_hours=hours, weekend=weekend, start=start), unit, period).forbidden
+
+    spans = closed("h", 168.0)
     assert spans[-1].tolist() == [112.0, 168.0]
     assert len(spans) == 6
-    np.testing.assert_allclose(closed("min", 168.0 * 60, hours), 60 * spans)
-    assert closed("s", 10.0, week("", weekend=True)).shape == (0, 2)
-    assert closed("s", 10.0, week("0-24", weekend=True)).shape == (0, 2)
-    assert closed("h", 48.0, hours, first=4).tolist() == [[0.0, 8.0], [16.0, 48.0]]  # a Friday, then Saturday
+    np.testing.assert_allclose(closed("min", 168.0 * 60), 60 * spans)
+    assert closed("s", 10.0, "", weekend=True).shape == (0, 2)
+    assert closed("s", 86400.0, "0-24", weekend=True).shape == (0, 2)
+    friday = closed("h", 168.0, start="2026-03-06")
+    assert friday[:2].tolist() == [[0.0, 8.0], [16.0, 80.0]]  # a Friday, then the weekend
+    late = closed("h", 168.0, start="2026-03-06T07:00")
+    assert late[0].tolist() == [0.0, 1.0]  # time zero is that of the start
 
 
 def test_hours_are_said_as_people_say_them():
@@ -54,10 +59,9 @@ def test_hours_are_said_as_people_say_them():
     assert "Sat" not in week("Mon-Wed 8:30-12, Sat 9-12", weekend=False)
     assert week("", weekend=False)["Fri"] == (("00:00", "24:00"),)
     # every minute of a fortnight is forbidden, or the place is open
-    shut, opened = (
-        closed("min", 14 * 1440.0, told, first=2),
-        sd.PlanRequirement({"x": 1.0}, calendar={"start": "2026-03-04", "hours": told}).calendar,
-    )
+    typed = AskedFor(open_hours="Mon-Wed 8:30-12, 13-17.5, Sat 9-12", start="2026-03-04")
+    shut = requirement(typed, "min", 14 * 1440.0).forbidden
+    opened = sd.PlanRequirement({"x": 1.0}, calendar={"start": "2026-03-04", "hours": told}).calendar
     for minute in range(0, 14 * 1440, 15):
         assert opened.is_open(minute) != any(a <= minute < b for a, b in shut)
 
@@ -238,7 +242,7 @@ def test_what_the_flags_refuse(tmp_path, monkeypatch):
         with pytest.raises(ArgumentError, match="must be a number, or blood=NUMBER with commas between"):
             by_name("--noise", text, ("blood", "urine"), ("blood",))
     with pytest.raises(ArgumentError, match="closes every day: a period of"):
-        closed("h", 24.0 * 500, week("7-19", weekend=True))
+        requirement(AskedFor(open_hours="7-19"), "h", 24.0 * 500)
     from sampling_design.cli.new import Motions, new
     from sampling_design.cli.settings import Settings
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant, Requirement, design_schedule, sample_losses
+from sampling_design.design.losses import design_and_losses
 from sampling_design.errors import ArgumentError
 from tests.oracles.design import best_on_grid, window_sigma_scan
 
@@ -78,3 +79,12 @@ def test_what_sees_nothing_has_nothing_to_lose():
     unseen = designed(window=2 * np.pi, period=np.pi, samples=1)
     with pytest.raises(ArgumentError, match="`design` must see every state, or there is nothing to lose"):
         sample_losses(unseen)
+
+
+def test_a_design_and_its_losses_share_a_budget():
+    asked = Requirement(window=4.0, spacing=0.4, samples=3)
+    design, losses = design_and_losses(Plant(A, C), asked, every_period=True, rng=1, budget=20.0)
+    assert losses.sigma == design.sigma
+    assert losses.lower.size == 3
+    faded, none = design_and_losses(Plant([[-1.0]], [[1.0]]))
+    assert (faded.schedule, none) == (None, None)

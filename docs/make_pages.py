@@ -3,6 +3,7 @@
 `made/items.md`: the table item -> theory -> function -> test, from `paper_items.toml`.
 `made/api/ROOM.md`: a room's README, every name of the front door that lives there, and the records that they return.
 `made/command-line.md`: every command with its flags. `made/reports.md`, `made/notebooks/`: what is there to include.
+`made/constants.md`: every constant that tunes a computation, by room, with what it trades.
 `made/floors.svg`: which room imports which. `made/rooms.svg`: the same inside the large rooms.
 """
 
@@ -10,7 +11,10 @@ import ast
 import importlib
 import inspect
 import re
+import textwrap
+import tokenize
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 ROOMS = {
@@ -84,6 +88,7 @@ def write_all(docs: Path) -> None:
             write(made / "api" / f"{room}.md", room_page(room))
     write(made / "api" / "index.md", api_index([r for r in ROOMS if (made / "api" / f"{r}.md").is_file()]))
     write(made / "command-line.md", command_page())
+    write(made / "constants.md", constants_page(package))
     write(made / "reports.md", reports_page(sorted({p.stem for p in docs.glob("*.md")} - WRITTEN)))
     write(made / "floors.svg", floors_picture(package))
     write(made / "rooms.svg", rooms_picture(package))
@@ -352,6 +357,51 @@ def imports_between(package: Path) -> dict[tuple[str, str], int]:
         for other in named & rooms - {here}:
             found[here, other] = found.get((here, other), 0) + 1
     return found
+
+
+def constants_page(package: Path) -> str:
+    """Every constant that tunes a computation, by room and file, with the line that says what it trades."""
+    head = """Each stands at the head of the file that uses it, one that several files use in the lowest of them. They are
+collected here, room by room, with what each trades."""
+    lines = ["# Constants that tune", "", head, ""]
+    for room in sorted(path for path in package.iterdir() if path.is_dir()):
+        found = [(path, told) for path in sorted(room.rglob("*.py")) if (told := list(tuning_constants(path)))]
+        lines += [f"## {room.name}", ""] if found else []
+        for path, told in found:
+            lines += [f"`{path.relative_to(package)}`", "", "```text"]
+            for name, value, why in told:
+                lines += textwrap.wrap(f"{name} = {value}: {why}", 140, subsequent_indent="    ")
+            lines += ["```", ""]
+    return "\n".join(lines)
+
+
+def tuning_constants(path: Path) -> Iterator[tuple[str, str, str]]:
+    """Name and value of the numeric constants of a file, and the line beside or below that says what they trade."""
+    body = ast.parse(path.read_text()).body
+    with path.open("rb") as file:
+        tokens = [token for token in tokenize.tokenize(file.readline) if token.type == tokenize.COMMENT]
+    beside = {
+        token.start[0] + (not token.line[: token.start[1]].strip()): token.string.lstrip("# ") for token in tokens
+    }
+    for i, node in enumerate(body):
+        if not isinstance(node, ast.Assign) or not _is_numeric(node.value):
+            continue
+        names = [each.id for each in ast.walk(node.targets[0]) if isinstance(each, ast.Name)]
+        if not all(re.fullmatch(r"_?[A-Z][A-Z0-9_]*", name) for name in names):
+            continue
+        why = beside.get(node.end_lineno) or beside.get(node.lineno, "")
+        below = next((each for each in body[i + 1 :] if not isinstance(each, ast.Assign)), None)
+        if not why and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
+            why = " ".join(str(below.value.value).split())
+        yield ", ".join(names), ast.unparse(node.value).strip("()"), why
+
+
+def _is_numeric(node: ast.AST) -> bool:
+    """Whether an expression is a number, or several, that somebody chose."""
+    parts = list(ast.walk(node))
+    kinds = ast.Constant | ast.Tuple | ast.UnaryOp | ast.BinOp | ast.operator | ast.unaryop | ast.expr_context
+    values = [part.value for part in parts if isinstance(part, ast.Constant)]
+    return bool(values) and all(isinstance(p, kinds) for p in parts) and all(type(v) in (int, float) for v in values)
 
 
 def floors_picture(package: Path) -> str:

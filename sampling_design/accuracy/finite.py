@@ -22,6 +22,7 @@ from sampling_design.accuracy.sample_chain import (
     too_far,
 )
 from sampling_design.accuracy.start import InitialSet
+from sampling_design.accuracy.undetectable import UNSEEN
 from sampling_design.errors import UndecidedError
 from sampling_design.numerics.linalg import discounted_flow, filter_gain
 from sampling_design.plants.grouping import balanced_schur
@@ -35,8 +36,6 @@ DIFFUSE = 1e6
 NO_ERROR = 1e-9
 """Half-width given to an entry that is known exactly at the start, in scaled coordinates."""
 
-UNSEEN = 1e-9
-"""A free direction counts as unseen if its samples are below this share of what the strongest one shows."""
 
 BLURRED = 1e-7
 """Share of its way to which an unseen direction may shrink: what rounding makes of it is then below `UNSEEN` of it."""

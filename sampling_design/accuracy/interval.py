@@ -21,6 +21,7 @@ from sampling_design.accuracy.record_program import DISPROVED, SPREADS, RecordPr
 from sampling_design.accuracy.record_readings import read_record
 from sampling_design.accuracy.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.accuracy.undetectable import unseen_modes
+from sampling_design.accuracy.witness import KEPT
 from sampling_design.checkers.check import verdict
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
@@ -31,8 +32,6 @@ from sampling_design.records.signatures import checked
 
 Array = npt.NDArray[np.float64]
 
-KEPT = 1e-9
-"""Share of its width within which an end is that of its gains when it is evaluated anew."""
 
 MOSTLY = 0.9
 """Share of a contradiction that the samples named with it make."""

@@ -41,6 +41,7 @@ CROWDED = 160
 """Nodes of one period, all zones together."""
 
 SCALINGS = 80
+"""Halvings and doublings of the time constant after which a step that settles is given up."""
 
 SHALLOW = 32
 """Nodes of the first attack."""

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.accuracy_profile import GapProof
+from sampling_design.accuracy.deviation import WALK
 from sampling_design.accuracy.finite import DIFFUSE
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.riccati import CovarianceMap, in_turn, strong, updated
@@ -31,8 +32,6 @@ DISCOUNTS = np.geomspace(1e-3, 10.0, 13)
 
 SHARES = np.geomspace(1e-2, 0.9, 9)
 """Shares of a sample in an ellipsoid that are tried."""
-
-WALK = 1e-12
 
 
 class BracketedRows(Protocol):

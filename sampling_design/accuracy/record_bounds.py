@@ -13,6 +13,7 @@ from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.readings import Arrived, Readings
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.accuracy.record_readings import read_record
+from sampling_design.accuracy.witness import KEPT
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
@@ -21,8 +22,6 @@ from sampling_design.records.signatures import checked
 
 Array = npt.NDArray[np.float64]
 
-KEPT = 1e-9
-"""Relative rounding within which a factor is that of its gains when it is evaluated anew."""
 
 GROWS = {"both": "all", "w": "w", "v": "v"}
 """What may grow, and what the program calls it."""

@@ -15,9 +15,12 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.accuracy.finite import DIFFUSE
+from sampling_design.accuracy.gains import ROUNDING
 from sampling_design.accuracy.gap_table import DisturbanceQuadrature, GapTable
 from sampling_design.accuracy.readings import Readings
 from sampling_design.accuracy.record_cones import RecordCones
+from sampling_design.accuracy.sample_chain import EXACT
 from sampling_design.accuracy.undetectable import told_of_start
 from sampling_design.accuracy.unknown_start import FreeStart
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED
@@ -27,17 +30,10 @@ Array = npt.NDArray[np.float64]
 TOLERANCE = (1e-6, 3e-8, 3e-8, 1e-9)
 """Asked of the solver at each level of cells; what it leaves open widens an interval, never breaks it."""
 
-DIFFUSE = 1e6
-"""Covariance of a free start, in scaled coordinates: for the choice of coordinates only."""
 
 BEYOND = 1e150
 """A covariance that grows beyond it is as good as infinite: what it is made of would overflow."""
 
-EXACT = 1e-6
-"""Size given to an exact reading, in units of what w does to it over a gap: for scaling only."""
-
-ROUNDING = 1e-11
-"""Relative allowance for rounding in sums that bound from above."""
 
 HELD = 1e-13
 """Relative error with which nominal states and readings are held."""

@@ -23,6 +23,7 @@ SETTLED = 1e-14
 """Relative change of a doubled covariance at which it counts as the limit."""
 
 DOUBLINGS = 60
+"""2^60 periods: what has not settled by then does not."""
 
 UNSTABLE = 1e-9
 """A filter whose error grows by more than this share over a period from P = 0 has to be started elsewhere."""

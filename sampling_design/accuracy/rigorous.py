@@ -27,6 +27,7 @@ RAISED = 1e-4
 """By how much the filter's reach is raised before it is proven."""
 
 MOST_STEPS = 20_000
+"""Samples of a memory beyond which balls are not carried along it: minutes, and radii that grow with them."""
 
 
 @dataclass(frozen=True, eq=False)

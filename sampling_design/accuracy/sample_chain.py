@@ -49,6 +49,7 @@ FORGOTTEN = 0.01
 """The share of the past that may be left after the filter's memory."""
 
 PERIODS = 4000
+"""Periods after which a filter that still remembers is given up: a bound that long would be no use."""
 
 REFINED = 6
 """Times that a bound on all samples' errors is put in anew: each leaves CONTRACTED of what is too much."""

@@ -12,7 +12,6 @@ from rich.table import Table as RichTable
 import sampling_design as sd
 from sampling_design.cli.settings import Settings, rows_table, table
 from sampling_design.estimators.estimate_file import (
-    FEW_STATES,
     EstimateBlock,
     EstimateColumns,
     EstimateTable,
@@ -89,10 +88,9 @@ def _usual(settings: Settings, estimator: sd.MovingHorizonEstimator, record: sd.
     n = estimator.plant.n_states
     kind = usual_radii(len(record), n)
     if kind == "ellipsoids" and not estimator.bounds.note:
-        states = f" and {n} states" if n > FEW_STATES else ""
         settings.notice(
-            f"--radii not given: of {len(record)} rows{states} the radii are those of ellipsoids; --radii intervals "
-            "are narrower and take longer."
+            f"--radii not given: of {len(record)} rows and {n} states the radii are those of ellipsoids; --radii "
+            "intervals are narrower and take longer."
         )
     return kind
 

@@ -196,6 +196,7 @@ def _commented(path: Path, comments: dict[str, str]) -> Path:
 
 
 WIDE = 110
+"""Characters of a line of a file up to which an array stays on it."""
 
 
 def flat(text: str) -> str:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from sampling_design.checkers.strict import Tree
 from sampling_design.design.bounds.branching import narrowed
 from sampling_design.design.bounds.evidence import UpperBound, quick_bound
-from sampling_design.design.bounds.relaxation import relax_placed
+from sampling_design.design.bounds.relaxation import LEAST_SECONDS, relax_placed
 from sampling_design.design.count_problem import CountProblem, bounded, brought_back, candidates
 from sampling_design.design.counts import rival_counts
 from sampling_design.design.folding import folded, parts, unfolded
@@ -59,7 +59,6 @@ MOST_TRIED = 100
 """Largest count that a target sigma is tried with where the requirement names none."""
 
 _MOST_STARTS = 10**9  # or cuts: none that is asked for beyond would ever be reached
-_LEAST_SECONDS = 0.05  # granted to a relaxation when the budget is spent already
 _PROOF = 0.2  # of the budget: what the proof of sigma may take at least, even where all is spent
 _PLAIN_STATES = 8  # up to which a cut takes little time
 _ENOUGH = 1e-5  # relative distance from the bound at which a search has nothing left to find
@@ -378,7 +377,7 @@ class _Run:
         part, enough = folded(sized.canon.inside), sized.inner.value * (1 - _ENOUGH)
         if part is None or self.budget.over or reached >= enough:
             return []
-        seconds = self.budget.seconds_left(_LEAST_SECONDS, 1 / 3)
+        seconds = self.budget.seconds_left(LEAST_SECONDS, 1 / 3)
         placed = (relax_costly if part.is_costly else relax_placed)(part, seconds=seconds)
         try:
             found = search(part, placed, rng, self.starts, self.budget, enough=enough)
@@ -400,7 +399,7 @@ class _Run:
             time_unit=self.plant.time_unit,
             output_names=self.plant.outputs.names,
         )
-        least = _PROOF * min(self.budget.seconds, self.budget.spent) + _LEAST_SECONDS
+        least = _PROOF * min(self.budget.seconds, self.budget.spent) + LEAST_SECONDS
         seconds = self.budget.seconds_left(least / 2, 1 / 2)
         return schedule, prove(self.split, schedule, self.requirement, self.rtol, budget=seconds)
 

@@ -12,21 +12,19 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.design.problem.canonical import joined
+from sampling_design.design.problem.canonical import SAME_RATIO, joined
 from sampling_design.design.problem.feasible import obstacle
 from sampling_design.design.problem.numbers import DesignProblem
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-_SAME_RATIO = 1e-11  # relative: window/period counts as rational where it is one to rounding
-
 
 def parts(problem: DesignProblem) -> int:
     """How many times a schedule repeats in the period if a sample leaves whenever another enters; 1 if it need not."""
     ratio = problem.window / problem.period
     near = Fraction(ratio).limit_denominator(problem.samples)
-    return near.denominator if abs(float(near) - ratio) <= _SAME_RATIO * ratio else 1
+    return near.denominator if abs(float(near) - ratio) <= SAME_RATIO * ratio else 1
 
 
 def folded(problem: DesignProblem) -> DesignProblem | None:
@@ -36,7 +34,7 @@ def folded(problem: DesignProblem) -> DesignProblem | None:
         return None
     period = problem.period / count
     fixed = np.sort(np.mod(problem.fixed, period))
-    apart = np.append(np.diff(fixed) > _SAME_RATIO * problem.period, True)[: fixed.size]
+    apart = np.append(np.diff(fixed) > SAME_RATIO * problem.period, True)[: fixed.size]
     part = DesignProblem(
         plant=problem.plant,
         window=problem.window,

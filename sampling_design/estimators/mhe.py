@@ -21,6 +21,7 @@ from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.error_bounds import ErrorBounds
 from sampling_design.estimators.online.estimate import Contradiction
 from sampling_design.estimators.online.estimator import CheckedSample
+from sampling_design.estimators.online.evidence import SUSPECTS
 from sampling_design.estimators.online.guarantee import choose_horizon
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.open_loop import OpenLoop
@@ -47,9 +48,6 @@ CLOSED_FORM = ("banded", "square root")
 """Engines that say that no constraint was active."""
 
 OVERFLOWN = "What the window holds grows beyond double precision: open loop instead."
-
-SUSPECTS = 5
-"""Samples that are left out in turn, under all constraints, to find the one that contradicts the bounds."""
 
 
 class MovingHorizonEstimator(WindowedEstimator):

@@ -27,7 +27,7 @@ from sampling_design.estimators.window.window_problem import EstimationWindow, b
 
 Array = npt.NDArray[np.float64]
 
-SAME_TIME = 4.0
+SAME_TIME_ULPS = 4.0
 """A window start within so many units in the last place of the times of a sample is that sample's time."""
 
 
@@ -102,7 +102,7 @@ class WindowedEstimator(LinearPlantEstimator):
         Numbers that overflow are looked at, so that numpy need not tell of them.
         """
         nodes, s = state.nodes, t - self.horizon
-        slack = SAME_TIME * math.ulp(max(abs(t), self.horizon))
+        slack = SAME_TIME_ULPS * math.ulp(max(abs(t), self.horizon))
         given = nodes[0].sample.y is None
         if given and s <= nodes[0].t + slack:
             return WindowStart(nodes[0].t, nodes[0].x, nodes[0].beta, None, nodes[1:])
@@ -307,7 +307,7 @@ class WindowedEstimator(LinearPlantEstimator):
         for j, t in enumerate(times[1:]):
             between = {s for s in also if times[j] < s < t}
             if checked and self.check_spacing is not None:
-                count = int(np.ceil((t - times[j]) / self.check_spacing * (1 - SAME_TIME * np.finfo(float).eps)))
+                count = int(np.ceil((t - times[j]) / self.check_spacing * (1 - SAME_TIME_ULPS * np.finfo(float).eps)))
                 between |= {times[j] + k * (t - times[j]) / count for k in range(1, count)}
             for when in [*sorted(between), t]:
                 last = when == t

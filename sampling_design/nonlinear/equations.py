@@ -353,8 +353,8 @@ def _no_limits(*arguments: SX) -> list[SX]:
     return []
 
 
-_NEWTON_STEPS = 100
-_NEWTON_TOLERANCE = 1e-13
+_NEWTON_STEPS = 100  # a steady state that takes more has none near
+_NEWTON_TOLERANCE = 1e-13  # relative, in scaled states
 
 
 def _given(u: object, size: int) -> object:

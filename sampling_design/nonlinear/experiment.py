@@ -38,6 +38,7 @@ SLOW_STORE = 3e-5
 """alpha_th at which w read per day moves the state visibly; beta_th is scaled with it, so that the rest stays."""
 
 ETA = 0.35
+"""Discount rate of the cost [1/d], as the paper has it."""
 P2 = np.diag([1.0, 5.0, 1.0, 1.0, 1.0, 1.0])
 QW = 1.39e-3 * np.diag([1.0, 0.1])
 QV = np.diag([100.0, 100.0, 10.0])

@@ -26,6 +26,7 @@ CLOSER = 16
 """Times looked at between the neighbours of the worst of those, to have its peak."""
 
 TOLERANCE = 1e-9
+"""Of the integrator, relative: pairs are only sought with it, and judged anew."""
 
 
 class SampledTrajectory(NamedTuple):

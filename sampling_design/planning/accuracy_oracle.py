@@ -33,6 +33,7 @@ FAR = 0.5
 """What is below this share of a level at every quarter of a gap is not looked at elsewhere."""
 
 MOST_KNOTS = 400
+"""Samples of the past that one program looks at: its size grows with them."""
 
 FEW = 60
 """Measurements that may be taken, up to which each of them can be looked at by itself."""

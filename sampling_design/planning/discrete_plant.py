@@ -28,7 +28,7 @@ CELLS = 6
 TURN = np.pi / 4
 """Radians of the quickest oscillation in a cell, at most: a disturbance pushes on only if it turns with it."""
 
-GOLDEN = (np.sqrt(5.0) - 1) / 2
+GOLDEN = (np.sqrt(5.0) - 1) / 2  # section of a search on one variable
 
 SPREAD = (7, 24)
 """Samples of the schedule that chooses the coordinates, at least and at most."""

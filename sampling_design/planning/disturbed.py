@@ -10,6 +10,7 @@ from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.robustness import PlanRobustness
 from sampling_design.planning.sequence import proven_ratio, settles, worst_ratio
 from sampling_design.planning.sequence_deviation import SampleSequence, planned
+from sampling_design.planning.start import SAME_ANEW
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
 
@@ -21,9 +22,6 @@ LATES = 8
 
 MOST_LOST = 2
 """Samples in a row that are left out, at most."""
-
-SAME = 1e-4
-"""Figures worked out anew may be larger by this share: solvers of other machines."""
 
 
 def plan_robustness(plan: PlanFigures, work: Budget | None = None) -> PlanRobustness | None:
@@ -59,7 +57,7 @@ def bears(plan: PlanFigures, found: PlanRobustness) -> bool:
     for k in range(plan.samples):
         if found.late[k] and proven_ratio(plan, delayed(plan, k, float(found.late[k]))) > 1:
             return False
-        if found.lost_ratio[k] <= 1 and proven_ratio(plan, without(plan, k, 1)) > found.lost_ratio[k] * (1 + SAME):
+        if found.lost_ratio[k] <= 1 and proven_ratio(plan, without(plan, k, 1)) > found.lost_ratio[k] * (1 + SAME_ANEW):
             return False
     if found.lost and not np.all(found.lost_ratio <= 1):
         return False

@@ -49,6 +49,7 @@ SAME = 1e-3
 """Figures in a file may differ from those worked out anew by this share: solvers of other machines."""
 
 MOST_TREE = 10_000
+"""Nodes of a tree of proofs that a file may hold: more takes minutes to check."""
 
 _ATTACK = table(
     {

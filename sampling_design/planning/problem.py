@@ -27,6 +27,7 @@ DEFAULT_STEPS = 96
 """Steps of a period without a raster."""
 
 MOST_STEPS = 20_000
+"""Steps of a raster: programs have a column for each step and sensor."""
 
 SAME_PRICE = 1e-9
 """Two costs count as equal within this share."""

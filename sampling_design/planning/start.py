@@ -18,7 +18,7 @@ from sampling_design.records.units import spoken
 LONGER = 2
 """How often the time that a plan takes to settle is doubled, at most, until its start is forgotten."""
 
-SAME = 1e-4
+SAME_ANEW = 1e-4
 """Figures worked out anew may be larger by this share: solvers of other machines."""
 
 
@@ -113,4 +113,4 @@ def starts(plan: PlanFigures, found: PlanStart) -> bool:
     anew, tiny = plan_start(plan), GRAIN * plan.schedule.period
     if anew is None or (anew.time_unit, anew.bounded) != (found.time_unit, found.bounded):
         return False
-    return anew.from_time <= found.from_time + tiny and anew.ratio <= found.ratio * (1 + SAME)
+    return anew.from_time <= found.from_time + tiny and anew.ratio <= found.ratio * (1 + SAME_ANEW)

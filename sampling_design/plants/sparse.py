@@ -12,6 +12,7 @@ from scipy import sparse
 from scipy.sparse.linalg import ArpackError, eigsh, splu
 
 from sampling_design.errors import ArgumentError, SolverError
+from sampling_design.plants.modes import OFFSET
 from sampling_design.plants.plant import ORDER, Plant, Signals
 from sampling_design.records import checks
 from sampling_design.records.declarations import Converted, frozen
@@ -22,8 +23,8 @@ from sampling_design.records.units import check_time_unit
 Array = npt.NDArray[np.float64]
 
 EPS = float(np.finfo(float).eps)
-OFFSET = 1e-8  # width of the strip left of the line that is retained too, in units of |A|
 MOST_STATES = 200_000
+"""Factorisations beyond it take more memory than is usual."""
 MOST_RETAINED = 100  # beyond, neither schedules nor certificates are worked out in bearable time
 SHIFTS = 12  # of the line, until no eigenvalue is too near it to be counted
 FURTHER = 4.0  # by how much a shift grows from one try to the next

@@ -149,6 +149,7 @@ def plain_numbers(axis: Axis) -> None:
 START = 0.25
 """Share of a band, the first one, that does not rule the axis: a wide start would flatten all that follows."""
 STRETCH = 1.5
+"""How much longer the whole must be than what rules the axis, for the rest to be cut off."""
 
 
 def not_ruled_by_the_start(

@@ -17,6 +17,7 @@ from sampling_design.schedules.files import in_file
 from sampling_design.schedules.schedule import Schedule
 
 MICROSECONDS = 1_000_000
+"""Of a second: dates are exact to one."""
 
 
 @checked

@@ -27,6 +27,7 @@ from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.numerics.linalg import discounted_flow, forced_flow
 from sampling_design.plants.plant import Signals
 from sampling_design.records import checks
+from sampling_design.uncertain.accuracy.accuracy_over_box import RANK
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 Array = npt.NDArray[np.float64]
@@ -38,8 +39,9 @@ FEWEST, MOST = 4, 400
 HALVINGS = 12
 """How often a step is halved over which the bound of the mismatch does not hold itself up."""
 TRIALS = 40
+"""Times that the bound over a step is raised before the step is halved."""
 ROUNDING = 1 + 1e-9
-RANK = 1e-13
+"""Factor on every sum that bounds from above."""
 NO_CLAIM = "No a-priori claim: a filter of the nominal plant; its radius counts the mismatch as it comes."
 
 

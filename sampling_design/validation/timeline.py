@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.composed_flow import state_units
+from sampling_design.estimators.windowed_estimator import SAME_TIME_ULPS
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
@@ -23,8 +24,6 @@ CELLS_PER_GAP = 6
 """Cells of a mean gap: a disturbance may change its mind that often between two samples."""
 CELLS_PER_CYCLE = 16
 """Cells of one cycle of the fastest mode, so that a resonant disturbance keeps 99 per cent of its strength."""
-SAME_TIME = 4.0
-"""A window start so many units in the last place from a sample's time (or of the horizon) is that sample's time."""
 LARGEST = 20_000
 """Cells of one timeline; a disturbance gets coarser cells rather than more of them."""
 
@@ -143,7 +142,7 @@ def _snapped(starts: Array, times: Array, horizon: float) -> Array:
     known = np.concatenate([[0.0], times])
     at = np.clip(np.searchsorted(known, clipped), 1, known.size - 1)
     near = np.where(clipped - known[at - 1] < known[at] - clipped, known[at - 1], known[at])
-    return np.where(np.abs(near - clipped) <= SAME_TIME * np.spacing(np.maximum(times, horizon)), near, clipped)
+    return np.where(np.abs(near - clipped) <= SAME_TIME_ULPS * np.spacing(np.maximum(times, horizon)), near, clipped)
 
 
 def _refined(plant: Plant, events: Array, gap: float) -> Array:

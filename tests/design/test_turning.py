@@ -64,7 +64,7 @@ def test_every_window_is_the_plain_sum_and_no_window_between_samples_sees_less(w
 
 
 def test_a_batch_is_its_schedules_one_by_one(monkeypatch):
-    monkeypatch.setattr("sampling_design.design.problem.turning._NUMBERS", 400)
+    monkeypatch.setattr("sampling_design.design.problem.turning.BATCH_NUMBERS", 400)
     rng, case = np.random.default_rng(5), problem()
     times = np.array([random_schedule(rng, 6.0, 0.2, 7) for _ in range(9)])
     np.testing.assert_allclose(worst_sigma2(case, times), [worst_sigma2(case, t[None])[0] for t in times], rtol=1e-12)

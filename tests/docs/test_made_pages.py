@@ -34,6 +34,25 @@ def test_every_public_class_and_function_has_its_place(pages):
     assert [n for n in missing if getattr(sampling_design, n).__module__ != "sampling_design.errors"] == []
 
 
+def test_every_constant_that_tunes_says_what_it_trades(pages):
+    """They stand together on one page, room by room; none is without its line (a checker says it once, at its head)."""
+    package = ROOT / "sampling_design"
+    own = [path for path in package.rglob("*.py") if path.relative_to(package).parts[0] != "checkers"]
+    told = {
+        (str(path.relative_to(package)), name): why for path in own for name, _, why in pages.tuning_constants(path)
+    }
+    assert len(told) > 800
+    assert [place for place, why in told.items() if not why] == []
+    assert "DIFFUSE = 1000000.0: Covariance of what is free at the start" in pages.constants_page(package)
+
+
+def test_a_constant_without_a_line_is_found(pages, tmp_path):
+    text = 'A, B = 3, 4.0\nC = 2**40\n"""Why."""\nD = 1e-3  # share\nE = 5\n\n\ndef f():\n    """No."""\n'
+    (tmp_path / "x.py").write_text(text)
+    found = [(name, value, why) for name, value, why in pages.tuning_constants(tmp_path / "x.py")]
+    assert found == [("A, B", "3, 4.0", "Why."), ("C", "2 ** 40", "Why."), ("D", "0.001", "share"), ("E", "5", "")]
+
+
 def test_every_command_is_explained(pages):
     from sampling_design.cli.app import COMMANDS, loaded
 

@@ -21,6 +21,7 @@ from sampling_design.schedules.family import AnySchedule
 Array = npt.NDArray[np.float64]
 
 NOISE_GAINS = (1.5, 2.0, 3.0, 5.0, 10.0, 30.0, 100.0, 1000.0)
+"""Default of the curve: dense where horizons change, to a thousand, where they have stopped to."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -47,8 +47,9 @@ LONGEST_RUN = 20_000
 START_CELLS = 5
 MIN_STARTS = 16
 """Inner starts: START_CELLS - 1 per gap, and at least about this many per period."""
-TIME_FRACTIONS = (0.25, 0.5, 0.75, 1.0)
+TIME_FRACTIONS = (0.25, 0.5, 0.75, 1.0)  # of a gap, at which times are looked at: at its end lie most peaks
 REFINEMENTS = 4
+"""Times that a peak is looked at closer: each takes a quarter of the grid before, and the proof finds what is left."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.design.bounds.relaxation import TOLERANCE, Relaxation, feasible_multipliers, grams_at
+from sampling_design.design.bounds.relaxation import JUST_BESIDE, TOLERANCE, Relaxation, feasible_multipliers, grams_at
 from sampling_design.design.bounds.weak_duality import (
     TimeCells,
     best_layers,
@@ -33,7 +33,6 @@ Array = npt.NDArray[np.float64]
 
 _VARIABLES = 240  # grid points over all followers, about: each follower gets its share
 _STARTS = 24  # window starts after the origin
-_JUST_BEFORE = 1e-9  # of the period: a window that starts this much earlier still holds the origin
 
 
 def relax_averaged(problem: DesignProblem, zones: Array) -> tuple[Relaxation, Array]:
@@ -46,7 +45,7 @@ def relax_averaged(problem: DesignProblem, zones: Array) -> tuple[Relaxation, Ar
     count = int(np.clip(_VARIABLES // max(half, 1), 8, 40))
     times = np.concatenate([np.linspace(a, b, count) for a, b in zone])
     owner = np.repeat(np.arange(1, half + 1), count)
-    starts = np.append(P * (1 - _JUST_BEFORE), np.arange(_STARTS) * (P / _STARTS))
+    starts = np.append(P * (1 - JUST_BESIDE), np.arange(_STARTS) * (P / _STARTS))
     every = np.ones((times.size, problem.plant.n_outputs), dtype=bool)
     pair = grams_at(problem, times, starts, every) + grams_at(problem, P - times, starts, every)
     pair[:, 2 * owner == k] /= 2

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sampling_design.design.bounds.averaged import averaged_bound, relax_averaged
 from sampling_design.design.bounds.local_bound import LocalRelaxation, local_bound, relax_local
-from sampling_design.design.bounds.relaxation import Relaxation, grams_at, relax_placed
+from sampling_design.design.bounds.relaxation import JUST_BESIDE, LEAST_SECONDS, Relaxation, grams_at, relax_placed
 from sampling_design.design.bounds.weak_duality import alone_bound, clear_of_ends, placed_bound
 from sampling_design.design.bounds.zone_bound import ZoneRelaxation, matters, relax_zones, zone_bound
 from sampling_design.design.bounds.zones import (
@@ -44,9 +44,7 @@ Array = npt.NDArray[np.float64]
 Method = Literal["placed", "alone", "averaged", "zones", "local"]
 METHODS: tuple[Method, ...] = ("placed", "alone", "averaged", "zones", "local")
 
-_LEAST_SECONDS = 0.05  # granted to one relaxation when the time is up already
 _NEGLIGIBLE = 1e-7  # multipliers below this share of the total are left out: the bound holds with any of them
-_JUST_BESIDE = 1e-9  # of the period: a window that starts this much later no longer holds the sample
 _LOOKED_AT, _CLOSER = 128, 16  # windows of one sample, and how often the least seen of them is looked at closer
 _FAR = 4.0  # exponent by which modes grow more than others over a window: from there on these are looked at alone
 _SPREAD = 4  # parts into which a multiplier is spread over the time to the next window start
@@ -384,7 +382,7 @@ def slow_part(problem: DesignProblem, budget: Budget = ENDLESS) -> BoundPart | N
         return None
     A, C = slow.T @ problem.plant.A @ slow, problem.plant.C @ slow
     smaller = replace(problem, plant=Plant(A, C), costs=None, cost_limit=np.inf)
-    seconds = budget.seconds_left(_LEAST_SECONDS, 1 / 3)
+    seconds = budget.seconds_left(LEAST_SECONDS, 1 / 3)
     found = relax_placed(smaller, seconds=seconds)
     part = placed_part(smaller, found, budget)
     bare = replace(part, weights=slow @ part.weights @ slow.T)
@@ -427,7 +425,7 @@ def local_part(
 ) -> tuple[BoundPart, LocalRelaxation] | None:
     """Bound for the schedules of a small box, near a sigma that is aimed at; None where nothing came out."""
     tight = tightened(problem, zones, side)
-    left = budget.seconds_left(_LEAST_SECONDS)
+    left = budget.seconds_left(LEAST_SECONDS)
     found = None if tight is None else relax_local(problem, tight, aim, left)
     if found is None:
         return None
@@ -467,7 +465,7 @@ def _placed_by_itself(problem: DesignProblem) -> list[tuple[BoundPart, ...]]:
 def _least_seen(problem: DesignProblem, method: Method, times: Array, mask: npt.NDArray[np.bool_]) -> BoundPart:
     """The part of one window: that in which samples at `times` see some state least."""
     P = problem.period
-    beside = (times[:, None] + np.array([-_JUST_BESIDE, 0.0, _JUST_BESIDE]) * P).ravel()
+    beside = (times[:, None] + np.array([-JUST_BESIDE, 0.0, JUST_BESIDE]) * P).ravel()
     even = np.arange(_LOOKED_AT) * (P / _LOOKED_AT)
     starts = np.unique(np.mod(np.concatenate([beside, beside - problem.window, even]), P))
 

@@ -20,11 +20,11 @@ Array = npt.NDArray[np.float64]
 TOLERANCE = 1e-7
 """Asked of the solver: the bound made from its multipliers is as good as they are, and true whatever they are."""
 
-_JUST_BEFORE = 1e-9  # of the period: a window that ends this much earlier does not hold the sample
+JUST_BESIDE = 1e-9  # of the period: a window that ends this much earlier does not hold the sample
 _ENTRIES = 1600  # rows of all windows' inequalities together, about
 _PER_TURN = 96  # grid times at least, where what is allowed repeats: one repetition alone has weights then
 _SEEN = 1e-5  # a window whose sigma^2 falls short of the value by less than this share is seen well enough
-_LEAST_SECONDS = 0.05  # granted to one of several relaxations when the time is up already
+LEAST_SECONDS = 0.05  # granted to one of several relaxations when the time is up already
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +118,7 @@ def _relax_repeating(problem: DesignProblem, shift: float, points: int | None, s
     posed[0] = True
     while True:
         parts = times, starts[posed], grams[posed], none[posed], linear, problem.samples / repeats
-        left = budget.seconds_left(_LEAST_SECONDS)
+        left = budget.seconds_left(LEAST_SECONDS)
         found = solve_relaxation(problem, *parts, left)
         seen, _ = problem.rows.least(np.einsum("mjab,j->mab", grams, found.weights))
         worst = int(np.argmin(np.where(posed, np.inf, seen)))
@@ -167,7 +167,7 @@ def _even_starts(problem: DesignProblem, count: int, length: float) -> Array:
 
 def _telling_starts(problem: DesignProblem) -> Array:
     """Windows that see least whatever is chosen: after a fixed sample or a last allowed time, or before a first one."""
-    P, before = problem.period, _JUST_BEFORE * problem.period
+    P, before = problem.period, JUST_BESIDE * problem.period
     closed = problem.intervals if not problem.is_shift_invariant else np.zeros((0, 2))
     late = np.concatenate([problem.fixed, closed[:, 1]])
     early = np.concatenate([problem.fixed, closed[:, 0]]) - problem.window - before

@@ -11,7 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.design.bounds.relaxation import Relaxation, grams_at, least_points, solve_relaxation
+from sampling_design.design.bounds.relaxation import (
+    JUST_BESIDE,
+    LEAST_SECONDS,
+    Relaxation,
+    grams_at,
+    least_points,
+    solve_relaxation,
+)
 from sampling_design.design.bounds.weak_duality import (
     NARROWER,
     TimeCells,
@@ -36,14 +43,12 @@ _BETWEEN = 36  # window starts beside the zones' ends
 _REGULAR = 1e-12  # of its trace, added to a Gram matrix before it is divided by
 _TOLERANCE = 1e-5  # asked of the solver: hundreds of boxes, each with a bound that is true whatever it answers
 _FINEST = 20000  # cells per period at most
-_JUST_BESIDE = 1e-9  # of the period: a window that starts this much earlier still holds the sample
 _FIRST, _ADDED = 10, 8  # windows of the first round where no hints are given, and of each further round
 _ROUNDS, _FIRST_ROUNDS = 2, 6  # with and without hints: what mattered for a wider box mostly matters again
 _MISSED = 0.02  # short by that share of the value, a window was missed by the hints: more rounds, as without
 _SEEN = 1e-3  # a window whose sigma^2 falls short of the value by less than this share is seen well enough
 NARROW = 1e-4  # of a mean gap: zones no longer than that are cut no further
 _MARGIN = 0.15  # of a zone: a cut leaves at least that much on either side
-_LEAST_SECONDS = 0.05  # granted to one relaxation when the time is up already
 _MATTERS = 1e-3  # share of all multipliers below which a window has no say
 
 
@@ -74,7 +79,7 @@ def relax_zones(problem: DesignProblem, zones: Array, hints: Array, budget: Budg
     for done in range(1, _FIRST_ROUNDS + 1):
         used = (owner < 0) | posed[owner]
         parts = grams[posed][:, used], none[posed], (rows[:, used], limits), float(problem.samples)
-        left = budget.seconds_left(_LEAST_SECONDS)
+        left = budget.seconds_left(LEAST_SECONDS)
         found = solve_relaxation(problem, times[used], starts[posed], *parts, left, tolerance=_TOLERANCE)
         if budget.over:
             break
@@ -91,7 +96,7 @@ def relax_zones(problem: DesignProblem, zones: Array, hints: Array, budget: Budg
 def _window_starts(problem: DesignProblem, zones: Array, hints: Array) -> Array:
     """Hints first; then just before and just after every zone, and some between, in [0, period)."""
     P = problem.period
-    early, late = zones[:, 0] - _JUST_BESIDE * P, zones[:, 1] + _JUST_BESIDE * P
+    early, late = zones[:, 0] - JUST_BESIDE * P, zones[:, 1] + JUST_BESIDE * P
     between = (np.arange(_BETWEEN) + 0.5) * (P / _BETWEEN)
     rest = np.unique(np.mod(np.concatenate([early, late, early - problem.window, between]), P))
     return np.concatenate([hints, rest[~np.isin(rest, hints)]])
@@ -131,7 +136,7 @@ def _points(problem: DesignProblem, zones: Array, starts: Array) -> tuple[_Point
     grid = [np.linspace(a, b, count) for (a, b), count in zip(joined, counts, strict=True)]
     step = max((b - a) / (count - 1) for (a, b), count in zip(joined, counts, strict=True))
     fixed = np.unique(np.concatenate([*grid, zones.ravel(), _ends(problem, zones)]))
-    after = np.concatenate([starts, starts + problem.period]) + 2 * _JUST_BESIDE * problem.period
+    after = np.concatenate([starts, starts + problem.period]) + 2 * JUST_BESIDE * problem.period
     held = np.any((after[:, None] > zones[:, 0]) & (after[:, None] < zones[:, 1]), axis=1)
     times = np.concatenate([fixed, after[held]])
     owner = np.concatenate([np.full(fixed.size, -1), np.flatnonzero(held) % starts.size])
@@ -151,7 +156,7 @@ def _ends(problem: DesignProblem, zones: Array) -> Array:
     if problem.is_shift_invariant:
         return np.zeros(0)
     open_ = np.concatenate([problem.intervals_of(outputs) for outputs in problem.kinds[0]])
-    inside = np.stack([open_[:, 0], open_[:, 1] - _JUST_BESIDE * problem.period])
+    inside = np.stack([open_[:, 0], open_[:, 1] - JUST_BESIDE * problem.period])
     ends = np.concatenate([inside.ravel() + cycle * problem.period for cycle in (0, 1)])
     return ends[np.any((ends[:, None] > zones[:, 0]) & (ends[:, None] < zones[:, 1]), axis=1)]
 

@@ -25,7 +25,7 @@ Mask = npt.NDArray[np.bool_]
 BITS = 40
 """Binary digits that are kept: far above rounding, far below the tolerance of every search."""
 
-_SAME_RATIO = 1e-11  # relative: window/period counts as a ratio of whole numbers where it is one to rounding
+SAME_RATIO = 1e-11  # relative: window/period counts as a ratio of whole numbers where it is one to rounding
 _MOST_PARTS = 64  # of a window or a period: larger ratios are met by chance
 _BESIDE = 1e-11  # of the period: a time so near to an end of an interval, or to a fixed one, is meant to lie on it
 
@@ -133,7 +133,7 @@ def ratio_of(problem: DesignProblem) -> tuple[int, int] | None:
     if not 1 / _MOST_PARTS <= ratio <= _MOST_PARTS:
         return None
     near = Fraction(ratio).limit_denominator(_MOST_PARTS)
-    same = abs(float(near) - ratio) <= _SAME_RATIO * ratio and near.numerator <= _MOST_PARTS
+    same = abs(float(near) - ratio) <= SAME_RATIO * ratio and near.numerator <= _MOST_PARTS
     return (near.numerator, near.denominator) if same else None
 
 

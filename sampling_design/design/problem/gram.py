@@ -19,7 +19,9 @@ from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
 
-_NODES = 2049
+_NODES = (
+    2049  # positions in the window at which rows are held: the trapezoidal weights are exact to rounding between them
+)
 _LOOKED_AT = 257  # nodes at which rounding is judged, and steps in whose middle what lies between nodes is
 _CLOSE = 1e-5  # of the rows: what lies between nodes may be off by so much and still lead a search
 ROUNDING = 1e-9

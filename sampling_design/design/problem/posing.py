@@ -22,6 +22,7 @@ from sampling_design.records.units import time_factor
 Array = npt.NDArray[np.float64]
 
 MOST_DEFAULT_SAMPLES = 24
+"""Samples of a period that are taken unasked, at most: more take minutes."""
 
 
 class ResolvedRequirement(NamedTuple):

@@ -13,11 +13,10 @@ import numpy.typing as npt
 
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.sliding import SlidingSums
+from sampling_design.design.problem.turning import BATCH_NUMBERS
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-
-_NUMBERS = 400_000  # numbers per batch: fits into a cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +83,7 @@ def worst_sigma2(problem: DesignProblem, times: Array, inner: int = 1, used: Mas
 def _worst_of_positions(problem: DesignProblem, times: Array, inner: int, used: Mask | None) -> Array:
     """The same for any plant, a few positions in every gap."""
     result = np.empty(times.shape[0])
-    chunk = max(1, _NUMBERS // (times.shape[1] * (12 + 4 * inner) * problem.plant.n_states**2))
+    chunk = max(1, BATCH_NUMBERS // (times.shape[1] * (12 + 4 * inner) * problem.plant.n_states**2))
     for low in range(0, times.shape[0], chunk):
         part = times[low : low + chunk]
         mask = None if used is None else used[low : low + chunk]

@@ -15,9 +15,9 @@ from sampling_design.plants.plant import Plant
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-_WHOLE = 1e-11  # relative: windows that are a whole number of periods to rounding
+WHOLE = 1e-11  # relative: windows that are a whole number of periods to rounding
 _STRETCH = 1e-11  # exponent by which states may grow over a window, and still count as turned
-_NUMBERS = 400_000  # numbers per batch: fits into a cache
+BATCH_NUMBERS = 400_000  # numbers per batch: fits into a cache
 UNSURE = 1e-5
 """Of the largest eigenvalue of a window's Gram matrix: a least one below it has lost digits to the sums here."""
 
@@ -36,7 +36,7 @@ class TurningWindows:
         """None where the flow stretches, or the window holds no whole number of periods."""
         ratio = window / period
         stretch = float(np.linalg.norm(plant.A + plant.A.T, 2)) * window / 2
-        whole = ratio > 1 - _WHOLE and abs(ratio - round(ratio)) <= _WHOLE * ratio
+        whole = ratio > 1 - WHOLE and abs(ratio - round(ratio)) <= WHOLE * ratio
         return cls(plant, window, period) if whole and stretch <= _STRETCH else None
 
     def rows(self, times: Array, mask: Mask) -> tuple[Array, Array]:
@@ -55,7 +55,7 @@ class TurningWindows:
     def worst(self, times: Array, mask: Mask) -> tuple[Array, Mask]:
         """Least sigma^2 of each schedule, and whether it has digits enough to say so."""
         ends = np.empty((2, times.shape[0]))
-        chunk = max(1, _NUMBERS // (times.shape[1] * self.outputs.shape[1] ** 2))
+        chunk = max(1, BATCH_NUMBERS // (times.shape[1] * self.outputs.shape[1] ** 2))
         for low in range(0, times.shape[0], chunk):
             part = slice(low, low + chunk)
             values = np.linalg.eigvalsh(self.grams(times[part], mask[part]))

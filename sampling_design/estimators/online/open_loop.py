@@ -13,7 +13,7 @@ from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.error_bounds import ErrorBounds
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode, InputDrift
 from sampling_design.estimators.online.rounding import faded
-from sampling_design.estimators.online.verdict import LARGEST, ROUNDING
+from sampling_design.estimators.online.verdict import LARGEST_RESIDUAL, ROUNDING
 from sampling_design.numerics.linalg import symmetrise
 
 Array = npt.NDArray[np.float64]
@@ -71,7 +71,9 @@ class OpenLoop:
         first, second = self._trace(own), self._trace(pushed)
         if not (first > 0 and second > 0):
             return own + pushed
-        p = min(max(math.sqrt(second) / math.sqrt(first), 1 / LARGEST), LARGEST)  # any p > 0 proves it
+        p = min(
+            max(math.sqrt(second) / math.sqrt(first), 1 / LARGEST_RESIDUAL), LARGEST_RESIDUAL
+        )  # any p > 0 proves it
         return (own * (1 + p) + pushed * (1 + 1 / p)) * (1 + ROUNDING)
 
     def moved(self, node: HistoryNode, flow: GapFlow, drift: Array) -> Array:

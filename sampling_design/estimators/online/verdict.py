@@ -22,7 +22,7 @@ CONTRADICTION = 1e-9
 ROUNDING = 1e-12
 """Share of its terms that is added to every bound, so that rounding cannot break it."""
 
-LARGEST = 1e150
+LARGEST_RESIDUAL = 1e150
 """Residuals beyond this, in units of their weights, have squares that overflow in sums."""
 
 
@@ -56,7 +56,7 @@ def rounding_energy(weights: CostWeights, y: Array, x: Array) -> float:
 
 def too_large(weighted: Array) -> bool:
     """Whether residuals, in units of their weights, are so large that their squares overflow."""
-    return not bool((np.abs(weighted) < LARGEST).all())
+    return not bool((np.abs(weighted) < LARGEST_RESIDUAL).all())
 
 
 def overflowed(

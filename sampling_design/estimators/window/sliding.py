@@ -23,6 +23,7 @@ from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import GapFlow, lower_band
 from sampling_design.estimators.online.history import HistoryNode
 from sampling_design.estimators.online.rounding import CovariancePrecision
+from sampling_design.estimators.online.verdict import LARGEST_RESIDUAL
 from sampling_design.estimators.window.smoother import PIVOT_LIMIT
 from sampling_design.estimators.window.solution import DUAL_MARGIN
 from sampling_design.estimators.window.square_root import absorb, covariance_root
@@ -41,8 +42,6 @@ ROOM = 64
 CANCELLED = 1e-4
 """Share of the reference's cost below which the least cost is not found as a difference from it."""
 
-LARGEST = 1e150
-"""Residuals beyond this, in units of their weights, are not weighed here: their squares overflow in sums."""
 
 SETTLED = 1.0
 """Share of what the optimum gains on its reference below which the least cost is found with fewer digits, so that nodes
@@ -217,7 +216,7 @@ class SlidingBand:
         kind.back.dot(half * d, self._pull[k])
         self._places[k + 1] = reference
         self._sums[k, 0] = square * d
-        return square < LARGEST**2
+        return square < LARGEST_RESIDUAL**2
 
     def _joined(self, k: int, d: float, ahead: Array | None = None) -> bool:
         """Put down what the gap before the newest node costs between references; False where that overflows.

@@ -16,6 +16,7 @@ from scipy.linalg import block_diag
 
 from sampling_design.numerics.balancing import balanced_rows
 from sampling_design.numerics.linalg import expm_batch, positive_or_one
+from sampling_design.numerics.modal_flow import CONDITION_LIMIT
 from sampling_design.observability.count.pbh import RANK_TOLERANCE
 from sampling_design.plants.clusters import EigenvalueCluster, clusters_of
 from sampling_design.plants.grouping import CLUSTER_CAP, SPREAD, SchurForm, balanced_schur, invariant_subspace
@@ -26,7 +27,6 @@ Array = npt.NDArray[np.float64]
 Entries = npt.NDArray[Any]  # real or complex
 
 EPS = float(np.finfo(float).eps)
-CONDITION_LIMIT = 1e3  # of all blocks' bases side by side: blocks with nearly the same directions are one
 ROUNDS = 4  # in which outputs and columns are scaled in turn
 ON_THE_LINE = 1e-9  # a mode this near Re = -eta/2, relative to its size, counts as on the line
 

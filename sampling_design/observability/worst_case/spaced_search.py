@@ -13,9 +13,9 @@ from sampling_design.records.budget import ENDLESS, Budget
 
 Array = npt.NDArray[np.float64]
 
-_STARTS = 32
-_TURNS = 30
-_NEWTON_STEPS = 40
+_STARTS = 32  # random directions that are descended from, beside those of the basis
+_TURNS = 30  # turns of schedule and direction: most end after five
+_NEWTON_STEPS = 40  # steps of the refinement, which ends by itself where nothing is gained
 _DAMPING = np.append(10.0 ** np.arange(-14.0, 0.5), [4.0, 16.0])  # of the largest curvature: all tried at once
 _TIE = 1e-9  # slacks closer than this part of S move together
 _LOOKS, _MOST_DIPS = 512, 64  # cells in which dips of one direction are looked for, and how many are followed

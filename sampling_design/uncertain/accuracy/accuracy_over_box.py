@@ -47,6 +47,7 @@ GUESSES = (1.02, 1.1, 1.4, 2.5)
 MOST_CORNERS = 2
 """Parameters up to which the corners of the box are looked at first."""
 RANK = 1e-13
+"""Singular values below this share of the largest are rounding of a parameter's matrix."""
 SMALLEST = 1e-6
 """Cells below this share of the box, along every parameter, are not halved further."""
 

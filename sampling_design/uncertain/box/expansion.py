@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import linalg
 
+from sampling_design.observability.windows.bracket import ALLOWANCE
 from sampling_design.uncertain.box.model import BoxModel
 from sampling_design.uncertain.box.norms import FLOATS, CellNorms
 
@@ -21,8 +22,6 @@ Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 Mask = npt.NDArray[np.bool_]
 
-ALLOWANCE = 1e-12
-"""Relative error granted to e^{A r}, of its norm, for r |A| up to 200 and in proportion beyond, as in `windows/`."""
 WORST_BASIS = 1e5
 """A basis of a larger condition is none to bound anything in: its inverse is rounded by this times n eps."""
 DEGREE, FOLD = 19, 4

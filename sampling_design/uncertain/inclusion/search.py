@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.certificates.exact.proof import as_proven
+from sampling_design.certificates.families.certify_family import LONGEST_PROOF
 from sampling_design.certificates.form.digest import INCLUSION_CLAIM
 from sampling_design.certificates.form.verdict import Verification
 from sampling_design.certificates.rigorous.decide import judged_while_sought
@@ -36,8 +37,6 @@ JOINING = 4
 """Members that join at once."""
 DIGITS = (7, 9, 11, 15)
 """Decimals to which P is rounded, relative to its diagonal: the fewest that leave it proven."""
-LONGEST_PROOF = 60.0
-"""Seconds in ball arithmetic for what no short decimals prove in doubles; the work is counted, and ends before that."""
 ROOM = 1e-6
 """By which P1 and P2 stand off from P, relatively."""
 

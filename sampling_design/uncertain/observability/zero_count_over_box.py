@@ -25,8 +25,9 @@ Array = npt.NDArray[np.float64]
 
 SLOWEST = 1e-3
 """Frequencies below this share of |A| are not told from none: the count is taken with this much more."""
-CLOSE = 1e-3
+CLOSE = 1e-3  # relative width of a bracket of frequencies
 SECONDS = 60.0
+"""Of each bracket, which the count needs only to the next whole number."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

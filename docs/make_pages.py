@@ -361,8 +361,8 @@ def imports_between(package: Path) -> dict[tuple[str, str], int]:
 
 def constants_page(package: Path) -> str:
     """Every constant that tunes a computation, by room and file, with the line that says what it trades."""
-    head = """Each stands at the head of the file that uses it, one that several files use in the lowest of them. They are
-collected here, room by room, with what each trades."""
+    head = """Each stands at the head of the file that uses it, one that several files use in the lowest of them. They
+are collected here, room by room, with what each trades."""
     lines = ["# Constants that tune", "", head, ""]
     for room in sorted(path for path in package.iterdir() if path.is_dir()):
         found = [(path, told) for path in sorted(room.rglob("*.py")) if (told := list(tuning_constants(path)))]

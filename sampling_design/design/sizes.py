@@ -15,7 +15,7 @@ MOST_MEMORY = 4.0e9
 
 _LARGEST, _SMALLEST = 1e120, 1e-120  # entries between them have squares and products of squares that are numbers
 _LIKELY_PERIODS = 1e6  # periods that a window may hold: their times still differ by more than rounding
-_BYTES = 8.0
+_BYTES = 8.0  # of a double
 
 
 def check_size(problem: DesignProblem) -> None:

@@ -37,7 +37,7 @@ class ModelConstant:
 
 
 _RATIO = 0.32425  # l/s: outflow of T4 over T4 in the thyroid, from the balances at rest
-_K_MCT8 = 4.7e-6
+_K_MCT8 = 4.7e-6  # [mol/l], of the transporter into the thyroid
 
 PARAMETERS: Mapping[str, ModelConstant] = {
     "TBG": ModelConstant(3e-7, "mol/l", "found"),

@@ -12,7 +12,7 @@ from sampling_design.plotting import style
 
 _STATES = ("T4_th", "T4", "T3_p", "T3_c", "TSH", "TSH_c")
 _UNITS = ("pmol/l", "100 nmol/l", "nmol/l", "10 nmol/l", "mU/l", "mU/l")  # of z = T x
-_MEASURED = (1, 2, 4)
+_MEASURED = (1, 2, 4)  # states whose panels show measurements
 _UNMEASURED = (0, 3, 5)  # states whose panels show no measurements
 _ROWS = {1: _MEASURED, 2: _MEASURED, 3: _UNMEASURED}
 

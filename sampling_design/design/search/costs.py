@@ -33,7 +33,7 @@ Mask = npt.NDArray[np.bool_]
 
 _FAINT = 0.1  # of a row: what is left out still counts so much where every choice is blind
 _PAIRS = 400  # exchanges that are looked at in one round
-_ROUNDS = 6
+_ROUNDS = 6  # exchanges after which the sum of costs has settled
 _DRAWN = 8  # random schedules with which every choice is looked at, where choices are few
 _EACH, _TRIED = 2, 8  # refined of what the same numbers of outputs measure, and in all
 

@@ -21,7 +21,7 @@ _TIE = 1e-9  # slacks closer than this part of S move together
 _LOOKS, _MOST_DIPS = 512, 64  # cells in which dips of one direction are looked for, and how many are followed
 _HALVINGS = 52  # of such a cell
 _NUMBERS = 2_000_000  # numbers per batch of starts
-LEAST_CELLS, _MOST_CELLS = 48, 2048
+LEAST_CELLS, _MOST_CELLS = 48, 2048  # cells of the slack, where states turn slowly and where fast
 
 
 class AttainedSchedule(NamedTuple):

@@ -11,6 +11,7 @@ from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.envelope import EstimateEnvelope
 from sampling_design.plotting import style
+from tests.cases import few
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], time_unit="s", states=["place", "speed"])
 BOUNDS = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
@@ -38,7 +39,7 @@ def followed(folder, radii, tube=False, **flags):
     return [path.name for path in settings.files]
 
 
-@pytest.mark.parametrize("radii", ["intervals", "centred", "ellipsoids"])
+@pytest.mark.parametrize("radii", few(["intervals", "centred", "ellipsoids"], 1, 2))
 def test_a_picture_of_estimates_solves_nothing_that_was_not_solved_without(tmp_path, solved, radii):
     without = followed(tmp_path / "without", radii, no_picture=True)
     first = len(solved)

@@ -36,8 +36,16 @@ BLOOD = Problem(
 """A level and a daily rhythm, measured between 7 and 22 o'clock: the first hour."""
 
 
+MADE = {}
+"""Designs of this process, by plant and requirement: several laws ask for the same."""
+
+
 def designed(problem, **changes):
-    return design_schedule(Plant(problem.A, problem.C), Requirement(**(problem.requirement | changes)), rtol=1e-7)
+    asked = Requirement(**(problem.requirement | changes))
+    key = repr((problem.A.tolist(), problem.C.tolist(), asked.to_dict()))
+    if key not in MADE:
+        MADE[key] = design_schedule(Plant(problem.A, problem.C), asked, rtol=1e-7)
+    return MADE[key]
 
 
 def shifted(problem, shift):

@@ -1,5 +1,7 @@
 """What any bounded w does over a gap lies in the set that bounds on w are turned into; and the set is not loose."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from sampling_design.estimators.constraints.disturbance import DisturbanceReach
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
 from sampling_design.estimators.gap_flows.flows import FlowTable
+from tests.cases import few
 from tests.oracles.estimators import input_integral, transition
 
 PLANTS = {
@@ -35,9 +38,7 @@ def displacements(A, G, h, eta, draw, rng, count):
         yield np.einsum("kij,kj->i", kernel, draw(push, rng))
 
 
-@pytest.mark.parametrize("name", PLANTS)
-@pytest.mark.parametrize("eta", [0.0, 0.7])
-@pytest.mark.parametrize("h", [0.05, 0.8, 2.5])
+@pytest.mark.parametrize(("name", "eta", "h"), few(product(PLANTS, [0.0, 0.7], [0.05, 0.8, 2.5]), *range(0, 30, 5)))
 def test_box_and_ball(name, eta, h):
     A, G = (np.array(M, float) for M in PLANTS[name])
     q = G.shape[1]

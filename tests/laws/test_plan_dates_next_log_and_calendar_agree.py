@@ -57,7 +57,7 @@ def is_open(local, holidays=HOLIDAYS):
     return local.date().isoformat() not in holidays and (hour >= late or hour < early)
 
 
-@pytest.fixture(scope="module", params=few(ZONES, 1, 2))
+@pytest.fixture(scope="module", params=few(ZONES, 2))
 def year(request):
     plan = watched(request.param, GAP, (MONDAY, WEDNESDAY, FRIDAY, SUNDAY))
     return plan, plan_dates(plan, 52)

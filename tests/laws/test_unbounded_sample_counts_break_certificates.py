@@ -18,7 +18,7 @@ def clusters(length):
 
 
 def test_sigma_stays_while_lambda_grows():
-    lengths = (0.8, 0.4, 0.2)
+    lengths = (0.8, 0.5, 0.3)
     sigmas = [sigma_min(OSCILLATOR, clusters(d).times) for d in lengths]
     floors = []
     for d in lengths:

@@ -92,7 +92,7 @@ def test_robustness_of_a_certificate(seed):
     assert two.tolerated == one.tolerated
 
 
-@pytest.mark.parametrize(("seed", "variant"), [(s, v) for s in SEEDS[1:] for v in ("paper", "tightened")])
+@pytest.mark.parametrize(("seed", "variant"), [(s, ("paper", "tightened")[s % 2]) for s in SEEDS[1:]])
 def test_constants_of_the_proof(seed, variant):
     plant, units, other = changed(seed)
     c, schedule = units.time, PeriodicSchedule([0.5, 0.8])

@@ -69,7 +69,8 @@ class WindowedEstimator(LinearPlantEstimator):
 
     def _keep_windows(self) -> None:
         """Begin to remember windows; to be called once weights and bounds are set."""
-        self._histories, self._slides = BandCache(self.weights, self.bounds.of_samples), not self.constraints.active
+        self._histories = BandCache(self.weights, self.bounds.of_samples)
+        self._slides = self.check_spacing is None or self.constraints.x is None
         self._fixed_prior: Array = self.weights.prior_root @ self.weights.prior_root.T
         self._worst: tuple[Array | None, float] = (None, 0.0)  # a covariance in units of the prior: its largest value
 
@@ -145,7 +146,7 @@ class WindowedEstimator(LinearPlantEstimator):
         measured: tuple[Array, Array, Array],
         last_gap: tuple[GapFlow, Array],
     ) -> WindowEstimate | None:
-        """Return what the window without constraints says, from what is remembered of it; None where that is no use.
+        """Return what the window says, from what is remembered of it; None where that is no use or a constraint acts.
 
         Numbers that overflow are looked at, so that numpy need not tell of them.
         """
@@ -174,8 +175,11 @@ class WindowedEstimator(LinearPlantEstimator):
         if not sliding.append(new, reference, predicted=first < len(nodes)):
             return None
         self._histories.begun(sliding)
-        optimum = sliding.solve(at, InitialNode(s, start.x, prior, sample), gap)
-        if optimum is None:
+        begun, limited = InitialNode(s, start.x, prior, sample), self.constraints.active
+        optimum = sliding.solve(at, begun, gap, limited)
+        if optimum is None or (
+            optimum.path is not None and not self.constraints.hold(optimum.path, lambda: sliding.samples(at, begun))
+        ):
             return None
         terms = faded(start.energy, math.exp(self.weights.eta * (s - t))) + self.bounds.over(t - s)
         terms += rounding(optimum.read, optimum.held) + optimum.energy

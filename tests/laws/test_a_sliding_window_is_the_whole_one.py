@@ -2,7 +2,7 @@
 
 Units of 1e-12 to 1e12, clocks at 1.7e9, plants that grow by e^400 over the record, directions that nothing shows,
 discounts of e^1000, missing outputs, late samples, inputs, histories side by side: the same estimate and radius to nine
-digits, wherever the sliding window answers at all.
+digits, wherever the sliding window answers at all. Under constraints it answers where none acts, and nowhere else.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.estimators.constraints.constraints import Constraints
+from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.estimators.online.estimator import CheckedSample
@@ -88,6 +90,64 @@ CASES = {
     "nothing shows it": (sd.Plant(np.diag([-0.2, -0.3, 0.05]), [[1.0, 1.0, 0.0]]), {}, {}),
     "lost outputs": (sd.Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0], [1.0, 1.0]]), {"lost": 0.6}, {}),
 }
+
+
+def sets(plant, size):
+    """Boxes, a ball and half-spaces of a size, each on one signal; the last on all, with a bounded disturbance."""
+    n, p, q = plant.n_states, plant.n_outputs, plant.n_disturbances
+    slab = ConvexSet.halfspaces(np.vstack([np.ones(p), -np.ones(p)]), [size, size])
+    lost = slab & ConvexSet.box(np.full(p, -size), np.full(p, size))
+    return {
+        "x": Constraints(x=(-size, size)),
+        "x in a ball": Constraints(x=ConvexSet.ball(size, dimension=n)),
+        "y": Constraints(y=lost),
+        "v": Constraints(v=lost),
+        "w": Constraints(w=(-size, size)),
+        "w in a ball": Constraints(w=ConvexSet.ball(size, dimension=q)),
+        "all": Constraints(x=(-2 * size, 2 * size), y=slab, v=(-size, size), w=(-size, size)),
+    }
+
+
+CONSTRAINED = ("irregular", "regular, inputs", "from samples, the paper's", "lost outputs", "a far clock")
+
+
+@pytest.mark.parametrize("case", CONSTRAINED)
+@pytest.mark.parametrize("kind", sets(spring(), 1.0))
+def test_under_constraints_that_never_act(case, kind, monkeypatch):
+    """No window is put together to find that out, but those that a free one needs."""
+    plant, drawn, given = CASES[case]
+    rows, built = record(plant, **drawn), []
+    put_together = MovingHorizonEstimator._window
+    monkeypatch.setattr(MovingHorizonEstimator, "_window", lambda *a: built.append(a) or put_together(*a))
+    free = MovingHorizonEstimator(plant, **settings(plant, given))
+    free.run(rows)
+    needed, built[:] = len(built), []
+    mhe = MovingHorizonEstimator(plant, constraints=sets(plant, 1e4)[kind], **settings(plant, given))
+    mhe.run(rows)
+    assert len(built) == needed
+    watched = Watched(plant, constraints=sets(plant, 1e4)[kind], **settings(plant, given))
+    watched.run(rows)
+    assert watched.slid == len(rows) - needed
+    assert watched.worst < SAME
+
+
+@pytest.mark.parametrize("kind", sets(spring(), 1.0))
+def test_under_constraints_that_act_now_and_then(kind):
+    """Where the window slides no constraint acts in the whole one, and it slides wherever none does."""
+    plant, _, given = CASES["lost outputs"]
+    rows, slid = record(plant, count=24, lost=0.6), 0
+    free = Watched(plant, **settings(plant, given))
+    free.run(rows)
+    low, high = 0.01, 10.0
+    while slid in (0, free.slid):  # until some windows slide, and some do not
+        assert high > 1.01 * low
+        size = float(np.sqrt(low * high))
+        mhe = Watched(plant, constraints=sets(plant, size)[kind], **settings(plant, given))
+        engines = [mhe.update(*row).engine for row in rows]
+        slid = mhe.slid
+        assert 0 <= engines.count("banded") - slid <= len(rows) - free.slid
+        assert mhe.worst < SAME
+        low, high = (low, size) if slid else (size, high)
 
 
 def settings(plant, given):

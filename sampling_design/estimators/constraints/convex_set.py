@@ -217,6 +217,19 @@ class ConvexSet(Record):
             worst = max(worst, float(np.max(distance)) - ball.radius)
         return worst
 
+    def holds(self, values: Array, seen: npt.NDArray[np.bool_] | None = None) -> bool:
+        """Whether all (N, k) values lie in the set, of which entries not `seen` are free; nothing is checked.
+
+        Half-spaces and balls count only where all of a value is seen.
+        """
+        inside = (values >= self.lower) & (values <= self.upper)
+        if not (inside if seen is None else inside | ~seen).all():
+            return False
+        if self.is_box:
+            return True
+        whole = values if seen is None else values[seen.all(axis=1)]
+        return not len(whole) or self.excess(whole) <= 0
+
     def contains(self, value: npt.ArrayLike, tolerance: float = 0.0) -> bool:
         """Whether `value` lies in the set, up to `tolerance` in each inequality."""
         return self.excess(value) <= tolerance

@@ -45,6 +45,7 @@ class DisturbanceReach:
         self.table, self.w = table, w
         self.plant, self.weights = table.weights.plant, table.weights
         self._sets: dict[float, ConvexSet] = {}
+        self._gaps: dict[float, Array] = {}
         self._radius, self._box = self._ball_radius(), w.bounding_box()
         self._responses = DisturbanceResponses(self.plant, self.weights.units)
         bounded = all(bool(np.isfinite(side).all()) for side in self._box)
@@ -69,6 +70,36 @@ class DisturbanceReach:
             found = map(self._exact, new) if self.table.constant_w else self._outer(new)
             known.update(zip(missing, found, strict=True))
         return [known[flow.gap] for flow in flows]
+
+    def holds(self, flows: Sequence[GapFlow], deviation: Array, defect: Array) -> bool:
+        """Whether omega over each gap lies in its set, for states (N + 1, n) that deviate so from a reference.
+
+        `defect` (N, n): what each gap misses there. What disturbances do that are constant over a gap and in the box
+        tells most often, without the sets.
+        """
+        n, every = self.plant.n_states, np.array([self._response(flow) for flow in flows])
+        whiten, led, through = every[:, :, :n], every[:, :, n : 2 * n], every[:, :, 2 * n :]
+        moved, before = (deviation[1:] - defect)[:, :, None], deviation[:-1, :, None]
+        omega = (np.matmul(whiten, moved) - np.matmul(led, before))[:, :, 0]
+        lower, upper = self._box
+        if not self.table.constant_w and np.isfinite(lower).all() and np.isfinite(upper).all():
+            half, middle = (upper - lower) / 2, (lower + upper) / 2
+            length = discounted_length(self.weights.eta, [flow.gap for flow in flows])
+            least = np.minimum(np.abs(through) @ half, np.sqrt(_energy(self.weights, half) * length)[:, None])
+            inside = np.abs(omega - through @ middle) <= least
+            if inside.all() and (np.vecdot(omega, omega) <= self._radius**2 * length).all():
+                return True
+        return all(chosen.holds(own[None]) for chosen, own in zip(self.over(flows), omega, strict=True))
+
+    def _response(self, flow: GapFlow) -> Array:
+        """Return omega over a gap for the state after it, the state before it, and a constant disturbance, together."""
+        found = self._gaps.get(flow.gap)
+        if found is None:
+            if len(self._gaps) >= CACHE_SIZE:
+                self._gaps.clear()
+            parts = np.concatenate([np.eye(len(flow.F)), flow.F, flow.integral @ self.plant.G], axis=1)
+            found = self._gaps[flow.gap] = flow.whiten @ parts
+        return found
 
     def _ball_radius(self) -> float:
         """Least bound on |w|_Qw that a single ball gives."""
@@ -170,11 +201,15 @@ def support_boxes(
     for length in set(lengths):
         at = [k for k, own in enumerate(lengths) if own == length]
         reach[at] = _absolute_integrals(responses, length, gaps[at], whiten[at] * responses.units) @ half
-    energy = float(half @ np.abs(weights.w) @ half) * discounted_length(weights.eta, gaps)
-    reach = np.minimum(reach, np.sqrt(energy)[:, None])
+    reach = np.minimum(reach, np.sqrt(_energy(weights, half) * discounted_length(weights.eta, gaps))[:, None])
     pushed = np.array([flow.integral for flow in flows]) @ (responses.plant.G @ middle)
     centre = np.matmul(whiten, pushed[:, :, None])[:, :, 0]
     return centre - reach, centre + reach
+
+
+def _energy(weights: CostWeights, half: Array) -> float:
+    """The largest |w|^2_Qw over a box with these half-widths around 0."""
+    return float(half @ np.abs(weights.w) @ half)
 
 
 def _absolute_integrals(responses: DisturbanceResponses, d: float, gaps: Array, whiten: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -12,7 +13,9 @@ from sampling_design.estimators.constraints.constraints import Constraints
 from sampling_design.estimators.constraints.convex_set import ConvexSet, convex_set
 from sampling_design.estimators.constraints.disturbance import DisturbanceReach
 from sampling_design.estimators.constraints.least_distance_problem import ConstraintDemands
+from sampling_design.estimators.gap_flows.cost_weights import stretches
 from sampling_design.estimators.gap_flows.flows import FlowTable
+from sampling_design.estimators.window.sliding import OptimalTrajectory
 from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.window_problem import EstimationWindow
 
@@ -43,10 +46,30 @@ class WindowConstraints:
         """Whether there is any norm ball."""
         return any(s is not None and s.round_balls for s in (self.x, self.y, self.v, self.w))
 
-    def noise(self, window: EstimationWindow, nodes: Array) -> Array:
-        """Return the best v at every node for given states: (R + Qv)^-1 R (y - C x - D u), measured outputs only."""
-        residual = window.y - window.feedthrough - nodes @ self.plant.C.T
-        return np.asarray(np.matmul(self.weights.of(window.masks).gain, residual[:, :, None])[:, :, 0])
+    def noise(self, y: Array, masks: Array, nodes: Array) -> Array:
+        """Return the best v at every node for given states: (R + Qv)^-1 R (y - C x), measured outputs only.
+
+        `y` without what the input adds.
+        """
+        found: Array = y - nodes @ self.plant.C.T
+        for begin, count in zip(*stretches(masks), strict=True):
+            found[begin : begin + count] = found[begin : begin + count] @ self.weights.at(masks[begin]).gain.T
+        return found
+
+    def hold(self, path: OptimalTrajectory, samples: Callable[[], tuple[Array, Array, Array]]) -> bool:
+        """Whether a trajectory keeps all sets, none by rounding alone. `samples` gives y - D u, the masks, and D u."""
+        if self.x is not None and not self.x.holds(path.nodes):
+            return False
+        if self.reach is not None and not self.reach.holds(path.flows, path.deviation, path.defect):
+            return False
+        if not self.keeps_v:
+            return True
+        y, masks, feedthrough = samples()
+        nodes, seen = path.nodes[-len(y) :], masks > 0
+        v = self.noise(y, masks, nodes)
+        if self.v is not None and not self.v.holds(v, seen):
+            return False
+        return self.y is None or self.y.holds(nodes @ self.plant.C.T + feedthrough + v, seen)
 
     def demands(self, window: EstimationWindow, free: Solution) -> ConstraintDemands:
         """Return what the constraints ask of all trajectories around the minimiser without them."""
@@ -105,7 +128,7 @@ class WindowConstraints:
         unit = np.linalg.norm(self.weights.at(np.ones(plant.n_outputs)).v_root, axis=1)
         known = np.sqrt(np.einsum("ij,jk,ik->i", plant.C, free.covariance, plant.C))
         times, names, seen = window.times[at], plant.outputs.names, window.masks[at] > 0
-        v = self.noise(window, nodes)[at]
+        v = self.noise(window.y - window.feedthrough, window.masks, nodes)[at]
         kinds = self.weights.of(window.masks[at])
         here = -kinds.gain @ plant.C
         own = kinds.v_root / np.sqrt(window.discount[at])[:, None, None]

@@ -121,7 +121,9 @@ class CostWeights:
         p = self.y.shape[0]
         if not len(masks):
             return SampleWeights(*np.zeros((6, 0, p, p)))
-        return SampleWeights(*(np.array(part) for part in zip(*map(self.at, masks), strict=True)))
+        begins, lengths = stretches(masks)
+        kinds = zip(*map(self.at, masks[begins]), strict=True)
+        return SampleWeights(*(np.repeat(np.array(part), lengths, axis=0) for part in kinds))
 
     def _kind(self, mask: Array) -> tuple[SampleWeights, tuple[float, float]]:
         key = (mask > 0).tobytes()
@@ -164,10 +166,13 @@ class CostWeights:
         """
         if bound is None:
             return np.where(masks.any(axis=1), np.inf, 0.0)
-        kinds = [self._kind(mask) for mask in masks]
+        begins, lengths = stretches(masks)
+        kinds = [self._kind(mask) for mask in masks[begins]]
         if bound.ndim == 0:
-            return np.array([peaks[0 if kept else 1] for _, peaks in kinds]) * float(bound) ** 2
-        return np.array([float(bound @ np.abs(found.v if kept else found.y) @ bound) for found, _ in kinds])
+            found = [peaks[0 if kept else 1] * float(bound) ** 2 for _, peaks in kinds]
+        else:
+            found = [float(bound @ np.abs(kind.v if kept else kind.y) @ bound) for kind, _ in kinds]
+        return np.repeat(np.array(found), lengths)
 
 
 def marginal_root(weight: Array, seen: npt.NDArray[np.bool_]) -> Array:
@@ -260,3 +265,9 @@ def _refuse_what_is_not_its_own(plant: Plant, certificate: SampledCertificate | 
         return
     if other := first_difference(plant, certificate.plant):
         raise ArgumentError(f"`certificate` belongs to another plant: {other}.")
+
+
+def stretches(masks: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Where stretches of like rows begin, and how long they are."""
+    begins = np.flatnonzero(np.concatenate([[len(masks) > 0], (masks[1:] != masks[:-1]).any(axis=1)]))
+    return begins, np.diff(begins, append=len(masks))

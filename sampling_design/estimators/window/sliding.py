@@ -98,15 +98,37 @@ class WindowGains(NamedTuple):
     Y: Array
     precision: CovariancePrecision
 
-    def applied(self, right: Array, end: float) -> tuple[Array, float]:
-        """Return the last node's deviation and what the deviations gain, for its discount `end`."""
-        half = lapack.dtbtrs(self.factor, right.reshape(-1, 1), uplo="L")[0].ravel()
-        scale = self.end / end
-        return self.root.T.dot(half[-len(self.root) :] * scale), float(half.dot(half)) * scale
+    def applied(self, right: Array, end: float, whole: bool) -> tuple[Array, float]:
+        """Return the last node's deviation, or those of the `whole` window, and what they gain, at its discount."""
+        half = lapack.dtbtrs(self.factor, right.reshape(-1, 1), uplo="L")[0]
+        scale, gain = self.end / end, float(half.ravel().dot(half.ravel()))
+        if whole:
+            return lapack.dtbtrs(self.factor, half, uplo="L", trans="T")[0].ravel() * scale, gain * scale
+        return self.root.T.dot(half.ravel()[-len(self.root) :] * scale), gain * scale
+
+
+class OptimalTrajectory(NamedTuple):
+    """An optimum at the window's nodes: states, deviations from the reference, and what each gap misses there.
+
+    Attributes
+    ----------
+    nodes, deviation : (N+1, n)
+    defect : (N, n)
+        F_j reference_j + b_j - reference_{j+1}.
+    flows : N flows
+    """
+
+    nodes: Array
+    deviation: Array
+    defect: Array
+    flows: list[GapFlow]
 
 
 class WindowOptimum(NamedTuple):
-    """State, covariance Y and its precision at the newest node; cost, a lower bound on it; noise and rounding."""
+    """State, covariance Y and its precision at the newest node; cost, a lower bound on it; noise and rounding.
+
+    `path` is the whole of it, where that was asked for.
+    """
 
     x: Array
     Y: Array
@@ -116,6 +138,7 @@ class WindowOptimum(NamedTuple):
     energy: float
     read: float
     held: float
+    path: OptimalTrajectory | None = None
 
 
 class SlidingBand:
@@ -148,11 +171,14 @@ class SlidingBand:
         # each with its weight: fit, the noise's energy, the cost of the gap after; unweighted: |y|^2
         self._sums = np.zeros((ROOM, 4))
         self._places = np.zeros((ROOM + 1, n))  # references, each a row further down: in the first stands the prior
+        self._measured = np.zeros((ROOM, 3, len(self._C)))  # y, mask and D u
+        self._missed = np.zeros((ROOM, n))  # by how much the gap before a node leads elsewhere than to its reference
         self._ones = np.ones(ROOM)
 
     @property
     def _parts(self) -> tuple[Array, ...]:
-        return self._own, self._before, self._pull, self._pushed, self._sums, self._places
+        held = self._own, self._before, self._pull, self._pushed, self._sums
+        return *held, self._places, self._missed, self._measured
 
     def heard(self, mask: Array) -> OutputInformation:
         """Return what a sample of some outputs means."""
@@ -177,9 +203,9 @@ class SlidingBand:
         """
         k = len(self._known)
         if k == len(self._own):
-            self._own, self._before, self._pull, self._pushed, self._sums, self._places = (
-                np.concatenate([part, np.zeros((k, *part.shape[1:]))]) for part in self._parts
-            )
+            grown = [np.concatenate([part, np.zeros((k, *part.shape[1:]))]) for part in self._parts]
+            self._own, self._before, self._pull, self._pushed, self._sums = grown[:5]
+            self._places, self._missed, self._measured = grown[5:]
             self._ones = np.ones(2 * k)
         kind, flow = self.heard(new.mask), new.flow
         if not k:
@@ -196,7 +222,8 @@ class SlidingBand:
         self._reference.append(reference)
         weighed = self._weighed(k, d)
         self._sums[k, 1:] = kind.energy * d, 0.0, read.dot(read)
-        self._pushed[k] = 0.0
+        self._pushed[k] = self._missed[k] = 0.0
+        self._measured[k] = new.y, new.mask, new.feedthrough
         self._led = None
         if not predicted:
             self._untouched = False
@@ -233,6 +260,7 @@ class SlidingBand:
             moved = self._led - self._reference[k]
         else:
             moved = new.flow.F.dot(self._reference[k - 1]) + new.drift - self._reference[k]
+        self._missed[k] = moved
         g = (moved * d).dot(new.flow.joint[n:])
         pull, push = self._pull[k - 1], g[n:]
         pull += g[:n]
@@ -292,7 +320,9 @@ class SlidingBand:
         work: Array = own[rows] + before[rows]
         return work
 
-    def solve(self, first: int, opening: InitialNode, gap: tuple[GapFlow, Array]) -> WindowOptimum | None:
+    def solve(
+        self, first: int, opening: InitialNode, gap: tuple[GapFlow, Array], whole: bool = False
+    ) -> WindowOptimum | None:
         """Return the optimum over the nodes from number `first` on; None where that would lose digits.
 
         Parameters
@@ -301,6 +331,8 @@ class SlidingBand:
         opening : InitialNode
         gap : (GapFlow, (n,) array)
             From the window's start to the first node, with the inputs' part.
+        whole : bool
+            Whether its `path` is asked for.
 
         Notes
         -----
@@ -334,7 +366,7 @@ class SlidingBand:
         size += fit + push + float(moved.dot(g))
         gains = self._remembered(count - first, flow, opening)
         if gains is not None:
-            deviation, gain = gains.applied(right, end)
+            deviation, gain = gains.applied(right, end, whole)
         else:
             work = self._columns(rows)
             np.add(self._own[first], arrival.band * d, work[0])
@@ -351,8 +383,12 @@ class SlidingBand:
         if not cost > CANCELLED * gain:
             return None
         dual = cost - DUAL_MARGIN * (cost + abs(gain))
+        path = None
+        if whole:
+            begun = flow.growth * Y.dot(flow.F.T.dot(arrival.information.dot(deviation[: self._n] - moved)))
+            path = self._path(first, x, begun, moved, deviation, flow)
         return WindowOptimum(
-            self._reference[-1] + deviation,
+            self._reference[-1] + deviation[-self._n :],
             gains.Y,
             gains.precision,
             cost / end,
@@ -360,7 +396,31 @@ class SlidingBand:
             (energy + noise) / end,
             read + heard,
             kept,
+            path,
         )
+
+    def _path(
+        self, first: int, x: Array, begun: Array, moved: Array, deviation: Array, flow: GapFlow
+    ) -> OptimalTrajectory:
+        """Return the optimum at all nodes, the window's start before them.
+
+        `x` is the reference there, `begun` the deviation from it, `moved` by how much `flow` leads elsewhere from x.
+        """
+        places = self._places[first : len(self._known) + 1].copy()
+        places[0] = x
+        away = np.concatenate([begun, deviation]).reshape(-1, self._n)
+        defect = self._missed[first : len(self._known)].copy()
+        defect[0] = moved
+        flows = [flow, *(new.flow for new in self._known[first + 1 :] if new.flow is not None)]
+        return OptimalTrajectory(places + away, away, defect, flows)
+
+    def samples(self, first: int, opening: InitialNode) -> tuple[Array, Array, Array]:
+        """Return y - D u, the masks and D u at the samples from node `first` on, that at the window's start first."""
+        rows = self._measured[first : len(self._known)]
+        if opening.sample is not None:
+            rows = np.concatenate([np.array(opening.sample)[None], rows])
+        y, masks, feedthrough = rows.transpose(1, 0, 2)
+        return y - feedthrough, masks, feedthrough
 
     def _with(self, flow: GapFlow, opening: InitialNode) -> tuple[object, ...]:
         """What the newest node came with, and the window began with."""
@@ -385,7 +445,7 @@ class SlidingBand:
 
 
 def _solved(work: Array, right: Array, end: float) -> tuple[Array, float, WindowGains] | None:
-    """Return the last node's deviation, what the deviations gain, and what does not depend on the data.
+    """Return the nodes' deviations, what they gain, and what does not depend on the data.
 
     `end` is the discount of the newest node. None where digits would be lost.
     """
@@ -404,7 +464,7 @@ def _solved(work: Array, right: Array, end: float) -> tuple[Array, float, Window
     root = lapack.dtrtri(last, lower=1)[0]
     Y = (root.T * end).dot(root)
     gains = WindowGains(factor, root, end, Y, CovariancePrecision.of(Y, last, end))
-    return solution[-n:], float(right.dot(solution)), gains
+    return solution, float(right.dot(solution)), gains
 
 
 NOTHING: tuple[HistoryNode | None, SlidingBand | None] = (None, None)

@@ -396,7 +396,7 @@ class SlidingBand:
             (energy + noise) / end,
             read + heard,
             kept,
-            path,
+            path=path,
         )
 
     def _path(

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solve_triangular
+from scipy.linalg import lapack
 
 from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.nonlinear.nlp import WindowSlopes
@@ -51,28 +51,30 @@ def spread_of(
         Added to the state at the end of each interval; `bias` is what the estimator makes of them.
     """
     n, lengths = root.shape[0], np.diff(edges)
-    S = solve_triangular(root, np.eye(n), check_finite=False)
-    push = np.zeros((len(lengths), n, n))
-    if slopes.G.shape[2]:
+    S = lapack.dtrtri(root)[0]
+    push, growth = np.zeros((len(lengths), n, n)), np.exp(weights.eta * lengths / 2)[:, None, None] * slopes.F
+    if len(lengths) and slopes.G.shape[2]:
         lower = np.linalg.cholesky(weights.twice * weights.Qw)
-        worth = np.sqrt(discounted_length(weights.eta, lengths))
-        for k, G in enumerate(slopes.G):
-            part = solve_triangular(lower, G.T, lower=True, check_finite=False).T / worth[k]
-            push[k] = _root_of(part)
+        worth = np.sqrt(discounted_length(weights.eta, lengths))[:, None, None]
+        upper = np.linalg.qr(np.linalg.solve(lower, slopes.G.transpose(0, 2, 1)) / worth, mode="r")
+        push[:, :, : upper.shape[1]] = upper.transpose(0, 2, 1)
     filtered, grown = np.empty((len(edges), n, n)), np.empty((len(edges), n, n))
-    bias = np.zeros(n)
+    bias, seen = np.zeros(n), slopes.roots @ slopes.H
+    measured = slopes.roots.any(axis=(1, 2)).tolist()
     for k in range(len(edges)):
         if k:
-            growth = np.exp(weights.eta * lengths[k - 1] / 2)
-            S = _root_of(np.hstack([growth * slopes.F[k - 1] @ S, push[k - 1]]))
-            bias = slopes.F[k - 1] @ bias + (0.0 if jumps is None else jumps[k - 1])
+            S = np.triu(lapack.dgeqrf(np.concatenate([growth[k - 1].dot(S).T, push[k - 1].T]))[0][:n]).T
+            bias = slopes.F[k - 1].dot(bias)
+            if jumps is not None:
+                bias += jumps[k - 1]
         grown[k] = S
-        if slopes.roots[k].any():
-            seen = slopes.roots[k] @ slopes.H[k]
-            A = seen @ S
-            upper = np.linalg.cholesky(np.eye(n) + A.T @ A).T
-            S = solve_triangular(upper, S.T, trans="T", check_finite=False).T
-            bias = bias - S @ (S.T @ (seen.T @ (seen @ bias)))
+        if measured[k]:
+            A = seen[k].dot(S)
+            information = A.T.dot(A)
+            information.flat[:: n + 1] += 1.0
+            half = lapack.dtrtri(lapack.dpotrf(information, clean=1)[0])[0]
+            S = S.dot(half)
+            bias = bias - S.dot(A.dot(half).T.dot(seen[k].dot(bias)))
         filtered[k] = S
     return WindowSpread(filtered, grown, push, bias)
 
@@ -95,13 +97,4 @@ def smoothed_covariances(spread: WindowSpread, slopes: WindowSlopes, edges: Arra
         gain = root @ np.linalg.lstsq(both, np.eye(n), rcond=None)[0][: root.shape[1]]
         rest = root - gain @ ahead
         found[k] = rest @ rest.T + gain @ (found[k + 1] + noise @ noise.T) @ gain.T
-    return found
-
-
-def _root_of(wide: Array) -> Array:
-    """Return a square S with S S' = wide wide'."""
-    n = wide.shape[0]
-    upper: Array = np.asarray(np.linalg.qr(wide.T, mode="r"), dtype=np.float64)
-    found = np.zeros((n, n))
-    found[:, : upper.shape[0]] = upper.T
     return found

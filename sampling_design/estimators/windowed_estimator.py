@@ -20,8 +20,9 @@ from sampling_design.estimators.online.history import EstimatorState, HistoryNod
 from sampling_design.estimators.online.linear_plant_estimator import LinearPlantEstimator
 from sampling_design.estimators.online.rounding import CovariancePrecision, faded, rounding
 from sampling_design.estimators.online.verdict import SolveVerdict, judged
+from sampling_design.estimators.window.band_cache import BandCache
 from sampling_design.estimators.window.means import IntegralFlows, MeanReading, means_of
-from sampling_design.estimators.window.sliding import BandCache, IncomingNode, InitialNode
+from sampling_design.estimators.window.sliding import IncomingNode, InitialNode
 from sampling_design.estimators.window.square_root import covariance_root
 from sampling_design.estimators.window.window_problem import EstimationWindow, build_window
 

@@ -3,10 +3,14 @@
 n = 4, windows of 20 samples. The ratios that are promised: the solve within 5 times `solveh_banded` on the same
 matrix; an update at least 100 times faster than the rebuilt problem, 50 times with active constraints. do-mpc, which
 must be 20 times slower on the same window, is in the arena. `python -m tests.benchmarks.bench_estimators` prints how
-long an update and both ends of one row take against `solveh_banded` on that band: medians of process time.
+long updates, free and constrained, and both ends of one row take against `solveh_banded` on that band: medians of
+process time; and which share of updates under active constraints the active-set method has, which is all that a warm
+start of it could save.
 """
 
+import cProfile
 import itertools
+import pstats
 import time
 
 import numpy as np
@@ -26,6 +30,7 @@ from sampling_design.estimators.window.window_problem import EstimationWindow
 A = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1], [0, 0, -4, -0.1]], float)
 PLANT = Plant(A, [[1.0, 0.0, 1.0, 0.0]])
 BOUNDS = {"w_bound": 0.5, "v_bound": 0.5, "initial_error": 3.0}
+WIDE = (-1e3, 1e3)
 SETS = {
     "free": {},
     "box": {"constraints": Constraints(x=(-0.3, 0.3))},
@@ -159,8 +164,9 @@ def ratios(rounds=300, count=8):
     program = RecordProgram(read_record(PLANT, recorded(), 0.05, 0.5, None, None, None))
     last = program.readings.times[-1]
 
-    def updates(irregular, begins="horizon"):
-        mhe = MovingHorizonEstimator(PLANT, horizon=20.0, cost=CostFunction(eta=0.2, begins=begins), **BOUNDS)
+    def updates(irregular, begins="horizon", **sets):
+        chosen, cost = Constraints(**sets) if sets else None, CostFunction(eta=0.2, begins=begins)
+        mhe = MovingHorizonEstimator(PLANT, horizon=20.0, cost=cost, constraints=chosen, **BOUNDS)
         rows = iter(list(itertools.islice(warm(mhe, irregular), rounds * count)))
         return lambda: mhe.update(*next(rows))
 
@@ -169,6 +175,15 @@ def ratios(rounds=300, count=8):
         "update, regular": updates(False),
         "update, irregular": updates(True),
         "update, irregular, from samples": updates(True, "sample"),
+        **{
+            f"update, {'irregular' if irregular else 'regular'}, {name} never active": updates(
+                irregular, **{name: WIDE}
+            )
+            for irregular in (False, True)
+            for name in "xvw"
+        },
+        "update, regular, x active": updates(False, x=(-0.3, 0.3)),
+        "update, irregular, x active": updates(True, x=(-0.3, 0.3)),
         "interval of one row": lambda: program.solve(last, np.eye(4)[0]),
     }
     taken = {name: [] for name in steps}
@@ -182,7 +197,23 @@ def ratios(rounds=300, count=8):
     return {name: float(np.median(own)) for name, own in taken.items()}
 
 
+def share_of_the_active_set(rounds=300):
+    """What share of the process time of updates with an active box is spent in DAQP: (regular, irregular)."""
+    found = []
+    for irregular in (False, True):
+        constraints = Constraints(x=(-0.3, 0.3))
+        mhe = MovingHorizonEstimator(PLANT, horizon=20.0, cost=CostFunction(eta=0.2), constraints=constraints, **BOUNDS)
+        rows = list(itertools.islice(warm(mhe, irregular), rounds))
+        timed = cProfile.Profile(time.process_time)
+        timed.runcall(lambda rows=rows, mhe=mhe: [mhe.update(*row) for row in rows])
+        every = pstats.Stats(timed)
+        inside = sum(own[3] for (_, _, name), own in every.stats.items() if name == "active_set")
+        found.append(inside / every.total_tt)
+    return tuple(found)
+
+
 if __name__ == "__main__":
     found = ratios()
+    print("share of the active-set method, regular and irregular: {:.2f}, {:.2f}".format(*share_of_the_active_set()))
     for name, spent in found.items():
         print(f"{name}: {1e6 * spent:.0f} us, {spent / found['solveh_banded']:.1f} times solveh_banded")

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -267,7 +268,8 @@ def _refuse_what_is_not_its_own(plant: Plant, certificate: SampledCertificate | 
         raise ArgumentError(f"`certificate` belongs to another plant: {other}.")
 
 
-def stretches(masks: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+def stretches(masks: Array) -> tuple[list[int], list[int]]:
     """Where stretches of like rows begin, and how long they are."""
-    begins = np.flatnonzero(np.concatenate([[len(masks) > 0], (masks[1:] != masks[:-1]).any(axis=1)]))
-    return begins, np.diff(begins, append=len(masks))
+    changes = np.flatnonzero((masks[1:] != masks[:-1]).any(axis=1)) + 1
+    edges = [0, *changes.tolist(), len(masks)] if len(masks) else [0]
+    return edges[:-1], [b - a for a, b in pairwise(edges)]

@@ -10,7 +10,6 @@ through `dot`, whose call costs a third of that of `@`.
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from collections.abc import Callable
 from operator import is_
 from typing import NamedTuple
@@ -51,9 +50,6 @@ update each. A lower share would show in the dual bound, whose margin counts wha
 FAR_OFF = 1e12
 """Sum of the references' squares, in units of their weights, over the least cost, from which on rounding of a reference
 may be seen in its ninth digit: nodes to come take their estimates for references then, too."""
-
-HISTORIES = 64
-"""Histories of one estimator that are remembered side by side."""
 
 
 class OutputInformation(NamedTuple):
@@ -465,49 +461,3 @@ def _solved(work: Array, right: Array, end: float) -> tuple[Array, float, Window
     Y = (root.T * end).dot(root)
     gains = WindowGains(factor, root, end, Y, CovariancePrecision.of(Y, last, end))
     return solution, float(right.dot(solution)), gains
-
-
-NOTHING: tuple[HistoryNode | None, SlidingBand | None] = (None, None)
-
-
-class BandCache:
-    """Sliding bands by their last node, the least recently used dropped first."""
-
-    def __init__(self, weights: CostWeights, energy: Callable[[Array], Array]):
-        self._weights, self._energy = weights, energy
-        self._known: OrderedDict[int, tuple[HistoryNode, SlidingBand]] = OrderedDict()
-        self._begun: SlidingBand | None = None
-
-    def of(self, nodes: tuple[HistoryNode, ...], first: int) -> tuple[SlidingBand, int] | None:
-        """Return the band that ends with the last of `nodes`, and the number in it of node `first`; None if unfit."""
-        count = len(nodes) - first
-        if not count:
-            return SlidingBand(self._weights, self._energy), 0
-        node, band = self._known.pop(id(nodes[-1]), NOTHING)
-        if band is not None and node is nodes[-1] and band.settle(node):
-            at = len(band.nodes) - count
-            if at >= 0 and band.nodes[at] is nodes[first]:
-                if at >= ROOM // 2:
-                    band.forget(at)
-                    at = 0
-                return band, at
-        band = SlidingBand(self._weights, self._energy)
-        for node in nodes[first:]:
-            if not band.append(
-                IncomingNode(node.t, node.y, node.mask, node.feedthrough, node.flow, node.drift), node.x
-            ):
-                return None
-            band.nodes.append(node)
-        return band, 0
-
-    def begun(self, band: SlidingBand) -> None:
-        """Hold a band to whose last entry there is no node yet."""
-        self._begun = band
-
-    def keep(self, node: HistoryNode) -> None:
-        """Remember the band that was begun, if `node` is what its last entry has become."""
-        band, self._begun = self._begun, None
-        if band is not None and band.ends_with(node):
-            self._known[id(node)] = node, band
-            if len(self._known) > HISTORIES:
-                self._known.popitem(last=False)

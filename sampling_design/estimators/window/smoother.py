@@ -56,9 +56,9 @@ def information_band(window: EstimationWindow) -> tuple[Array, Array] | None:
     columns = np.zeros((count, 3 * n, n))  # per node: its diagonal block, the one below, zeros
     diagonal = columns[:, :n]
     weighted = window.residual * discount[:, None]
-    if window.fully_measured:
+    if window.all_or_none:
         CY = C.T @ weights.y
-        np.multiply(CY @ C, discount[:, None, None], out=diagonal)
+        np.multiply(CY @ C, (discount * window.masks[:, 0])[:, None, None], out=diagonal)
         rhs = weighted @ CY.T
     else:
         through = C.T @ weights.of(window.masks).y

@@ -99,14 +99,14 @@ class EstimationWindow:
         return np.asarray(half * np.sqrt(self.discount[0]))
 
     @cached_property
-    def fully_measured(self) -> bool:
-        """Whether every node measures every output."""
-        return bool(self.masks.all())
+    def all_or_none(self) -> bool:
+        """Whether every node measures every output or none."""
+        return bool((self.masks == self.masks[:, :1]).all())
 
     def weighted(self, residual: Array) -> Array:
         """Return the roots of the samples' weights times (N+1, p) residuals, what is not measured left out."""
-        if self.fully_measured:
-            return residual @ self.weights.y_root.T
+        if self.all_or_none:
+            return np.asarray((residual * self.masks) @ self.weights.y_root.T)
         return np.asarray(np.matmul(self.weights.of(self.masks).y_root, residual[:, :, None])[:, :, 0])
 
     def total(self, energies: Array) -> float:

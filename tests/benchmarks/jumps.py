@@ -154,9 +154,9 @@ def swept(name: str, long: bool) -> Iterator[str]:
             told = ", ".join(f"{value} {1e3 * seconds:.3g}" for value, seconds in zip(values, taken, strict=True))
             yield f"{name} {options} ms by {size}: {told}"
             for (a, before), (b, after) in pairwise(zip(values, taken, strict=True)):
-                if after > JUMP * before:
-                    power = np.log(after / before) / np.log(b / a)
-                    yield f"  JUMP {size} {a} to {b}: {after / before:.1f} times, power {power:.1f}"
+                power = np.log(after / before) / np.log(b / a)
+                if max(after, before) > JUMP * min(after, before):
+                    yield f"  JUMP {size} {a} to {b}: {after / before:.2g} times, power {power:.1f}"
     plain = spent(verb.ready(**MIDDLE))
     for option, given in verb.options.items():
         seconds = spent(verb.ready(**MIDDLE, **given))

@@ -379,10 +379,7 @@ class SlidingBand:
         if not cost > CANCELLED * gain:
             return None
         dual = cost - DUAL_MARGIN * (cost + abs(gain))
-        path = None
-        if whole:
-            begun = flow.growth * Y.dot(flow.F.T.dot(arrival.information.dot(deviation[: self._n] - moved)))
-            path = self._path(first, x, begun, moved, deviation, flow)
+        path = self._path(first, x, Y, moved, deviation, flow) if whole else None
         return WindowOptimum(
             self._reference[-1] + deviation[-self._n :],
             gains.Y,
@@ -395,13 +392,14 @@ class SlidingBand:
             path=path,
         )
 
-    def _path(
-        self, first: int, x: Array, begun: Array, moved: Array, deviation: Array, flow: GapFlow
-    ) -> OptimalTrajectory:
+    def _path(self, first: int, x: Array, Y: Array, moved: Array, deviation: Array, flow: GapFlow) -> OptimalTrajectory:
         """Return the optimum at all nodes, the window's start before them.
 
-        `x` is the reference there, `begun` the deviation from it, `moved` by how much `flow` leads elsewhere from x.
+        There x and Y are known; `flow` leads from x to `moved` beside the first node's reference.
         """
+        arrival = flow.arrival(Y)
+        assert arrival is not None
+        begun = flow.growth * Y.dot(flow.F.T.dot(arrival.information.dot(deviation[: self._n] - moved)))
         places = self._places[first : len(self._known) + 1].copy()
         places[0] = x
         away = np.concatenate([begun, deviation]).reshape(-1, self._n)

@@ -56,14 +56,16 @@ def spread_of(
     if len(lengths) and slopes.G.shape[2]:
         lower = np.linalg.cholesky(weights.twice * weights.Qw)
         worth = np.sqrt(discounted_length(weights.eta, lengths))[:, None, None]
-        upper = np.linalg.qr(np.linalg.solve(lower, slopes.G.transpose(0, 2, 1)) / worth, mode="r")
+        pushed = np.linalg.solve(lower, slopes.G.transpose(0, 2, 1)) / worth
+        upper: Array = np.asarray(np.linalg.qr(pushed, mode="r"), dtype=np.float64)
         push[:, :, : upper.shape[1]] = upper.transpose(0, 2, 1)
     filtered, grown = np.empty((len(edges), n, n)), np.empty((len(edges), n, n))
     bias, seen = np.zeros(n), slopes.roots @ slopes.H
     measured = slopes.roots.any(axis=(1, 2)).tolist()
     for k in range(len(edges)):
         if k:
-            S = np.triu(lapack.dgeqrf(np.concatenate([growth[k - 1].dot(S).T, push[k - 1].T]))[0][:n]).T
+            wide = np.concatenate([growth[k - 1].dot(S).T, push[k - 1].T])
+            S = np.triu(np.asarray(lapack.dgeqrf(wide)[0])[:n]).T
             bias = slopes.F[k - 1].dot(bias)
             if jumps is not None:
                 bias += jumps[k - 1]

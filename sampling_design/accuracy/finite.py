@@ -24,7 +24,8 @@ from sampling_design.accuracy.sample_chain import (
 from sampling_design.accuracy.start import InitialSet
 from sampling_design.accuracy.undetectable import UNSEEN
 from sampling_design.errors import UndecidedError
-from sampling_design.numerics.linalg import discounted_flow, filter_gain
+from sampling_design.numerics.filtering import propagate, update_with_gain
+from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 
@@ -64,17 +65,14 @@ def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, i
     rows = [H * D for H in rows]
     D = balance * D
     P = opening(initial, D)
-    before, after = [], []
+    roots, samples = [], []
     for j, H in enumerate(rows):
-        before.append(P)
-        after.append(updated(P, H.T @ H))
-        if j < len(lengths):
-            P = F[j] @ after[j] @ F[j].T + W[j]
-    L = np.array([covariance_root(X) for X in after])
-    samples = []
-    for j, H in enumerate(rows):
-        K = np.asarray(np.linalg.solve(L[j], filter_gain(before[j], H)))
-        samples.append(ChainSample(bounds.measured(j), sizes[j], H @ L[j], exact[j], K))
+        K, P = update_with_gain(P, H)[1], updated(P, H.T @ H)
+        roots.append(covariance_root(P))
+        K = np.asarray(np.linalg.solve(roots[j], K))
+        samples.append(ChainSample(bounds.measured(j), sizes[j], H @ roots[j], exact[j], K))
+        P = propagate(P, F[j], W[j]) if j < len(lengths) else P
+    L = np.array(roots)
     known: dict[float, LengthFlow] = {}
     gaps = tuple(make_gap(A, G, float(h), L[j], L[j + 1], F[j], known) for j, h in enumerate(lengths))
     start = initial.scaled(D[:, None] * L[0], D, NO_ERROR)

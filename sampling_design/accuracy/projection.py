@@ -19,6 +19,7 @@ from sampling_design.accuracy.search import ChainSearch
 from sampling_design.accuracy.start import InitialSet
 from sampling_design.accuracy.witness import AccuracyWitness, attains, physical
 from sampling_design.errors import ArgumentError
+from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
@@ -291,5 +292,5 @@ def _ellipsoid(
     for j in range(node + 1):
         X = updated(X / kept[j], information[j])
         step = j if j < node else -1
-        X = F[step] @ X @ F[step].T + W[step]
+        X = propagate(X, F[step], W[step])
     return X if np.all(np.isfinite(X)) else None

@@ -24,6 +24,7 @@ from sampling_design.accuracy.sample_chain import EXACT
 from sampling_design.accuracy.undetectable import told_of_start
 from sampling_design.accuracy.unknown_start import FreeStart
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED
+from sampling_design.numerics.filtering import propagate, update_with_gain
 
 Array = npt.NDArray[np.float64]
 
@@ -159,21 +160,17 @@ class RecordProgram:
             known = np.sqrt(np.einsum("ij,ij->i", root, root))
             P = root @ root.T + np.diag(np.where(known > 0, 0.0, 1e-6))
         H = np.where(read.below[:, None], 0.0, self.H / self.unit[:, None])
-        gains, identity = np.zeros((len(H), n)), np.eye(n)
+        gains = np.zeros((len(H), n))
         for k, (a, b) in enumerate(zip(read.offsets[:-1], read.offsets[1:], strict=True)):
             if k:
                 with np.errstate(over="ignore", invalid="ignore"):
-                    P = self.F[k - 1] @ P @ self.F[k - 1].T + self._spread[k - 1]
+                    P = propagate(P, self.F[k - 1], self._spread[k - 1])
                 if not np.abs(P).max(initial=0.0) < BEYOND:  # as good as nothing is known of what was before
                     P = np.eye(n) * BEYOND
             if b > a:
-                own = H[a:b]
-                seen = own @ P
-                K = np.linalg.solve(seen @ own.T + np.eye(b - a), seen).T
-                left = identity - K @ own
-                P = left @ P @ left.T + K @ K.T
+                P, K = update_with_gain(P, H[a:b])
                 gains[a:b] = K.T
-        return gains, (P + P.T) / 2
+        return gains, P
 
     @cached_property
     def L(self) -> Array:

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import UndecidedError
+from sampling_design.numerics.filtering import propagate, root_update, triangle
 from sampling_design.numerics.linalg import psd_root, symmetrise
 from sampling_design.records.checks import unit_diagonal
 
@@ -50,7 +51,7 @@ class CovarianceMap:
 
     def __call__(self, P: Array) -> Array:
         """Return the image of a covariance."""
-        return symmetrise(self.Q + self.F @ updated(P, self.G) @ self.F.T)
+        return propagate(updated(P, self.G), self.F, self.Q)
 
     def then(self, later: CovarianceMap) -> CovarianceMap:
         """Return the map that applies this one first."""
@@ -60,9 +61,9 @@ class CovarianceMap:
         solved = np.linalg.solve(inner, root.T)
         passed = np.eye(len(self.F)) - root @ solved @ later.G
         F = later.F @ passed @ self.F
-        Q = later.Q + later.F @ (root @ solved) @ later.F.T
+        Q = propagate(root @ solved, later.F, later.Q)
         mid = later.G - later.G @ root @ solved @ later.G
-        return CovarianceMap(F, symmetrise(self.G + self.F.T @ mid @ self.F), symmetrise(Q))
+        return CovarianceMap(F, propagate(mid, self.F.T, self.G), Q)
 
     def repeated(self) -> CovarianceMap:
         """Return the map applied as many times as there are states, or more."""
@@ -133,13 +134,10 @@ class RootedPeriod:
         error that was made there."""
         after, error = [], np.eye(len(root))
         for F, H, noise in zip(self.F, self.rows, self.noise, strict=True):
-            p = len(H)
-            array = np.zeros((p + len(root), p + root.shape[1]))
-            array[:p, :p], array[:p, p:], array[p:, p:] = np.eye(p), H @ root, root
-            found = triangle(array)
-            error = F @ (error - found[p:, :p] @ np.linalg.solve(found[:p, :p], H @ error))
-            after.append(found[p:, p:])
-            root = triangle(np.hstack([F @ after[-1], noise]))
+            root, step, _ = root_update(root, H, -H @ error)
+            error = F @ (error + step)
+            after.append(root)
+            root = triangle(np.hstack([F @ root, noise]))
         return after, root, error
 
     def walking(self, noise: Array) -> RootedPeriod:
@@ -170,12 +168,6 @@ class RootedPeriod:
             "undecided: the covariance of the filter on this schedule does not settle in doubles. Do modes grow far "
             "between two samples, or do outputs differ in almost nothing?"
         )
-
-
-def triangle(root: Array) -> Array:
-    """The lower triangle T with T T' = `root` `root`'; the largest columns first, or the small ones would drown."""
-    order = np.argsort(-np.abs(root).max(axis=0, initial=0.0), kind="stable")
-    return np.asarray(np.linalg.qr(root[:, order].T)[1].T, dtype=np.float64)
 
 
 def noise_root(W: Array) -> Array:

@@ -18,7 +18,8 @@ from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.riccati import CovarianceMap, RootedPeriod, in_turn, limit, noise_root, updated
 from sampling_design.accuracy.start import StartSet
 from sampling_design.errors import UndecidedError
-from sampling_design.numerics.linalg import discounted_flow, expm_batch, filter_gain, forced_flow, psd_root
+from sampling_design.numerics.filtering import propagate, update_with_gain
+from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow, psd_root
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 
@@ -327,7 +328,7 @@ def endless_chain(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Array
         seen = H @ N[j]
         root = roots[j]
         L[j, :, :r], L[j, :, r:] = N[j] @ root, bases[j][:, r:]
-        K = np.vstack([np.linalg.solve(root, filter_gain(P[j], seen)), np.zeros((len(A) - r, len(H)))])
+        K = np.vstack([np.linalg.solve(root, update_with_gain(P[j], seen)[1]), np.zeros((len(A) - r, len(H)))])
         shown = H @ L[j]
         shown[:, r:] = 0.0
         samples.append(ChainSample(bounds.measured(j), sizes[j], shown, exact[j], K))
@@ -386,7 +387,7 @@ def state_scales(F: Array, W: Array, rows: list[Array]) -> Array:
         if max(np.abs(flow).max(), np.sqrt(np.abs(spread).max())) * max(np.abs(step).max(), 1.0) > GROWN:
             break  # what has grown so far says nothing more of sizes, and would overflow
         flow = step @ flow
-        spread = step @ spread @ step.T + reached
+        spread = propagate(spread, step, reached)
     reach, seen = np.sqrt(np.diag(spread)), np.sqrt(seen)
     with np.errstate(divide="ignore", invalid="ignore"):
         both = np.sqrt(reach / seen)

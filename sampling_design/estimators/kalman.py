@@ -24,8 +24,8 @@ from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import ROUNDING, judged, overflowed, rounding_energy, too_large
 from sampling_design.estimators.window.means import means_of
 from sampling_design.estimators.window.smoother import smooth
-from sampling_design.estimators.window.square_root import absorb, covariance_root
 from sampling_design.estimators.windowed_estimator import WindowedEstimator, WindowStart
+from sampling_design.numerics.filtering import covariance_root, root_update
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -134,7 +134,7 @@ class KalmanFilter(WindowedEstimator):
                 note,
             )
         terms += rounding_energy(self.weights, y, x)
-        spread, step, half = absorb(covariance_root(Y), H, innovation)
+        spread, step, half = root_update(covariance_root(Y), H, innovation)
         Y, x = freeze(symmetrise(spread @ spread.T)), freeze(x + step)
         cost = float(half @ half)
         past = 0.0 if last.sample.y is None else last.estimate.cost / flow.growth

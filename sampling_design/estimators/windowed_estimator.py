@@ -23,8 +23,8 @@ from sampling_design.estimators.online.verdict import SolveVerdict, judged
 from sampling_design.estimators.window.band_cache import BandCache
 from sampling_design.estimators.window.means import IntegralFlows, MeanReading, means_of
 from sampling_design.estimators.window.sliding import IncomingNode, InitialNode
-from sampling_design.estimators.window.square_root import covariance_root
 from sampling_design.estimators.window.window_problem import EstimationWindow, build_window
+from sampling_design.numerics.filtering import covariance_root
 
 Array = npt.NDArray[np.float64]
 

@@ -27,6 +27,7 @@ from sampling_design.nonlinear.simulation import require_inside
 from sampling_design.nonlinear.smoothed import SmoothedWindow, smoothed_window
 from sampling_design.nonlinear.weights import fit_covariance, output_slope, scaled_weights, warn_of_scales
 from sampling_design.nonlinear.window_search import WHOLE, WindowAnswer, WindowSearch
+from sampling_design.numerics.filtering import propagate
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
@@ -312,7 +313,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         u = self.loop.input(state, sample.t)
         C = output_slope(self.plant, x, u, sample.t)
         noise = fit_covariance(self.plant, self.scaled)
-        far = beyond(np.nan_to_num(sample.y - self.plant.h(x, u, t=sample.t)), C @ Y @ C.T + noise, gate)
+        far = beyond(np.nan_to_num(sample.y - self.plant.h(x, u, t=sample.t)), propagate(Y, C, noise), gate)
         if not far.any():
             return sample, ""
         names = ", ".join(np.array(self.plant.outputs.names)[far])

@@ -12,6 +12,7 @@ from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.simulation import SpreadIntegrator
 from sampling_design.nonlinear.weights import NonlinearWeights
+from sampling_design.numerics.filtering import measurement_update, whitened
 from sampling_design.numerics.linalg import symmetrise
 
 Array = npt.NDArray[np.float64]
@@ -126,10 +127,7 @@ class TightestPairs:
         C, E = (np.array(part) for part in self._slopes(path.x[j], path.u, path.v[j], path.grid[j]))
         C, E = C * scale["states"] / scale["outputs"][:, None], E * scale["noises"] / scale["outputs"][:, None]
         spread = np.linalg.solve(weights.R, np.eye(len(weights.R))) + E @ np.linalg.solve(weights.Qv, E.T)
-        C, spread = C[mask], spread[np.ix_(mask, mask)]
-        gain = np.linalg.solve(C @ Y @ C.T + spread, C @ Y).T
-        rest = np.eye(len(Y)) - gain @ C
-        return symmetrise(rest @ Y @ rest.T + gain @ spread @ gain.T)
+        return measurement_update(Y, whitened(C[mask], spread[np.ix_(mask, mask)]))
 
 
 def _largest(Y: Array, factor: Array) -> float:

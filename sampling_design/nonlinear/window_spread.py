@@ -11,6 +11,7 @@ from scipy.linalg import lapack
 from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.nonlinear.nlp import WindowSlopes
 from sampling_design.nonlinear.weights import NonlinearWeights
+from sampling_design.numerics.filtering import propagate
 
 Array = npt.NDArray[np.float64]
 
@@ -98,5 +99,5 @@ def smoothed_covariances(spread: WindowSpread, slopes: WindowSlopes, edges: Arra
         both = np.hstack([ahead, noise])
         gain = root @ np.linalg.lstsq(both, np.eye(n), rcond=None)[0][: root.shape[1]]
         rest = root - gain @ ahead
-        found[k] = rest @ rest.T + gain @ (found[k + 1] + noise @ noise.T) @ gain.T
+        found[k] = propagate(found[k + 1] + noise @ noise.T, gain, rest @ rest.T)
     return found

@@ -235,11 +235,6 @@ def generalised_max(P: Array, Q: Array) -> float:
     return float(np.max(np.linalg.eigvalsh((full + np.swapaxes(full, -1, -2)) / 2)))
 
 
-def filter_gain(P: Array, H: Array) -> Array:
-    """Return P H'(H P H' + I)^-1, a filter's gain at a sample whose rows H are in units of their noise."""
-    return np.asarray(np.linalg.solve(H @ P @ H.T + np.eye(len(H)), H @ P).T, dtype=np.float64)
-
-
 def symmetrise(matrix: Array) -> Array:
     """Return (M + M')/2 for a stack of matrices."""
     total: Array = matrix + matrix.swapaxes(-1, -2)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import discounted_flow, symmetrise
 from sampling_design.planning.discrete_plant import DiscretePlant
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
@@ -65,7 +66,7 @@ class RasterFilter:
         for _ in range(periods):
             self.work.add((M * FILTER[0], FILTER[1]), B * M * n)
             for i in range(M):
-                P = self.F @ P @ self.F.T + self.Q
+                P = propagate(P, self.F, self.Q)
                 before[i] = np.einsum("gi,bij,gj->bg", self.rows, P, self.rows)
                 for j, mask in read[i]:
                     h = self.motion.S[j]
@@ -76,7 +77,6 @@ class RasterFilter:
                 if far.any():
                     lost |= far
                     P[far] = 0.0
-            P = (P + np.swapaxes(P, 1, 2)) / 2
             now = before.max(axis=0)
             if np.all(np.abs(now - last)[~lost] <= SETTLED * now[~lost]):
                 break
@@ -152,8 +152,7 @@ class RasterFilter:
             self.work.add((M * FILTER[0], FILTER[1]), M * n)
             before, after = np.zeros((M, n, n)), np.zeros((M, n, n))
             for i in range(M):
-                P = self.F @ P @ self.F.T + self.Q
-                before[i] = P = (P + P.T) / 2
+                before[i] = P = propagate(P, self.F, self.Q)
                 if some[i]:
                     P = np.linalg.solve(np.eye(n) + P @ information[i], P)
                     P = (P + P.T) / 2

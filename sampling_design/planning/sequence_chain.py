@@ -22,7 +22,8 @@ from sampling_design.accuracy.sample_chain import (
 )
 from sampling_design.accuracy.start import StartSet
 from sampling_design.errors import NotDetectableError
-from sampling_design.numerics.linalg import discounted_flow, filter_gain
+from sampling_design.numerics.filtering import propagate, update_with_gain
+from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.sequence_deviation import SampleSequence
 from sampling_design.records.checks import freeze
@@ -95,7 +96,7 @@ def sequence_chain(
             P = opening(plan.problem.initial, own.D) if k == 0 else np.zeros(0)
             if k:
                 step, noise = flows[k - 1]
-                P = step @ L[-1] @ L[-1].T @ step.T + noise
+                P = propagate(L[-1] @ L[-1].T, step, noise)
             root, sample = _fresh(plan, own, P, sequence.seen[k])
         else:
             root, sample = own.L[phase], own.samples[phase]
@@ -150,5 +151,5 @@ def _fresh(plan: PlanFigures, own: SampleChain, P: Array, seen: npt.NDArray[np.b
     bounds = replace(own.bounds, v=freeze(v[None]))
     (H,), (size,), (exact,) = noise_units(plan.plant.C * own.D, bounds, P[None])
     root = covariance_root(updated(P, H.T @ H))
-    K = np.asarray(np.linalg.solve(root, filter_gain(P, H)), dtype=np.float64)
+    K = np.asarray(np.linalg.solve(root, update_with_gain(P, H)[1]), dtype=np.float64)
     return root, ChainSample(bounds.measured(0), size, H @ root, exact, K)

@@ -14,6 +14,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.numerics.filtering import measurement_update, propagate
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.filter_deviation import PERIODS, SETTLED, WIDE, own
@@ -187,14 +188,7 @@ class SpreadSequence:
 
     def _flow(self, P: Array, length: float) -> Array:
         F, W = self._flows(np.array([length]))
-        P = F[0] @ P @ F[0].T + W[0]
-        return np.asarray((P + P.T) / 2)
-
-    def _read(self, P: Array, seen: Mask) -> Array:
-        for h in self.S[seen]:
-            Ph = P @ h
-            P = P - np.outer(Ph, Ph) / (1.0 + float(h @ Ph))
-        return np.asarray((P + P.T) / 2)
+        return propagate(P, F[0], W[0])
 
     @cached_property
     def limits(self) -> Array:
@@ -214,7 +208,7 @@ class SpreadSequence:
         for period in range(PERIODS):
             after = []
             for mask, gap in zip(masks, np.roll(schedule.gaps, -1), strict=True):  # gaps[j] lies before sample j
-                P = self._read(P, mask)
+                P = measurement_update(P, self.S[mask])
                 after.append(P)
                 P = self._flow(P, float(gap))
             now = np.array([np.trace(X) for X in after])
@@ -263,13 +257,14 @@ class SpreadSequence:
             times = sequence.times
             self.plan.oracle.work.add(SEQUENCE, len(times) * len(self.A))
             start = max(sequence.first - 1, 0)
-            nothing = np.eye(len(self.A)) * WIDE
-            P = self._read(nothing, sequence.seen[0]) if sequence.begins else self._limit(sequence, start)
+            P = np.eye(len(self.A)) * WIDE if sequence.begins else self._limit(sequence, start)
+            P = measurement_update(P, self.S[sequence.seen[0]]) if sequence.begins else P
             found = [(start, P)]
             for k in range(start, len(times) - 1):
                 if times[k] >= until:
                     break
-                P = self._read(self._flow(found[-1][1], float(times[k + 1] - times[k])), sequence.seen[k + 1])
+                P = self._flow(found[-1][1], float(times[k + 1] - times[k]))
+                P = measurement_update(P, self.S[sequence.seen[k + 1]])
                 found.append((k + 1, P))
             self._run = sequence, until, found
         return self._run[2]

@@ -24,6 +24,7 @@ from sampling_design.estimators.online.history import EstimatorState, HistoryNod
 from sampling_design.estimators.online.open_loop import OpenLoop
 from sampling_design.estimators.online.recorder import Recorder
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
+from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import discounted_flow, forced_flow
 from sampling_design.plants.plant import Signals
 from sampling_design.records import checks
@@ -149,7 +150,7 @@ class MismatchLoop(OpenLoop):
         A, eta, rows = self.plant.A, self.weights.eta, self._rows
         F, W = (M[0] for M in discounted_flow(A, self.weights.noise, [step], eta))
         x_next = forced_flow(A, push[:, None], [step])[0] @ np.append(x, 1.0)
-        Y_next = np.exp(eta * step) * F @ Y @ F.T + W
+        Y_next = propagate(np.exp(eta * step) * Y, F, W)
         try:
             L = np.linalg.cholesky(Y)
         except np.linalg.LinAlgError:
@@ -173,7 +174,7 @@ class MismatchLoop(OpenLoop):
                 return None
             if np.all(needed <= size):
                 lost = float(discounted_length(eta, step)) * (fixed + float(self._q[:m] @ size**2))
-                return x_next, (Y_next + Y_next.T) / 2, float(np.exp(-eta * step) * beta + lost)
+                return x_next, Y_next, float(np.exp(-eta * step) * beta + lost)
             size = np.maximum(size, needed * (1 + 1e-6))
         return None
 

@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
-from sampling_design.numerics.linalg import discounted_flow, symmetrise
+from sampling_design.numerics.filtering import propagate, update_with_gain, whitened
+from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.validation.scenario import RunInputs, ScenarioBounds
 from sampling_design.validation.timeline import Timeline
 
@@ -243,7 +244,7 @@ class _Builder:
         online = {0: Y}
         for b in range(line.times.size):
             if b:
-                Y = symmetrise(np.exp(eta * line.lengths[b - 1]) * line.F[b - 1] @ Y @ line.F[b - 1].T + noise[b - 1])
+                Y = propagate(np.exp(eta * line.lengths[b - 1]) * Y, line.F[b - 1], noise[b - 1])
             k = self.place.get(b)
             if k is not None and k in self.sample_of:
                 kept.append(Y)
@@ -274,7 +275,7 @@ class _Builder:
         absorbs: dict[int, SampleUpdate] = {}
         for k in range(start, end + 1):
             if k > start:
-                Y = symmetrise(self.growth[k - 1] * self.F[k - 1] @ Y @ self.F[k - 1].T + self.W[k - 1])
+                Y = propagate(self.growth[k - 1] * Y, self.F[k - 1], self.W[k - 1])
             if k in self.sample_of and (k > start or given or self.closed):
                 absorbs[k], Y = self._absorbed(self.sample_of[k], Y)
                 known += self.energies[self.sample_of[k]] * float(np.exp(self.weights.eta * (times[k] - times[end])))
@@ -282,8 +283,7 @@ class _Builder:
 
     def _absorbed(self, j: int, Y: Array) -> tuple[SampleUpdate, Array]:
         H = self.H[j]
-        half = np.linalg.cholesky(H @ Y @ H.T + np.eye(H.shape[0]))
-        root = np.asarray(np.linalg.solve(half, np.eye(H.shape[0])))
-        gain = (Y @ H.T @ root.T) @ root
-        rest = np.eye(Y.shape[0]) - gain @ H
-        return SampleUpdate(j, gain, root), symmetrise(rest @ Y @ rest.T + gain @ gain.T)
+        unit = np.eye(len(H))
+        root = whitened(unit, propagate(Y, H, unit))
+        Y, gain = update_with_gain(Y, H)
+        return SampleUpdate(j, gain, root), Y

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.estimators.gap_flows.cost_weights import marginal
+from sampling_design.numerics.filtering import measurement_update, propagate, whitened
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.validation.error_map import discounted
 from sampling_design.validation.timeline import Timeline
@@ -136,17 +137,13 @@ def _forward(line: Timeline, certificate: SampledCertificate, start: int, stop: 
     run = _Forward([Y], [Y])
     for c in range(start, stop):
         gamma, unit = _cell_noise(line, certificate, c)
-        growth = np.exp(certificate.eta * line.lengths[c])
-        Y = symmetrise(growth * line.F[c] @ Y @ line.F[c].T + gamma @ unit @ gamma.T)
+        Y = propagate(np.exp(certificate.eta * line.lengths[c]) * Y, line.F[c], gamma @ unit @ gamma.T)
         run.before.append(Y)
         j = samples.get(c + 1)
         if j is not None:
             seen = line.masks[j] > 0
-            C = line.plant.C[seen]
-            noise = sum(np.linalg.inv(M)[np.ix_(seen, seen)] for M in (certificate.R, certificate.Qv))
-            gain = np.linalg.solve(C @ Y @ C.T + noise, C @ Y).T
-            rest = np.eye(Y.shape[0]) - gain @ C
-            Y = symmetrise(rest @ Y @ rest.T + gain @ noise @ gain.T)
+            noise = np.linalg.inv(certificate.R) + np.linalg.inv(certificate.Qv)
+            Y = measurement_update(Y, whitened(line.plant.C[seen], noise[np.ix_(seen, seen)]))
         run.after.append(Y)
     return run
 

@@ -8,15 +8,13 @@ from sampling_design.certificates.exact.riccati import (
     at_peak,
     located,
     periodic_riccati_solution,
-    push,
     supremum,
     sweep,
-    update,
-    updated,
 )
 from sampling_design.certificates.exact.window_problem import noise_input, window_problem
 from sampling_design.certificates.families.certify_family import certify_family
 from sampling_design.errors import ArgumentError, SolverError
+from sampling_design.numerics.filtering import joint_update, measurement_update, propagate
 from sampling_design.plants.plant import Signals
 from tests.oracles import riccati as oracle
 
@@ -34,9 +32,9 @@ def information(problem, times, t):
     Y, now = np.eye(problem.size), 0.0
     for k, tau in enumerate(times):
         F, W = problem.flow([tau - now])
-        Y, now = update(push(Y, F[0], W[0]), problem.rows[k]), tau
+        Y, now = measurement_update(propagate(Y, F[0], W[0]), problem.rows[k]), tau
     F, W = problem.flow([t - now])
-    return problem.root @ np.linalg.inv(push(Y, F[0], W[0])) @ problem.root.T
+    return problem.root @ np.linalg.inv(propagate(Y, F[0], W[0])) @ problem.root.T
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -100,8 +98,8 @@ def test_periodic_riccati_solution_is_a_fixed_point_and_windows_tend_to_it():
     )
     solution = periodic_riccati_solution(problem)
     F, W = problem.flow(problem.gaps)
-    assert np.allclose(update(push(solution[0], F[1], W[1]), problem.rows[1]), solution[1], rtol=1e-8)
-    assert np.allclose(update(push(solution[1], F[0], W[0]), problem.rows[0]), solution[0], rtol=1e-8)
+    assert np.allclose(measurement_update(propagate(solution[0], F[1], W[1]), problem.rows[1]), solution[1], rtol=1e-8)
+    assert np.allclose(measurement_update(propagate(solution[1], F[0], W[0]), problem.rows[0]), solution[0], rtol=1e-8)
 
 
 def test_a_large_prior_is_bound_by_the_periodic_riccati_solution():
@@ -195,7 +193,7 @@ def test_outputs_that_are_nearly_exact_settle_where_the_recursion_does():
     Y = np.eye(3)
     for _ in range(400):
         for i in range(2):
-            Y = update(push(Y, flows[0][i], flows[1][i]), problem.rows[i])
+            Y = measurement_update(propagate(Y, flows[0][i], flows[1][i]), problem.rows[i])
     size = np.sqrt(np.diag(Y))
     assert np.all(np.abs(periodic_riccati_solution(problem)[-1] - Y) <= 1e-6 * size * size[:, None])
 
@@ -206,7 +204,7 @@ def test_the_closed_loop_of_a_sample_is_carried_along():
     rows, half, Phi = rng.normal(size=(2, 4)), rng.normal(size=(3, 4, 4)), rng.normal(size=(3, 4, 4))
     Y = half @ np.swapaxes(half, 1, 2)
     K = np.swapaxes(np.linalg.solve(rows @ Y @ rows.T + np.eye(2), rows @ Y), 1, 2)
-    after, carried = updated(Y, np.broadcast_to(rows, (3, 2, 4)), Phi)
+    after, carried = joint_update(Y, np.broadcast_to(rows, (3, 2, 4)), Phi)
     assert carried == pytest.approx((np.eye(4) - K @ rows) @ Phi, rel=1e-9, abs=1e-9)
     assert after == pytest.approx((np.eye(4) - K @ rows) @ Y, rel=1e-9, abs=1e-9)
-    assert updated(Y, np.broadcast_to(rows, (3, 2, 4)), None)[1] is None
+    assert joint_update(Y, np.broadcast_to(rows, (3, 2, 4)), None)[1] is None

@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.certificates.exact.certificate import Certificate
-from sampling_design.certificates.exact.riccati import push, updated
 from sampling_design.certificates.exact.window_problem import WindowProblem, window_problem
 from sampling_design.errors import UndecidedError
+from sampling_design.numerics.filtering import joint_update, propagate
 from sampling_design.numerics.linalg import expm_batch
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget
@@ -162,7 +162,7 @@ def _along(problem: WindowProblem, starts: Array, length: float, seen: list[Arra
     Y = Phi = np.broadcast_to(np.eye(n), (len(starts), n, n))
     for k in range(steps):
         at = which[:, k]
-        Y, closed = updated(push(Y, F[at], W[at]), rows[:, k], crossed[at] @ Phi)
+        Y, closed = joint_update(propagate(Y, F[at], W[at]), rows[:, k], crossed[at] @ Phi)
         Phi = Phi if closed is None else closed
     last = crossed[which[:, steps]] @ Phi
     return np.asarray(np.linalg.solve(problem.root.T, last @ problem.root.T), dtype=np.float64)

@@ -8,9 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.certificates.exact.certificate import Certificate
-from sampling_design.certificates.exact.riccati import located, push, update
+from sampling_design.certificates.exact.riccati import located
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.errors import ArgumentError
+from sampling_design.numerics.filtering import measurement_update, propagate
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.records import checks
 from sampling_design.records.record import Record, short
@@ -120,11 +121,11 @@ def information_curve(
     times, least, hits = [], [], []
     for step in range(count):
         duration = peak.remaining if step == 0 else float(problem.gaps[at])
-        path = push(Y, *problem.flow(duration * fractions))
+        path = propagate(Y, *problem.flow(duration * fractions))
         times.append(now + duration * fractions)
         least.append(1.0 / np.linalg.eigvalsh(factor.T @ path @ factor)[:, -1])
         now += duration
         hits.append(now)
-        Y = update(path[-1], problem.rows[at])
+        Y = measurement_update(path[-1], problem.rows[at])
         at = (at + 1) % problem.count
     return InformationCurve(np.concatenate(times), np.concatenate(least), begin, np.array(hits), made.plant.time_unit)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from sampling_design.certificates.exact.window_problem import Index, WindowProblem
 from sampling_design.checkers.work import Work
 from sampling_design.errors import SolverError
+from sampling_design.numerics.filtering import measurement_update, propagate
 from sampling_design.numerics.linalg import symmetrise
 
 Array = npt.NDArray[np.float64]
@@ -64,39 +65,6 @@ class RiccatiPeak:
     remaining: float
     step: int
     fraction: float
-
-
-def update(Y: Array, rows: Array) -> Array:
-    """Return Y after a sample with whitened rows (..., p, n), in Joseph's form: psd to a few units in the last place.
-
-    What is found with it is proven elsewhere, with a bound of all rounding (`checkers`) or in balls (`rigorous`).
-
-    The rows' noise is independent, so that they count one after the other: nothing is solved, and outputs of any sizes
-    may stand side by side.
-    """
-    return updated(Y, rows, None)[0]
-
-
-def updated(Y: Array, rows: Array, Phi: Array | None) -> tuple[Array, Array | None]:
-    """`update`, and the product of its closed loop I - K C with Phi, if there is one."""
-    for k in range(rows.shape[-2]):
-        row = rows[..., k : k + 1, :]
-        cross = Y @ row.swapaxes(-1, -2)
-        gain = cross / (1 + row @ cross)
-        Y = _with_gain(Y, row, gain, cross)
-        Phi = None if Phi is None else Phi - gain * (row @ Phi)
-    return Y, Phi
-
-
-def _with_gain(Y: Array, row: Array, gain: Array, cross: Array) -> Array:
-    """Return (I - gain row) Y (I - gain row)' + gain gain', where cross = Y row': two dyads, not two products."""
-    left = Y - gain * cross.swapaxes(-1, -2)
-    return symmetrise(left - (left @ row.swapaxes(-1, -2) - gain) * gain.swapaxes(-1, -2))
-
-
-def push(Y: Array, F: Array, W: Array) -> Array:
-    """Return F Y F' + W."""
-    return symmetrise(F @ Y @ F.swapaxes(-1, -2) + W)
 
 
 def periodic_riccati_solution(problem: WindowProblem, work: Work | None = None, walk: bool = True) -> Array:
@@ -167,7 +135,7 @@ def _with_gains(
     result = np.empty((problem.count, problem.size, problem.size))
     for i in range(problem.count):
         F, W = flows[0][i], flows[1][i]
-        Y, whole, added = push(Y, F, W), F @ whole, push(added, F, W)
+        Y, whole, added = propagate(Y, F, W), F @ whole, propagate(added, F, W)
         if share:
             floor = np.diag(share * np.diagonal(Y))
             Y, added = Y + floor, added + floor
@@ -175,7 +143,7 @@ def _with_gains(
             cross = Y @ row
             gain = cross / (1 + cross @ row)
             left, noise = np.eye(problem.size) - np.outer(gain, row), np.outer(gain, gain)
-            Y, whole, added = push(Y, left, noise), left @ whole, push(added, left, noise)
+            Y, whole, added = propagate(Y, left, noise), left @ whole, propagate(added, left, noise)
         result[i] = Y
     return result, whole, added
 
@@ -228,12 +196,12 @@ def _one_period(problem: WindowProblem, flows: tuple[Array, Array]) -> tuple[Arr
     n = problem.size
     F, W, H = np.eye(n), np.zeros((n, n)), np.zeros((n, n))
     for i in range(problem.count):
-        F, W = flows[0][i] @ F, push(W, flows[0][i], flows[1][i])
+        F, W = flows[0][i] @ F, propagate(W, flows[0][i], flows[1][i])
         for row in problem.rows[i]:
             cross, seen = W @ row, row @ F
             spread = 1 + cross @ row
             left = np.eye(n) - np.outer(cross / spread, row)
-            F, W, H = left @ F, update(W, row[None]), H + np.outer(seen, seen) / spread
+            F, W, H = left @ F, measurement_update(W, row[None]), H + np.outer(seen, seen) / spread
     return F, W, H
 
 
@@ -244,14 +212,14 @@ def _then(first: tuple[Array, Array, Array], second: tuple[Array, Array, Array])
     n = F1.shape[0]
     inner = np.linalg.solve(np.eye(n) + W1 @ H2, np.hstack([F1, W1]))
     F = F2 @ inner[:, :n]
-    W = symmetrise(W2 + F2 @ inner[:, n:] @ F2.T)
+    W = propagate(inner[:, n:], F2, W2)
     H = symmetrise(H1 + F1.T @ H2 @ inner[:, :n])
     return F, W, H
 
 
 def _apply(cycle: tuple[Array, Array, Array], Y: Array) -> Array:
     F, W, H = cycle
-    return symmetrise(F @ np.linalg.solve(np.eye(Y.shape[0]) + Y @ H, Y) @ F.T + W)
+    return propagate(np.linalg.solve(np.eye(Y.shape[0]) + Y @ H, Y), F, W)
 
 
 def _around(problem: WindowProblem, flows: tuple[Array, Array], last: Array) -> Array:
@@ -259,7 +227,7 @@ def _around(problem: WindowProblem, flows: tuple[Array, Array], last: Array) -> 
     result = np.empty((problem.count, problem.size, problem.size))
     Y = last
     for i in range(problem.count):
-        Y = update(push(Y, flows[0][i], flows[1][i]), problem.rows[i])
+        Y = measurement_update(propagate(Y, flows[0][i], flows[1][i]), problem.rows[i])
         result[i] = Y
     return result
 
@@ -287,21 +255,21 @@ def sweep(
     distinct, where[needed] = np.unique(problem.gaps[needed], return_inverse=True)
     F, W = (a.reshape(distinct.size, m, *a.shape[1:]) for a in problem.flow(np.outer(distinct, part).ravel()))
     head_F, head_W = problem.flow(np.outer(remaining, part).ravel())
-    head = push(np.eye(problem.size), head_F, head_W).reshape(remaining.size, m, problem.size, problem.size)
+    head = propagate(np.eye(problem.size), head_F, head_W).reshape(remaining.size, m, problem.size, problem.size)
     best = np.zeros((3, index.size))  # value, step and fraction of each window's peak
     best[1] = -1
     alive = np.arange(index.size)
     _note(best, alive, head, part, -1)
     Y, at = head[:, -1], index.copy()
     for step in range(last_step + 1):
-        Y = update(Y, problem.rows[at])
+        Y = measurement_update(Y, problem.rows[at])
         going = _going(problem, Y, at, steady)
         Y, alive = Y[going], alive[going]
         at = (at[going] + 1) % problem.count
         if not alive.size or work.over:
             break
         work.spend(100 + alive.size * (m + 1) * problem.size)
-        inside = push(Y[:, None], F[where[at]], W[where[at]])
+        inside = propagate(Y[:, None], F[where[at]], W[where[at]])
         _note(best, alive, inside, part, step)
         Y = inside[:, -1]
     return [
@@ -374,7 +342,7 @@ def long_run(problem: WindowProblem, steady: Array, best: RiccatiPeak, work: Wor
     follower = (np.arange(problem.count) + 1) % problem.count
     part = np.asarray(TIME_FRACTIONS)
     F, W = problem.flow(np.outer(problem.gaps[follower], part).ravel())
-    values = np.linalg.eigvalsh(push(np.repeat(steady, part.size, axis=0), F, W))[:, -1]
+    values = np.linalg.eigvalsh(propagate(np.repeat(steady, part.size, axis=0), F, W))[:, -1]
     if values.max() <= best.value:
         return best
     index, remaining = problem.sample_starts()
@@ -430,12 +398,12 @@ def at_peak(problem: WindowProblem, peak: RiccatiPeak) -> tuple[Array, float, fl
     start = problem.start_time(peak.index, peak.remaining)
     before = peak.remaining * (peak.fraction if peak.step < 0 else 1.0)
     F, W = problem.flow([before])
-    Y, elapsed, at = push(np.eye(problem.size), F[0], W[0]), before, peak.index
+    Y, elapsed, at = propagate(np.eye(problem.size), F[0], W[0]), before, peak.index
     gap_F, gap_W = problem.flow(problem.gaps)
     for step in range(peak.step + 1):
-        Y = update(Y, problem.rows[at])
+        Y = measurement_update(Y, problem.rows[at])
         at = (at + 1) % problem.count
         duration = problem.gaps[at] * (peak.fraction if step == peak.step else 1.0)
         last = problem.flow([duration]) if step == peak.step else (gap_F[at : at + 1], gap_W[at : at + 1])
-        Y, elapsed = push(Y, last[0][0], last[1][0]), elapsed + duration
+        Y, elapsed = propagate(Y, last[0][0], last[1][0]), elapsed + duration
     return Y, start + float(elapsed), start

@@ -12,9 +12,10 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.certificates.exact.riccati import periodic_riccati_solution, push, updated
+from sampling_design.certificates.exact.riccati import periodic_riccati_solution
 from sampling_design.certificates.exact.window_problem import Index, WindowProblem
 from sampling_design.checkers.work import Work
+from sampling_design.numerics.filtering import joint_update, propagate
 
 Array = npt.NDArray[np.float64]
 
@@ -98,7 +99,7 @@ class WindowSet:
         if self.steady is None:
             return np.zeros((0, n, n))
         follower = (np.arange(self.problem.count) + 1) % self.problem.count
-        return push(self.steady[:, None], self.inside[0][follower], self.inside[1][follower]).reshape(-1, n, n)
+        return propagate(self.steady[:, None], self.inside[0][follower], self.inside[1][follower]).reshape(-1, n, n)
 
     def long_run(self, prior: Array) -> Array:
         """Y within the gaps of the long-run period; of a finite schedule, along its windows from P2^-1 = `prior`.
@@ -116,12 +117,12 @@ class WindowSet:
         Without `gains` Phi stays as it is at the first sample.
         """
         problem = self.problem
-        Y, Phi, at = push(X, *self.head), self.head[0], self.index
+        Y, Phi, at = propagate(X, *self.head), self.head[0], self.index
         Ys, Phis, valid = [Y], [Phi], [np.ones(at.size, dtype=bool)]
         alive = valid[0]
         scale = max(float(np.linalg.norm(X)), 0.0 if self.steady is None else float(np.linalg.norm(self.steady[0])))
         for _ in range(MOST_STEPS):
-            following, gain_free = updated(Y, problem.rows[at], Phi if gains else None)
+            following, gain_free = joint_update(Y, problem.rows[at], Phi if gains else None)
             if self.steady is None:
                 alive = alive & (at + 1 < problem.count)
             else:
@@ -136,7 +137,7 @@ class WindowSet:
             )
             for part in range(len(PARTS)):
                 F, W = self.inside[0][at, part], self.inside[1][at, part]
-                Y = push(following, F, W)
+                Y = propagate(following, F, W)
                 Ys.append(Y)
                 valid.append(alive)
                 if gain_free is not None:

@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from sampling_design.errors import CertificateError, UndecidedError
 from sampling_design.numerics.balancing import balance, balanced, balanced_rows
-from sampling_design.numerics.linalg import expm_batch, filter_gain, positive_or_one
+from sampling_design.numerics.filtering import measurement_update, propagate
+from sampling_design.numerics.linalg import expm_batch, positive_or_one
 from sampling_design.observability.alignment import meet
 from sampling_design.observability.count.period_modes import LeastObservedMode, PeriodModes, period_modes
 from sampling_design.plants.clusters import format_eigenvalue
@@ -300,9 +301,7 @@ def stays_bounded(plant: Plant, schedule: PeriodicSchedule, eta: float) -> bool:
         for cycle in range(max(FEWEST_PERIODS, min(MOST_PERIODS, MOST_UPDATES // len(schedule)))):
             for i, F in enumerate(flows):
                 rows = C if schedule.outputs is None else C[schedule.outputs[i]]
-                K = filter_gain(Y, rows)
-                keep = np.eye(len(Y)) - K @ rows
-                Y = F @ (keep @ Y @ keep.T + K @ K.T) @ F.T + np.eye(len(Y)) / len(flows)
+                Y = propagate(measurement_update(Y, rows), F, np.eye(len(Y)) / len(flows))
                 if not np.isfinite(Y).all() or np.max(np.abs(Y)) > HUGE:
                     return False
             if cycle % SETTLING == SETTLING - 1:

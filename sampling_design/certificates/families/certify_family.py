@@ -31,6 +31,7 @@ from sampling_design.certificates.families.step_proof import prove as proven_alo
 from sampling_design.certificates.form.digest import FAMILY_CLAIM, RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.rigorous.decide import judged_while_sought
 from sampling_design.errors import CertificateError, UndecidedError
+from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -186,7 +187,7 @@ class FamilySearch:
         tops = graph.tops
         parts = np.linspace(0.0, 1.0, 33)
         F, W = dynamics.flow(np.outer(tops, parts).ravel())
-        Y = F @ np.repeat(np.linalg.inv(P), parts.size, axis=0) @ np.swapaxes(F, 1, 2) + W
+        Y = propagate(np.repeat(np.linalg.inv(P), parts.size, axis=0), F, W)
         L = np.linalg.cholesky(P[0])
         lam = float(np.linalg.eigvalsh(symmetrise(L.T @ Y @ L))[:, -1].max())
         for _ in range(ROUNDS):

@@ -191,8 +191,6 @@ class BallFrame:
         for measured in seen:
             self.rows.append(flint().arb_mat([turned[int(j)] for j in np.flatnonzero(measured)]))
             self.noises.append(weights.noise_of(measured))
-        self.float_rows = [floats(row) for row in self.rows]
-        self.float_noises = [floats(V) for V in self.noises]
         self.identity = identity(self.n)
 
     def gain(self, Y: Matrix, i: int) -> Matrix:

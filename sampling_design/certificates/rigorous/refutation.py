@@ -14,6 +14,7 @@ import numpy.typing as npt
 from sampling_design.certificates.rigorous.ball_problem import BallFailure, ScheduleFrame
 from sampling_design.checkers.outcome import REFUTED
 from sampling_design.numerics.balls import ball, definite, floats, lowered, precision
+from sampling_design.numerics.filtering import measurement_update, propagate, whitened
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.records.budget import Budget
 
@@ -56,24 +57,13 @@ class RefutationSearch:
         self.gaps = [float(gap) for gap in self.schedule.gaps]
         self.reach = [float(gap) for gap in self.schedule.reach]
         self.A, self.S = floats(frame.flow.A), floats(frame.flow.S)
+        self.rows = [whitened(floats(H), floats(V)) for H, V in zip(frame.rows, frame.noises, strict=True)]
         self.over_gaps = [tuple(floats(M) for M in frame.flow.over(gap)) for gap in self.schedule.gaps]
 
     def step(self, Y: Array, duration: float) -> Array:
         """Y `duration` later: doubles, as a polish asks for hundreds of durations that nothing else needs."""
         F, W = discounted_flow(self.A, self.S, duration)
-        return np.asarray(F[0] @ Y @ F[0].T + W[0])
-
-    def through(self, Y: Array, i: int) -> Array:
-        """Y the whole gap before sample i later."""
-        F, W = self.over_gaps[i]
-        return np.asarray(F @ Y @ F.T + W)
-
-    def sampled(self, Y: Array, i: int) -> Array:
-        """Y after sample i, for a stack of Y."""
-        C, V = self.frame.float_rows[i], self.frame.float_noises[i]
-        K = np.swapaxes(np.linalg.solve(C @ Y @ C.T + V, C @ Y), -1, -2)
-        left = np.eye(self.frame.n) - K @ C
-        return np.asarray(left @ Y @ np.swapaxes(left, -1, -2) + K @ V @ np.swapaxes(K, -1, -2))
+        return propagate(Y, F[0], W[0])
 
     def grid(self) -> list[WindowPoint]:
         """Best points of a grid, the best first: one for each cell of starts and gap in which it is looked at."""
@@ -95,7 +85,7 @@ class RefutationSearch:
         for k in range(1, PERIODS * schedule.N + 1):
             at = (i + k - 1) % schedule.N
             self.clock.check(100 + r.size * PARTS * self.frame.n)
-            Y, after = self.sampled(Y, at), schedule.after(at)
+            Y, after = measurement_update(Y, self.rows[at]), schedule.after(at)
             if not schedule.periodic and at + 1 == schedule.N:
                 break
             if k % schedule.N == 0:
@@ -103,7 +93,7 @@ class RefutationSearch:
                     break
                 before = Y
             F, W = (part[:, None] for part in flows[after])
-            stack = F @ Y @ np.swapaxes(F, -1, -2) + W
+            stack = propagate(Y, F, W)
             found.append(self._best(stack.reshape(-1, *Y.shape[1:]), i, r, k, parts * self.gaps[after]))
             Y = stack[-1]
         return found
@@ -118,9 +108,9 @@ class RefutationSearch:
         self.clock.check(40.0 * (k + 1))
         Y = self.step(floats(self.frame.start), r)
         for j in range(k):
-            Y = self.sampled(Y, (i + j) % self.schedule.N)
-            Y = self.step(Y, s) if j + 1 == k else self.through(Y, (i + j + 1) % self.schedule.N)
-        return float(np.linalg.eigvalsh((Y + Y.T) / 2)[-1])
+            Y = measurement_update(Y, self.rows[(i + j) % self.schedule.N])
+            Y = self.step(Y, s) if j + 1 == k else propagate(Y, *self.over_gaps[(i + j + 1) % self.schedule.N])
+        return float(np.linalg.eigvalsh(Y)[-1])
 
     def polished(self, point: WindowPoint) -> WindowPoint:
         """The point moved to the nearest local maximum over r and s, or near it where that is far from failing."""

@@ -14,6 +14,7 @@ from scipy.linalg import lapack
 
 from sampling_design.estimators.gap_flows.composed_flow import SMALL, ComposedFlow
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
+from sampling_design.numerics.filtering import propagate
 
 Array = npt.NDArray[np.float64]
 
@@ -345,7 +346,7 @@ def prepare_joint(flows: list[GapFlow]) -> None:
 def prepare_arrival(flows: list[GapFlow], Y: Array) -> None:
     """Find what a prior of covariance Y is worth after some gaps, where no digits are lost."""
     F, growth = np.array([flow.F for flow in flows]), np.array([flow.growth for flow in flows])
-    M = F @ Y @ F.transpose(0, 2, 1) * growth[:, None, None] + np.array([flow.W for flow in flows])
+    M = propagate(Y * growth[:, None, None], F, np.array([flow.W for flow in flows]))
     half, _, fit = _halves(M)
     information = half.transpose(0, 2, 1) @ half
     bands = _bands(information, len(Y))

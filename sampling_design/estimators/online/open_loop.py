@@ -14,6 +14,7 @@ from sampling_design.estimators.online.error_bounds import ErrorBounds
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode, InputDrift
 from sampling_design.estimators.online.rounding import faded
 from sampling_design.estimators.online.verdict import LARGEST_RESIDUAL, ROUNDING
+from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import symmetrise
 
 Array = npt.NDArray[np.float64]
@@ -53,7 +54,7 @@ class OpenLoop:
         if whole is None or not np.isfinite(whole).all():
             if not np.isfinite(Y).all():
                 with np.errstate(over="ignore", invalid="ignore"):
-                    Y = symmetrise(flow.F @ node.Y @ flow.F.T + self._disturbed(flow.gap))
+                    Y = propagate(node.Y, flow.F, self._disturbed(flow.gap))
             return x, Y, beta
         size = self._trace(whole)
         if np.isfinite(Y).all() and beta * self._trace(Y) <= size:

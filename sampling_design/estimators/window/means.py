@@ -26,6 +26,7 @@ from sampling_design.estimators.gap_flows.flows import FlowTable, noise_root
 from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.online.history import EstimatorState, InputDrift
 from sampling_design.estimators.window.solution import DUAL_MARGIN, Solution, SolutionSpread
+from sampling_design.numerics.filtering import propagate
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -131,7 +132,8 @@ class IntegralFlows:
             shown[inside] += take @ (F[n:, :n] @ reference[j] + drift[n:] + gain @ moved)
             rows[inside, j] += take @ (F[n:, :n] - gain @ F[:n, :n])
             rows[inside, j + 1] += take @ gain
-            spread[np.ix_(inside, inside)] += take @ ((rest + rest.T) / 2 * grown[j + 1]) @ take.T
+            at = np.ix_(inside, inside)
+            spread[at] = propagate((rest + rest.T) / 2 * grown[j + 1], take, spread[at])
         together, y = np.zeros_like(masks), np.zeros_like(masks)
         for r in readings:
             together[r.end, r.output], y[r.end, r.output] = 1.0, r.value

@@ -25,7 +25,7 @@ from sampling_design.estimators.online.rounding import CovariancePrecision
 from sampling_design.estimators.online.verdict import LARGEST_RESIDUAL
 from sampling_design.estimators.window.smoother import PIVOT_LIMIT
 from sampling_design.estimators.window.solution import DUAL_MARGIN
-from sampling_design.estimators.window.square_root import absorb, covariance_root
+from sampling_design.numerics.filtering import covariance_root, root_update
 
 Array = npt.NDArray[np.float64]
 
@@ -433,7 +433,7 @@ class SlidingBand:
         y, mask, feedthrough = opening.sample
         kind = self.heard(mask)
         innovation = kind.root @ (y - feedthrough) - kind.shown @ opening.x
-        root, step, half = absorb(covariance_root(opening.Y), kind.shown, innovation)
+        root, step, half = root_update(covariance_root(opening.Y), kind.shown, innovation)
         read = kind.size @ np.abs(y)
         return opening.x + step, root @ root.T, float(half @ half), kind.energy, float(read @ read)
 

@@ -8,6 +8,7 @@ from scipy.linalg import lapack
 
 from sampling_design.estimators.window.solution import DUAL_MARGIN, SmootherKernel, Solution
 from sampling_design.estimators.window.window_problem import EstimationWindow
+from sampling_design.numerics.filtering import root_update
 
 Array = npt.NDArray[np.float64]
 
@@ -57,34 +58,8 @@ def _absorb(window: EstimationWindow, j: int, root: Array, mean: Array, scale: f
     weights = window.weights
     seen = weights.at(window.masks[j]).y_root * scale
     innovation = seen @ (window.residual[j] - weights.plant.C @ mean)
-    root, step, half = absorb(root, seen @ weights.plant.C, innovation)
+    root, step, half = root_update(root, seen @ weights.plant.C, innovation)
     return root, mean + step, float(half @ half)
-
-
-def absorb(root: Array, H: Array, innovation: Array) -> tuple[Array, Array, Array]:
-    """Return the covariance root after a measurement with unit noise, the mean's step, and the whitened innovation.
-
-    With Y = root root', S = H Y H' + I: the step is Y H' S^-1 innovation, |whitened|^2 = innovation' S^-1 innovation.
-    The rows of the root come first, so that a large one (little is known) costs no digits of what is then known.
-    """
-    (p, _), n = H.shape, root.shape[0]
-    stacked = np.zeros((n + p, p + n))
-    stacked[:n, :p], stacked[:n, p:] = (H @ root).T, root.T
-    stacked[n:, :p] = np.eye(p)
-    triangle = _upper(stacked)
-    half = _triangular(triangle[:p, :p], innovation, transposed=True)
-    return triangle[p:, p:].T, triangle[:p, p:].T @ half, half
-
-
-def covariance_root(Y: Array) -> Array:
-    """Return S with S S' = Y: Cholesky's factor, or where rounding has made Y singular, that of its correlations."""
-    try:
-        return np.asarray(np.linalg.cholesky(Y))
-    except np.linalg.LinAlgError:
-        size = np.sqrt(np.maximum(np.diag(Y), 0.0))
-        unit = np.where(size > 0, size, 1.0)
-        values, vectors = np.linalg.eigh(Y / unit[:, None] / unit)
-        return np.asarray(unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _cost_of_reference(window: EstimationWindow) -> float:

@@ -12,7 +12,8 @@ from scipy import optimize
 from sampling_design.certificates.existence.periodic import ExistenceAnswer, certificate_exists, judged
 from sampling_design.errors import UndecidedError
 from sampling_design.numerics.branch_and_bound import all_proven
-from sampling_design.numerics.linalg import filter_gain, positive_or_one
+from sampling_design.numerics.filtering import propagate, update_with_gain
+from sampling_design.numerics.linalg import positive_or_one
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -232,11 +233,7 @@ class GainedGaps:
             gains, infos = [], []
             for i, F in enumerate(flows):
                 infos.append(Y)
-                X, rows = F @ Y @ F.T + noise[i] * self.identity, C[self.measured[i]]
-                K = filter_gain(X, rows)
-                keep = self.identity - K @ rows
-                Y = keep @ X @ keep.T + K @ K.T
-                Y = (Y + Y.T) / 2
+                Y, K = update_with_gain(propagate(Y, F, noise[i] * self.identity), C[self.measured[i]])
                 gains.append(K)
             if not np.isfinite(Y).all() or np.linalg.norm(Y) > 1e12:
                 return None

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import SolverError
-from sampling_design.numerics.linalg import symmetrise
+from sampling_design.numerics.filtering import propagate
 
 Array = npt.NDArray[np.float64]
 
@@ -83,7 +83,7 @@ def table_flow(
             own += 2 * EPS * abs(q) * size * np.exp(size * h)  # the ends of the step are rounded, too
             before, reach = length_of(F), length_of(step)
             error = reach * error + own * (before + error) + 2 * n * n * EPS * reach * before
-            F, W = step @ F, symmetrise(step @ W @ step.T + added)
+            F, W = step @ F, propagate(W, step, added)
     return F, W, error
 
 

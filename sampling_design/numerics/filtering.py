@@ -1,0 +1,96 @@
+"""A filter's covariance over a gap and at a sample, for one or for stacks (..., n, n) that step together.
+
+    Y -> F Y F' + W  over a gap,    Y -> (I - K H) Y (I - K H)' + K K'  at a sample,    K = Y H'(H Y H' + I)^-1
+
+Rows H are in units of their noise (`whitened`). What is found so is in doubles: proofs carry a bound of all rounding
+(`checkers`) or are in balls (`certificates/rigorous`).
+
+References
+----------
+Joseph's form, positive semidefinite whatever the rounding: Bucy and Joseph 1968.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import lapack
+
+from sampling_design.numerics.linalg import symmetrise
+
+Array = npt.NDArray[np.float64]
+
+
+def propagate(Y: Array, F: Array, W: Array) -> Array:
+    """Return F Y F' + W, exactly symmetric: a covariance over a gap, or that of an innovation (F = H, W its noise)."""
+    return symmetrise(F @ Y @ F.swapaxes(-1, -2) + W)
+
+
+def measurement_update(Y: Array, rows: Array) -> Array:
+    """Return Y after a sample with whitened rows (..., p, n), in Joseph's form: psd to a few units in the last place.
+
+    The rows' noise is independent, so that they count one after the other: nothing is solved, and outputs of any sizes
+    may stand side by side. A row of zeros changes nothing.
+    """
+    return joint_update(Y, rows)[0]
+
+
+def update_with_gain(Y: Array, rows: Array) -> tuple[Array, Array]:
+    """Return Y after a sample, and the gain K (..., n, p): what an estimate of 0 becomes where the sample reads I."""
+    p, n = rows.shape[-2:]
+    Y, K = joint_update(Y, rows, np.zeros((n, p)), np.eye(p))
+    assert K is not None
+    return Y, K
+
+
+def joint_update(Y: Array, rows: Array, x: Array | None = None, y: Array | None = None) -> tuple[Array, Array | None]:
+    """Return Y after a sample, and what becomes of estimates x (..., n, m), where it reads y (p, m), 0 by default.
+
+    With y = 0 that is (I - K H) x, the closed loop.
+    """
+    for k in range(rows.shape[-2]):
+        row = rows[..., k : k + 1, :]
+        cross = Y @ row.swapaxes(-1, -2)
+        gain = cross / (1 + row @ cross)
+        left = Y - gain * cross.swapaxes(-1, -2)  # Joseph's form by two dyads, not by two products
+        Y = symmetrise(left - (left @ row.swapaxes(-1, -2) - gain) * gain.swapaxes(-1, -2))
+        if x is not None:
+            x = x - gain * (row @ x if y is None else row @ x - y[k])
+    return Y, x
+
+
+def whitened(rows: Array, noise: Array) -> Array:
+    """Return rows (p, n) in units of their noise (p, p), a covariance: L^-1 rows with L L' = noise."""
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(noise), rows))
+
+
+def root_update(root: Array, rows: Array, innovation: Array) -> tuple[Array, Array, Array]:
+    """Return a covariance's root (n, m) after a sample, the step of the mean, and the whitened innovation.
+
+    With Y = root root', S = H Y H' + I: the step is Y H' S^-1 innovation, |whitened|^2 = innovation' S^-1 innovation.
+    The rows of the root come first, so that a large one (little is known) costs no digits of what is then known.
+    """
+    p, (n, m) = len(rows), root.shape
+    stacked = np.zeros((m + p, p + n))
+    stacked[:m, :p], stacked[:m, p:] = (rows @ root).T, root.T
+    stacked[m:, :p] = np.eye(p)
+    R = triangle(stacked.T).T
+    half = np.asarray(lapack.dtrtrs(R[:p, :p], innovation, lower=0, trans=1)[0])
+    return R[p:, p:].T, R[:p, p:].T @ half, half
+
+
+def covariance_root(Y: Array) -> Array:
+    """Return S with S S' = Y: Cholesky's factor, or where rounding has made Y singular, that of its correlations."""
+    try:
+        return np.asarray(np.linalg.cholesky(Y))
+    except np.linalg.LinAlgError:
+        size = np.sqrt(np.maximum(np.diag(Y), 0.0))
+        unit = np.where(size > 0, size, 1.0)
+        values, vectors = np.linalg.eigh(Y / unit[:, None] / unit)
+        return np.asarray(unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def triangle(root: Array) -> Array:
+    """The lower triangle T with T T' = `root` `root`'; the largest columns first, or the small ones would drown."""
+    order = np.argsort(-np.abs(root).max(axis=0, initial=0.0), kind="stable")
+    return np.asarray(np.linalg.qr(root[:, order].T, mode="r").T, dtype=np.float64)

@@ -10,10 +10,11 @@ import numpy.typing as npt
 
 from sampling_design.accuracy.finite import DIFFUSE
 from sampling_design.accuracy.question import AccuracyQuestion
-from sampling_design.accuracy.riccati import CovarianceMap, RootedPeriod, in_turn, noise_root, strong
+from sampling_design.accuracy.riccati import RootedPeriod, in_turn, strong
 from sampling_design.accuracy.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.accuracy.start import SEMIDEFINITE
 from sampling_design.errors import ArgumentError, UndecidedError
+from sampling_design.numerics.filtering import CovarianceMap, covariance_root
 from sampling_design.numerics.linalg import discounted_flow, psd_root, symmetrise
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
@@ -225,7 +226,7 @@ class _Curves:
             maps.append(CovarianceMap(step[:r, :r], ((H @ L).T @ (H @ L))[:r, :r], symmetrise(noise[:r, :r])))
         P = strong(in_turn(maps), np.eye(r) * DIFFUSE, WALK)
         seen = [H @ L[:, :r] for H, L in zip(rows, bases, strict=True)]
-        rooted = RootedPeriod([m.F for m in maps], seen, [noise_root(m.Q) for m in maps])
+        rooted = RootedPeriod([m.F for m in maps], seen, [covariance_root(m.Q) for m in maps])
         root = psd_root(P)
         roots = rooted(root)[0] if rooted.gives_back(root) else rooted.settled(np.eye(r) * np.sqrt(DIFFUSE))
         return [L[:, :r] @ root for L, root in zip(bases, roots, strict=True)]
@@ -233,7 +234,7 @@ class _Curves:
     def _finite(self, rows: list[Array]) -> list[Array]:
         n = len(self.A)
         flows = self._flows(np.diff(self.question.nodes)) if self.question.nodes.size > 1 else []
-        F, noise = [F for F, _ in flows], [noise_root(W) for _, W in flows]
+        F, noise = [F for F, _ in flows], [covariance_root(W) for _, W in flows]
         path = RootedPeriod([*F, np.eye(n)], rows, [*noise, np.zeros((n, 0))])
         start = np.eye(n) * np.sqrt(DIFFUSE)
         widest = [path(start * size)[0] for size in WIDEST] if not all(a.whole for a in self._atoms) else []

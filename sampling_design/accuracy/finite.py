@@ -10,7 +10,6 @@ import numpy.typing as npt
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.gains import filtered_bounds
-from sampling_design.accuracy.riccati import updated
 from sampling_design.accuracy.sample_chain import (
     ChainSample,
     LengthFlow,
@@ -24,7 +23,7 @@ from sampling_design.accuracy.sample_chain import (
 from sampling_design.accuracy.start import InitialSet
 from sampling_design.accuracy.undetectable import UNSEEN
 from sampling_design.errors import UndecidedError
-from sampling_design.numerics.filtering import propagate, update_with_gain
+from sampling_design.numerics.filtering import information_update, propagate, update_with_gain
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
@@ -67,7 +66,7 @@ def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, i
     P = opening(initial, D)
     roots, samples = [], []
     for j, H in enumerate(rows):
-        K, P = update_with_gain(P, H)[1], updated(P, H.T @ H)
+        K, P = update_with_gain(P, H)[1], information_update(P, H.T @ H)
         roots.append(covariance_root(P))
         K = np.asarray(np.linalg.solve(roots[j], K))
         samples.append(ChainSample(bounds.measured(j), sizes[j], H @ roots[j], exact[j], K))

@@ -12,14 +12,14 @@ from sampling_design.accuracy.accuracy_profile import GapProof
 from sampling_design.accuracy.deviation import WALK
 from sampling_design.accuracy.finite import DIFFUSE
 from sampling_design.accuracy.question import AccuracyQuestion
-from sampling_design.accuracy.riccati import CovarianceMap, in_turn, strong, updated
+from sampling_design.accuracy.riccati import in_turn, strong
 from sampling_design.accuracy.rows import WantedRows, wanted_rows
 from sampling_design.accuracy.sample_chain import SampleChain
 from sampling_design.accuracy.search import ChainSearch
 from sampling_design.accuracy.start import InitialSet
 from sampling_design.accuracy.witness import AccuracyWitness, attains, physical
 from sampling_design.errors import ArgumentError
-from sampling_design.numerics.filtering import propagate
+from sampling_design.numerics.filtering import CovarianceMap, information_update, propagate
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
@@ -290,7 +290,7 @@ def _ellipsoid(
     if not np.all(np.isfinite(X)):
         return None
     for j in range(node + 1):
-        X = updated(X / kept[j], information[j])
+        X = information_update(X / kept[j], information[j])
         step = j if j < node else -1
         X = propagate(X, F[step], W[step])
     return X if np.all(np.isfinite(X)) else None

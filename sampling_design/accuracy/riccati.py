@@ -14,9 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import UndecidedError
-from sampling_design.numerics.filtering import propagate, root_update, triangle
-from sampling_design.numerics.linalg import psd_root, symmetrise
-from sampling_design.records.checks import unit_diagonal
+from sampling_design.numerics.filtering import CovarianceMap, root_update, triangle
 
 Array = npt.NDArray[np.float64]
 
@@ -41,38 +39,6 @@ MOST_PERIODS = 64
 """Periods of roots, where doubling has failed: the error of a mode that grows by e^k falls by as much each period."""
 
 
-@dataclass(frozen=True, eq=False)
-class CovarianceMap:
-    """P -> Q + F P (I + G P)^-1 F'."""
-
-    F: Array
-    G: Array
-    Q: Array
-
-    def __call__(self, P: Array) -> Array:
-        """Return the image of a covariance."""
-        return propagate(updated(P, self.G), self.F, self.Q)
-
-    def then(self, later: CovarianceMap) -> CovarianceMap:
-        """Return the map that applies this one first."""
-        root = psd_root(self.Q)
-        inner = np.eye(root.shape[1]) + root.T @ later.G @ root
-        # (I + Q G)^-1 = I - root inner^-1 root' G
-        solved = np.linalg.solve(inner, root.T)
-        passed = np.eye(len(self.F)) - root @ solved @ later.G
-        F = later.F @ passed @ self.F
-        Q = propagate(root @ solved, later.F, later.Q)
-        mid = later.G - later.G @ root @ solved @ later.G
-        return CovarianceMap(F, propagate(mid, self.F.T, self.G), Q)
-
-    def repeated(self) -> CovarianceMap:
-        """Return the map applied as many times as there are states, or more."""
-        several = self
-        for _ in range(int(np.ceil(np.log2(len(self.F) + 1)))):
-            several = several.then(several)
-        return several
-
-
 def in_turn(maps: Iterable[CovarianceMap]) -> CovarianceMap:
     """Return the map that applies all of them, the first one first."""
     return reduce(CovarianceMap.then, maps)
@@ -89,13 +55,6 @@ def strong(period: CovarianceMap, start: Array, share: float) -> Array:
     if np.max(np.abs(np.linalg.eigvals(closed)), initial=0.0) <= 1 + UNSTABLE:
         return P
     return limit(CovarianceMap(period.F, period.G, period.Q + share * period.repeated()(start)))
-
-
-def updated(P: Array, G: Array) -> Array:
-    """Return P (I + G P)^-1 = root (I + root' G root)^-1 root', the covariance after information G."""
-    root = psd_root(P)
-    inner = np.eye(root.shape[1]) + root.T @ G @ root
-    return symmetrise(root @ np.linalg.solve(inner, root.T))
 
 
 def limit(period: CovarianceMap) -> Array:
@@ -168,15 +127,6 @@ class RootedPeriod:
             "undecided: the covariance of the filter on this schedule does not settle in doubles. Do modes grow far "
             "between two samples, or do outputs differ in almost nothing?"
         )
-
-
-def noise_root(W: Array) -> Array:
-    """A root of a noise covariance, to the digits of each entry where it is definite."""
-    d, unit = unit_diagonal(W)
-    try:
-        return np.asarray(d[:, None] * np.linalg.cholesky(unit))
-    except np.linalg.LinAlgError:
-        return psd_root(W)
 
 
 def _differ(one: Array, two: Array) -> float:

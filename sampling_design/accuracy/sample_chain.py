@@ -15,10 +15,16 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.bounds import SignalBounds
-from sampling_design.accuracy.riccati import CovarianceMap, RootedPeriod, in_turn, limit, noise_root, updated
+from sampling_design.accuracy.riccati import RootedPeriod, in_turn, limit
 from sampling_design.accuracy.start import StartSet
 from sampling_design.errors import UndecidedError
-from sampling_design.numerics.filtering import propagate, update_with_gain
+from sampling_design.numerics.filtering import (
+    CovarianceMap,
+    covariance_root,
+    information_update,
+    propagate,
+    update_with_gain,
+)
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow, psd_root
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
@@ -398,7 +404,7 @@ def state_scales(F: Array, W: Array, rows: list[Array]) -> Array:
 def _covariances(F: Array, W: Array, rows: list[Array]) -> tuple[list[Array], list[Array]]:
     """The filter's covariance before each sample, in its periodic limit, and a root of that after it."""
     maps = [CovarianceMap(f, H.T @ H, w) for f, H, w in zip(F, rows, W, strict=True)]
-    rooted = RootedPeriod(list(F), rows, [noise_root(w) for w in W])
+    rooted = RootedPeriod(list(F), rows, [covariance_root(w) for w in W])
     start = np.eye(F.shape[1])
     try:
         period = in_turn(maps)
@@ -414,7 +420,7 @@ def _covariances(F: Array, W: Array, rows: list[Array]) -> tuple[list[Array], li
         return _by_roots(rooted, np.sqrt(np.diag(start)))
     for following in maps[:-1]:
         P.append(following(P[-1]))
-    after = [updated(X, H.T @ H) for X, H in zip(P, rows, strict=True)]
+    after = [information_update(X, H.T @ H) for X, H in zip(P, rows, strict=True)]
     return P, [np.asarray(np.linalg.cholesky(X + 1e-15 * np.diag(np.diag(X))), dtype=np.float64) for X in after]
 
 

@@ -12,6 +12,8 @@ Joseph's form, positive semidefinite whatever the rounding: Bucy and Joseph 1968
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
@@ -94,3 +96,44 @@ def triangle(root: Array) -> Array:
     """The lower triangle T with T T' = `root` `root`'; the largest columns first, or the small ones would drown."""
     order = np.argsort(-np.abs(root).max(axis=0, initial=0.0), kind="stable")
     return np.asarray(np.linalg.qr(root[:, order].T, mode="r").T, dtype=np.float64)
+
+
+def information_update(P: Array, G: Array) -> Array:
+    """Return P (I + G P)^-1 = root (I + root' G root)^-1 root', the covariance after information G."""
+    root = covariance_root(P)
+    inner = np.eye(root.shape[1]) + root.T @ G @ root
+    return symmetrise(root @ np.linalg.solve(inner, root.T))
+
+
+@dataclass(frozen=True, eq=False)
+class CovarianceMap:
+    """P -> Q + F P (I + G P)^-1 F', a sample of information G and a gap, or any number of both.
+
+    Two of them make a third without a difference of covariances (structure-preserving doubling, Chu et al. 2004).
+    """
+
+    F: Array
+    G: Array
+    Q: Array
+
+    def __call__(self, P: Array) -> Array:
+        """Return the image of a covariance."""
+        return propagate(information_update(P, self.G), self.F, self.Q)
+
+    def then(self, later: CovarianceMap) -> CovarianceMap:
+        """Return the map that applies this one first."""
+        root = covariance_root(self.Q)
+        inner = np.eye(root.shape[1]) + root.T @ later.G @ root
+        # (I + Q G)^-1 = I - root inner^-1 root' G
+        solved = np.linalg.solve(inner, root.T)
+        passed = np.eye(len(self.F)) - root @ solved @ later.G
+        mid = later.G - later.G @ root @ solved @ later.G
+        Q = propagate(root @ solved, later.F, later.Q)
+        return CovarianceMap(later.F @ passed @ self.F, propagate(mid, self.F.T, self.G), Q)
+
+    def repeated(self) -> CovarianceMap:
+        """Return the map applied as many times as there are states, or more."""
+        several = self
+        for _ in range(int(np.ceil(np.log2(len(self.F) + 1)))):
+            several = several.then(several)
+        return several

@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.finite import NO_ERROR, covariance_root, finite_atoms, opening
-from sampling_design.accuracy.riccati import updated
 from sampling_design.accuracy.sample_chain import (
     ChainGap,
     ChainSample,
@@ -22,7 +21,7 @@ from sampling_design.accuracy.sample_chain import (
 )
 from sampling_design.accuracy.start import StartSet
 from sampling_design.errors import NotDetectableError
-from sampling_design.numerics.filtering import propagate, update_with_gain
+from sampling_design.numerics.filtering import information_update, propagate, update_with_gain
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.sequence_deviation import SampleSequence
@@ -150,6 +149,6 @@ def _fresh(plan: PlanFigures, own: SampleChain, P: Array, seen: npt.NDArray[np.b
     v = np.where(seen & np.isfinite(plan.problem.v_bound), plan.problem.v_bound, np.inf)
     bounds = replace(own.bounds, v=freeze(v[None]))
     (H,), (size,), (exact,) = noise_units(plan.plant.C * own.D, bounds, P[None])
-    root = covariance_root(updated(P, H.T @ H))
+    root = covariance_root(information_update(P, H.T @ H))
     K = np.asarray(np.linalg.solve(root, update_with_gain(P, H)[1]), dtype=np.float64)
     return root, ChainSample(bounds.measured(0), size, H @ root, exact, K)

@@ -74,7 +74,7 @@ def test_a_gain_in_doubles_would_leave_far_more():
         before = frame.flow.step(found.cycle[0], found.times.gaps[after]).mid()
         best = frame.sampled(before, after)
         assert definite(best * ball(1 + 1e-9) - frame.with_gain(before, after, frame.gain(before, after))) is True
-        Y, C, V = floats(before), frame.float_rows[after], frame.float_noises[after]
+        Y, C, V = floats(before), floats(frame.rows[after]), floats(frame.noises[after])
         rounded = matrix(np.linalg.solve(C @ Y @ C.T + V, C @ Y).T)
         assert definite(best * 10 - frame.with_gain(before, after, rounded)) is False
 

@@ -94,3 +94,18 @@ def test_a_triangle_keeps_small_columns(sizes):
         R = mpmath.matrix(root.tolist())
         expected = float(mpmath.det(R * R.T))
     assert (T[0, 0] * T[1, 1]) ** 2 == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("sizes", [ORDINARY, GRADED])
+def test_maps_in_turn_are_their_steps(sizes):
+    rng = np.random.default_rng(11)
+    Y = case(10, sizes, 1)[0]
+    flows = rng.normal(size=(2, 3, 3)) * sizes[:, None] / sizes
+    rows = [case(seed, sizes, 2)[1] for seed in (11, 12)]
+    maps = [filtering.CovarianceMap(F, H.T @ H, Y) for F, H in zip(flows, rows, strict=True)]
+    stepped = Y
+    for F, H in zip(flows, rows, strict=True):
+        stepped = filtering.propagate(filtering.measurement_update(stepped, H), F, Y)
+    size = np.sqrt(np.diag(stepped))
+    for found in (maps[1](maps[0](Y)), maps[0].then(maps[1])(Y)):
+        assert np.all(np.abs(found - stepped) <= 1e-12 * np.outer(size, size))

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from sampling_design.certificates.exact.window_problem import Index, WindowProblem
 from sampling_design.checkers.work import Work
 from sampling_design.errors import SolverError
-from sampling_design.numerics.filtering import measurement_update, propagate
+from sampling_design.numerics.filtering import CovarianceMap, measurement_update, propagate
 from sampling_design.numerics.linalg import symmetrise
 
 Array = npt.NDArray[np.float64]
@@ -70,7 +70,7 @@ class RiccatiPeak:
 def periodic_riccati_solution(problem: WindowProblem, work: Work | None = None, walk: bool = True) -> Array:
     """Return Y just after each sample of the period in the long run, shape (N, n, n).
 
-    One period is Y -> F Y (I + H Y)^-1 F' + W; two periods are again of that form, so that 2^k periods cost k
+    One period is a `CovarianceMap`; two periods are again one, so that 2^k periods cost k
     compositions and slow plants need no more time than fast ones. Where rounding spoils that, and `walk` allows it,
     samples are followed one by one, counted in `work`.
 
@@ -161,13 +161,13 @@ def _summed(whole: Array, added: Array) -> Array:
 def _doubled(problem: WindowProblem, flows: tuple[Array, Array]) -> Array:
     """The periodic solution by composing periods, twice as many in each step."""
     cycle = _one_period(problem, flows)
-    Y = _apply(cycle, np.eye(problem.size))  # from 0 a growing mode without disturbance would stay there
+    Y = cycle(np.eye(problem.size))  # from 0 a growing mode without disturbance would stay there
     for _ in range(MAX_DOUBLINGS):
         with np.errstate(
             over="ignore", invalid="ignore"
         ):  # an unseen mode grows beyond all bounds, which ends the loop
-            following, longer = _apply(cycle, Y), _then(cycle, cycle)
-        if not np.isfinite(following).all() or not all(np.all(np.isfinite(part)) for part in longer):
+            following, longer = cycle(Y), cycle.then(cycle)
+        if not all(np.isfinite(part).all() for part in (following, longer.F, longer.G, longer.Q)):
             break
         if _settled(Y, following, STEADY_RTOL):
             around = _around(problem, flows, following)
@@ -187,11 +187,11 @@ def _settled(Y: Array, following: Array, rtol: float) -> bool:
     return bool(np.all(np.abs(following - Y) <= rtol * size * size[:, None]))
 
 
-def _one_period(problem: WindowProblem, flows: tuple[Array, Array]) -> tuple[Array, Array, Array]:
-    """One period as the map Y -> F Y (I + H Y)^-1 F' + W: W is where Y = 0 comes to, F its closed loop.
+def _one_period(problem: WindowProblem, flows: tuple[Array, Array]) -> CovarianceMap:
+    """One period: Q is where Y = 0 comes to, F its closed loop.
 
     Sample by sample, each output's information counted against what the disturbance has added by then: an output that
-    is nearly exact leaves H as large as the disturbance lets it, and not as small as its noise.
+    is nearly exact leaves G as large as the disturbance lets it, and not as small as its noise.
     """
     n = problem.size
     F, W, H = np.eye(n), np.zeros((n, n)), np.zeros((n, n))
@@ -202,24 +202,7 @@ def _one_period(problem: WindowProblem, flows: tuple[Array, Array]) -> tuple[Arr
             spread = 1 + cross @ row
             left = np.eye(n) - np.outer(cross / spread, row)
             F, W, H = left @ F, measurement_update(W, row[None]), H + np.outer(seen, seen) / spread
-    return F, W, H
-
-
-def _then(first: tuple[Array, Array, Array], second: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-    """The map Y -> F Y (I + H Y)^-1 F' + W of `first` followed by `second`."""
-    F1, W1, H1 = first
-    F2, W2, H2 = second
-    n = F1.shape[0]
-    inner = np.linalg.solve(np.eye(n) + W1 @ H2, np.hstack([F1, W1]))
-    F = F2 @ inner[:, :n]
-    W = propagate(inner[:, n:], F2, W2)
-    H = symmetrise(H1 + F1.T @ H2 @ inner[:, :n])
-    return F, W, H
-
-
-def _apply(cycle: tuple[Array, Array, Array], Y: Array) -> Array:
-    F, W, H = cycle
-    return propagate(np.linalg.solve(np.eye(Y.shape[0]) + Y @ H, Y), F, W)
+    return CovarianceMap(F, H, W)
 
 
 def _around(problem: WindowProblem, flows: tuple[Array, Array], last: Array) -> Array:

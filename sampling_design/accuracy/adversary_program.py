@@ -17,6 +17,7 @@ import numpy.typing as npt
 from sampling_design.accuracy.gains import ROUNDING, Gains, cleared, evaluated
 from sampling_design.accuracy.sample_chain import SampleChain
 from sampling_design.accuracy.start import StartSet
+from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED, ConeSolver
 from sampling_design.numerics.stage_programs import StageProgram
 
@@ -56,73 +57,6 @@ class Adversary:
     value: float
     w: tuple[Array, ...]  # (m, q) per gap, in units of the bound, latest cell first
     z: Array  # (K, n)
-
-
-class _ConeRows:
-    """Rows of b - A x in a cone, gathered block by block: zero first, then nonnegative, then second order."""
-
-    def __init__(self, columns: int):
-        self.columns, self.rows = columns, 0
-        self._entries: list[tuple[Array, npt.NDArray[np.intp], npt.NDArray[np.intp]]] = []
-        self._b: list[Array] = []
-        self._cones: list[tuple[str, int]] = []
-        self._ended = 0
-
-    def _block(self, row: int, column: int, X: Array) -> None:
-        i, j = np.indices(X.shape)
-        self._entries.append((X.ravel(), (i + row).ravel(), (j + column).ravel()))
-
-    def add(self, kind: str, count: int, parts: list[tuple[int, Array]], b: Array | None = None) -> int:
-        """Append rows made of blocks; where they begin."""
-        at = self.rows
-        for column, X in parts:
-            self._block(at, column, X)
-        self._b.append(np.zeros(count) if b is None else b)
-        self.rows += count
-        if kind == "second order":
-            self._cones.append((kind, count))
-        return at
-
-    def end(self, kind: str) -> None:
-        """Close the rows since the last end as one cone."""
-        if self.rows > self._ended:
-            self._cones.append((kind, self.rows - self._ended))
-        self._ended = self.rows
-
-    def box(self, column: int, X: Array, size: Array | None = None) -> int:
-        """|X x| <= size (default 1), entry by entry: first X x <= size, then -X x <= size."""
-        size = np.ones(len(X)) if size is None else size
-        at = self.add("nonnegative", len(X), [(column, X)], size)
-        self.add("nonnegative", len(X), [(column, -X)], size)
-        return at
-
-    def ball(self, column: int, X: Array) -> int:
-        """|X x| <= 1 in the Euclidean norm."""
-        stacked = np.vstack([np.zeros((1, X.shape[1])), -X])
-        return self.add("second order", len(stacked), [(column, stacked)], np.eye(len(stacked))[0])
-
-    def diagonal_box(self, column: int) -> None:
-        """|x_j| <= 1 for every entry from a column on."""
-        many = np.arange(self.columns - column)
-        for sign in (1.0, -1.0):
-            self._entries.append((np.full(many.size, sign), many + self.rows, many + column))
-            self.add("nonnegative", many.size, [], np.ones(many.size))
-
-    def diagonal_balls(self, column: int, q: int) -> None:
-        """Every q entries from a column on lie in the unit ball."""
-        many = np.arange(self.columns - column)
-        self._entries.append((np.full(many.size, -1.0), self.rows + many // q * (q + 1) + 1 + many % q, many + column))
-        for _ in range(many.size // q if q else 0):
-            self.add("second order", q + 1, [], np.eye(q + 1)[0])
-
-    def solver(self, tolerance: float) -> tuple[Array, ConeSolver]:
-        """b, and the solver with A."""
-        from scipy import sparse
-
-        values, rows, columns = (np.concatenate(part) for part in zip(*self._entries, strict=True))
-        self.A = sparse.csc_matrix((values, (rows, columns)), shape=(self.rows, self.columns))
-        self.A.eliminate_zeros()
-        return np.concatenate(self._b), ConeSolver(self.A, self._cones, tolerance=tolerance)
 
 
 def boxed(chain: SampleChain, nodes: list[int]) -> bool:
@@ -179,46 +113,31 @@ class ConeWindow:
         K = len(self.nodes)
         self._built = True
         gaps, samples = [chain.gaps[j] for j in self.nodes[:-1]], [chain.samples[j] for j in self.nodes]
-        self._w_at = K * n + q * np.concatenate([[0], np.cumsum([len(g.cells) for g in gaps])]).astype(int)
-        table = _ConeRows(int(self._w_at[-1]))
-        for k, gap in enumerate(gaps):
-            flat = np.swapaxes(gap.cells, 0, 1).reshape(n, -1)
-            parts = [((k + 1) * n, np.eye(n)), (k * n, -gap.F), (int(self._w_at[k]), -flat)]
-            table.add("zero", n, parts)
-        exact = [s.H[s.exact] for s in samples]
-        self._exact_at = [table.add("zero", len(H), [(k * n, H)]) for k, H in enumerate(exact)]
+        B = [np.swapaxes(gap.cells, 0, 1).reshape(n, -1) for gap in gaps]
+        self._w_at = K * n + np.concatenate([[0], np.cumsum([own.shape[1] for own in B])]).astype(int)
+        table, y = ConeTable(int(self._w_at[-1])), self.data or [np.zeros(len(s.H)) for s in samples]
+        F = np.array([gap.F for gap in gaps]).reshape(-1, n, n)
+        table.flow(F, np.hstack([np.zeros((n, 0)), *B]), [own.shape[1] for own in B], 0, K * n)
+        self._exact_at = [table.add(y[k][s.exact], (k * n, s.H[s.exact])) for k, s in enumerate(samples)]
         table.end("zero")
         ball = isinstance(self.start, StartSet) and self.start.ball
         if isinstance(self.start, StartSet) and not ball and self.start.S is not None:
-            table.box(0, self.start.S)
+            table.box(0, self.start.S, np.ones(len(self.start.S)))
         elif not isinstance(self.start, StartSet):
             table.box(0, np.eye(n), self.start)
-        noisy = [s.H[~s.exact] for s in samples]
-        round_v = [chain.bounds.v_ball and len(H) > 1 for H in noisy]
-        self._box_at = [-1 if r else table.box(k * n, H) for k, (H, r) in enumerate(zip(noisy, round_v, strict=True))]
+        noisy = [(k * n, s.H[~s.exact], y[k][~s.exact]) for k, s in enumerate(samples)]
+        round_v = [chain.bounds.v_ball and len(H) > 1 for _, H, _ in noisy]
+        each = list(zip(noisy, round_v, strict=True))
+        self._box_at = [-1 if r else table.box(at, H, np.ones(len(H)), own) for (at, H, own), r in each]
         if not chain.bounds.w_ball:
-            table.diagonal_box(K * n)
+            table.unit_box(K * n, table.columns - K * n)
         table.end("nonnegative")
-        self._ball_at = [table.ball(k * n, H) if r else -1 for k, (H, r) in enumerate(zip(noisy, round_v, strict=True))]
+        self._ball_at = [table.ball(*one) if r else -1 for one, r in each]
         if isinstance(self.start, StartSet) and self.start.S is not None and ball:
             table.ball(0, self.start.S)
-        if chain.bounds.w_ball:
-            table.diagonal_balls(K * n, q)
-        self._b, self._solver = table.solver(self._tolerance)
-        if self.data is not None:
-            self._shift(self.data)
-
-    def _shift(self, data: list[Array]) -> None:
-        """|H z| <= 1 becomes |y - H z| <= 1."""
-        for k, y in enumerate(data):
-            exact = self.chain.samples[self.nodes[k]].exact
-            noisy = y[~exact]
-            self._b[self._exact_at[k] : self._exact_at[k] + int(exact.sum())] = y[exact]
-            if self._ball_at[k] >= 0:
-                self._b[self._ball_at[k] + 1 : self._ball_at[k] + 1 + noisy.size] = -noisy
-            elif noisy.size:
-                at = self._box_at[k]
-                self._b[at : at + 2 * noisy.size] += np.concatenate([noisy, -noisy])
+        if chain.bounds.w_ball and q:
+            table.unit_balls(K * n, q, (table.columns - K * n) // q)
+        self._b, self._solver = table.b(), ConeSolver(table.matrix(), table.cones, tolerance=self._tolerance)
 
     def _solved(self, mu: Array, enough: float = 0.0) -> _WindowPoint:
         """Point and multipliers for the target mu'z_K; zeros where the solver brought none."""
@@ -290,7 +209,7 @@ class ConeWindow:
                 at = self._box_at[k]
                 gains[~sample.exact] = y[at : at + noisy] - y[at + noisy : at + 2 * noisy]
             elif self._ball_at[k] >= 0:
-                gains[~sample.exact] = -y[self._ball_at[k] + 1 : self._ball_at[k] + 1 + noisy]
+                gains[~sample.exact] = y[self._ball_at[k] + 1 : self._ball_at[k] + 1 + noisy]
             found.append(gains)
         return found
 

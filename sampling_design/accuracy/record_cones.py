@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.readings import Readings
+from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED, ConeSolver
-
-if TYPE_CHECKING:
-    from scipy.sparse import csc_matrix
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -55,14 +51,12 @@ class RecordCones:
         self._kinds()
         table = ConeTable(self.columns)
         with np.errstate(over="ignore", invalid="ignore"):  # a flow may overflow: no solver takes it, and no bound is
-            self._dynamics(table, np.asarray(np.linalg.solve(L, F @ L)), cells, L)
+            self._flow(table, np.asarray(np.linalg.solve(L, F @ L)), cells, L)
         if root is not None:
             longer = np.zeros((self._n, self._starts))
             longer[: len(root)] = root
-            i = np.arange(self._n)[:, None]
-            table.put(i, self._starts + i.T, np.eye(self._n))
-            table.put(i, np.arange(self._starts), -np.asarray(np.linalg.solve(L, longer / D[:, None])))
-            table.more(-np.asarray(np.linalg.solve(L, path[0])))
+            turned = -np.asarray(np.linalg.solve(L, longer / D[:, None]))
+            table.add(-np.asarray(np.linalg.solve(L, path[0])), (self._starts, np.eye(self._n)), (0, turned))
         self._seen(table, np.asarray(H @ L / unit[:, None]))
         self.b, self._A, self._cones = table.b(), table.matrix(), table.cones
         interior = not self._exact.size  # without one the last digits of every step count
@@ -80,19 +74,11 @@ class RecordCones:
         at = np.flatnonzero(together)
         self._groups = np.split(at, np.flatnonzero(np.diff(read.nodes[at])) + 1) if at.size else []
 
-    def _dynamics(self, table: ConeTable, F: Array, cells: list[Array], L: Array) -> None:
+    def _flow(self, table: ConeTable, F: Array, cells: list[Array], L: Array) -> None:
         """z_{k+1} - F_k z_k - sum over the gap's cells of (int e^{As}G) w = 0."""
-        n, q, z = self._n, self._q, self._starts
-        joined = np.concatenate([np.zeros((0, n, q)), *cells])
-        moved = np.asarray(np.linalg.solve(L, np.swapaxes(joined, 0, 1).reshape(n, -1)))
-        moved = moved.reshape(n, -1, q).swapaxes(0, 1)
-        owner = np.repeat(np.arange(self._K - 1), [len(own) for own in cells])[:, None, None]
-        k, i, j = np.arange(self._K - 1)[:, None, None], np.arange(n)[:, None], np.arange(n)
-        table.put(k * n + i, z + (k + 1) * n + j, np.broadcast_to(np.eye(n), F.shape))
-        table.put(k * n + i, z + k * n + j, -F)
-        m = np.arange(len(joined))[:, None, None]
-        table.put(owner * n + i, self._w_at + m * q + np.arange(q), -moved)
-        table.more(np.zeros((self._K - 1) * n))
+        joined = np.concatenate([np.zeros((0, self._n, self._q)), *cells])
+        moved = np.asarray(np.linalg.solve(L, np.swapaxes(joined, 0, 1).reshape(self._n, -1)))
+        table.flow(F, moved, [len(own) * self._q for own in cells], self._starts, self._w_at)
 
     def _seen(self, table: ConeTable, H: Array) -> None:
         """Readings and bounds: first what is exact, then what is linear, then what is round."""
@@ -102,42 +88,25 @@ class RecordCones:
         self._exact_at = table.block(self._exact, columns, H, y)
         table.end("zero")
         if self._starts and not read.start.ball:
-            self._box(table, 0, self._starts, "start")
+            self._grown.append((table.unit_box(0, self._starts), np.ones(2 * self._starts), "start"))
         self._up = table.block(self._boxed, columns, H, y + size)
         self._down = table.block(self._boxed, columns, -H, size - y)
         self._below_at = table.block(self._below, columns, H, y + size)
         for at, rows in ((self._up, self._boxed), (self._down, self._boxed), (self._below_at, self._below)):
             self._grown.append((at, size[rows], "v"))
         if not read.push.ball:
-            self._box(table, self._w_at, self._q * self._cells, "w")
+            count = self._q * self._cells
+            self._grown.append((table.unit_box(self._w_at, count), np.ones(2 * count), "w"))
         table.end("nonnegative")
         self._rounds = []
         for chosen in self._groups:
-            self._rounds.append((table.rows, chosen))
-            self._grown.append((table.rows, np.ones(1), "v"))
-            table.put(np.arange(1, len(chosen) + 1)[:, None], columns[chosen], H[chosen])
-            table.more(np.concatenate([[1.0], y[chosen]]))
-            table.end("second order")
+            self._rounds.append((table.ball(int(columns[chosen[0], 0]), H[chosen], y[chosen]), chosen))
+            self._grown.append((self._rounds[-1][0], np.ones(1), "v"))
         if self._starts and read.start.ball:
-            self._balls(table, 0, self._starts, 1, "start")
+            self._grown.append((table.unit_balls(0, self._starts, 1), np.ones(1), "start"))
         if read.push.ball and self._q:
-            self._balls(table, self._w_at, self._q, self._cells, "w")
-
-    def _box(self, table: ConeTable, column: int, count: int, whose: str) -> None:
-        """|x_j| <= 1 for some columns."""
-        many, one = np.arange(count)[:, None], np.ones(count)
-        for sign in (1.0, -1.0):
-            self._grown.append((table.rows, one, whose))
-            table.put(many, column + many, sign * one[:, None])
-            table.more(one)
-
-    def _balls(self, table: ConeTable, column: int, size: int, count: int, whose: str) -> None:
-        """Every `size` columns lie in the unit ball."""
-        heads, many = np.tile(np.eye(size + 1)[0], count), np.arange(size * count)[:, None]
-        self._grown.append((table.rows, heads, whose))
-        table.put(many // size * (size + 1) + 1 + many % size, column + many, np.ones((many.size, 1)))
-        table.more(heads)
-        table.ends("second order", size + 1, count)
+            heads = np.tile(np.eye(self._q + 1)[0], self._cells)
+            self._grown.append((table.unit_balls(self._w_at, self._q, self._cells), heads, "w"))
 
     def read(self, y: Array) -> tuple[Array, Array]:
         """Return gains of the rows in plain units, and multipliers (K-1, n) of the gaps, from those of all cones."""
@@ -183,53 +152,3 @@ class RecordCones:
         if status == UNBOUNDED or not np.isfinite(y).all():
             return None, np.inf
         return np.asarray(y, dtype=np.float64), np.inf if status == INFEASIBLE else max(float(x[-1]), 0.0)
-
-
-class ConeTable:
-    """Entries, right-hand sides and cones, gathered block by block."""
-
-    def __init__(self, columns: int):
-        self.columns, self.rows, self._ended = columns, 0, 0
-        self.cones: list[tuple[str, int]] = []
-        self._entries: list[tuple[Index, Index, Array]] = []
-        self._b: list[Array] = []
-
-    def put(self, rows: Index, columns: Index, values: Array) -> None:
-        """Entries relative to the next row."""
-        i, j, v = np.broadcast_arrays(rows + self.rows, columns, values)
-        self._entries.append((i.ravel(), j.ravel(), v.ravel()))
-
-    def more(self, b: Array) -> None:
-        """The rows that the last entries stand in, with their b."""
-        self._b.append(b)
-        self.rows += b.size
-
-    def block(self, chosen: Index, columns: Index, values: Array, b: Array) -> int:
-        """One row for each of the chosen ones; where they begin."""
-        at = self.rows
-        self.put(np.arange(chosen.size)[:, None], columns[chosen], values[chosen])
-        self.more(b[chosen])
-        return at
-
-    def end(self, kind: str) -> None:
-        """Close the rows since the last end as one cone."""
-        self.ends(kind, self.rows - self._ended, 1)
-
-    def ends(self, kind: str, size: int, count: int) -> None:
-        """Close them as several of one size."""
-        if self.rows > self._ended:
-            self.cones += [(kind, size)] * count
-        self._ended = self.rows
-
-    def b(self) -> Array:
-        """Right-hand side."""
-        return np.concatenate(self._b)
-
-    def matrix(self) -> csc_matrix:
-        """A, with the sign of b - A x."""
-        from scipy import sparse
-
-        rows, columns, values = (np.concatenate(part) for part in zip(*self._entries, strict=True))
-        A = sparse.csc_matrix((values, (rows, columns)), shape=(self.rows, self.columns))
-        A.eliminate_zeros()
-        return A

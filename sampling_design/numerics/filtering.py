@@ -95,7 +95,7 @@ def covariance_root(Y: Array) -> Array:
 def triangle(root: Array) -> Array:
     """The lower triangle T with T T' = `root` `root`'; the largest columns first, or the small ones would drown."""
     order = np.argsort(-np.abs(root).max(axis=0, initial=0.0), kind="stable")
-    return np.asarray(np.linalg.qr(root[:, order].T, mode="r").T, dtype=np.float64)
+    return np.asarray(np.linalg.qr(root[:, order].T, mode="r"), dtype=np.float64).T
 
 
 def information_update(P: Array, G: Array) -> Array:

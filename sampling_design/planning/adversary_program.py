@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.start import StartSet
+from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import INFEASIBLE, SOLVED, UNBOUNDED, ConeSolver
 from sampling_design.numerics.stage_programs import StageProgram
 from sampling_design.planning.discrete_plant import DiscretePlant
@@ -63,34 +64,6 @@ class DisturbedTrajectory:
         return float(np.max(sizes, initial=0.0))
 
 
-class _RowGatherer:
-    """Sparse rows gathered block by block."""
-
-    def __init__(self) -> None:
-        self.parts: list[tuple[Array, npt.NDArray[np.intp], npt.NDArray[np.intp]]] = []
-        self.b: list[Array] = []
-        self.count = 0
-
-    def add(self, b: Array, *blocks: tuple[int, Array]) -> None:
-        for column, X in blocks:
-            i, j = np.nonzero(X)
-            self.parts.append((X[i, j], i + self.count, j + column))
-        self.b.append(b)
-        self.count += b.size
-
-    def add_entries(self, b: Array, values: Array, rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]) -> None:
-        """Rows of many columns with few entries: never written out."""
-        self.parts.append((values, rows + self.count, columns))
-        self.b.append(b)
-        self.count += b.size
-
-    def matrix(self, columns: int) -> object:
-        from scipy import sparse
-
-        values, rows, at = (np.concatenate(part) for part in zip(*self.parts, strict=True))
-        return sparse.csc_matrix((values, (rows, at)), shape=(self.count, columns))
-
-
 def in_stages(motion: DiscretePlant, knots: npt.NDArray[np.intp]) -> bool:
     """Whether a window of samples at `knots` is so large that it is solved stage by stage."""
     many = sum(len(motion.gap(int(d))[2]) for d in np.diff(knots)) * motion.G.shape[1]
@@ -133,51 +106,39 @@ class RasterWindow:
     def _build(self, soft: list[int]) -> None:
         self._built = True
         motion, n, q = self.motion, self.motion.n, self.motion.G.shape[1]
-        rows = _RowGatherer()
+        table, w = ConeTable(self._columns), int(self._w_at[0])
+        F, B = (np.array([gap[0] for gap in self._gaps]).reshape(-1, n, n), [gap[1] for gap in self._gaps])
         if self.start is None:
-            rows.add(np.zeros(n), (0, np.eye(n)))
-        for k, (F, blocks, _) in enumerate(self._gaps):
-            rows.add(np.zeros(n), ((k + 1) * n, np.eye(n)), (k * n, -F), (int(self._w_at[k]), -blocks))
-        cones = [("zero", rows.count)]
-        start, slack = rows.count, self._slack_at
-        opening = np.zeros((0, n)) if self.start is None or self.start.S is None else self.start.S
-        if len(opening) and self.start is not None and not self.start.ball:
-            rows.add(np.ones(2 * len(opening)), (0, np.vstack([opening, -opening])))
+            table.add(np.zeros(n), (0, np.eye(n)))
+        table.flow(F, np.hstack([np.zeros((n, 0)), *B]), [own.shape[1] for own in B], 0, w)
+        table.end("zero")
+        slack, opening = self._slack_at, None if self.start is None else self.start.S
+        ball = self.start is not None and self.start.ball
+        if opening is not None and not ball:
+            table.box(0, opening, np.ones(len(opening)))
         for k in range(len(self.knots)):
             hard = motion.H[self.seen[k]]
-            if len(hard):
-                rows.add(np.ones(2 * len(hard)), (k * n, np.vstack([hard, -hard])))
+            table.box(k * n, hard, np.ones(len(hard)))
             if soft and soft[k] and self.faint is not None:
                 loose, m = motion.H[self.faint[k] > 0], soft[k]
                 both = np.vstack([-np.eye(m), -np.eye(m)])
-                rows.add(np.ones(2 * m), (k * n, np.vstack([loose, -loose])), (slack, both))
-                rows.add(np.zeros(m), (slack, -np.eye(m)))
+                table.add(np.ones(2 * m), (k * n, np.vstack([loose, -loose])), (slack, both))
+                table.add(np.zeros(m), (slack, -np.eye(m)))
                 slack += m
-        self._reach_at = rows.count if self.faint is not None else -1
         if self.faint is not None:
-            rows.add(np.zeros(1), ((len(self.knots) - 1) * n, np.ones((1, n))))  # the row is set when solved
-        many = int(self._w_at[-1] - self._w_at[0])
-        if not motion.ball and many:
-            spots = np.arange(many)
-            columns = np.concatenate([spots, spots]) + int(self._w_at[0])
-            signs = np.repeat([1.0, -1.0], many)
-            rows.add_entries(np.ones(2 * many), signs, np.arange(2 * many), columns)
-        if not rows.count:  # nothing is known and nothing read: a program needs a row
-            rows.add(np.ones(1), (0, np.zeros((1, n))))
-        cones.append(("nonnegative", rows.count - start))
+            self._reach_at = table.add(np.zeros(1), ((len(self.knots) - 1) * n, np.ones((1, n))))  # set when solved
+        many = int(self._w_at[-1]) - w
+        if not motion.ball:
+            table.unit_box(w, many)
+        if not table.rows:  # nothing is known and nothing read: a program needs a row
+            table.add(np.ones(1), (0, np.zeros((1, n))))
+        table.end("nonnegative")
         if motion.ball and many:
-            spots = np.arange(many)
-            top = np.zeros(many // q * (q + 1))
-            top[:: q + 1] = 1.0
-            rows.add_entries(top, -np.ones(many), spots // q * (q + 1) + 1 + spots % q, spots + int(self._w_at[0]))
-            cones += [("second order", q + 1)] * (many // q)
-        if len(opening) and self.start is not None and self.start.ball:
-            rows.add(np.append(1.0, np.zeros(len(opening))), (0, np.vstack([np.zeros((1, n)), -opening])))
-            cones.append(("second order", len(opening) + 1))
-        self._b = np.concatenate(rows.b)
-        self._A = rows.matrix(self._columns)
-        self._cones = [(kind, size) for kind, size in cones if size]
-        self.price, self.entries = CONE, sum(part[0].size for part in rows.parts)
+            table.unit_balls(w, q, many // q)
+        if opening is not None and ball:
+            table.ball(0, opening)
+        self._b, self._A, self._cones = table.b(), table.matrix(), table.cones
+        self.price, self.entries = CONE, int(self._A.nnz)
         self._solver: ConeSolver | None = None
 
     def _solved(self, mu: Array) -> tuple[Array, Array, str]:
@@ -230,7 +191,7 @@ class RasterWindow:
         """The motion that reaches mu'z >= level at the last knot with the least excess."""
         n, K = self.motion.n, len(self.knots)
         assert self.faint is not None
-        A = self._A.tolil()  # type: ignore[attr-defined]
+        A = self._A.tolil()
         A[self._reach_at, (K - 1) * n : K * n] = -mu / level
         b = self._b.copy()
         b[self._reach_at] = -BEYOND

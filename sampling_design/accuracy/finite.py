@@ -10,14 +10,13 @@ import numpy.typing as npt
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.gains import filtered_bounds
+from sampling_design.accuracy.gap_table import GapTable, state_scales
 from sampling_design.accuracy.sample_chain import (
     ChainSample,
-    LengthFlow,
     SampleChain,
     make_gap,
     noise_units,
     refuse_growth,
-    state_scales,
     too_far,
 )
 from sampling_design.accuracy.start import InitialSet
@@ -72,8 +71,8 @@ def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, i
         samples.append(ChainSample(bounds.measured(j), sizes[j], H @ roots[j], exact[j], K))
         P = propagate(P, F[j], W[j]) if j < len(lengths) else P
     L = np.array(roots)
-    known: dict[float, LengthFlow] = {}
-    gaps = tuple(make_gap(A, G, float(h), L[j], L[j + 1], F[j], known) for j, h in enumerate(lengths))
+    table = GapTable(A, G, np.ones(len(A)))
+    gaps = tuple(make_gap(table, float(h), L[j], L[j + 1], F[j]) for j, h in enumerate(lengths))
     start = initial.scaled(D[:, None] * L[0], D, NO_ERROR)
     return SampleChain(
         plant=plant,

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.sample_chain import cell_rate, state_scales
-from sampling_design.numerics.linalg import discounted_flow, forced_flow
+from sampling_design.numerics.filtering import propagate
+from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow
 from sampling_design.plants.grouping import balanced_schur
 
 Array = npt.NDArray[np.float64]
@@ -37,6 +37,10 @@ FINER_CELLS = (1, 2, 4, 16)
 
 REMEMBERED = 1024
 """Gaps that are kept."""
+
+
+GROWN = 1e70
+"""Growth over a period beyond which sizes are not followed: its square is a number still, in any units."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +82,29 @@ class FlownGap:
         cell = np.minimum(self.marks / max(self.marks[-1], 1e-300) * count, count - 1).astype(int)
         with np.errstate(over="ignore", invalid="ignore"):
             return np.asarray(np.add.reduceat(self.pieces, np.flatnonzero(np.diff(cell, prepend=-1)), axis=0))
+
+
+def cell_rate(M: Array, bend: Array, loss: float) -> Array:
+    """Cells per time so short that delta^2/24 |M''|/|M| <= loss, along stacks of M and M'' (..., n, m)."""
+    size, curve = (np.linalg.norm(X, axis=(-2, -1)) for X in (M, bend))
+    return np.asarray(np.sqrt(np.divide(curve, size, out=np.zeros_like(size), where=size > 0) / (24 * loss)))
+
+
+def state_scales(F: Array, W: Array, rows: list[Array]) -> Array:
+    """Diagonal D: between what w reaches and what samples see of each state over a period."""
+    n = F.shape[1]
+    flow, seen, spread = np.eye(n), np.zeros(n), np.zeros((n, n))
+    for H, step, reached in zip(rows, F, W, strict=True):
+        seen += np.sum((H @ flow) ** 2, axis=0)
+        if max(np.abs(flow).max(), np.sqrt(np.abs(spread).max())) * max(np.abs(step).max(), 1.0) > GROWN:
+            break  # what has grown so far says nothing more of sizes, and would overflow
+        flow = step @ flow
+        spread = propagate(spread, step, reached)
+    reach, seen = np.sqrt(np.diag(spread)), np.sqrt(seen)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        both = np.sqrt(reach / seen)
+    D = np.where((reach > 0) & (seen > 0), both, np.where(seen > 0, 1 / np.where(seen > 0, seen, 1), reach))
+    return np.asarray(np.where(D > 0, D, 1.0))
 
 
 class GapTable:
@@ -126,6 +153,14 @@ class GapTable:
                 self._make(np.array(missing))
         return [self._known[h] for h in lengths]
 
+    def cut(self, length: float, panel: float) -> FlownGap:
+        """Return one gap, whose panels times |A| are at most so long; all that are asked for so have one size."""
+        if length not in self._known:
+            number = int(np.clip(np.ceil(self._size * length / panel), *PANELS))
+            with np.errstate(over="ignore", invalid="ignore"):
+                self._known.update(self._make_alike(np.array([length]), number, 2))
+        return self._known[length]
+
     def _make(self, lengths: Array) -> None:
         numbers = self._number(lengths)
         for number in np.unique(numbers):
@@ -136,19 +171,20 @@ class GapTable:
         wanted = np.clip(np.ceil(self._size * lengths / PANEL), *PANELS)
         return np.asarray(np.exp2(np.ceil(np.log2(wanted))), dtype=np.intp)
 
-    def _make_alike(self, lengths: Array, number: int) -> dict[float, FlownGap]:
-        """Gaps with equally many panels."""
+    def _make_alike(self, lengths: Array, number: int, order: int | None = None) -> dict[float, FlownGap]:
+        """Gaps with equally many panels; norms of order 2 are the sharpest, those of Frobenius are quicker."""
         n, step = len(self.A), lengths / number
         first = forced_flow(self.A, self.G, step)
         E = np.empty((lengths.size, number + 1, n, n))
         E[:, 0], E[:, 1] = np.eye(n), first[:, :, :n]
         known = 1
         while known < number:
-            np.matmul(E[:, known, None], E[:, 1 : known + 1], out=E[:, known + 1 : 2 * known + 1])
-            known *= 2
+            more = min(known, number - known)
+            np.matmul(E[:, known, None], E[:, 1 : more + 1], out=E[:, known + 1 : known + more + 1])
+            known += more
         flown, bend = E @ self.G, E @ self._second
-        grown = np.exp(self._size * step)[:, None]
-        third = np.linalg.norm(E[:, :-1] @ self._third, axis=(2, 3)) * grown
+        middle = expm_batch(self.A, step / 2) @ self._third
+        third = np.linalg.norm(E[:, :-1] @ middle[:, None], order, (2, 3)) * np.exp(self._size * step / 2)[:, None]
         inner = E[:, :-1] @ first[:, None, :, n:]
         marks = self._marks(flown, bend, step)
         return {

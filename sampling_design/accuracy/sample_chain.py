@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.bounds import SignalBounds
+from sampling_design.accuracy.gap_table import GROWN, GapTable, cell_rate, state_scales
 from sampling_design.accuracy.riccati import RootedPeriod, in_turn, limit
 from sampling_design.accuracy.start import StartSet
 from sampling_design.errors import UndecidedError
@@ -22,7 +23,6 @@ from sampling_design.numerics.filtering import (
     CovarianceMap,
     covariance_root,
     information_update,
-    propagate,
     update_with_gain,
 )
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow, psd_root
@@ -36,9 +36,6 @@ EXACT = 1e-6
 
 RANDOM_WALK = 1e-3
 """Share of a free start's covariance that joins the filter's noise at each period, so that it never goes to sleep."""
-
-PANELS = (16, 4096)
-"""Least and largest number of panels of the quadrature over a gap."""
 
 PANEL = 0.125
 """Length of a panel times |A| in scaled coordinates."""
@@ -66,9 +63,6 @@ FOLLOWED = 40.0
 
 AHEAD = 150.0
 """Growth after the last sample, as an exponent, whose square is a number still, in any units."""
-
-GROWN = 1e70
-"""Growth over a period beyond which sizes are not followed: its square is a number still, in any units."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,10 +332,10 @@ def endless_chain(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Array
         shown = H @ L[j]
         shown[:, r:] = 0.0
         samples.append(ChainSample(bounds.measured(j), sizes[j], shown, exact[j], K))
-    steps, known = [], dict[float, LengthFlow]()
+    steps, table = [], GapTable(A, G, np.ones(len(A)))
     for j, h in enumerate(gaps):
         following = L[(j + 1) % len(rows)]
-        gap = make_gap(A, G, float(h), L[j], following, F[j], known)
+        gap = make_gap(table, float(h), L[j], following, F[j])
         gap.F[:r, r:] = 0.0
         steps.append(gap)
     return SampleChain(plant, bounds, balance * D, L, A, G, tuple(samples), tuple(steps), hidden=len(A) - r)
@@ -384,23 +378,6 @@ def noise_units(
     return rows, sizes, exact
 
 
-def state_scales(F: Array, W: Array, rows: list[Array]) -> Array:
-    """Diagonal D: between what w reaches and what samples see of each state over a period."""
-    n = F.shape[1]
-    flow, seen, spread = np.eye(n), np.zeros(n), np.zeros((n, n))
-    for H, step, reached in zip(rows, F, W, strict=True):
-        seen += np.sum((H @ flow) ** 2, axis=0)
-        if max(np.abs(flow).max(), np.sqrt(np.abs(spread).max())) * max(np.abs(step).max(), 1.0) > GROWN:
-            break  # what has grown so far says nothing more of sizes, and would overflow
-        flow = step @ flow
-        spread = propagate(spread, step, reached)
-    reach, seen = np.sqrt(np.diag(spread)), np.sqrt(seen)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        both = np.sqrt(reach / seen)
-    D = np.where((reach > 0) & (seen > 0), both, np.where(seen > 0, 1 / np.where(seen > 0, seen, 1), reach))
-    return np.asarray(np.where(D > 0, D, 1.0))
-
-
 def _covariances(F: Array, W: Array, rows: list[Array]) -> tuple[list[Array], list[Array]]:
     """The filter's covariance before each sample, in its periodic limit, and a root of that after it."""
     maps = [CovarianceMap(f, H.T @ H, w) for f, H, w in zip(F, rows, W, strict=True)]
@@ -435,62 +412,23 @@ def _by_roots(rooted: RootedPeriod, start: Array) -> tuple[list[Array], list[Arr
     return [X @ X.T for X in [flown[-1], *flown[:-1]]], after
 
 
-@dataclass(frozen=True, eq=False)
-class LengthFlow:
-    """What all gaps of one length share: e^{As}G, e^{As}A^2 G at panel ends s, and bounds on |e^{As}A^3 G| between."""
+def make_gap(table: GapTable, h: float, L: Array, following: Array, F: Array) -> ChainGap:
+    """Return one gap from coordinates L to those of `following`; `table` keeps what gaps of one length share.
 
-    s: Array  # (Q+1,)
-    pushed: Array  # (Q+1, n, q)
-    bent: Array  # (Q+1, n, q)
-    third: Array  # (Q,)
-
-    @classmethod
-    def of(cls, A: Array, G: Array, h: float) -> LengthFlow:
-        """Of one length."""
-        number = int(np.clip(np.ceil(np.linalg.norm(A, 2) * h / PANEL), *PANELS))
-        s = np.linspace(0.0, h, number + 1)
-        E = expm_batch(A, s)
-        middle = expm_batch(A, (s[1:] + s[:-1]) / 2) @ (A @ A @ A @ G)
-        with np.errstate(over="ignore"):
-            grown = np.exp(np.linalg.norm(A, 2) * h / number / 2)
-        if not np.isfinite(grown):
-            raise too_far()
-        third = np.asarray(np.linalg.norm(middle, 2, axis=(1, 2)) * grown, dtype=np.float64)
-        return cls(s, E @ G, E @ (A @ A @ G), third)
-
-
-def make_gap(
-    A: Array,
-    G: Array,
-    h: float,
-    L: Array,
-    following: Array,
-    F: Array,
-    known: dict[float, LengthFlow],
-    loss: float = CELL_LOSS,
-) -> ChainGap:
-    """Return one gap from coordinates L to those of `following`, with cells that lose at most `loss`.
-
-    `known` keeps what gaps of one length share.
+    Raises
+    ------
+    UndecidedError
+        If what is between its panels has no bound in doubles.
     """
-    if h not in known:
-        known[h] = LengthFlow.of(A, G, h)
-    flow = known[h]
-    M = np.swapaxes(np.linalg.solve(following, flow.pushed), 1, 2)
-    bend = np.swapaxes(np.linalg.solve(following, flow.bent), 1, 2)
-    panels = GapPanels(flow.s, M, bend, flow.third, np.asarray(np.linalg.inv(following).T, dtype=np.float64))
-    return ChainGap(
-        h,
-        np.asarray(np.linalg.solve(following, F @ L), dtype=np.float64),
-        panels,
-        *_cells(A, G, following, panels, loss),
-    )
-
-
-def cell_rate(M: Array, bend: Array, loss: float) -> Array:
-    """Cells per time so short that delta^2/24 |M''|/|M| <= loss, along stacks of M and M'' (..., n, m)."""
-    size, curve = (np.linalg.norm(X, axis=(-2, -1)) for X in (M, bend))
-    return np.asarray(np.sqrt(np.divide(curve, size, out=np.zeros_like(size), where=size > 0) / (24 * loss)))
+    flow = table.cut(h, PANEL)
+    if not np.isfinite(flow.third).all():
+        raise too_far()
+    M = np.swapaxes(np.linalg.solve(following, flow.flown), 1, 2)
+    bend = np.swapaxes(np.linalg.solve(following, flow.bend), 1, 2)
+    back = np.asarray(np.linalg.inv(following).T, dtype=np.float64)
+    panels = GapPanels(np.linspace(0.0, h, len(M)), M, bend, flow.third, back)
+    through = np.asarray(np.linalg.solve(following, F @ L), dtype=np.float64)
+    return ChainGap(h, through, panels, *_cells(table.A, table.G, following, panels, CELL_LOSS))
 
 
 def _cells(A: Array, G: Array, following: Array, panels: GapPanels, loss: float) -> tuple[Array, Array]:

@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.finite import NO_ERROR, covariance_root, finite_atoms, opening
+from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.sample_chain import (
     ChainGap,
     ChainSample,
-    LengthFlow,
     SampleChain,
     make_gap,
     noise_units,
@@ -101,14 +101,14 @@ def sequence_chain(
             root, sample = own.L[phase], own.samples[phase]
         L.append(root)
         samples.append(sample)
-    lengths: dict[float, LengthFlow] = {}
+    table = GapTable(own.A, own.G, np.ones(len(own.A)))
     made: list[ChainGap] = []
     for k, h in enumerate(gaps.tolist()):
         phase = phases[k]
         if same[k] and phase is not None:
             made.append(own.gaps[phase])
         else:
-            made.append(make_gap(own.A, own.G, h, L[k], L[k + 1], flows[k][0], lengths))
+            made.append(make_gap(table, h, L[k], L[k + 1], flows[k][0]))
     if sequence.begins:
         initial = plan.problem.initial
         start = initial.scaled(own.D[:, None] * L[0], own.D, NO_ERROR)

@@ -9,6 +9,7 @@ from scipy.linalg import expm
 
 import sampling_design as sd
 from sampling_design.accuracy import deviation, sample_chain
+from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.riccati import RootedPeriod
 from sampling_design.errors import ArgumentError, SolverError, UndecidedError
 
@@ -164,7 +165,9 @@ def test_where_doubling_meets_a_singular_matrix_roots_go_on(growth, monkeypatch)
 
 def test_gaps_whose_quadrature_overflows_are_undecided():
     with pytest.raises(UndecidedError, match="grows so far between the samples"):
-        sample_chain.LengthFlow.of(np.array([[0.0, 1e7], [0.0, 0.0]]), np.eye(2), 1.0)
+        sample_chain.make_gap(
+            GapTable(np.array([[0.0, 1e7], [0.0, 0.0]]), np.eye(2), np.ones(2)), 1.0, *[np.eye(2)] * 3
+        )
 
 
 @pytest.mark.parametrize("growth", [28.0, 36.0, 100.0, 400.0])

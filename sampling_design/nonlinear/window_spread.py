@@ -62,11 +62,12 @@ def spread_of(
         push[:, :, : upper.shape[1]] = upper.transpose(0, 2, 1)
     filtered, grown = np.empty((len(edges), n, n)), np.empty((len(edges), n, n))
     bias, seen = np.zeros(n), slopes.roots @ slopes.H
-    measured = slopes.roots.any(axis=(1, 2)).tolist()
+    measured: list[bool] = [bool(root.any()) for root in slopes.roots]
     for k in range(len(edges)):
         if k:
             wide = np.concatenate([growth[k - 1].dot(S).T, push[k - 1].T])
-            S = np.triu(np.asarray(lapack.dgeqrf(wide)[0])[:n]).T
+            factor = lapack.dgeqrf(wide)[0]
+            S = np.triu(factor[:n]).T
             bias = slopes.F[k - 1].dot(bias)
             if jumps is not None:
                 bias += jumps[k - 1]

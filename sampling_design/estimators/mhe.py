@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +15,7 @@ from sampling_design.estimators.constraints.assumed import narrowed
 from sampling_design.estimators.constraints.constraints import Constraints
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.qp import solve_constrained
+from sampling_design.estimators.constraints.reference import problem_as_written
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import build_weights
@@ -41,6 +43,10 @@ from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.estimators.windowed_estimator import WindowedEstimator, WindowEstimate, WindowStart
 from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+
+if TYPE_CHECKING:
+    from sampling_design.numerics.conic_programs import Problem
 
 Array = npt.NDArray[np.float64]
 
@@ -180,6 +186,45 @@ class MovingHorizonEstimator(WindowedEstimator):
         if outside > 0:
             raise ArgumentError(f"`prior` must lie in `constraints.x`, got one outside by {outside:.6g}.")
         return state
+
+    def problem(self, t: float | None = None) -> Problem:
+        """Return the optimisation behind the estimate at a sample, to look at, to change, and to solve otherwise.
+
+        Parameters
+        ----------
+        t : float, optional [time]
+            Of a sample of the last horizon; default the latest.
+
+        Returns
+        -------
+        cvxpy.Problem
+            In `var_dict` x0, x1, ... are the states at the window's nodes (its start and its samples), omega1, ... the
+            whitened disturbances between them and v0, ... the noises at the samples, in physical units; in `param_dict`
+            are prior and y0, ..., with the values that the estimator took. Its least value is the estimate's `cost`.
+
+        Raises
+        ------
+        ArgumentError
+            If there is no sample at t, or it lies more than a horizon before the latest.
+
+        Examples
+        --------
+        >>> from sampling_design import Plant
+        >>> mhe = MovingHorizonEstimator(Plant([[0.0]], [[1.0]]), horizon=3.0, cost=CostFunction([[1.0]], eta=0.0))
+        >>> estimate, problem = mhe.update(1.0, [0.6]), mhe.problem()
+        >>> print(f"{problem.solve(solver='CLARABEL'):.6f} {estimate.cost:.6f} {problem.var_dict['x1'].value[0]:.6f}")
+        0.120000 0.120000 0.400000
+        """
+        nodes = self.state.nodes
+        when = nodes[-1].t if t is None else checks.number("t", t)
+        at = self.state.node_before(when)
+        if at < 0 or nodes[at].t != when or nodes[at].sample.y is None or when < nodes[-1].t - self.horizon:
+            raise ArgumentError(f"`t` must be the time of a sample of the last horizon, got {when!r}.")
+        node, state = nodes[at], EstimatorState(nodes[:at], self.state.inputs)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            start = self._start(state, when)
+        window = self._window(state, start, node.sample, (node.y, node.mask, node.feedthrough), node.limits)
+        return problem_as_written(window, self.constraints)
 
     def _solve(self, window: EstimationWindow) -> Solution:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what overflows is not finite

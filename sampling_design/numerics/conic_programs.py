@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from clarabel import DefaultSettings, DefaultSolver
     from cvxpy import Constraint as Constraint
     from cvxpy import Expression as Expression
-    from cvxpy import Problem
+    from cvxpy import Problem as Problem
     from scipy.sparse import csc_matrix
 
 Array = npt.NDArray[np.float64]

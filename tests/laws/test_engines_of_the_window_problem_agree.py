@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from sampling_design import Constraints, Plant
+from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.least_distance import active_set, conic, infeasibility
 from sampling_design.estimators.constraints.qp import solve_constrained
@@ -222,3 +223,43 @@ def test_a_tiny_gap_among_long_ones_takes_the_route_that_keeps_its_digits():
     engines = [mhe.update(t, [0.3]).engine for t in (1.0, 2.0, 2.0 + 1e-7, 3.0)]
     assert engines[:2] == ["banded", "banded"]
     assert engines[-1] == "square root"
+
+
+@pytest.mark.parametrize(("name", "options"), few(product(PLANTS, SETS), 0, 6, 9, 22, 27))
+def test_the_problem_as_written_is_the_one_that_is_solved(name, options):
+    """`problem` of any of the last samples costs what its estimate says, and ends where that is.
+
+    To the digits of the solver that is asked: twelve of a quadratic program, eight under balls.
+    """
+    mhe, _ = windows(PLANTS[name], options, seed=1)
+    asked, same = (1e-8, 1e-6) if mhe.constraints.has_balls else (1e-12, 1e-9)
+    nodes = [node for node in mhe.state.nodes[1:] if node.t >= mhe.state.last.t - mhe.horizon][::2]
+    for node in nodes:
+        problem = mhe.problem(node.t)
+        assert problem.is_dpp()
+        value = problem.solve(solver="CLARABEL", **dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), asked))
+        assert node.estimate.status == "ok"
+        assert value == pytest.approx(node.estimate.cost, rel=same)
+        last = max((key for key in problem.var_dict if key[0] == "x"), key=lambda key: int(key[1:]))
+        deviation = np.sqrt(np.diag(node.estimate.covariance))
+        assert np.max(np.abs(problem.var_dict[last].value - node.estimate.x) / deviation) < np.sqrt(same)
+    assert len(nodes) > 1
+
+
+def test_the_parameters_of_the_problem_are_the_data():
+    """Another value of y there is another value of y in the record; windows end within the last horizon."""
+    plant, kept = PLANTS["four states"], Constraints(x=both(4, 0.3))
+    mhe, other = (
+        MovingHorizonEstimator(plant, horizon=3.0, cost=CostFunction(eta=0.1), constraints=kept) for _ in "ab"
+    )
+    for t in (0.6, 1.9, 2.4):
+        mhe.update(t, [0.5])
+        other.update(t, [0.5 if t < 2 else -0.4])
+    problem = mhe.problem()
+    problem.param_dict["y3"].value = [-0.4]
+    assert problem.solve(solver="CLARABEL") == pytest.approx(other.problem().solve(solver="CLARABEL"), rel=1e-7)
+    assert problem.value == pytest.approx(other.state.last.estimate.cost, rel=1e-7)
+    mhe.update(6.0, [0.1])
+    for t in (2.4, 3.0, 0.0, 7.0):
+        with pytest.raises(ArgumentError, match="`t` must be the time of a sample of the last horizon"):
+            mhe.problem(t)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -21,7 +21,7 @@ from sampling_design.numerics import conic_programs
 from sampling_design.records.evidence import SolverRecord
 
 if TYPE_CHECKING:
-    from sampling_design.numerics.conic_programs import Constraint, Expression
+    from sampling_design.numerics.conic_programs import Constraint, Expression, Problem
 
 Array = npt.NDArray[np.float64]
 
@@ -41,6 +41,12 @@ class _Point:
     v: dict[int, Array]
     cost: float
 
+    @classmethod
+    def zero(cls, window: EstimationWindow, x: Array) -> _Point:
+        """These states, without disturbance and noise."""
+        omega = [np.zeros(flow.root.shape[1]) for flow in window.flows]
+        return cls(x, omega, {j: np.zeros(window.masks.shape[1]) for j in window.samples}, np.nan)
+
 
 def solve_reference(
     window: EstimationWindow, constraints: WindowConstraints, free: Solution, scales: Sequence[float] = SCALES
@@ -55,12 +61,7 @@ def solve_reference(
     again around its own last answer, as a difference from it and in units of the next of `scales`: the same
     tolerances then bite that much further down, and what is curved is straight (`_inside`).
     """
-    point = _Point(
-        window.reference,
-        [np.zeros(flow.root.shape[1]) for flow in window.flows],
-        {j: np.zeros(window.masks.shape[1]) for j in window.samples},
-        np.nan,
-    )
+    point = _Point.zero(window, window.reference)
     for scale in scales:
         record, found = _improved(window, constraints, point, scale)
         if found is not None:
@@ -78,13 +79,45 @@ def _improved(
     window: EstimationWindow, constraints: WindowConstraints, point: _Point, scale: float
 ) -> tuple[SolverRecord, _Point | None]:
     """Minimise over the steps (x, omega, v) = point + scale step; None if the solver brings nothing to use."""
+    program, x, omega, v = _posed(window, constraints, point, scale, window.reference[0], window.y)
+    problem = program.problem()
+    record = conic_programs.solve(problem, tolerance=SOLVER_TOLERANCE)
+    if not conic_programs.usable(record) or problem.value is None or any(step.value is None for step in x):
+        return record, None
+    return record, _Point(
+        point.x + scale * np.array([step.value for step in x]),
+        [at + scale * np.asarray(step.value) for at, step in zip(point.omega, omega, strict=True)],
+        {j: point.v[j] + scale * np.asarray(step.value) for j, step in v.items()},
+        program.constant + scale**2 * float(problem.value),
+    )
+
+
+def problem_as_written(window: EstimationWindow, constraints: WindowConstraints) -> Problem:
+    """Return the window problem for the modelling library: variables x0, omega1, v0, ..., parameters prior, y0, ..."""
+    cp = conic_programs.cvxpy()
+    prior, y = cp.Parameter(window.reference.shape[1], name="prior", value=window.reference[0]), {}
+    for j in window.samples:
+        y[j] = cp.Parameter(window.y.shape[1], name=f"y{j}", value=window.y[j])
+    program, *_ = _posed(window, constraints, _Point.zero(window, 0 * window.reference), 1.0, prior, y)
+    return program.problem()
+
+
+def _posed(
+    window: EstimationWindow,
+    constraints: WindowConstraints,
+    point: _Point,
+    scale: float,
+    prior: Array | Expression,
+    y: Array | Mapping[int, Expression],
+) -> tuple[_Program, list[Expression], list[Expression], dict[int, Expression]]:
+    """The program over the steps (x, omega, v) = point + scale step; with parameters for prior and y the scale is 1."""
     cp = conic_programs.cvxpy()
     weights, plant, root = window.weights, window.weights.plant, np.sqrt(window.discount)
-    x = [cp.Variable(plant.n_states) for _ in window.times]
-    omega = [cp.Variable(flow.root.shape[1]) for flow in window.flows]
-    v = {j: cp.Variable(plant.n_outputs) for j in window.samples}
+    x = [cp.Variable(plant.n_states, name=f"x{j}") for j in range(window.times.size)]
+    omega = [cp.Variable(flow.root.shape[1], name=f"omega{j + 1}") for j, flow in enumerate(window.flows)]
+    v = {j: cp.Variable(plant.n_outputs, name=f"v{j}") for j in window.samples}
     program = _Program(cp, scale, [], [], 0.0)
-    program.add_square(window.prior_half @ (point.x[0] - window.reference[0]), window.prior_half @ x[0])
+    program.add_square(window.prior_half @ (point.x[0] - prior), window.prior_half @ x[0])
     for j, flow in enumerate(window.flows):
         drift = window.defect[j] + window.reference[j + 1] - flow.F @ window.reference[j]
         missing = flow.F @ point.x[j] + drift + flow.root @ point.omega[j] - point.x[j + 1]
@@ -102,7 +135,7 @@ def _improved(
         seen = window.masks[j] > 0
         fit, own = marginal_root(weights.R, seen), marginal_root(weights.v, seen)
         mask, model, moved = window.masks[j], plant.C @ point.x[j] + window.feedthrough[j], plant.C @ x[j]
-        residual = mask * (window.y[j] - model) - point.v[j]
+        residual = np.diag(mask) @ (y[j] - model) - point.v[j]
         program.add_square(root[j] * (fit @ residual), root[j] * (fit @ (-cp.multiply(mask, moved) - step)))
         program.add_square(root[j] * (own @ point.v[j]), root[j] * (own @ step))
         for chosen, at, total in ((constraints.v, point.v[j], step), (constraints.y, model + point.v[j], moved + step)):
@@ -113,16 +146,7 @@ def _improved(
         shown = means.target - np.einsum("kjn,jn->k", means.rows, point.x - window.reference)
         rows = np.linalg.solve(root, means.rows.reshape(len(shown), -1))
         program.add_square(np.linalg.solve(root, shown), -rows @ cp.hstack(x))
-    problem = cp.Problem(cp.Minimize(cp.sum(program.terms)), program.parts)
-    record = conic_programs.solve(problem, tolerance=SOLVER_TOLERANCE)
-    if not conic_programs.usable(record) or problem.value is None or any(step.value is None for step in x):
-        return record, None
-    return record, _Point(
-        point.x + scale * np.array([step.value for step in x]),
-        [at + scale * step.value for at, step in zip(point.omega, omega, strict=True)],
-        {j: point.v[j] + scale * step.value for j, step in v.items()},
-        program.constant + scale**2 * float(problem.value),
-    )
+    return program, x, omega, v
 
 
 @dataclass
@@ -135,8 +159,16 @@ class _Program:
     parts: list[Constraint]
     constant: float
 
-    def add_square(self, value: Array, step: Expression) -> None:
-        """Add |value + scale step|^2."""
+    def problem(self) -> Problem:
+        """The problem, without its constant."""
+        found: Problem = self.cp.Problem(self.cp.Minimize(self.cp.sum(self.terms)), self.parts)
+        return found
+
+    def add_square(self, value: Array | Expression, step: Expression) -> None:
+        """Add |value + scale step|^2; where parameters stand in the value, all of it is a term."""
+        if not isinstance(value, np.ndarray):
+            self.terms.append(self.cp.sum_squares(value + self.scale * step))
+            return
         self.terms += [self.cp.sum_squares(step), (2 / self.scale) * (step @ value)]
         self.constant += float(value @ value)
 

@@ -14,7 +14,7 @@ from sampling_design.accuracy.rows import WantedRows
 from sampling_design.checkers import claims
 from sampling_design.checkers.interval_file import OfInterval
 from sampling_design.checkers.parts import FORMAT, digest
-from sampling_design.checkers.strict import Altered, BadFile
+from sampling_design.checkers.strict import BadFile
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant
@@ -115,7 +115,7 @@ def read_tree(path: str | os.PathLike[str]) -> tuple[OfInterval, Plant]:
         found = claims.certificate(data)
     except BadFile as error:
         sentence = f"{error}" if f"{error}".endswith(("?", ".")) else f"{error}."
-        said = f"{where}: {'' if isinstance(error, Altered) else 'is no interval: '}{sentence}"
+        said = f"{where}: {'' if error.broken == 'digest' else 'is no interval: '}{sentence}"
         raise FileFormatError(said, where) from None
     if not isinstance(found, OfInterval):
         raise FileFormatError(

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from operator import itemgetter
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -86,28 +86,6 @@ class RowReading(NamedTuple):
     since: float | None = None
 
 
-@dataclass(frozen=True)
-class BelowDetection:
-    """A reading under the limit of detection: "<0.5"."""
-
-    limit: float
-
-
-@dataclass(frozen=True)
-class AboveRange:
-    """A reading beyond the instrument's range: ">8"."""
-
-    limit: float
-
-
-@dataclass(frozen=True)
-class CompositeReading:
-    """A composite sample: the mean of the output from `since` until now, a number or itself a limit."""
-
-    value: float | BelowDetection | AboveRange
-    since: float
-
-
 class CensoredReading(NamedTuple):
     """What an output is known to lie between, now or (`since`) in the mean from that time on."""
 
@@ -121,6 +99,47 @@ class CensoredReading(NamedTuple):
         return self if self.since is None else self._replace(since=self.since + by)
 
 
+@dataclass(frozen=True)
+class BelowDetection:
+    """A reading under the limit of detection: "<0.5"."""
+
+    limit: float
+
+    def censored(self, output: int, since: float | None = None) -> CensoredReading:
+        """What it says of an output."""
+        return CensoredReading(output, -np.inf, checks.number("limit", self.limit), since)
+
+
+@dataclass(frozen=True)
+class AboveRange:
+    """A reading beyond the instrument's range: ">8"."""
+
+    limit: float
+
+    def censored(self, output: int, since: float | None = None) -> CensoredReading:
+        """What it says of an output."""
+        return CensoredReading(output, checks.number("limit", self.limit), np.inf, since)
+
+
+@dataclass(frozen=True)
+class CompositeReading:
+    """A composite sample: the mean of the output from `since` until now, a number or itself a limit."""
+
+    value: float | BelowDetection | AboveRange
+    since: float
+
+    def censored(self, output: int) -> CensoredReading:
+        """What it says of an output."""
+        since = checks.number("since", self.since)
+        if isinstance(self.value, (BelowDetection, AboveRange)):
+            return self.value.censored(output, since)
+        mean = checks.number("value", self.value)
+        return CensoredReading(output, mean, mean, since)
+
+
+PartialReading: TypeAlias = BelowDetection | AboveRange | CompositeReading
+
+
 def told(y: object, p: int) -> tuple[object, tuple[CensoredReading, ...]]:
     """Return measurements with NaN in place of limits and means, and those.
 
@@ -129,45 +148,21 @@ def told(y: object, p: int) -> tuple[object, tuple[CensoredReading, ...]]:
     ArgumentError
         If a limit or the mean is not a finite number.
     """
-    if isinstance(y, (BelowDetection, AboveRange, CompositeReading)):
-        y = [y]
-    if not isinstance(y, (list, tuple)) or not any(
-        isinstance(value, (BelowDetection, AboveRange, CompositeReading)) for value in y
-    ):
+    y = [y] if isinstance(y, PartialReading) else y
+    if not isinstance(y, (list, tuple)):
         return y, ()
-    plain: list[object] = []
-    found = []
-    for output, value in enumerate(y):
-        if isinstance(value, (BelowDetection, AboveRange, CompositeReading)):
-            found.append(_told(output, value))
-            plain.append(np.nan)
-        else:
-            plain.append(value)
-    return plain, tuple(found)
+    found = {k: value.censored(k) for k, value in enumerate(y) if isinstance(value, PartialReading)}
+    if not found:
+        return y, ()
+    return [np.nan if k in found else value for k, value in enumerate(y)], tuple(found.values())
 
 
-def _told(output: int, value: BelowDetection | AboveRange | CompositeReading) -> CensoredReading:
-    since, held = (
-        (checks.number("since", value.since), value.value) if isinstance(value, CompositeReading) else (None, value)
-    )
-    if isinstance(held, BelowDetection):
-        return CensoredReading(output, -np.inf, checks.number("limit", held.limit), since)
-    if isinstance(held, AboveRange):
-        return CensoredReading(output, checks.number("limit", held.limit), np.inf, since)
-    mean = checks.number("value", held)
-    return CensoredReading(output, mean, mean, since)
-
-
-def as_typed(found: CensoredReading) -> BelowDetection | AboveRange | CompositeReading:
+def as_typed(found: CensoredReading) -> PartialReading:
     """Return what is told of an output as a user gives it."""
-    if np.isinf(found.lower):
-        value: float | BelowDetection | AboveRange = BelowDetection(found.upper)
-    else:
-        value = AboveRange(found.lower) if np.isinf(found.upper) else found.lower
-    if found.since is not None:
-        return CompositeReading(value, found.since)
-    assert isinstance(value, (BelowDetection, AboveRange))
-    return value
+    limit = BelowDetection(found.upper) if np.isinf(found.lower) else AboveRange(found.lower)
+    if found.since is None:
+        return limit
+    return CompositeReading(limit if np.isinf(found.upper - found.lower) else found.lower, found.since)
 
 
 def rows_told(

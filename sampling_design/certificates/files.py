@@ -14,7 +14,7 @@ from sampling_design.certificates.families.family_certificate import FamilyCerti
 from sampling_design.certificates.families.path_complete import Edge, PathCompleteGraph
 from sampling_design.checkers import claims, detectability, family_file, schedule_file
 from sampling_design.checkers.interval_file import OfInterval
-from sampling_design.checkers.strict import Altered, BadFile, Tree
+from sampling_design.checkers.strict import BadFile, Tree
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant, first_difference
@@ -85,7 +85,7 @@ def certificate_from_dict(data: Tree, where: str = "certificate") -> AnyCertific
         found = claims.certificate(data)
     except BadFile as error:
         sentence = f"{error}" if f"{error}".endswith(("?", ".")) else f"{error}."
-        if isinstance(error, Altered):
+        if error.broken == "digest":
             sentence = f"{where}: {sentence}"
             raise FileFormatError(sentence, where) from None
         raise ArgumentError(sentence) from None

@@ -28,14 +28,12 @@ def verdict(data: Mapping[str, object], work: "Work | None" = None) -> "Verdict"
     """Return the `Verdict` on the plain data of a certificate file of any claim; `work` is what it may do."""
     from .claims import certificate, claim_of
     from .outcome import BAD_FILE, Verdict
-    from .strict import Altered, BadFile
+    from .strict import BadFile
 
     try:
         return verdict_on(certificate(data), claim_of(data).prove, work)
-    except Altered as error:
-        return Verdict(BAD_FILE, "digest", str(error))
     except BadFile as error:
-        return Verdict(BAD_FILE, "form", f"the data are no certificate: {error}")
+        return Verdict(BAD_FILE, error.broken, "the data are no certificate: " * (error.broken == "form") + str(error))
 
 
 def verdict_on(content: object, prove: "Callable[..., Proven]", work: "Work | None" = None) -> "Verdict":

@@ -34,9 +34,13 @@ MOST_LISTED = 12  # names that a sentence lists
 class BadFile(Exception):
     """Data that are not what the grammar of their file allows: one sentence that names the place."""
 
+    broken = "form"
+
 
 class Altered(BadFile):
     """Data whose digest does not fit them."""
+
+    broken = "digest"
 
 
 def refuse(place: str, what: str) -> BadFile:

@@ -9,7 +9,6 @@ from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 import typer
 
 import sampling_design as sd
@@ -17,8 +16,6 @@ from sampling_design.errors import ArgumentError
 from sampling_design.planning.opening import DAYS, OpeningCalendar, WeekHours, minutes, week_hours
 from sampling_design.records.checks import known_keys
 from sampling_design.records.units import SECONDS
-
-Array = npt.NDArray[np.float64]
 
 MOST_DAYS = 400
 A_MONDAY = "2001-01-01"

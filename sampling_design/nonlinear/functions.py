@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
+Equation: TypeAlias = "Callable[[SX, SX, SX], SX]"
+
 
 class PlantFunctions(NamedTuple):
     """f, h and g as casadi Functions, and whether time is an argument of f or h."""
@@ -27,15 +29,6 @@ class PlantFunctions(NamedTuple):
     shown: Function
     limits: Function
     varies: bool
-
-
-class LinearEquations(NamedTuple):
-    """f, h, sizes and signals of a linear plant."""
-
-    dynamics: Callable[[SX, SX, SX], SX]
-    measurement: Callable[[SX, SX, SX], SX]
-    sizes: dict[str, int]
-    signals: dict[str, Signals]
 
 
 @dataclass(frozen=True)
@@ -70,8 +63,8 @@ def takes_time(function: object) -> bool:
     return sum(p.kind in places and p.default is inspect.Parameter.empty for p in parameters) == 4
 
 
-def linear_model(plant: Plant, noises: bool) -> LinearEquations:
-    """Return f = A x + B u + G w and h = C x + D u + v of a linear plant; without noises, v is left out."""
+def linear_model(plant: Plant, noises: bool) -> tuple[Equation, Equation, dict[str, int], dict[str, Signals]]:
+    """Return f = A x + B u + G w, h = C x + D u + v (without noises no v), sizes and signals of a linear plant."""
 
     def dynamics(x: SX, u: SX, w: SX) -> SX:
         return _times(plant.A, x) + _times(plant.B, u) + _times(plant.G, w)
@@ -86,7 +79,7 @@ def linear_model(plant: Plant, noises: bool) -> LinearEquations:
         signals["noises"] = Signals(
             checks.names("v", None, plant.n_outputs, "v"), plant.outputs.units, plant.outputs.scales
         )
-    return LinearEquations(dynamics, measurement, sizes, signals)
+    return dynamics, measurement, sizes, signals
 
 
 def _times(matrix: Array, symbol: SX) -> SX:

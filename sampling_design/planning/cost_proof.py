@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias, Union
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.planning.covering import CoveringRows, Key, proven
+from sampling_design.planning.covering import CoveringRows, CoverModel, Key, proven
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
 
 Array = npt.NDArray[np.float64]
@@ -21,6 +22,28 @@ class CostLeaf:
     rows: tuple[int, ...]
     values: tuple[float, ...]
 
+    def leaves(self) -> list[CostLeaf]:
+        """All leaves of the tree."""
+        return [self]
+
+    def fits(self, rows: int, columns: int) -> bool:
+        """Whether a tree names only rows and variables that there are."""
+        return all(0 <= row < rows for row in self.rows)
+
+    def numbered(self, place: Callable[[int], int]) -> CostLeaf:
+        """The tree with other numbers of rows."""
+        return CostLeaf(tuple(map(place, self.rows)), self.values)
+
+    def below(self, model: CoverModel, low: Array, high: Array) -> float:
+        """What the tree proves of choices between bounds."""
+        y = np.zeros(model.b.size)
+        y[list(self.rows)] = self.values
+        return proven(model, np.maximum(y, 0.0), low, high)
+
+    def to_list(self) -> list[dict[str, object]]:
+        """Nodes in the order of a walk, first what is without the variable: a file is never nested deeply."""
+        return [{"multipliers": [[row, value] for row, value in zip(self.rows, self.values, strict=True)]}]
+
 
 @dataclass(frozen=True, eq=False)
 class CostBranch:
@@ -29,6 +52,29 @@ class CostBranch:
     variable: int
     without: CostTree
     given: CostTree
+
+    def leaves(self) -> list[CostLeaf]:
+        """All leaves of the tree."""
+        return [*self.without.leaves(), *self.given.leaves()]
+
+    def fits(self, rows: int, columns: int) -> bool:
+        """Whether a tree names only rows and variables that there are."""
+        both = self.without.fits(rows, columns) and self.given.fits(rows, columns)
+        return 0 <= self.variable < columns and both
+
+    def numbered(self, place: Callable[[int], int]) -> CostBranch:
+        """The tree with other numbers of rows."""
+        return CostBranch(self.variable, self.without.numbered(place), self.given.numbered(place))
+
+    def below(self, model: CoverModel, low: Array, high: Array) -> float:
+        """What the tree proves of choices between bounds."""
+        up, down = low.copy(), high.copy()
+        up[self.variable], down[self.variable] = 1.0, 0.0
+        return min(self.without.below(model, low, down), self.given.below(model, up, high))
+
+    def to_list(self) -> list[dict[str, object]]:
+        """Nodes in the order of a walk."""
+        return [{"variable": self.variable}, *self.without.to_list(), *self.given.to_list()]
 
 
 CostTree: TypeAlias = Union[CostLeaf, CostBranch]  # noqa: UP007
@@ -49,25 +95,8 @@ def proven_cost(cover: CoveringRows, pool: HiddenTrajectories, proof: CostProof)
     if any(not pool.ends[pool.attacks[a].goal][end % pool.steps] for a, end in proof.keys):
         return -np.inf
     model = cover.model(pool.attacks, list(proof.keys), proof.level)
-    if not _fits(proof.tree, model.b.size, cover.columns):
+    if not proof.tree.fits(model.b.size, cover.columns):
         return -np.inf
 
-    def below(tree: CostTree, low: Array, high: Array) -> float:
-        if isinstance(tree, CostBranch):
-            up, down = low.copy(), high.copy()
-            up[tree.variable], down[tree.variable] = 1.0, 0.0
-            return min(below(tree.without, low, down), below(tree.given, up, high))
-        y = np.zeros(model.b.size)
-        y[list(tree.rows)] = tree.values
-        return proven(model, np.maximum(y, 0.0), low, high)
-
     # a choice that cost less than the claim could be turned so that its largest gap follows step 0
-    return cover.lifted(below(proof.tree, np.zeros(cover.columns), cover.ceiling(proof.value)))
-
-
-def _fits(tree: CostTree, rows: int, columns: int) -> bool:
-    """Whether a tree names only rows and variables that there are."""
-    if isinstance(tree, CostBranch):
-        inside = 0 <= tree.variable < columns
-        return inside and _fits(tree.without, rows, columns) and _fits(tree.given, rows, columns)
-    return all(0 <= row < rows for row in tree.rows)
+    return cover.lifted(proof.tree.below(model, np.zeros(cover.columns), cover.ceiling(proof.value)))

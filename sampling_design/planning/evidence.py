@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.planning.adversary_program import fly
-from sampling_design.planning.cost_proof import CostBranch, CostProof, CostTree, proven_cost
+from sampling_design.planning.cost_proof import CostProof, proven_cost
 from sampling_design.planning.covering import CoveringRows
 from sampling_design.planning.discrete_plant import DiscretePlant
 from sampling_design.planning.filter_deviation import RasterFilter
@@ -159,12 +159,5 @@ def proof_to_dict(proof: CostProof) -> dict[str, object]:
         "level": proof.level,
         "value": proof.value,
         "rows": [list(key) for key in proof.keys],
-        "tree": _tree_to_list(proof.tree),
+        "tree": proof.tree.to_list(),
     }
-
-
-def _tree_to_list(tree: CostTree) -> list[dict[str, object]]:
-    """Nodes in the order of a walk, first what is without the variable: a file is never nested deeply."""
-    if isinstance(tree, CostBranch):
-        return [{"variable": tree.variable}, *_tree_to_list(tree.without), *_tree_to_list(tree.given)]
-    return [{"multipliers": [[row, value] for row, value in zip(tree.rows, tree.values, strict=True)]}]

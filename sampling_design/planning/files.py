@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -15,6 +15,7 @@ from sampling_design.certificates.files import certificate_from_dict
 from sampling_design.checkers.parts import time_unit
 from sampling_design.checkers.strict import (
     Reader,
+    Tree,
     anything,
     count,
     flag,
@@ -187,18 +188,16 @@ def _certificate(data: object, found: Plan) -> Certificate | None:
     return certificate
 
 
-def _start(data: object) -> PlanStart | None:
+def _start(data: Tree | None) -> PlanStart | None:
     if data is None:
         return None
-    assert isinstance(data, Mapping)
     never = {key: np.inf for key in ("from_time", "ratio") if data[key] is None}
     return PlanStart(**{**data, **never})
 
 
-def _robustness(data: object, found: Plan) -> PlanRobustness | None:
+def _robustness(data: Tree | None, found: Plan) -> PlanRobustness | None:
     if data is None:
         return None
-    assert isinstance(data, Mapping)
     arrays = {}
     for key in ("times", "late", "step", "late_ratio", "lost_ratio"):
         arrays[key] = freeze(np.array([np.inf if x is None else x for x in data[key]], dtype=float))
@@ -207,9 +206,8 @@ def _robustness(data: object, found: Plan) -> PlanRobustness | None:
     return PlanRobustness(time_unit=data["time_unit"], lost=data["lost"], **arrays)
 
 
-def _bound(problem: PlanProblem, motion: DiscretePlant, tree: Mapping[str, object]) -> PlanBound:
+def _bound(problem: PlanProblem, motion: DiscretePlant, tree: Tree) -> PlanBound:
     attacks = tree["attacks"]
-    assert isinstance(attacks, list)
     for k, attack in enumerate(attacks):
         own = [key for key in (*_FLIGHT, "point") if key in attack]
         if own not in ([*_FLIGHT], ["point"]) or attack["goal"] >= len(problem.goals):
@@ -235,10 +233,9 @@ def _bound(problem: PlanProblem, motion: DiscretePlant, tree: Mapping[str, objec
     )
 
 
-def _proof(data: object, attacks: int, place: str) -> CostProof | None:
+def _proof(data: Tree | None, attacks: int, place: str) -> CostProof | None:
     if data is None:
         return None
-    assert isinstance(data, Mapping)
     if len(data["tree"]) > MOST_TREE or any(row[0] >= attacks for row in data["rows"]):
         raise refuse(place, "has a tree beyond all measure, or rows of no attack")
     nodes = iter(data["tree"])
@@ -248,14 +245,12 @@ def _proof(data: object, attacks: int, place: str) -> CostProof | None:
     return CostProof(data["level"], data["value"], tuple((a, e) for a, e in data["rows"]), tree)
 
 
-def _tree(nodes: Iterator[Mapping[str, object]], place: str, depth: int = 0) -> CostTree:
+def _tree(nodes: Iterator[Tree], place: str, depth: int = 0) -> CostTree:
     """A tree from the walk through it."""
     node = next(nodes, None)
     if node is None or len(node) != 1 or depth > 400:
         raise refuse(place, "has a tree that is cut off")
-    variable = node.get("variable")
-    if isinstance(variable, int):
-        return CostBranch(variable, _tree(nodes, place, depth + 1), _tree(nodes, place, depth + 1))
+    if "variable" in node:
+        return CostBranch(node["variable"], _tree(nodes, place, depth + 1), _tree(nodes, place, depth + 1))
     pairs = node["multipliers"]
-    assert isinstance(pairs, list)
     return CostLeaf(tuple(int(row) for row, _ in pairs), tuple(float(value) for _, value in pairs))

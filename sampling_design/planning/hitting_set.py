@@ -183,24 +183,15 @@ class _Search:
 
     def _told(self, tree: CostTree) -> CostProof | None:
         """The proof with the rows that it uses, the frame's before them."""
-        used = sorted({row for leaf in _leaves(tree) for row in leaf.rows})
+        used = sorted({row for leaf in tree.leaves() for row in leaf.rows})
         if used[-1] > len(self.keys):
             return None
         place = {row: self.frame + i for i, row in enumerate(row for row in used if 0 <= row < len(self.keys))}
         place[len(self.keys)] = self.frame - 1
 
-        def told(part: CostTree) -> CostTree:
-            if isinstance(part, CostBranch):
-                return CostBranch(part.variable, told(part.without), told(part.given))
-            return CostLeaf(tuple(place.get(row, self.frame + row) for row in part.rows), part.values)
-
-        proof = CostProof(self.level, self.below, tuple(self.keys[row] for row in sorted(place)[:-1]), told(tree))
+        told = tree.numbered(lambda row: place.get(row, self.frame + row))
+        proof = CostProof(self.level, self.below, tuple(self.keys[row] for row in sorted(place)[:-1]), told)
         return replace(proof, value=min(self.below, proven_cost(self.cover, self.pool, proof)))
-
-
-def _leaves(tree: CostTree) -> list[CostLeaf]:
-    """All leaves of a tree."""
-    return [*_leaves(tree.without), *_leaves(tree.given)] if isinstance(tree, CostBranch) else [tree]
 
 
 def _apart(shows: Array32, counts: Array32, enough: int) -> Places:

@@ -21,7 +21,6 @@ from sampling_design.records.units import SECONDS, check_time_unit
 Array = npt.NDArray[np.float64]
 Duration: TypeAlias = float | str
 DisturbanceBound: TypeAlias = float | Sequence[float] | None
-Goals: TypeAlias = "Mapping[str, AccuracyGoal | Mapping[str, object] | float] | None"
 
 FORMAT = "sampling-design/plan-requirement/1"
 KINDS = ("guaranteed", "standard deviation")

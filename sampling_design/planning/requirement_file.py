@@ -25,41 +25,31 @@ from sampling_design.errors import ArgumentError
 from sampling_design.planning.requirement import AIMS, FORMAT, KINDS, TIMES, PlanRequirement
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant
-from sampling_design.records.file_io import read_tree, usable, write_tree
+from sampling_design.records.file_io import by_kind, read_tree, usable, write_tree
 from sampling_design.records.signatures import checked
 
-
-def _duration(value: object, place: str) -> float | str:
-    """A number of time units, or text with a unit of its own."""
-    return text(value, place) if isinstance(value, str) else positive(value, place)
-
-
-def _bound(value: object, place: str) -> float | list[float]:
-    """One number, or one for each entry."""
-    found: list[float] = list_of(nonnegative)(value, place) if isinstance(value, (list, tuple)) else []
-    return found if isinstance(value, (list, tuple)) else nonnegative(value, place)
+_NUMBERS = list_of(nonnegative)
+_duration = by_kind({str: text}, positive)
+"""A number of time units, or text with a unit of its own."""
+_bound = by_kind({list: _NUMBERS, tuple: _NUMBERS}, nonnegative)
+"""One number, or one for each entry."""
+_when = by_kind({str: word(*TIMES)}, _NUMBERS)
+"""A word, or times of the period."""
 
 
-def _error(value: object, place: str) -> object:
-    """A bound on the norm, half-widths, a weight, or numbers and pairs by name."""
-    if isinstance(value, Mapping):
-        return by_name(_entry)(value, place)
-    if isinstance(value, (list, tuple)) and any(isinstance(row, (list, tuple)) for row in value):
-        return matrix()(value, place)
-    return _bound(value, place)
+def _pair(value: object, place: str) -> object:
+    return tuple(list_of(number, 2)(value, place))
 
 
-def _entry(value: object, place: str) -> object:
-    """A number about 0, or a pair."""
-    pair = isinstance(value, (list, tuple))
-    return tuple(list_of(number, 2)(value, place)) if pair else nonnegative(value, place)
+def _weight(value: object, place: str) -> object:
+    """Half-widths, or the rows of a weight."""
+    rows = any(isinstance(row, (list, tuple)) for row in list_of(anything)(value, place))
+    return matrix()(value, place) if rows else _bound(value, place)
 
 
-def _when(value: object, place: str) -> str | list[float]:
-    """A word, or times of the period."""
-    found: list[float] = [] if isinstance(value, str) else list_of(nonnegative)(value, place)
-    return str(word(*TIMES)(value, place)) if isinstance(value, str) else found
-
+_ENTRIES = by_name(by_kind({list: _pair, tuple: _pair}, nonnegative))
+_error = by_kind({Mapping: _ENTRIES, list: _weight, tuple: _weight}, _bound)
+"""A bound on the norm, half-widths, a weight, or numbers about 0 and pairs by name."""
 
 _SPANS = by_name(list_of(list_of(text, 2)))
 
@@ -75,11 +65,8 @@ def _hours(value: object, place: str) -> object:
 _GOAL = table({"tolerance": positive}, {"at": _when, "row": list_of(number), "kind": word(*KINDS)})
 
 
-def _goal(value: object, place: str) -> object:
-    """A tolerance, or a table of all that may be said of a goal."""
-    return _GOAL(value, place) if isinstance(value, Mapping) else positive(value, place)
-
-
+_goal = by_kind({Mapping: _GOAL}, positive)
+"""A tolerance, or a table of all that may be said of a goal."""
 _SENSOR = table(
     {},
     {

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.checkers import strict
-from sampling_design.checkers.strict import Tree
+from sampling_design.checkers.strict import Reader, Tree
 from sampling_design.errors import ArgumentError, FileFormatError
 
 PIECES = 1 << 14
@@ -385,6 +385,15 @@ def write_tree(path: str | os.PathLike[str], data: Mapping[str, object], what: s
     import tomli_w
 
     return write_text(path, tomli_w.dumps(data))
+
+
+def by_kind(kinds: Mapping[type, Reader], other: Reader) -> Reader:
+    """Return what reads a value that may be of several kinds, each with its reader, and whatever else with `other`."""
+
+    def read(value: object, place: str) -> object:
+        return next((reader for kind, reader in kinds.items() if isinstance(value, kind)), other)(value, place)
+
+    return read
 
 
 @contextmanager

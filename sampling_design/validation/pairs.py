@@ -99,13 +99,6 @@ def _hiding(line: Timeline, start: int, stop: int, x: Array, w: Array, blind: Ar
     return v
 
 
-class _Forward(NamedTuple):
-    """Covariances of one start: before and after each break point, and the noise of each cell."""
-
-    before: list[Array]
-    after: list[Array]
-
-
 def worst_pair(line: Timeline, certificate: SampledCertificate, span: float) -> WorstRatio:
     """Return how near the worst pair comes to equality in (16), over starts, times and w constant on cells.
 
@@ -116,8 +109,8 @@ def worst_pair(line: Timeline, certificate: SampledCertificate, span: float) -> 
     starts = np.unique(np.linspace(0, last - 1, min(MOST_STARTS, last)).astype(int))
     root, best = np.linalg.cholesky(certificate.P1).T, (-np.inf, 0, 0)
     for start in starts:
-        run = _forward(line, certificate, int(start), _stops(line, int(start), span))
-        tops = np.linalg.eigvalsh(symmetrise(root @ np.array(run.before) @ root.T))[:, -1]
+        before, _ = _forward(line, certificate, int(start), _stops(line, int(start), span))
+        tops = np.linalg.eigvalsh(symmetrise(root @ np.array(before) @ root.T))[:, -1]
         at = int(np.argmax(tops))
         best = max(best, (float(tops[at]), int(start), int(start) + at))
     _, start, stop = best
@@ -131,28 +124,29 @@ def _cell_noise(line: Timeline, certificate: SampledCertificate, c: int) -> tupl
     return line.gamma[c], unit
 
 
-def _forward(line: Timeline, certificate: SampledCertificate, start: int, stop: int) -> _Forward:
+def _forward(line: Timeline, certificate: SampledCertificate, start: int, stop: int) -> tuple[list[Array], list[Array]]:
+    """Covariances of one start, before and after each break point."""
     Y = np.asarray(np.linalg.inv(certificate.P2))
     samples = {int(b): j for j, b in enumerate(line.samples)}
-    run = _Forward([Y], [Y])
+    before, later = [Y], [Y]
     for c in range(start, stop):
         gamma, unit = _cell_noise(line, certificate, c)
         Y = propagate(np.exp(certificate.eta * line.lengths[c]) * Y, line.F[c], gamma @ unit @ gamma.T)
-        run.before.append(Y)
+        before.append(Y)
         j = samples.get(c + 1)
         if j is not None:
             seen = line.masks[j] > 0
             noise = np.linalg.inv(certificate.R) + np.linalg.inv(certificate.Qv)
             Y = measurement_update(Y, whitened(line.plant.C[seen], noise[np.ix_(seen, seen)]))
-        run.after.append(Y)
-    return run
+        later.append(Y)
+    return before, later
 
 
 def _backward(line: Timeline, certificate: SampledCertificate, start: int, stop: int) -> TrajectoryPairs:
     """The pair of least right side that ends, just before `stop`'s sample, in the worst direction."""
-    run, plant = _forward(line, certificate, start, stop), line.plant
+    (before, later), plant = _forward(line, certificate, start, stop), line.plant
     root = np.linalg.cholesky(certificate.P1).T
-    values, vectors = np.linalg.eigh(symmetrise(root @ run.before[-1] @ root.T))
+    values, vectors = np.linalg.eigh(symmetrise(root @ before[-1] @ root.T))
     x = np.linalg.solve(root, vectors[:, -1] * np.sqrt(values[-1]))
     w = np.zeros((1, line.cells, plant.n_disturbances))
     v = np.zeros((1, line.samples.size, plant.n_outputs))
@@ -164,7 +158,7 @@ def _backward(line: Timeline, certificate: SampledCertificate, start: int, stop:
             R, Qv = (marginal(M, seen)[np.ix_(seen, seen)] for M in (certificate.R, certificate.Qv))
             v[0, j, seen] = -np.linalg.solve(R + Qv, R @ plant.C[seen] @ x)
         gamma, unit = _cell_noise(line, certificate, c)
-        dual = np.linalg.solve(run.before[c + 1 - start], x)
+        dual = np.linalg.solve(before[c + 1 - start], x)
         w[0, c] = unit @ gamma.T @ dual
-        x = np.exp(certificate.eta * line.lengths[c]) * run.after[c - start] @ line.F[c].T @ dual
+        x = np.exp(certificate.eta * line.lengths[c]) * later[c - start] @ line.F[c].T @ dual
     return TrajectoryPairs(x[None], w, v)

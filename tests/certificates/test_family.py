@@ -212,7 +212,7 @@ def test_a_proof_that_does_not_close_is_no_certificate(monkeypatch):
     from sampling_design.certificates.form import verdict
 
     found = Verdict("refuted", "x", "too tight")
-    monkeypatch.setattr(verdict, "verdict", lambda data, work=None: found)
+    monkeypatch.setattr(verdict, "verdict_on", lambda content, prove, work=None: found)
     with pytest.raises(UndecidedError, match="undecided: the proof of the certificate did not close: too tight"):
         sd.certify(OSCILLATOR, GapRange(0.9, 1.1), eta=0.1, P2=np.eye(2))
 

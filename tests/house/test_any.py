@@ -10,9 +10,9 @@ from tests.house.sources import PACKAGE, SOURCES, nodes, parsed
 
 pytestmark = pytest.mark.long  # a lint, which the style step of .ci/run runs
 
-CEILING = 65
+CEILING = 62
 """How often `Any` stands in code today. Lower it whenever a room needs fewer; never raise it."""
-TREES = 81
+TREES = 75
 """How often `Tree` does, the one name for a table of plain data whose values the checker does not know."""
 
 

@@ -20,7 +20,6 @@ from sampling_design.checkers.claims import claim_of
 from sampling_design.checkers.parts import FORMAT
 from sampling_design.checkers.parts import Plant as FilePlant
 from sampling_design.checkers.schedule_file import Sampled
-from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import generalised_max
 from sampling_design.observability.alignment import meet
@@ -140,7 +139,7 @@ class SampledCertificate(VerifiableRecord, ABC):
         """Largest gap, the one before the first sample included."""
 
     @abstractmethod
-    def _file_parts(self) -> Tree:
+    def _file_parts(self) -> dict[str, object]:
         """What the file says of claim and times; arrays as they are."""
 
     @abstractmethod
@@ -170,7 +169,7 @@ class SampledCertificate(VerifiableRecord, ABC):
         """Plain data as in the file, digest included."""
         return sealed(self.plant, self._stated(), self.solver)
 
-    def _stated(self) -> Tree:
+    def _stated(self) -> dict[str, object]:
         """What the file states; arrays as they are."""
         seen = self.witness
         witness = None if seen is None else {**vars(seen), "direction": list(seen.direction)}
@@ -266,7 +265,7 @@ class Certificate(SampledCertificate):
         """The schedule."""
         return self.schedule
 
-    def _file_parts(self) -> Tree:
+    def _file_parts(self) -> dict[str, object]:
         return {"claim": CLAIM, "times": times_to_dict(self.schedule)}
 
     @property

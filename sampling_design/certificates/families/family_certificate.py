@@ -11,7 +11,6 @@ from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.certificates.families.graphs import in_plant_terms
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.certificates.form.digest import FAMILY_CLAIM
-from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.evidence import Claim
@@ -82,7 +81,7 @@ class FamilyCertificate(SampledCertificate):
         # the i-th last sample of any schedule lies at least i least gaps before `end`
         return np.asarray(end - self.family.min_gap * np.arange(int(max(end, 0.0) / self.family.min_gap) + 1))
 
-    def _file_parts(self) -> Tree:
+    def _file_parts(self) -> dict[str, object]:
         return {"claim": FAMILY_CLAIM, "times": family_to_dict(self.family), "graph": self.graph.to_dict(self.P)}
 
     def _rows(self) -> list[tuple[str, str]]:

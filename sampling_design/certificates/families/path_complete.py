@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.checkers.strict import Tree
 from sampling_design.schedules.family import Word
 
 Array = npt.NDArray[np.float64]
@@ -67,7 +66,7 @@ class PathCompleteGraph:
             tops[edge.source] = max(tops[edge.source], edge.high)
         return tops
 
-    def to_dict(self, P: Array) -> Tree:
+    def to_dict(self, P: Array) -> dict[str, object]:
         """What a file holds: the information matrix of each node but the start (that one is P2), too."""
         return {
             "words": [list(word) for word in self.words],

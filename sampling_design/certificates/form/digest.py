@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol
 
@@ -34,7 +35,7 @@ class HasPlainData(Protocol):
         """Plain data."""
 
 
-def sealed(plant: Plant, parts: Tree, solver: SolverRecord | None) -> Tree:
+def sealed(plant: Plant, parts: Mapping[str, object], solver: SolverRecord | None) -> Tree:
     """Return the plain data of a certificate: what every claim's file holds around its own `parts`, digest included."""
     data: Tree = {
         "format": FORMAT,

@@ -37,7 +37,7 @@ from sampling_design.checkers.family_file import OfFamily
 from sampling_design.checkers.outcome import BAD_FILE, PROVEN, REFUTED, UNDECIDED
 from sampling_design.checkers.parts import FORMAT, Weights
 from sampling_design.checkers.schedule_file import Sampled
-from sampling_design.checkers.strict import Altered, BadFile, Tree
+from sampling_design.checkers.strict import BadFile, Tree
 from sampling_design.checkers.work import Work
 from sampling_design.numerics.balls import (
     BITS,
@@ -216,8 +216,7 @@ def _decided(data: Tree, clock: Budget) -> dict[str, object]:
     try:
         content = certificate(data)
     except BadFile as error:
-        word = "digest" if isinstance(error, Altered) else "form"
-        raise BallFailure(BAD_FILE, word, f"the data are no certificate: {error}") from None
+        raise BallFailure(BAD_FILE, error.broken, f"the data are no certificate: {error}") from None
     return _decided_as(data["claim"], content, clock)
 
 

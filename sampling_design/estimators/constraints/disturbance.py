@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -136,14 +135,6 @@ class DisturbanceReach:
         return ConvexSet.known(-whole, whole, rows, offsets, balls)
 
 
-@dataclass(frozen=True, eq=False)
-class _Cells:
-    """e^{As} G in the middle of equal cells from s = 0 on, (n, K, q), and the norms of its columns, (K, q)."""
-
-    moved: Array
-    norms: Array
-
-
 class DisturbanceResponses:
     """e^{As} G on grids that all gaps share: one for each length of cells, remembered as far as it was asked for.
 
@@ -154,7 +145,7 @@ class DisturbanceResponses:
         self.plant, self.units = plant, state_units(plant.A, units)
         self.A, self.G = plant.A * self.units / self.units[:, None], plant.G / self.units[:, None]
         self.size = float(np.linalg.norm(self.A, 2))
-        self._grids: dict[float, _Cells] = {}
+        self._grids: dict[float, tuple[Array, Array]] = {}
 
     def cell(self, gap: float) -> float:
         """Length of the cells for a gap."""
@@ -164,22 +155,25 @@ class DisturbanceResponses:
         wanted = max(min(CELL / self.size, longest), shortest)
         return 2.0 ** math.floor(math.log2(wanted * self.size) + 1e-9) / self.size
 
-    def over(self, gap: float, length: float) -> _Cells:
-        """Return the cells of a length that cover a gap; the last one may end beyond it."""
+    def over(self, gap: float, length: float) -> tuple[Array, Array]:
+        """Return e^{As} G in the middle of cells of a length, (n, K, q), and the norms of its columns, (K, q).
+
+        The cells cover the gap; the last one may end beyond it.
+        """
         count = math.ceil(gap / length)
         known = self._grids.get(length)
-        if known is None or known.norms.shape[0] < count:
+        if known is None or len(known[1]) < count:
             known = self._grids[length] = self._grid(length, count)
-        return _Cells(known.moved[:, :count], known.norms[:count])
+        return known[0][:, :count], known[1][:count]
 
-    def _grid(self, length: float, count: int) -> _Cells:
+    def _grid(self, length: float, count: int) -> tuple[Array, Array]:
         """At least `count` cells, by doubling."""
         (half,) = expm_batch(self.A, [length / 2])
         moved, power = (half @ self.G)[:, None, :], half @ half
         while moved.shape[1] < count:
             moved = np.concatenate([moved, np.tensordot(power, moved, 1)], axis=1)
             power = power @ power
-        return _Cells(moved, np.sqrt(np.einsum("ikj,ikj->kj", moved, moved)))
+        return moved, np.sqrt(np.einsum("ikj,ikj->kj", moved, moved))
 
 
 def support_boxes(
@@ -219,13 +213,13 @@ def _absolute_integrals(responses: DisturbanceResponses, d: float, gaps: Array, 
     sign; sup|phi''_ki| <= |(L^+ A^2)_k| e^{|A|d/2} |e^{Am} g_i|. Of a cell only what lies within the gap counts.
     """
     A, (n, count) = responses.A, (whiten.shape[2], gaps.size)
-    cells = responses.over(float(gaps.max()), d)
-    K, q = cells.norms.shape
+    moved, norms = responses.over(float(gaps.max()), d)
+    K, q = norms.shape
     first = whiten @ A
-    both = np.concatenate([whiten, first]).reshape(-1, n) @ cells.moved.reshape(n, -1)
+    both = np.concatenate([whiten, first]).reshape(-1, n) @ moved.reshape(n, -1)
     phi, slope = both.reshape(2, count, -1, K, q)
     bend = np.linalg.norm(first @ A, axis=2) * math.exp(responses.size * d / 2)
-    second = bend[:, :, None, None] * cells.norms
+    second = bend[:, :, None, None] * norms
     upto = np.clip(gaps[:, None] - d * np.arange(K), 0.0, d)[:, None, :, None]
     beyond = upto - d / 2  # the cell as seen from its middle: from -d/2 to here
     size, rise = np.abs(phi), np.abs(slope)

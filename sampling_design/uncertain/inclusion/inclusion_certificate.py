@@ -11,7 +11,6 @@ from sampling_design.certificates.exact.certificate import SampledCertificate, t
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.certificates.form.digest import INCLUSION_CLAIM
 from sampling_design.certificates.form.horizon import Horizon, horizon_of
-from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.evidence import Claim
@@ -190,11 +189,11 @@ class InclusionCertificate(SampledCertificate):
         # the i-th last sample of any schedule lies at least i least gaps before `end`
         return np.asarray(end - self.min_gap * np.arange(int(max(end, 0.0) / self.min_gap) + 1))
 
-    def _file_parts(self) -> Tree:
+    def _file_parts(self) -> dict[str, object]:
         family = self.family
         times = family_to_dict(family) if isinstance(family, SamplingFamily) else times_to_dict(family)
         diagonals = None if self.multipliers is None else np.asarray(self.multipliers).tolist()
-        parts: Tree = {"claim": INCLUSION_CLAIM, "times": times, "model": self.model_data}
+        parts: dict[str, object] = {"claim": INCLUSION_CLAIM, "times": times, "model": self.model_data}
         if not isinstance(family, GapRange):
             assert self.graph is not None
             own = self.graph.to_dict(self.P[:0])

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from sampling_design.checkers.parts import PLANT_TREE
 from sampling_design.checkers.strict import (
     Reader,
+    Tree,
     flag,
     list_of,
     matrix,
@@ -97,7 +98,6 @@ def parts_of_tree(data: Mapping[str, object], where: str) -> UncertainParts:
     """What a tree of the file format says: the plant at the middles, and its parameters."""
     found = _TREE(data, "")
     matrices = found["matrices"]
-    assert isinstance(matrices, dict)
     middles, parameters = dict(matrices), []
     for key in ("A", "C", "G"):
         if key not in matrices:
@@ -116,13 +116,11 @@ def parts_of_tree(data: Mapping[str, object], where: str) -> UncertainParts:
     kept = {key: item for key, item in data.items() if key not in ("varying", "parameters", "vertices")}
     nominal = plant_from_dict({**kept, "format": PLANT_FORMAT, "matrices": middles}, where)
     listed = found.get("parameters", [])
-    assert isinstance(listed, list)
     for each in listed:
         low, high = each["range"]
         moved = {key: each[key] for key in ("A", "C", "G") if key in each}
         parameters.append(_parameter(each["name"], low, high, each.get("nominal"), moved))
     corners = found.get("vertices", [])
-    assert isinstance(corners, list)
     vertices = [Plant(v["A"], v["C"], G=v.get("G"), time_unit=nominal.time_unit) for v in corners]
     return UncertainParts(nominal, parameters, vertices, bool(found.get("varying", False)))
 
@@ -152,7 +150,7 @@ def tree_of(plant: UncertainParts) -> dict[str, Plain]:
     return tree | {"parameters": listed}
 
 
-def parts_of_model(plant: Plant, model: Mapping[str, object]) -> UncertainParts:
+def parts_of_model(plant: Plant, model: Tree) -> UncertainParts:
     """What a certificate file says: its plant and its model, as they were judged by the grammar."""
     varying = bool(model["varying"])
     if model["kind"] == "vertices":
@@ -160,7 +158,6 @@ def parts_of_model(plant: Plant, model: Mapping[str, object]) -> UncertainParts:
         vertices = [Plant(A, C, G=G, time_unit=plant.time_unit) for A, C, G in zip(*stacks, strict=True)]
         return UncertainParts(plant, (), vertices, varying)
     parameters, listed = [], model["parameters"]
-    assert isinstance(listed, list)
     for each in listed:
         moved = {key: np.array(each[key], dtype=np.float64) for key in ("A", "C", "G") if key in each}
         parameters.append(_parameter(each["name"], each["low"], each["high"], each["nominal"], moved))

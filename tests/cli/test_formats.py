@@ -7,16 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from sampling_design import certify, plan_samples, read_plant, read_schedule
+from sampling_design import PlanRequirement, Plant, certify, plan_samples, read_plant, read_schedule
 from sampling_design.planning.files import save_plan
-from sampling_design.planning.requirement_file import requirement_and_plant
+from sampling_design.planning.requirement_file import write_plan_requirement
+from sampling_design.plants import write_plant
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 OSCILLATOR = EXAMPLES / "plants" / "oscillator.toml"
 RULE = ("--window", 4.0, "--count", 3, "--spacing", 0.5)
 COMMANDS = {
     "info": (OSCILLATOR,),
-    "plan": (EXAMPLES / "plans" / "oscillator.toml", "--search-seconds", 0.2),
+    "plan": ("tank.toml", "wanted.toml", "--search-seconds", 0.2),
     "next": ("plan.json", "--now", 7),
     "design": (OSCILLATOR, "--window", 4.0, "--samples", 3, "--branches", 1),
     "sigma": (OSCILLATOR, "schedule.csv", "--window", 4.0),
@@ -26,7 +27,7 @@ COMMANDS = {
     "certify": (OSCILLATOR, "schedule.csv"),
     "verify": ("certificate.json",),
     "accuracy": (OSCILLATOR, "schedule.csv", "--w", 0.02, "--v", 0.4),
-    "survive": (OSCILLATOR, "certificate.json", "--longest", 2),
+    "survive": (OSCILLATOR, "certificate.json", "--longest", 2, "--budget", 0.5),
     "estimate": (OSCILLATOR, "readings.csv", "--horizon", 3),
     "validate": (OSCILLATOR, "schedule.csv", "--runs", 3, "--eta", 0.4, "--duration", 6),
     "log": (OSCILLATOR, "schedule.csv", "readings.csv"),
@@ -47,8 +48,12 @@ def made(tmp_path_factory):
     (made / "schedule.csv").write_text("# sampling-design schedule; time_unit=s; period=2.0\ntime\n0.5\n1.3\n")
     (made / "requirement.toml").write_text('format = "sampling-design/requirement/1"\nwindow = 4.0\nsamples = 3\n')
     (made / "readings.csv").write_text("time,position,force_per_mass\n0.5,1.0,0.0\n1.3,0.5,0.0\n2.5,0.1,0.0\n")
-    requirement, model = requirement_and_plant(EXAMPLES / "plans" / "oscillator.toml")
-    save_plan(plan_samples(model, requirement, certificate=False, robustness=False), made / "plan.json")
+    tank = Plant([[0.0]], [[1.0]], states=["level"], outputs=["gauge"])
+    read = {"gauge": {"noise_bound": 0.1}}
+    wanted = PlanRequirement({"level": 0.52}, period=8.0, raster=1.0, w_bound=0.1, sensors=read)
+    write_plant(tank, made / "tank.toml")
+    write_plan_requirement(wanted, made / "wanted.toml")
+    save_plan(plan_samples(tank, wanted, certificate=False, robustness=False), made / "plan.json")
     certify(read_plant(OSCILLATOR), read_schedule(made / "schedule.csv")).save(made / "certificate.json")
     return made
 

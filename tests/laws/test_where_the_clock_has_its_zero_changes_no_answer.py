@@ -1,5 +1,8 @@
 """A record and its shift, means and limits and inputs with it, get the same answer of every verb."""
 
+from functools import cache
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -8,6 +11,7 @@ from sampling_design.accuracy.readings import CensoredReading
 from sampling_design.accuracy.record_bounds import bounds_from_record
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.curve import estimate_curve
+from tests.cases import few
 
 PLANT = sd.Plant(
     [[0.0, 1.0], [-1.0, 0.0]],
@@ -50,9 +54,13 @@ RECORDS = {
 }
 
 
+@cache
+def certificate():
+    return sd.certify(PLANT, sd.GapRange(0.5, 1.5), eta=0.5)
+
+
 def mhe(start):
-    certificate = sd.certify(PLANT, sd.GapRange(0.5, 1.5), eta=0.5)
-    return sd.MovingHorizonEstimator(PLANT, certificate, prior_time=start, **BOUNDS)
+    return sd.MovingHorizonEstimator(PLANT, certificate(), prior_time=start, **BOUNDS)
 
 
 def filter_of(start):
@@ -108,8 +116,7 @@ VERBS = {
 }
 
 
-@pytest.mark.parametrize("kind", RECORDS)
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize(("verb", "kind"), few(product(VERBS, RECORDS), 0, 4, 8, 9, 13, 15, 17, 19, 20))
 def test_a_record_and_its_shift_get_the_same_answer(verb, kind):
     answer, rows = VERBS[verb], RECORDS[kind]
     here = answer(rows, 0.0)

@@ -21,16 +21,13 @@ from sampling_design.estimators.online.linear_plant_estimator import LinearPlant
 from sampling_design.estimators.online.rounding import CovariancePrecision, faded, rounding
 from sampling_design.estimators.online.verdict import SolveVerdict, judged
 from sampling_design.estimators.window.band_cache import BandCache
+from sampling_design.estimators.window.check_points import SAME_TIME_ULPS, CheckPoints, pieces
 from sampling_design.estimators.window.means import IntegralFlows, MeanReading, means_of
 from sampling_design.estimators.window.sliding import IncomingNode, InitialNode
 from sampling_design.estimators.window.window_problem import EstimationWindow, build_window
 from sampling_design.numerics.filtering import covariance_root
 
 Array = npt.NDArray[np.float64]
-
-SAME_TIME_ULPS = 4.0
-"""A window start within so many units in the last place of the times of a sample is that sample's time."""
-
 
 LEFT_OUT = "A composite sample began before the window: it counts for the interval alone."
 
@@ -67,11 +64,14 @@ class WindowedEstimator(LinearPlantEstimator):
     check_spacing: float | None = None
     weighs_means = True
     _slides = False  # whether windows slide on from one sample to the next
+    _between: CheckPoints | None = None
 
     def _keep_windows(self) -> None:
         """Begin to remember windows; to be called once weights and bounds are set."""
         self._histories = BandCache(self.weights, self.bounds.of_samples)
-        self._slides = self.check_spacing is None or self.constraints.x is None
+        self._slides = True
+        if self.check_spacing is not None and self.constraints.x is not None:
+            self._between = CheckPoints(self.loop.table, self.loop.drift, self.check_spacing)
         self._fixed_prior: Array = self.weights.prior_root @ self.weights.prior_root.T
         self._worst: tuple[Array | None, float] = (None, 0.0)  # a covariance in units of the prior: its largest value
 
@@ -178,10 +178,15 @@ class WindowedEstimator(LinearPlantEstimator):
         self._histories.begun(sliding)
         begun, limited = InitialNode(s, start.x, prior, sample), self.constraints.active
         optimum = sliding.solve(at, begun, gap, limited)
-        if optimum is None or (
-            optimum.path is not None and not self.constraints.hold(optimum.path, lambda: sliding.samples(at, begun))
-        ):
+        if optimum is None:
             return None
+        if optimum.path is not None:
+            if not self.constraints.hold(optimum.path, lambda: sliding.samples(at, begun)):
+                return None
+            if self._between is not None and self.constraints.x is not None:
+                points = self._between.states(state, [s, *(node.t for node in nodes[first:])], optimum.path)
+                if points is None or not self.constraints.x.holds(points):
+                    return None
         terms = faded(start.energy, math.exp(self.weights.eta * (s - t))) + self.bounds.over(t - s)
         terms += rounding(optimum.read, optimum.held) + optimum.energy
         found = judged(self.weights, terms, optimum.dual, nodes[-1])
@@ -312,7 +317,7 @@ class WindowedEstimator(LinearPlantEstimator):
         for j, t in enumerate(times[1:]):
             between = {s for s in also if times[j] < s < t}
             if checked and self.check_spacing is not None:
-                count = int(np.ceil((t - times[j]) / self.check_spacing * (1 - SAME_TIME_ULPS * np.finfo(float).eps)))
+                count = pieces(t - times[j], self.check_spacing)
                 between |= {times[j] + k * (t - times[j]) / count for k in range(1, count)}
             for when in [*sorted(between), t]:
                 last = when == t

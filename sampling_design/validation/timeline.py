@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.composed_flow import state_units
-from sampling_design.estimators.windowed_estimator import SAME_TIME_ULPS
+from sampling_design.estimators.window.check_points import SAME_TIME_ULPS
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant

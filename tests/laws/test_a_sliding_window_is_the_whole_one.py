@@ -99,6 +99,7 @@ def sets(plant, size):
     lost = slab & ConvexSet.box(np.full(p, -size), np.full(p, size))
     return {
         "x": Constraints(x=(-size, size)),
+        "x between samples": Constraints(x=(-size, size), check_spacing=0.4),
         "x in a ball": Constraints(x=ConvexSet.ball(size, dimension=n)),
         "y": Constraints(y=lost),
         "v": Constraints(v=lost),
@@ -200,6 +201,15 @@ def test_a_regular_record_that_breaks_off():
     assert mhe.worst < SAME
     assert found.isdisjoint({at + since for at in LOST for since in range(8)} | set(range(50, 58)))
     assert {28, 29, 30, 41, 42, 43, 60, 70, 79} <= found
+
+
+@pytest.mark.parametrize("given", [{}, {"form": "paper"}, {"begins": "sample", "form": "paper"}])
+def test_the_factor_of_a_regular_record_serves_again(given):
+    """Also where a sample stands at the window's start."""
+    mhe = Watched(spring(), **settings(spring(), given))
+    found = [mhe.update(*row).covariance for row in record(spring(), 30, regular=True)]
+    assert all(one is other for one, other in zip(found[20:], found[21:], strict=False))
+    assert mhe.worst < SAME
 
 
 def test_a_sample_at_the_prior_and_late_ones():

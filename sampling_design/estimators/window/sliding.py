@@ -160,6 +160,8 @@ class SlidingBand:
         self._alike = 0  # so many of the newest nodes came after the same gap with the same outputs
         # of so many nodes, and what they came with
         self._gains: tuple[int, tuple[object, ...], WindowGains] | None = None
+        # what a sample at the start leaves of the last prior there, of the last outputs: Y, gain, and root of its cost
+        self._absorbed: tuple[Array, OutputInformation, Array, Array, Array] | None = None
         self._led: Array | None = None  # where the gap before the newest node leads from the estimate before it
         # what a node costs with the gap after it, and what the gap before it adds: columns and right-hand sides
         self._own, self._before = np.zeros((ROOM, n, 2 * n)), np.zeros((ROOM, n, 2 * n))
@@ -360,7 +362,7 @@ class SlidingBand:
         held = abs(self._places[first : count + 1]).dot(self._held).ravel()
         kept = float(held.dot(held))
         size += fit + push + float(moved.dot(g))
-        gains = self._remembered(count - first, flow, opening)
+        gains = self._remembered(count - first, flow, Y)
         if gains is not None:
             deviation, gain = gains.applied(right, end, whole)
         else:
@@ -371,7 +373,7 @@ class SlidingBand:
                 return None
             deviation, gain, gains = solved
             alike = self._alike >= count - first
-            self._gains = (count - first, self._with(flow, opening), gains) if alike else None
+            self._gains = (count - first, self._with(flow, Y), gains) if alike else None
         if not math.isfinite(gain + size):
             return None
         cost = size - gain
@@ -416,16 +418,16 @@ class SlidingBand:
         y, masks, feedthrough = rows.transpose(1, 0, 2)
         return y - feedthrough, masks, feedthrough
 
-    def _with(self, flow: GapFlow, opening: InitialNode) -> tuple[object, ...]:
-        """What the newest node came with, and the window began with."""
-        return self._known[-1].flow, self._heard[-1][0], flow, opening.Y
+    def _with(self, flow: GapFlow, Y: Array) -> tuple[object, ...]:
+        """What the newest node came with, and what was known where the window begins."""
+        return self._known[-1].flow, self._heard[-1][0], flow, Y
 
-    def _remembered(self, count: int, flow: GapFlow, opening: InitialNode) -> WindowGains | None:
+    def _remembered(self, count: int, flow: GapFlow, Y: Array) -> WindowGains | None:
         """The gains of the window before, where all `count` nodes came with the same: they are those of this one."""
-        if self._gains is None or self._alike < count or opening.sample is not None:
+        if self._gains is None or self._alike < count:
             return None
         so_many, came, gains = self._gains
-        return gains if so_many == count and all(map(is_, came, self._with(flow, opening))) else None
+        return gains if so_many == count and all(map(is_, came, self._with(flow, Y))) else None
 
     def _opened(self, opening: InitialNode) -> tuple[Array, Array, float, float, float]:
         """Return state and covariance after the sample at the start, its cost, noise bound and what was read."""
@@ -433,9 +435,12 @@ class SlidingBand:
         y, mask, feedthrough = opening.sample
         kind = self.heard(mask)
         innovation = kind.root @ (y - feedthrough) - kind.shown @ opening.x
-        root, step, half = root_update(covariance_root(opening.Y), kind.shown, innovation)
-        read = kind.size @ np.abs(y)
-        return opening.x + step, root @ root.T, float(half @ half), kind.energy, float(read @ read)
+        if self._absorbed is None or self._absorbed[0] is not opening.Y or self._absorbed[1] is not kind:
+            root, gain, half = root_update(covariance_root(opening.Y), kind.shown, np.eye(innovation.size))
+            self._absorbed = opening.Y, kind, root @ root.T, gain, half
+        _, _, Y, gain, half = self._absorbed
+        missed, read = half.dot(innovation), kind.size @ np.abs(y)
+        return opening.x + gain.dot(innovation), Y, float(missed @ missed), kind.energy, float(read @ read)
 
 
 def _solved(work: Array, right: Array, end: float) -> tuple[Array, float, WindowGains] | None:

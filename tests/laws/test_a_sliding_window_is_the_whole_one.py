@@ -7,6 +7,8 @@ digits, wherever the sliding window answers at all. Under constraints it answers
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -208,7 +210,7 @@ def test_the_factor_of_a_regular_record_serves_again(given):
     """Also where a sample stands at the window's start."""
     mhe = Watched(spring(), **settings(spring(), given))
     found = [mhe.update(*row).covariance for row in record(spring(), 30, regular=True)]
-    assert all(one is other for one, other in zip(found[20:], found[21:], strict=False))
+    assert all(one is other for one, other in pairwise(found[20:]))
     assert mhe.worst < SAME
 
 

@@ -50,7 +50,7 @@ def files() -> dict[str, Path]:
     certificate.save(made["certificate.json"])
     sd.estimators.write_measurements(sd.simulate_record(plant, schedule, 6.0).measurements, made["measurements.csv"])
     terms = {"position": {"noise_bound": 0.2}}
-    wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, raster=0.4, w_bound=0.02, sensors=terms)
+    wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, raster=0.8, w_bound=0.02, sensors=terms)
     made["wanted.toml"] = write_plan_requirement(wanted, place / "wanted.toml")
     made["planned.json"] = save_plan(sd.plan_samples(plant, wanted, search_seconds=5.0), place / "planned.json")
     for name, path in list(made.items()):

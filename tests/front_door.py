@@ -77,7 +77,7 @@ def things() -> dict[str, Any]:
         nonlinear, schedule, box, cost=cost, P1=np.eye(2) / 40, duration=3.0, step=0.1, pairs=2
     )
     terms = {"position": {"noise_bound": 0.2}}
-    wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, raster=0.4, w_bound=0.02, sensors=terms)
+    wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, raster=0.8, w_bound=0.02, sensors=terms)
     return {
         "wanted": wanted,
         "plant": plant,

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.gains import ROUNDING, Gains, cleared, evaluated
+from sampling_design.accuracy.gains import ROUNDING, Gains, cleared, evaluated, filter_gains
 from sampling_design.accuracy.sample_chain import SampleChain
 from sampling_design.accuracy.start import StartSet
 from sampling_design.numerics.cone_table import ConeTable
@@ -145,7 +145,7 @@ class ConeWindow:
         if size == 0:
             return self._nowhere()
         if self._stages is not None:
-            found = self._stages.solve(mu, self._guess(mu), STAGED, enough, NEAR)
+            found = self._stages.solve(mu, filter_gains(self.chain, self.nodes, mu), STAGED, enough, NEAR)
             if found.gap <= (NEAR if enough > 0 else STALLED):
                 q = self.chain.G.shape[1]
                 w = [u.reshape(-1, q) for u in found.u]
@@ -167,16 +167,6 @@ class ConeWindow:
         return _WindowPoint(
             x[: K * n].reshape(K, n), w, self._gains(y * size), (y * size)[: (K - 1) * n].reshape(-1, n)
         )
-
-    def _guess(self, mu: Array) -> list[Array]:
-        """The filter's gains."""
-        gains, g = [np.zeros(0)] * len(self.nodes), mu
-        for k in range(len(self.nodes) - 1, -1, -1):
-            sample = self.chain.samples[self.nodes[k]]
-            gains[k] = sample.K.T @ g
-            if k:
-                g = self.chain.gaps[self.nodes[k - 1]].F.T @ (g - sample.H.T @ gains[k])
-        return gains
 
     def _nowhere(self) -> _WindowPoint:
         nothing, K = self._nothing(), len(self.nodes)

@@ -74,14 +74,20 @@ def _pushed(flown: CarriedColumns, ball: bool) -> Array:
     return total
 
 
-def filtered(chain: SampleChain, nodes: list[int], start: Array | StartSet, mu: Array) -> Gains:
-    """Return the filter's gains for mu'z_K, corrected where the start is free, with what they prove."""
+def filter_gains(chain: SampleChain, nodes: list[int], mu: Array) -> list[Array]:
+    """Return the filter's gains for mu'z_K, as they are."""
     gains, g = [np.zeros(0)] * len(nodes), mu
     for k in range(len(nodes) - 1, -1, -1):
         sample = chain.samples[nodes[k]]
         gains[k] = sample.K.T @ g
-        g = g - sample.H.T @ gains[k]
-        g = chain.gaps[nodes[k - 1]].F.T @ g if k else g
+        if k:
+            g = chain.gaps[nodes[k - 1]].F.T @ (g - sample.H.T @ gains[k])
+    return gains
+
+
+def filtered(chain: SampleChain, nodes: list[int], start: Array | StartSet, mu: Array) -> Gains:
+    """Return the filter's gains for mu'z_K, corrected where the start is free, with what they prove."""
+    gains = filter_gains(chain, nodes, mu)
     if isinstance(start, StartSet) and start.rows < mu.size:
         cleared(chain, nodes, start, mu, gains)
     return evaluated(chain, nodes, start, mu, gains)

@@ -5,7 +5,7 @@ matrix; an update at least 100 times faster than the rebuilt problem, 50 times w
 must be 20 times slower on the same window, is in the arena. `python -m tests.benchmarks.bench_estimators` prints how
 long updates, free and constrained, and both ends of one row take against `solveh_banded` on that band: medians of
 process time; and which share of updates under active constraints the active-set method has, which is all that a warm
-start of it could save.
+start of it could save; and how many updates an estimate in the middle of its interval costs.
 """
 
 import cProfile
@@ -212,7 +212,31 @@ def share_of_the_active_set(rounds=300):
     return tuple(found)
 
 
+def price_of_the_middle(samples=20, rounds=12):
+    """How many updates `centred()` costs, by the number of states: medians of process time, irregular samples."""
+    found = {}
+    for plant in (Plant([[-0.1]], [[1.0]]), Plant([[0.0, 1.0], [-1.0, -0.05]], [[1.0, 0.0]]), PLANT):
+        bounds = {"w_bound": 0.02, "v_bound": 0.2, "initial_error": 3.0}
+        mhe = MovingHorizonEstimator(plant, horizon=float(samples), cost=CostFunction(eta=0.2), **bounds)
+        rng, t, x, taken = np.random.default_rng(0), 0.0, np.ones(plant.n_states), []
+        for k in range(3 * samples + rounds):
+            h = rng.uniform(0.5, 1.5)
+            t, x = t + h, plant.transition(h) @ x + rng.uniform(-0.01, 0.01, plant.n_states)
+            y = plant.C @ x + rng.uniform(-0.2, 0.2, 1)
+            times = [time.process_time()]
+            estimate = mhe.update(t, y)
+            times.append(time.process_time())
+            if k >= 3 * samples:
+                estimate.centred()
+            taken.append(np.diff([*times, time.process_time()]))
+        updates, moves = np.median(taken[-rounds:], axis=0)
+        found[plant.n_states] = float(moves / updates)
+    return found
+
+
 if __name__ == "__main__":
+    for states, updates in price_of_the_middle().items():
+        print(f"centred(), {states} states: {updates:.0f} updates")
     found = ratios()
     print("share of the active-set method, regular and irregular: {:.2f}, {:.2f}".format(*share_of_the_active_set()))
     for name, spent in found.items():

@@ -15,6 +15,7 @@ from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.accuracy.search import ChainSearch, RowSearch
 from sampling_design.accuracy.start import InitialError
+from sampling_design.accuracy.timing import added, moved_witness, noise_enough, refuse_tolerance
 from sampling_design.accuracy.undetectable import DetectablePart
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness
 from sampling_design.accuracy.worst_witness import left_open, strongest_witness
@@ -53,6 +54,7 @@ def guaranteed_accuracy(
     end: float | None = None,
     w_intensity: Intensity = None,
     v_deviation: Intensity = None,
+    timing_tolerance: float = 0.0,
     budget: float | None = None,
     progress: Progress | None = None,
 ) -> Accuracy:
@@ -86,6 +88,10 @@ def guaranteed_accuracy(
         Of a finite schedule; default its first and its last sample.
     w_intensity, v_deviation : float or array, optional
         Sizes of white noises, as for `standard_deviation`, which then stands beside.
+    timing_tolerance : float [plant.time_unit]
+        How early or late each sample may be, less than half of the least gap: both sides are then those of all such
+        times, which are known once samples are taken. What follows from a sample counts from so much after its planned
+        time on. Of a finite schedule `start` and `end` (default: the last sample and so much) leave room for it.
     budget : float, optional [seconds]
         Searches end then, a few programs for each row that is left after: the bracket is proven, and `closed` says
         where it is wider than `rtol`. An interrupt (Ctrl-C) ends them likewise; a second one is raised.
@@ -101,7 +107,9 @@ def guaranteed_accuracy(
     ------
     ArgumentError
         If a bound is missing, negative or of another shape, a name is unknown, a sample of a finite schedule lies
-        outside `start` and `end`, or an endless one is given a start.
+        outside `start` and `end`, an endless one is given a start, or `timing_tolerance` does not fit the schedule.
+    UndecidedError
+        If nothing bounds the error: samples are too far apart, or what `timing_tolerance` adds grows with it.
 
     Notes
     -----
@@ -133,6 +141,7 @@ def guaranteed_accuracy(
     True
     """
     tolerance = checks.positive("rtol", RTOL if rtol is None else rtol)
+    late = checks.nonnegative("timing_tolerance", timing_tolerance)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
     schedule = meet(plant, schedule)
     rows = wanted_rows(plant, of)
@@ -145,7 +154,11 @@ def guaranteed_accuracy(
             )
         question = AccuracyQuestion.endless(plant, schedule, w_bound, v_bound)
     else:
-        question = AccuracyQuestion.finite(plant, schedule, w_bound, v_bound, initial_error, start, end)
+        until = end if end is not None or not len(schedule) else float(schedule.times[-1]) + late
+        question = AccuracyQuestion.finite(plant, schedule, w_bound, v_bound, initial_error, start, until)
+    if late:
+        question = replace(question, timing_tolerance=late)
+        refuse_tolerance(question, w_intensity is not None or v_deviation is not None)
     deviation = None
     if w_intensity is not None or v_deviation is not None:
         deviation = deviations(question, rows, w_intensity, v_deviation)
@@ -153,7 +166,11 @@ def guaranteed_accuracy(
     question = asked.primitive()
     known = question.known()
     safe = [k for k, row in enumerate(rows.matrix) if not known.touches(row)]
-    search = ChainSearch(*question.chain(known.plant, known.moving), budget=limit) if safe else None
+    noise = noise_enough(question, known, limit) if question.timing_tolerance and safe else None
+    bounding = question.noisier(noise)
+    search = ChainSearch(*bounding.chain(known.plant, known.moving), budget=limit) if safe else None
+    if search is not None and noise is not None:
+        added(search, question, known, seek=True)
     found: dict[int, RowSearch] = {}
     if search is not None:
         for done, k in enumerate(safe, 1):
@@ -161,7 +178,12 @@ def guaranteed_accuracy(
             if progress is not None:
                 between = f"{short(found[k].lower)} to {short(found[k].upper)}"
                 progress(done / len(safe), f"{rows.labels()[k]} {between}")
-    record = replace(_record(question, rows, known, search, found, tolerance), deviation=deviation)
+    planned = None
+    if noise is not None:
+        planned = ChainSearch(*question.chain(known.plant, known.moving), budget=limit)
+    record = replace(
+        _record(question, rows, known, search, found, tolerance, planned), deviation=deviation, noise=noise
+    )
     if question is asked:
         return record
     count = len(asked.schedule) // len(question.schedule)
@@ -187,7 +209,9 @@ def _record(
     finder: ChainSearch | None,
     found: dict[int, RowSearch],
     rtol: float,
+    planned: ChainSearch | None,
 ) -> Accuracy:
+    """`finder` searched for what gains prove; `planned`, if given, for what is attained without more noise."""
     times, count, plain = question.nodes, len(rows), question.initial is None
     lengths = np.diff(times, append=question.end)
     grids = (
@@ -206,13 +230,14 @@ def _record(
         again = finder.opened(search.row)  # with what was found for the rows after it
         at_samples[k] = [nodes[0] for nodes in again.nodes]
         above[k] = np.concatenate(again.panels)
-        attained = [
-            np.where(np.isfinite(nodes), finder.attained(again, j), np.inf) for j, nodes in enumerate(again.nodes)
-        ]
-        below[k] = np.concatenate([part[:-1] for part in attained])
+        side, shown = (finder, again) if planned is None else (planned, planned.row(search.row, rtol, MOST_SOLVES))
+        below[k] = np.concatenate([side.below(shown, j)[:-1] for j in range(len(shown.opened))])
         if not np.isfinite(at_samples[k]).any() and not np.isfinite(above[k]).any():
             continue
-        witness, j, offset = strongest_witness(finder, search.row, question, again)
+        witness, j, offset = strongest_witness(side, search.row, question, shown)
+        if planned is not None and not known.modes:
+            moved = moved_witness(planned, question, shown, j, offset)
+            witness = max(witness, moved, key=lambda found: found.value)
         witnesses[k], lower[k] = witness, witness.value * (1 - KEPT)
         upper[k] = finder.top(again)[0] * (1 + MARGIN)
         worst[k] = times[j] + again.opened[j].d[offset]

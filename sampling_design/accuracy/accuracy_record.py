@@ -14,6 +14,7 @@ from sampling_design.accuracy.projection import Projection, shadow
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.rows import WantedRows
 from sampling_design.accuracy.search import ChainSearch
+from sampling_design.accuracy.timing import added, is_enough, keeps_times
 from sampling_design.accuracy.undetectable import DetectablePart
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains
 from sampling_design.errors import ArgumentError
@@ -66,6 +67,8 @@ class Accuracy(AccuracyBracket, CurveRecord):
         The same rows for white noise, if its size was given.
     witnesses : tuple of AccuracyWitness
         In the coordinates of the known part where something is unknown; None for an infinite row.
+    noise : (N, p) array or None
+        Where samples may be early or late: noise of samples on time that stands for that in `upper`, beside `v_bound`.
     unknown : tuple of str
         Eigenvalues of the modes that no sample shows and that do not decay, or that the samples of a finite schedule do
         not determine: rows that they touch are infinite.
@@ -86,10 +89,11 @@ class Accuracy(AccuracyBracket, CurveRecord):
     proof: tuple[GapProof, ...] = field(repr=False)
     """Over the shortest period that the question has (`AccuracyQuestion.primitive`)."""
     deviation: StandardDeviation | None = None
+    noise: Array | None = None
 
     _plain = (
         "rows{names units matrix} time_unit:plant.time_unit schedule lower upper unknown worst offset known_from "
-        "closed at_samples profile{edges lower upper} witnesses deviation?"
+        "closed at_samples profile{edges lower upper} witnesses deviation? timing_tolerance?"
     )
 
     @property
@@ -101,6 +105,11 @@ class Accuracy(AccuracyBracket, CurveRecord):
     def schedule(self) -> Schedule | PeriodicSchedule:
         """The schedule."""
         return self.question.schedule
+
+    @property
+    def timing_tolerance(self) -> float | None:
+        """How early or late each sample may be; None where samples come on time."""
+        return self.question.timing_tolerance or None
 
     @property
     def bounds(self) -> SignalBounds:
@@ -126,6 +135,8 @@ class Accuracy(AccuracyBracket, CurveRecord):
         asked = self.question.primitive()
         known = asked.known()
         if rigorous:
+            if self.timing_tolerance:
+                raise ArgumentError("`rigorous` is for samples on time: leave it or `timing_tolerance` out.")
             if self.question.initial is not None or self.unknown:
                 raise ArgumentError(
                     "`rigorous` is for endless schedules that show every mode; what else is known is decided "
@@ -151,10 +162,12 @@ class Accuracy(AccuracyBracket, CurveRecord):
             return False
         if lost.all():
             return True
-        search = ChainSearch(*asked.chain(known.plant, known.moving))
+        search = ChainSearch(*asked.noisier(self.noise).chain(known.plant, known.moving))
         for part in self.proof:
             for mu, gains in zip(part.directions, part.gains, strict=True):
                 search.restore(part.sample, mu, gains)
+        if asked.timing_tolerance and (self.noise is None or not is_enough(self.noise, added(search, asked, known))):
+            return False
         tops = []
         for k in np.flatnonzero(~lost):
             found = search.opened(self.rows.matrix[k] @ known.lift)
@@ -166,6 +179,8 @@ class Accuracy(AccuracyBracket, CurveRecord):
         witness = self.witnesses[k]
         if witness is None:
             return known.touches(self.rows.matrix[k]) or self.lower[k] == 0 or self.question.initial is not None
+        if not keeps_times(witness, self.question):
+            return False
         value, excess = attains(witness, self.bounds, self.question.initial)
         return excess <= 1 + KEPT and value >= self.lower[k] * (1 - KEPT)
 
@@ -176,6 +191,8 @@ class Accuracy(AccuracyBracket, CurveRecord):
         else:
             span = f"from {short(self.question.nodes[0])} to {short(self.question.end)} {unit}"
             lines = [("samples", f"{len(self.schedule)}, {span}")]
+        if self.timing_tolerance:
+            lines.append(("samples early or late", f"up to {short(self.timing_tolerance)} {unit}"))
         for k, label in enumerate(self.rows.labels()):
             text = f"{short(self.lower[k])} to {short(self.upper[k])}, worst at {short(self.worst[k])} {unit}"
             if not np.isfinite(self.upper[k]):
@@ -229,6 +246,8 @@ class Accuracy(AccuracyBracket, CurveRecord):
             when = "Where the samples determine them"
         elif late:
             when = f"From {short(max(self.known_from[k] for k in late))} {self.plant.time_unit} on"
+        if self.timing_tolerance:
+            when += f", for samples up to {short(self.timing_tolerance)} {self.plant.time_unit} early or late"
         return (
             f"{text}{when}, some estimator guarantees {', '.join(parts)}; none guarantees less than "
             f"{short(low, 4)} ({within})."

@@ -71,26 +71,30 @@ class RowBetweenSamples:
 
 
 Integrals: TypeAlias = tuple[Array, Array, Array, Array, Array]
+KnownIntegrals: TypeAlias = dict[tuple[float, float], Integrals]
 
 
 def open_row(
-    chain: SampleChain, j: int, row: Array, until: float | None = None, known: dict[float, Integrals] | None = None
+    chain: SampleChain, j: int, row: Array, until: float | None = None, known: KnownIntegrals | None = None
 ) -> RowBetweenSamples:
-    """Return one row (n,) of x after sample j, over the whole gap or until some time after it.
+    """Return one row (n,) of x after sample j, over the whole gap (from when the sample is taken) or until some time.
 
     `known` keeps what is the same for this row after all samples with gaps of one length.
     """
-    length, A = chain.length(j) if until is None else until, chain.A
-    size = float(np.linalg.norm(A, 2))
-    number = int(np.clip(np.ceil(size * length / FINENESS), *GRID)) if length else 1
-    d = np.linspace(0.0, length, number + 1)
+    begin, end = (chain.begin(j), chain.length(j)) if until is None else (0.0, until)
     known = {} if known is None else known
-    if length not in known:
-        known[length] = _open_integrals(chain, d, row)
-    above, below, flown, middle, slope = known[length]
+    d = _grid(chain.A, begin, end)
+    if (begin, end) not in known:
+        known[begin, end] = _open_integrals(chain, d, row)
+    A, (above, below, flown, middle, slope) = chain.A, known[begin, end]
     L = chain.L[j]
     third = middle[:, None] * np.linalg.norm(L, axis=0)
     return RowBetweenSamples(d, flown @ L, flown @ (A @ A) @ L, third, above, below, slope)
+
+
+def _grid(A: Array, begin: float, end: float) -> Array:
+    number = int(np.clip(np.ceil(float(np.linalg.norm(A, 2)) * (end - begin) / FINENESS), *GRID))
+    return np.linspace(begin, end, (number if end > begin else 1) + 1)
 
 
 def _open_integrals(chain: SampleChain, d: Array, row: Array) -> Integrals:
@@ -116,8 +120,6 @@ def _open_integrals(chain: SampleChain, d: Array, row: Array) -> Integrals:
         tilt = np.abs(first).sum(axis=1)
     most = step / 2 * (value[1:] + value[:-1]) + step**3 / 12 * curve
     slope = np.maximum(tilt[1:], tilt[:-1]) + step / 2 * curve
-    return _sums(most), _sums(np.asarray(least)), flown, middle, np.asarray(slope)
-
-
-def _sums(x: Array) -> Array:
-    return np.concatenate([[0.0], np.cumsum(x)])
+    until = [np.zeros(1)] * 2 if d[0] == 0 else _open_integrals(chain, _grid(A, 0.0, float(d[0])), row)[:2]
+    sums = (first[-1] + np.append(0.0, np.cumsum(x)) for first, x in zip(until, (most, least), strict=True))
+    return (*sums, flown, middle, np.asarray(slope))

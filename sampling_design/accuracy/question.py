@@ -36,6 +36,8 @@ class AccuracyQuestion:
         Sample times of the period; of a finite schedule its start, which may be a sample, and its samples.
     end : float
         Of the period that begins at the first node, or of the finite schedule.
+    timing_tolerance : float
+        How early or late each sample may be.
     """
 
     plant: Plant
@@ -44,6 +46,7 @@ class AccuracyQuestion:
     initial: InitialSet | None
     nodes: Array
     end: float
+    timing_tolerance: float = 0.0
 
     @classmethod
     def endless(cls, plant: Plant, schedule: PeriodicSchedule, w_bound: Bound, v_bound: Bound) -> AccuracyQuestion:
@@ -103,7 +106,12 @@ class AccuracyQuestion:
             return self
         middle = None if self.bounds.v_centre is None else freeze(self.bounds.v_centre[:part])
         bounds = replace(self.bounds, v=freeze(self.bounds.v[:part]), v_centre=middle)
-        return AccuracyQuestion(self.plant, found, bounds, None, found.times, float(found.times[0] + found.period))
+        end = float(found.times[0] + found.period)
+        return replace(self, schedule=found, bounds=bounds, nodes=found.times, end=end)
+
+    def noisier(self, noise: Array | None) -> AccuracyQuestion:
+        """The same question with so much more noise (N, p)."""
+        return self if noise is None else replace(self, bounds=replace(self.bounds, v=freeze(self.bounds.v + noise)))
 
     @property
     def samples(self) -> npt.NDArray[np.intp]:
@@ -118,14 +126,21 @@ class AccuracyQuestion:
         outputs = [self.bounds.measured(j) for j in range(self.nodes.size)]
         return known_part(self.plant, self.nodes, self.schedule.period, outputs)
 
-    def chain(self, plant: Plant, moving: Array | None = None) -> tuple[SampleChain, list[BoundedDirections]]:
-        """The chain whose gap j lies behind node j, and what its filter bounds; `plant` is the known part.
+    def sample_chain(self, plant: Plant, moving: Array | None = None) -> SampleChain:
+        """The chain whose gap j lies behind node j; `plant` is the known part.
 
         `moving` (n, m) is what no sample of an endless schedule shows, as it is at the first one.
         """
         if self.initial is not None:
             chain = finite_chain(plant, self.nodes, self.end, self.bounds, self.initial)
+        else:
+            chain = endless_chain(plant, np.diff(self.nodes, append=self.end), self.bounds, moving)
+        return replace(chain, late=self.timing_tolerance)
+
+    def chain(self, plant: Plant, moving: Array | None = None) -> tuple[SampleChain, list[BoundedDirections]]:
+        """The chain, and what its filter bounds."""
+        chain = self.sample_chain(plant, moving)
+        if chain.start is not None:
             return chain, finite_atoms(chain)
-        chain = endless_chain(plant, np.diff(self.nodes, append=self.end), self.bounds, moving)
         r = chain.determined
         return chain, [BoundedDirections(np.eye(plant.n_states)[:, :r], reach[:r]) for reach in chain.reach]

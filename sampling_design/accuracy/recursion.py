@@ -133,8 +133,12 @@ class PeriodicGains:
                 f"`found` must know every mode, but no sample shows {', '.join(found.unknown)}. "
                 "Leave those states out of the plant."
             )
+        if found.timing_tolerance:
+            raise ArgumentError(
+                "`found` must be of samples on time: gains are of one schedule. Leave `timing_tolerance` out."
+            )
         start = InitialSet.of(plant, initial_error)
-        if len(start.S) + int(start.exact.sum()) < plant.n_states:
+        if not start.whole:
             raise ArgumentError("`initial_error` must bound every state: nothing is guaranteed before it is forgotten.")
         self.plant, self.schedule, self.rows = plant, schedule, found.rows
         search = ChainSearch(*found.question.chain(plant))

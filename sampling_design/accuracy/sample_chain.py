@@ -145,6 +145,8 @@ class SampleChain:
     hidden : int
         How many of the last entries of every z no sample of an endless chain shows: they move on by themselves, and the
         others are free of them.
+    late : float
+        How late samples may be: what follows from one is said from then on, and until the next one may be as late.
     """
 
     plant: Plant
@@ -159,6 +161,7 @@ class SampleChain:
     last: float = 0.0
     known: npt.NDArray[np.bool_] | None = None
     hidden: int = 0
+    late: float = 0.0
 
     @property
     def determined(self) -> int:
@@ -169,8 +172,12 @@ class SampleChain:
         return len(self.samples)
 
     def length(self, j: int) -> float:
-        """How long it is from sample j to the next one, or to the end."""
-        return self.gaps[j].length if j < len(self.gaps) else self.last
+        """How long it is from sample j until the next one is taken, or to the end."""
+        return self.gaps[j].length + self.late if j < len(self.gaps) else self.last
+
+    def begin(self, j: int) -> float:
+        """How long after its time sample j is taken at the latest; the start of a finite chain is no sample then."""
+        return 0.0 if self.start is not None and j == 0 else self.late
 
     def opening(self, z: Array) -> Array:
         """z_0 with what is known exactly of it put right."""
@@ -194,7 +201,7 @@ class SampleChain:
         fresh = [_cells(self.A, self.G, L, gap.panels, loss) for L, gap in zip(after, self.gaps, strict=True)]
         gaps = tuple(replace(g, edges=e, cells=c) for g, (e, c) in zip(self.gaps, fresh, strict=True))
         finer = replace(self, gaps=gaps)
-        if self.start is None:
+        if "reach" in self.__dict__:
             finer.__dict__["reach"] = self.reach
         return finer
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.adversary_program import Adversary, ConeWindow, boxed
-from sampling_design.accuracy.between_samples import Integrals, RowBetweenSamples, open_row
+from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, open_row
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.gains import Gains, centre_offset, evaluated
 from sampling_design.accuracy.sample_chain import CELL_LOSS, SampleChain
@@ -233,7 +233,7 @@ class ChainSearch:
 
     def opened(self, row: Array) -> RowSearch:
         """A row over the schedule, as far as atoms and strikes against other rows tell."""
-        known: dict[float, Integrals] = {}
+        known: KnownIntegrals = {}
         gaps = [open_row(self.chain, j, row, known=known) for j in range(len(self.chain))]
         bounds = [gap.bound(atoms) for gap, atoms in zip(gaps, self.atoms, strict=True)]
         found = RowSearch(

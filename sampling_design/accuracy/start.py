@@ -84,6 +84,11 @@ class InitialSet:
     exact: npt.NDArray[np.bool_]
     centre: Array
 
+    @property
+    def whole(self) -> bool:
+        """Whether every state is bounded."""
+        return len(self.S) + int(self.exact.sum()) >= self.exact.size
+
     @classmethod
     def of(cls, plant: Plant, value: InitialError) -> InitialSet:
         """Return the set as typed by a user.

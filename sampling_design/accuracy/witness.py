@@ -230,12 +230,12 @@ def physical(row: Array, opened: RowBetweenSamples, strike: RowAdversary, offset
         w.append(sign * u[::-1] * scale)
         now += gap.length
         samples.append(now)
-    if offset:
+    if opened.d[offset] > 0:
         d = opened.d[: offset + 1]
-        step = d[1] - d[0]
-        mean = (
-            (row * chain.D) @ expm_batch(chain.A, d[:-1]) @ forced_flow(chain.A, chain.G, [step])[0, :, len(chain.D) :]
-        )
+        if d[0] > 0:
+            d = np.append(np.linspace(0.0, d[0], opened.d.size)[:-1], d)
+        moved = forced_flow(chain.A, chain.G, np.diff(d))[:, :, len(chain.D) :]
+        mean = np.einsum("ki,kiq->kq", (row * chain.D) @ expm_batch(chain.A, d[:-1]), moved)
         if chain.bounds.w_ball:
             size = np.linalg.norm(mean, axis=1, keepdims=True)
             u = np.divide(mean, size, out=np.zeros_like(mean), where=size > 0)

@@ -41,12 +41,16 @@ def strongest_witness(
     for value, offset, strike in sorted(strikes, key=lambda a: (-min(a[0], top), a[2].sample)):  # of equals the first
         if best is not None and best[0].value >= (1 - KEPT) * value:
             break
-        witness = physical(row, found.opened[strike.sample], strike, offset)
-        closed = witness.simulate(question.bounds.w).w
-        witness = replace(witness, w=closed) if np.isfinite(closed).all() else witness
-        value, excess = attains(witness, question.bounds, question.initial)
-        witness = witness.within(excess, value)
+        witness = admissible(physical(row, found.opened[strike.sample], strike, offset), question)
         if best is None or witness.value > best[0].value * (1 + KEPT):
             best = witness, strike.sample, offset
     assert best is not None
     return best
+
+
+def admissible(witness: AccuracyWitness, question: AccuracyQuestion) -> AccuracyWitness:
+    """Return a witness flown anew, its gaps closed, so small that it keeps the bounds of a question."""
+    closed = witness.simulate(question.bounds.w).w
+    witness = replace(witness, w=closed) if np.isfinite(closed).all() else witness
+    value, excess = attains(witness, question.bounds, question.initial)
+    return witness.within(excess, value)

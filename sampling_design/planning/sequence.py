@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.between_samples import Integrals, RowBetweenSamples, open_row
+from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, open_row
 from sampling_design.accuracy.sample_chain import SampleChain
 from sampling_design.accuracy.search import ChainSearch
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
@@ -183,7 +183,7 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, told: dict[int, 
         if told is not None:
             told.update(dict.fromkeys(range(max(sequence.first - 1, 0), len(times)), np.inf))
         return np.inf
-    goals = [(goal, dict[float, Integrals]()) for goal in problem.goals if not goal.spread]
+    goals = [(goal, KnownIntegrals()) for goal in problem.goals if not goal.spread]
     usual = max(r / g.tolerance for r, g in zip(plan.reached.tolist(), problem.goals, strict=True) if not g.spread)
     factors = _settling(plan, sequence, search, filtered, settled + back)
     for k in range(sequence.start, settled + back):

@@ -1,0 +1,247 @@
+"""The same accuracy for all real sample times within a tolerance d of the planned ones, known once samples are taken.
+
+A sample that is planned at t_j and comes e late, |e| <= d, is one at t_j with more noise: of any trajectory
+
+    C x(t_j + e) + v = C x(t_j) + v + [ C (e^{Ae} - I) x(t_j) + int C e^{A(e-s)} G w ds ],
+
+and where every sample reads zero, x(t_j) is bounded: by g_j(u) = sup_e rho(C (e^{Ae} - I); t_j) + int h_W, with rho for
+noise within v + u. If g(u) < u in every entry, u is noise enough: rho is concave in u, so that g(a u) <= a g(u) < a u
+for a >= 1, and no trajectory's brackets can be a >= 1 times u where they are largest. In between, a row is known after
+sample j from t_j + d on, and until t_{j+1} + d there may be no other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.adversary_program import Adversary, ConeWindow
+from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, open_row
+from sampling_design.accuracy.gains import Gains
+from sampling_design.accuracy.question import AccuracyQuestion
+from sampling_design.accuracy.sample_chain import SampleChain
+from sampling_design.accuracy.search import TOLERANCE, ChainSearch, RowAdversary, RowSearch
+from sampling_design.accuracy.undetectable import DetectablePart
+from sampling_design.accuracy.witness import KEPT, AccuracyWitness, physical
+from sampling_design.accuracy.worst_witness import admissible
+from sampling_design.errors import ArgumentError, UndecidedError
+from sampling_design.records.budget import Budget
+from sampling_design.records.checks import freeze
+from sampling_design.records.record import short
+
+Array = npt.NDArray[np.float64]
+
+ENOUGH = 1.02
+"""Noise that is so much more than what a tolerance adds is not sought closer."""
+
+MORE = 1e-4
+"""Share by which noise that is enough is above what it bounds: the proof asks for more than equality."""
+
+TURNS = 24
+"""Times that noise which is enough is sought: beyond them nothing bounds what late samples do."""
+
+FARTHEST = 64
+"""Samples back of the gains that bound what a tolerance adds, at most."""
+
+MOVED = 3
+"""Turns in which the worst times and the disturbance that does most at them are sought."""
+
+
+def refuse_tolerance(question: AccuracyQuestion, spread: bool) -> None:
+    """Refuse a tolerance that does not keep samples in order and in the schedule, or what is of exact times only.
+
+    Raises
+    ------
+    ArgumentError
+    """
+    late, nodes = question.timing_tolerance, question.nodes
+    gaps = np.diff(question.nodes[question.samples], append=[question.end] * (question.initial is None))
+    least = float(np.min(gaps, initial=np.inf))
+    if 2 * late >= least * (1 - KEPT):
+        raise ArgumentError(
+            f"`timing_tolerance` must be less than half of the least gap {short(least)}, got {short(late)}: samples "
+            "would change places."
+        )
+    if question.bounds.w_centre is not None or question.bounds.v_centre is not None:
+        raise ArgumentError("`timing_tolerance` is for bounds centred at 0. Subtract their middle from the data.")
+    if spread:
+        raise ArgumentError(
+            "`timing_tolerance` is for errors that are guaranteed: leave it, or `w_intensity` and `v_deviation`, out."
+        )
+    if question.initial is None:
+        return
+    if not question.initial.whole:
+        raise ArgumentError(
+            "`initial_error` must bound every state where samples may be early or late: what their times change "
+            "depends on it."
+        )
+    first, last = question.nodes[question.samples][[0, -1]]
+    if nodes[0] > first - late or question.end < last + late:
+        raise ArgumentError(
+            f"`start` and `end` must lie at least `timing_tolerance` {short(late)} before the first and after the last "
+            f"sample, got {short(nodes[0])} and {short(question.end)} for samples from {short(first)} to {short(last)}."
+        )
+
+
+def noise_enough(question: AccuracyQuestion, known: DetectablePart, budget: Budget) -> Array:
+    """Return the noise u (N, p) that stands for the tolerance; 0 where an output is not measured.
+
+    Raises
+    ------
+    UndecidedError
+        If there is none: what a tolerance adds grows faster than itself, or a row that it takes is not known.
+    """
+    before, tried = np.zeros_like(question.bounds.v), np.zeros_like(question.bounds.v)
+    kept: tuple[Array, Array] | None = None
+    for turn in range(TURNS):
+        search = ChainSearch(*question.noisier(tried).chain(known.plant, known.moving), budget=budget)
+        if search.chain.start is None:
+            search.back = int(np.clip(search.chain.memory, search.back, FARTHEST))
+        found = added(search, question, known, seek=not budget.over)
+        if not np.isfinite(found).all():
+            break
+        if is_enough(tried, found):
+            kept = tried, found
+            if np.all(tried <= ENOUGH * found) or budget.over:
+                return tried
+            before, tried = tried, found * (1 + (ENOUGH - 1) / 2)
+            continue
+        if kept is not None and turn:
+            return kept[0]
+        step, last = found - tried, tried - before
+        ratio = float(np.max(np.divide(step, last, out=np.zeros_like(step), where=last > 0), initial=0.0))
+        more = 1 / (1 - ratio) if 0 < ratio < 1 else 2.0
+        before, tried = tried, np.maximum(tried, tried + step * more) * (1 + MORE)
+        if np.any(tried > 1e6 * (found.max(initial=0.0) + 1e-300)):
+            break
+    if kept is not None:
+        return kept[0]
+    why = "the error that makes their times matter grows with them. Ask for a smaller `timing_tolerance`."
+    if not np.isfinite(found).all():
+        why = f"they may show {', '.join(known.modes)}, which samples on time do not. Change the period a little."
+    raise UndecidedError(
+        f"undecided: nothing bounds what samples up to {short(question.timing_tolerance)} early or late may do: {why}"
+    )
+
+
+def is_enough(noise: Array, found: Array) -> bool:
+    """Whether a noise is more than all that it bounds."""
+    return bool(np.all((noise >= found * (1 + MORE / 2)) | (found == 0)))
+
+
+def added(search: ChainSearch, question: AccuracyQuestion, known: DetectablePart, seek: bool = False) -> Array:
+    """Return g (N, p): what samples add at most that come so early or late, by the atoms of a search, or new ones."""
+    late, chain = question.timing_tolerance, search.chain
+    g = np.zeros_like(question.bounds.v)
+    tables: dict[tuple[int, bool], KnownIntegrals] = {}
+    for j in question.samples.tolist():
+        for i in question.bounds.measured(j).tolist():
+            row = question.plant.C[i]
+            if known.unknown.shape[1] and any(known.touches(row @ power) for power in _powers(question.plant.A)):
+                return np.full_like(g, np.inf)
+            for back in (False, True):
+                table = tables.setdefault((i, back), {})
+                opened = _moved(chain, j, row @ known.lift, late, back, table)
+                if seek:
+                    search.gains(j, opened.mu[-1])
+                g[j, i] = max(g[j, i], float(opened.bound(search.atoms[j])[1].max()))
+    if question.bounds.v_ball:
+        g = np.where(np.isfinite(question.bounds.v), np.linalg.norm(g, axis=1, keepdims=True), 0.0)
+    return g
+
+
+def _powers(A: Array) -> list[Array]:
+    """A, A^2, ...: where C A^k does not touch what is unknown, no time does."""
+    found = [A / max(float(np.abs(A).max()), 1e-300)]
+    while len(found) < len(A):
+        following = found[-1] @ found[0]
+        found.append(following / max(float(np.abs(following).max()), 1e-300))
+    return found
+
+
+def _moved(chain: SampleChain, j: int, row: Array, late: float, back: bool, known: KnownIntegrals) -> RowBetweenSamples:
+    """C (e^{Ae} - I) and what w adds for 0 <= e <= `late`, or -`late` <= e <= 0 (`back`), at sample j."""
+    opened = open_row(replace(chain, A=-chain.A) if back else chain, j, row, late, known)
+    return replace(opened, mu=opened.mu - opened.mu[0])
+
+
+def moved_witness(
+    search: ChainSearch, question: AccuracyQuestion, found: RowSearch, j: int, offset: int
+) -> AccuracyWitness:
+    """Return a witness at real times that are sought to make a row's error large at an offset after node j.
+
+    Moving sample k by e changes the adversary's optimum by -lambda_k'H (A z_k + G w) e to first order: that sign is
+    taken, with w in between what it is before and after that sample.
+    """
+    count = len(search.chain.nodes(j, search.deep))
+    gains, adversary = search.attack(j, found.opened[j].mu[offset])
+    chain, at, shift, until = search.chain, j, np.zeros(1), float(found.opened[j].d[offset])
+    best: AccuracyWitness | None = None
+    for _ in range(MOVED):
+        ahead = open_row(chain, at, found.row, until).mu[-1] @ np.linalg.solve(chain.L[at], chain.G)
+        shift = _worst_times(chain, at, gains, adversary, ahead, question.timing_tolerance, shift)
+        moved, at = _moved_question(question, j, count, shift)
+        chain = moved.sample_chain(moved.plant).refined(search.cell_loss)
+        until = float(found.opened[j].d[offset]) - shift[-1]
+        opened = open_row(chain, at, found.row, until)
+        nodes = chain.nodes(at, count)
+        start = np.zeros(chain.D.size) if chain.start is None or nodes[0] else chain.start
+        gains, adversary = ConeWindow(chain, nodes, start, tolerance=TOLERANCE).both(opened.mu[-1])
+        witness = physical(found.row, opened, RowAdversary(at, adversary, chain), opened.d.size - 1)
+        witness = admissible(witness, moved)
+        if best is not None and witness.value <= best.value * (1 + KEPT):
+            break
+        best = replace(witness, last=at % len(question.bounds.v))
+    assert best is not None  # the first turn keeps one
+    return best
+
+
+def _worst_times(
+    chain: SampleChain, at: int, gains: Gains, adversary: Adversary, ahead: Array, late: float, before: Array
+) -> Array:
+    """How late each sample of a window is, the latest last, so that the adversary gains; as before where none does.
+
+    `ahead`: what moves the row after the last sample, for which w is largest.
+    """
+    nodes = chain.nodes(at, len(adversary.z))
+    size = float(np.linalg.norm(ahead))
+    last = (ahead / size if size else ahead) if chain.bounds.w_ball else np.sign(ahead)
+    cells = [last[None], *adversary.w[::-1], np.zeros((1, last.size))][::-1]
+    tilt = np.zeros(len(nodes))
+    for k, (node, lam, z) in enumerate(zip(nodes, gains.gains[-len(nodes) :], adversary.z, strict=True)):
+        L, w = chain.L[node], (cells[k][0] + cells[k + 1][-1]) / 2
+        tilt[k] = lam @ chain.samples[node].H @ np.linalg.solve(L, chain.A @ (L @ z) + chain.G @ w)
+    return np.where(tilt == 0, before, -late * np.sign(tilt))
+
+
+def _moved_question(question: AccuracyQuestion, j: int, count: int, shift: Array) -> tuple[AccuracyQuestion, int]:
+    """The question with the samples up to node j moved, those after it as late as can be; and where j is now."""
+    late, number, times, at = question.timing_tolerance, len(question.nodes), question.nodes.copy(), j
+    end, v = question.end, question.bounds.v
+    if question.initial is None:
+        periods, length = count // number + 3, question.end - question.nodes[0]
+        times = (question.nodes + length * np.arange(periods)[:, None]).ravel()
+        at, end, v = (periods - 2) * number + j, float(times[0] + periods * length), np.tile(v, (periods, 1))
+    times[at + 1 - shift.size : at + 1] += shift
+    times[at + 1 : at + 2] += late
+    bounds = replace(question.bounds, v=freeze(v))
+    return replace(question, bounds=bounds, nodes=freeze(times), end=end, timing_tolerance=0.0), at
+
+
+def keeps_times(witness: AccuracyWitness, question: AccuracyQuestion) -> bool:
+    """Whether the samples of a witness lie within the tolerance of the schedule's, and it ends before the next one."""
+    late, length, number = question.timing_tolerance, question.end - question.nodes[0], len(question.nodes)
+    count = len(witness.samples)
+    places = witness.last + 1 - count + np.arange(count + 1)
+    planned = question.nodes[places % number] + places // number * length
+    wanted, last = planned[:-1] - witness.samples, float(planned[-1])
+    if question.initial is not None:
+        last = last if places[-1] < number else question.end - late
+    if question.initial is not None and places[0] == 0:
+        shift, wanted = float(question.nodes[0]), wanted[question.samples[0] :]
+    else:  # a schedule of this kind may have begun at any time: as early as can be
+        shift = float(wanted.max()) - late
+    tiny = KEPT * max(float(witness.edges[-1]), float(np.abs(planned).max()))
+    return bool(np.all(np.abs(wanted - shift) <= late + tiny) and witness.edges[-1] + shift <= last + late + tiny)

@@ -1,0 +1,219 @@
+"""Accuracy for all real sample times within a tolerance, against a search over them by a program of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.linalg import expm
+from scipy.optimize import linprog
+
+from sampling_design import PeriodicSchedule, Plant, Schedule, guaranteed_accuracy
+from sampling_design.accuracy.recursion import PeriodicGains
+from sampling_design.errors import ArgumentError, UndecidedError
+from sampling_design.uncertain.plants.parameter import UncertainParameter
+from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
+from tests.cases import few
+
+Array = npt.NDArray[np.float64]
+
+INTEGRATOR = Plant([[0.0]], [[1.0]])
+OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+DRIVEN = Plant(OSCILLATOR.A, OSCILLATOR.C, G=[[0.0], [1.0]])
+EVEN = PeriodicSchedule([1.0])
+UNEVEN = PeriodicSchedule([1.0, 0.6, 1.4])
+BACK, CELLS = 9, 5
+"""Samples and cells of a gap of the search, which begins at rest: what it reaches is attained."""
+
+
+def _reached(plant: Plant, row: Array, times: Array, w: float, v: float) -> float:
+    """How far w within its bound moves a row by the last of the times while every sample before it reads zero."""
+    n, q = plant.G.shape
+    x, shown = np.zeros((n, 0)), list[Array]()
+    for gap in np.diff(times):
+        joint = expm(np.block([[plant.A, plant.G], [np.zeros((q, n + q))]]) * gap / CELLS)
+        for _ in range(CELLS):
+            x = np.hstack([joint[:n, :n] @ x, joint[:n, n:]])
+        shown.append(plant.C @ x)
+    rows = np.vstack([np.pad(part, ((0, 0), (0, x.shape[1] - part.shape[1]))) for part in shown[:-1]])
+    found = linprog(-(row @ x), np.vstack([rows, -rows]), np.full(2 * len(rows), v), bounds=(-w, w))
+    return -float(found.fun)
+
+
+def _searched(plant: Plant, row: Array, schedule: PeriodicSchedule, late: float, w: float, v: float) -> float:
+    """The largest error found by moving one sample after another, for the end in each gap."""
+    best = 0.0
+    for last in range(len(schedule)):
+        planned = schedule.times[0] + np.cumsum(schedule.gaps[(last + np.arange(-BACK, 1)) % len(schedule)])
+        real = planned.copy()
+        top = _reached(plant, row, real, w, v)
+        for _ in range(2):
+            for k in range(len(planned) - 1, -1, -1):
+                for e in (-late, 0.0, late):
+                    trial = real.copy()
+                    trial[k] = planned[k] + e
+                    found = _reached(plant, row, trial, w, v)
+                    if found > top:
+                        top, real = found, trial
+        best = max(best, top)
+    return best
+
+
+def _drawn(seed: int) -> tuple[Plant, PeriodicSchedule, float]:
+    rng = np.random.default_rng(seed)
+    n, count = 1 + seed % 3, 1 + seed % 2
+    A = rng.normal(size=(n, n))
+    A -= np.eye(n) * (np.max(np.linalg.eigvals(A).real) - rng.uniform(-0.3, 0.2))
+    schedule = PeriodicSchedule(rng.uniform(0.4, 1.0, count))
+    late = float(np.min(schedule.gaps)) * (0.01, 0.03, 0.1)[seed // 3 % 3]
+    return Plant(A, rng.normal(size=(1, n))), schedule, late
+
+
+@pytest.mark.parametrize("seed", few(range(45), 4))
+def test_no_real_times_make_an_error_larger_than_is_proven(seed: int):
+    plant, schedule, late = _drawn(seed)
+    row, w = np.eye(plant.n_states)[0], [0.3] * plant.n_states
+    found = guaranteed_accuracy(plant, schedule, w_bound=w, v_bound=0.2, of=[row], timing_tolerance=late)
+    assert found.verify()
+    assert _searched(plant, row, schedule, late, 0.3, 0.2) <= found.upper[0]
+    exact = guaranteed_accuracy(plant, schedule, w_bound=w, v_bound=0.2, of=[row])
+    assert exact.lower[0] * (1 - 1e-3) <= found.lower[0] <= found.upper[0]
+
+
+def test_both_sides_are_close():
+    drawn = [_drawn(seed) for seed in (2, 3, 7, 16)]
+    share = []
+    for plant, schedule, late in drawn:
+        found = guaranteed_accuracy(
+            plant, schedule, w_bound=[0.3] * plant.n_states, v_bound=0.2, of=[np.eye(plant.n_states)[0]],
+            timing_tolerance=late,
+        )  # fmt: skip
+        share.append(found.lower[0] / found.upper[0])
+    assert min(share) > 0.9
+    assert np.mean(np.array(share) > 0.95) >= 0.75
+
+
+def test_an_integrator_waits_from_an_early_sample_to_a_late_one():
+    found = guaranteed_accuracy(INTEGRATOR, EVEN, w_bound=0.1, v_bound=0.3, timing_tolerance=0.1)
+    assert found.lower[0] == pytest.approx(0.3 + 0.1 * 1.2)
+    assert found.lower[0] <= found.upper[0] <= 0.42 * (1 + 1e-3)
+    assert found.noise == pytest.approx(0.01, rel=0.02)
+    assert found.at_samples == pytest.approx(0.32, rel=1e-3)  # the sample is in from 0.1 after its planned time on
+    assert found.timing_tolerance == 0.1
+    assert "up to 0.1 s early or late" in found.explain()
+    assert ("samples early or late", "up to 0.1 s") in found._rows()
+    assert found.to_dict()["timing_tolerance"] == 0.1
+
+
+@pytest.mark.parametrize("v_bound", few([0.2, [0.2, 0.1]], 0))
+def test_samples_of_several_outputs_in_a_ball_and_in_a_box(v_bound):
+    A = np.array([[-0.2, 1.0, 0.0], [-1.0, -0.2, 0.3], [0.0, 0.0, -0.1]])
+    plant = Plant(A, [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    schedule = PeriodicSchedule([0.5, 0.7, 0.6], outputs=[[1, 0], [0, 1], [1, 1]])
+    found = guaranteed_accuracy(plant, schedule, w_bound=0.1, v_bound=v_bound, timing_tolerance=0.02)
+    twice = PeriodicSchedule(np.tile(schedule.gaps, 2), outputs=np.tile(schedule.outputs, (2, 1)))
+    again = guaranteed_accuracy(plant, twice, w_bound=0.1, v_bound=v_bound, timing_tolerance=0.02)
+    assert found.verify()
+    assert again.verify()
+    assert np.array_equal(found.upper, again.upper)
+    assert np.all(found.lower >= 0.95 * found.upper)
+
+
+def test_a_finite_schedule_keeps_its_bounds_too():
+    schedule = Schedule(1.7e9 + np.array([1.0, 1.6, 2.1, 2.9]))
+    given = {"w_bound": 0.1, "v_bound": 0.2, "initial_error": 1.0, "start": 1.7e9}
+    exact = guaranteed_accuracy(OSCILLATOR, schedule, end=1.7e9 + 3.0, **given)
+    found = guaranteed_accuracy(OSCILLATOR, schedule, timing_tolerance=0.1, **given)
+    assert found.question.end == schedule.times[-1] + 0.1
+    assert found.verify()
+    assert np.all(exact.lower <= found.upper)
+    assert np.all(found.lower >= 0.9 * found.upper)
+    rng = np.random.default_rng(3)
+    for _ in range(4):
+        real = Schedule(schedule.times + 0.1 * rng.choice([-1.0, 1.0], 4))
+        moved = guaranteed_accuracy(OSCILLATOR, real, end=found.question.end, **given)
+        assert np.all(moved.lower <= found.upper)
+
+
+def test_nothing_jumps_as_the_tolerance_goes_to_zero():
+    exact = guaranteed_accuracy(OSCILLATOR, UNEVEN, w_bound=0.02, v_bound=0.1, rtol=1e-3)
+    for late, share in ((1e-7, 1e-3), (1e-3, 5e-3)):
+        found = guaranteed_accuracy(OSCILLATOR, UNEVEN, w_bound=0.02, v_bound=0.1, rtol=1e-3, timing_tolerance=late)
+        assert np.all(found.upper <= exact.upper * (1 + share))
+        assert np.all(found.lower >= exact.lower * (1 - share))
+
+
+@pytest.mark.parametrize("c", few([1e-12, 1e12], 0))
+def test_units_change_nothing(c):
+    wanted = guaranteed_accuracy(OSCILLATOR, UNEVEN, w_bound=0.02, v_bound=0.1, timing_tolerance=0.06)
+    slow = Plant(OSCILLATOR.A / c, OSCILLATOR.C)
+    timed = PeriodicSchedule(UNEVEN.gaps * c)
+    found = guaranteed_accuracy(slow, timed, w_bound=0.02 / c, v_bound=0.1, timing_tolerance=0.06 * c)
+    sized = guaranteed_accuracy(
+        Plant(OSCILLATOR.A, OSCILLATOR.C * c), UNEVEN, w_bound=0.02, v_bound=0.1 * c, timing_tolerance=0.06
+    )
+    assert np.allclose(found.upper, wanted.upper, rtol=1e-5)
+    assert np.allclose(sized.upper, wanted.upper, rtol=1e-5)
+
+
+def test_too_little_noise_and_times_beyond_the_tolerance_are_not_proven():
+    found = guaranteed_accuracy(OSCILLATOR, UNEVEN, w_bound=0.02, v_bound=0.1, timing_tolerance=0.06)
+    assert found.verify()
+    assert not replace(found, noise=found.noise * 0.98).verify()
+    assert not replace(found, noise=None).verify()
+    assert not replace(found, upper=found.upper * 0.999).verify()
+    tight = replace(found.question, timing_tolerance=0.05)
+    assert not replace(found, question=tight).verify()
+    exact = guaranteed_accuracy(OSCILLATOR, UNEVEN, w_bound=0.02, v_bound=0.1)
+    longer = replace(exact.question, nodes=exact.question.nodes * 0.99)  # a witness at other times than the schedule's
+    assert not replace(exact, question=longer, upper=exact.upper * 2)._lower_holds(0, exact.question.known())
+
+
+def test_where_the_error_grows_with_the_times_nothing_is_claimed():
+    growing = Plant([[0.0, 1.0], [2.0, 0.0]], [[1.0, 0.0]])
+    with pytest.raises(UndecidedError, match="Ask for a smaller `timing_tolerance`"):
+        guaranteed_accuracy(growing, PeriodicSchedule([2.0]), w_bound=0.1, v_bound=0.1, timing_tolerance=0.5)
+
+
+def test_a_mode_that_only_late_samples_show_is_named():
+    turning = Plant([[0.0, 2 * np.pi, 0.0], [-2 * np.pi, 0.0, 0.0], [0.0, 0.0, -1.0]], [[1.0, 0.0, 1.0]])
+    with pytest.raises(UndecidedError, match="which samples on time do not"):
+        guaranteed_accuracy(turning, EVEN, w_bound=0.1, v_bound=0.1, of=[[0, 0, 1.0]], timing_tolerance=0.01)
+
+
+FINITE = Schedule([1.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("schedule", "given", "said"),
+    [
+        (UNEVEN, {"timing_tolerance": 0.3}, "must be less than half of the least gap 0.6"),
+        (UNEVEN, {"timing_tolerance": -0.1}, "`timing_tolerance` must not be negative"),
+        (UNEVEN, {"w_bound": (0.0, 0.1)}, "is for bounds centred at 0"),
+        (UNEVEN, {"w_intensity": 0.1, "v_deviation": 0.1}, "is for errors that are guaranteed"),
+        (FINITE, {}, "`initial_error` must bound every state where samples"),
+        (FINITE, {"initial_error": 1.0}, "`start` and `end` must lie at least `timing_tolerance` 0.05"),
+        (FINITE, {"initial_error": 1.0, "start": 0.0, "end": 2.0}, "`start` and `end` must lie at least"),
+    ],
+)
+def test_what_does_not_fit_is_refused(schedule, given, said):
+    with pytest.raises(ArgumentError, match=said):
+        guaranteed_accuracy(
+            OSCILLATOR if "w_bound" not in given else DRIVEN, schedule,
+            **{"w_bound": 0.1, "v_bound": 0.1, "timing_tolerance": 0.05, **given},
+        )  # fmt: skip
+
+
+def test_what_is_of_samples_on_time_alone_is_refused():
+    found = guaranteed_accuracy(OSCILLATOR, UNEVEN, w_bound=0.02, v_bound=0.1, timing_tolerance=0.06)
+    with pytest.raises(ArgumentError, match="`shadow` is of samples on time"):
+        found.shadow("x1", "x2")
+    with pytest.raises(ArgumentError, match="`found` must be of samples on time"):
+        PeriodicGains(found, initial_error=1.0)
+    with pytest.raises(ArgumentError, match="`rigorous` is for samples on time"):
+        found.verify(rigorous=True)
+    box = UncertainPlant(INTEGRATOR, [UncertainParameter("rate", -0.1, 0.0, A=[[1.0]], nominal=0.0)])
+    with pytest.raises(ArgumentError, match="`timing_tolerance` must be left out"):
+        guaranteed_accuracy(box, EVEN, w_bound=[0.1], v_bound=[0.1], timing_tolerance=0.1)

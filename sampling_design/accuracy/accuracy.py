@@ -188,7 +188,9 @@ def guaranteed_accuracy(
         return record
     count = len(asked.schedule) // len(question.schedule)
     at_samples = freeze(np.tile(record.at_samples, count))
-    return replace(record, question=asked, at_samples=at_samples, profile=record.profile.repeated(asked.nodes))
+    noise = None if noise is None else freeze(np.tile(noise, (count, 1)))
+    profile = record.profile.repeated(asked.nodes)
+    return replace(record, question=asked, at_samples=at_samples, profile=profile, noise=noise)
 
 
 def _bracketed(search: ChainSearch, row: Array, tolerance: float) -> RowSearch:

@@ -162,11 +162,12 @@ class Accuracy(AccuracyBracket, CurveRecord):
             return False
         if lost.all():
             return True
-        search = ChainSearch(*asked.noisier(self.noise).chain(known.plant, known.moving))
+        noise = None if self.noise is None else self.noise[: len(asked.nodes)]
+        search = ChainSearch(*asked.noisier(noise).chain(known.plant, known.moving))
         for part in self.proof:
             for mu, gains in zip(part.directions, part.gains, strict=True):
                 search.restore(part.sample, mu, gains)
-        if asked.timing_tolerance and (self.noise is None or not is_enough(self.noise, added(search, asked, known))):
+        if asked.timing_tolerance and (noise is None or not is_enough(noise, added(search, asked, known))):
             return False
         tops = []
         for k in np.flatnonzero(~lost):

@@ -81,7 +81,7 @@ def open_row(
 
     `known` keeps what is the same for this row after all samples with gaps of one length.
     """
-    begin, end = (chain.begin(j), chain.length(j)) if until is None else (0.0, until)
+    begin, end = (taken(chain, j), chain.length(j)) if until is None else (0.0, until)
     known = {} if known is None else known
     d = _grid(chain.A, begin, end)
     if (begin, end) not in known:
@@ -90,6 +90,11 @@ def open_row(
     L = chain.L[j]
     third = middle[:, None] * np.linalg.norm(L, axis=0)
     return RowBetweenSamples(d, flown @ L, flown @ (A @ A) @ L, third, above, below, slope)
+
+
+def taken(chain: SampleChain, j: int) -> float:
+    """How long after its time sample j is taken at the latest; the start of a finite chain is no sample then."""
+    return 0.0 if chain.start is not None and j == 0 else chain.late
 
 
 def _grid(A: Array, begin: float, end: float) -> Array:

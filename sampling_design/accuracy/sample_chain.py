@@ -175,10 +175,6 @@ class SampleChain:
         """How long it is from sample j until the next one is taken, or to the end."""
         return self.gaps[j].length + self.late if j < len(self.gaps) else self.last
 
-    def begin(self, j: int) -> float:
-        """How long after its time sample j is taken at the latest; the start of a finite chain is no sample then."""
-        return 0.0 if self.start is not None and j == 0 else self.late
-
     def opening(self, z: Array) -> Array:
         """z_0 with what is known exactly of it put right."""
         if self.known is None or not self.known.any():
@@ -199,8 +195,7 @@ class SampleChain:
         """Return the chain with cells so fine that their curvature loses no more than `loss`."""
         after = [self.L[(j + 1) % len(self)] for j in range(len(self.gaps))]
         fresh = [_cells(self.A, self.G, L, gap.panels, loss) for L, gap in zip(after, self.gaps, strict=True)]
-        gaps = tuple(replace(g, edges=e, cells=c) for g, (e, c) in zip(self.gaps, fresh, strict=True))
-        finer = replace(self, gaps=gaps)
+        finer = replace(self, gaps=tuple(replace(g, edges=e, cells=c) for g, (e, c) in zip(self.gaps, fresh, strict=True)))
         if "reach" in self.__dict__:
             finer.__dict__["reach"] = self.reach
         return finer

@@ -133,23 +133,31 @@ def is_enough(noise: Array, found: Array) -> bool:
 
 def added(search: ChainSearch, question: AccuracyQuestion, known: DetectablePart, seek: bool = False) -> Array:
     """Return g (N, p): what samples add at most that come so early or late, by the atoms of a search, or new ones."""
-    late, chain = question.timing_tolerance, search.chain
+    late = question.timing_tolerance
     g = np.zeros_like(question.bounds.v)
-    tables: dict[tuple[int, bool], KnownIntegrals] = {}
+    tables: dict[int, tuple[KnownIntegrals, KnownIntegrals]] = {}
     for j in question.samples.tolist():
         for i in question.bounds.measured(j).tolist():
             row = question.plant.C[i]
             if known.unknown.shape[1] and any(known.touches(row @ power) for power in _powers(question.plant.A)):
                 return np.full_like(g, np.inf)
-            for back in (False, True):
-                table = tables.setdefault((i, back), {})
-                opened = _moved(chain, j, row @ known.lift, late, back, table)
-                if seek:
-                    search.gains(j, opened.mu[-1])
-                g[j, i] = max(g[j, i], float(opened.bound(search.atoms[j])[1].max()))
+            g[j, i] = sample_adds(search, j, row @ known.lift, late, tables.setdefault(i, ({}, {})), seek)
     if question.bounds.v_ball:
         g = np.where(np.isfinite(question.bounds.v), np.linalg.norm(g, axis=1, keepdims=True), 0.0)
     return g
+
+
+def sample_adds(
+    search: ChainSearch, j: int, row: Array, late: float, known: tuple[KnownIntegrals, KnownIntegrals], seek: bool
+) -> float:
+    """Return what sample j of an output, whose row (n,) of x this is, adds at most; `known` serves all samples of it."""
+    most = 0.0
+    for back, table in enumerate(known):
+        opened = _moved(search.chain, j, row, late, bool(back), table)
+        if seek:
+            search.gains(j, opened.mu[-1])
+        most = max(most, float(opened.bound(search.atoms[j])[1].max()))
+    return most
 
 
 def _powers(A: Array) -> list[Array]:

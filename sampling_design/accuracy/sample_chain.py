@@ -195,7 +195,9 @@ class SampleChain:
         """Return the chain with cells so fine that their curvature loses no more than `loss`."""
         after = [self.L[(j + 1) % len(self)] for j in range(len(self.gaps))]
         fresh = [_cells(self.A, self.G, L, gap.panels, loss) for L, gap in zip(after, self.gaps, strict=True)]
-        finer = replace(self, gaps=tuple(replace(g, edges=e, cells=c) for g, (e, c) in zip(self.gaps, fresh, strict=True)))
+        finer = replace(
+            self, gaps=tuple(replace(g, edges=e, cells=c) for g, (e, c) in zip(self.gaps, fresh, strict=True))
+        )
         if "reach" in self.__dict__:
             finer.__dict__["reach"] = self.reach
         return finer

@@ -150,7 +150,7 @@ def added(search: ChainSearch, question: AccuracyQuestion, known: DetectablePart
 def sample_adds(
     search: ChainSearch, j: int, row: Array, late: float, known: tuple[KnownIntegrals, KnownIntegrals], seek: bool
 ) -> float:
-    """Return what sample j of an output, whose row (n,) of x this is, adds at most; `known` serves all samples of it."""
+    """Return what sample j of an output adds at most; `row` (n,) is that of x, `known` serves all samples of it."""
     most = 0.0
     for back, table in enumerate(known):
         opened = _moved(search.chain, j, row, late, bool(back), table)

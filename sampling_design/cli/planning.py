@@ -38,6 +38,9 @@ def plan(
             help="Work of the search, as seconds of a core; what follows may take as much again, and 2 s.",
         ),
     ] = 60.0,
+    timing_tolerance: Annotated[
+        str | None, typer.Option(metavar="TIME", help="How early or late each sample may be, as 0.25 or '15 min'.")
+    ] = None,
     person: Annotated[str, typer.Option(metavar="NAME", help="Who takes the samples, for the sheet.")] = "",
     compare: Annotated[
         Path | None, typer.Option(metavar="PLAN", help="Another plan (plan.json) to set beside this one.")
@@ -56,6 +59,9 @@ def plan(
         plant = reading.plant(plant_file)
     if plant is None:
         raise ArgumentError(f"`PLANT` is missing: {plant_file} is a requirement that holds no plant.")
+    if timing_tolerance is not None:
+        number = timing_tolerance.replace(".", "", 1).isdecimal()
+        requirement = requirement.replace(timing_tolerance=float(timing_tolerance) if number else timing_tolerance)
     other = None if compare is None else reading.plan(compare)
     with settings.progress("plan") as progress:
         result = sd.plan_samples(plant, requirement, search_seconds=search_seconds, progress=progress)

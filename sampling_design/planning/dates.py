@@ -182,14 +182,14 @@ def plan_dates(plan: Plan, periods: int = 1, *, prove: bool = True) -> PlanDates
     -----
     *Claim.* The plan begins at `calendar.start`, with an error within the requirement's `initial_error`, or any; from
     the period after the last one it is followed again; between them the samples are those of the dates, at their real
-    times. From `kept_from` on the tolerances are kept. *Method.* Up to three samples are added around those
-    that are left out, each at the open time after which least of the accuracy is above its tolerance, integrated over
-    time; none where that takes off less than a tenth.
+    times, on time also where the plan has a `timing_tolerance`. From `kept_from` on the tolerances are kept. *Method.*
+    Up to three samples are added around those that are left out, each at the open time after which least of the
+    accuracy is above its tolerance, integrated over time; none where that takes off less than a tenth.
     """
     calendar = plan.requirement.calendar
     if calendar is None:
         raise ArgumentError("`plan` has no calendar: its times are no dates.")
-    run = _Dating(plan, checks.whole("periods", periods, 1), prove)
+    run = _Dating(plan.on_time, checks.whole("periods", periods, 1), prove)
     return run.dates()
 
 

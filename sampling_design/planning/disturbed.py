@@ -32,6 +32,7 @@ def plan_robustness(plan: PlanFigures, work: Budget | None = None) -> PlanRobust
     BudgetSpentError
         If that takes more work than there is left.
     """
+    plan = plan.on_time
     if not plan.keeps:
         return None
     N = plan.samples
@@ -52,6 +53,7 @@ def plan_robustness(plan: PlanFigures, work: Budget | None = None) -> PlanRobust
 
 def bears(plan: PlanFigures, found: PlanRobustness) -> bool:
     """Whether a plan bears what a record says, proven anew."""
+    plan = plan.on_time
     if len(found.times) != plan.samples or not np.allclose(found.times, plan.schedule.times, atol=1e-9):
         return False
     for k in range(plan.samples):

@@ -26,6 +26,19 @@ SPREAD = (np.sqrt(5.0) - 1) / 2
 """Multiples of it, less their whole part, are spread evenly."""
 
 
+TIGHTER, TIGHTEST, ROOM = 2.0, 0.95, 1.004
+"""Where samples may be late: how much tighter a search asks at most than the one before, the last margin, and room."""
+
+
+def tighter_margins(margin: float, judged: float, worst: float) -> list[float]:
+    """What a search asks next whose choice is proven to be worse than judged: early and late samples show there alone.
+
+    So much that this choice is none any more.
+    """
+    tighter = 1 - min((1 - margin) / min(worst * ROOM, TIGHTER), judged / ROOM)
+    return [tighter] if tighter < TIGHTEST else []
+
+
 @dataclass(frozen=True, eq=False)
 class ProvenChoice:
     """A choice, its proof, and the ratios to the tolerances that this proves."""
@@ -38,6 +51,16 @@ class ProvenChoice:
     def worst(self) -> float:
         """The largest ratio."""
         return float(self.ratios.max(initial=0.0))
+
+    def require_bounded(self) -> None:
+        """Refuse a choice of which nothing is proven.
+
+        Raises
+        ------
+        UndecidedError
+        """
+        if not np.isfinite(self.worst):
+            raise UndecidedError("undecided: no plan was proven at all times within `timing_tolerance`. Ask for less.")
 
 
 class FeasibleChoices:
@@ -108,6 +131,7 @@ class FeasibleChoices:
             if found.worst <= 1:
                 best, high = found, count
             elif best is None:
+                found.require_bounded()
                 raise UndecidedError(
                     f"No plan was proven to keep the tolerances: the densest one is proven to keep "
                     f"{found.worst:.4g} times them. Ask for less, or allow other hours."

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.accuracy.accuracy import guaranteed_accuracy
 from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.deviation import StandardDeviation
 from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design.errors import NotDetectableError
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.evidence import PlanBound
@@ -25,6 +28,26 @@ from sampling_design.schedules.schedule import PeriodicSchedule
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+
+
+RTOL = 0.005
+"""Width of the brackets that prove a plan."""
+
+
+def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy | None:
+    """The accuracy of a choice's goals that are guaranteed; None if it has none."""
+    rows = [goal.row for goal in problem.goals if not goal.spread]
+    if not rows:
+        return None
+    told = chosen & np.isfinite(problem.v_bound)
+    if not told.any():
+        raise NotDetectableError("`schedule` reads no sensor that has a `noise_bound`.")
+    schedule = problem.schedule(told)
+    v = np.tile(np.where(np.isfinite(problem.v_bound), problem.v_bound, 1.0), (len(schedule), 1))
+    return guaranteed_accuracy(
+        problem.plant, schedule, w_bound=problem.requirement.w_bound, v_bound=v, of=np.array(rows), rtol=RTOL,
+        timing_tolerance=problem.timing_tolerance,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -47,6 +70,15 @@ class PlanFigures(Record):
     def problem(self) -> PlanProblem:
         """The numbers of the requirement, posed anew."""
         return pose_plan(self.plant, self.requirement)
+
+    @cached_property
+    def on_time(self) -> Self:
+        """The same samples where all of them come on time: what starts, is late or lost or next is said of those."""
+        if not self.problem.timing_tolerance:
+            return self
+        requirement = self.requirement.replace(timing_tolerance=None)
+        accuracy = accuracy_of(pose_plan(self.plant, requirement), self.chosen)
+        return replace(self, requirement=requirement, accuracy=accuracy)
 
     @property
     def goals(self) -> tuple[RowGoal, ...]:

@@ -26,11 +26,11 @@ from sampling_design.planning.covering import CoveringRows, cheapest
 from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.disturbed import plan_robustness
 from sampling_design.planning.evidence import EASED, PlanBound, gathered
-from sampling_design.planning.feasible_choices import FeasibleChoices, GoalProofs, ProvenChoice
+from sampling_design.planning.feasible_choices import FeasibleChoices, GoalProofs, ProvenChoice, tighter_margins
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
-from sampling_design.planning.plan_record import Plan, is_free, limit_of, reached, without_limits
+from sampling_design.planning.plan_record import Plan, is_free, limit_of, without_limits
 from sampling_design.planning.problem import SAME_PRICE, PlanProblem, pose_plan
-from sampling_design.planning.proven_choice import plan_of, proof_of
+from sampling_design.planning.proven_choice import plan_of, ratios_of
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.search import PlanSearch
 from sampling_design.planning.start import plan_start
@@ -235,7 +235,7 @@ class _Planning:
 
     def _cheapest(self) -> ProvenChoice:
         """The least cost that keeps every tolerance, or nearly so."""
-        search = self.search
+        search, late = self.search, self.problem.timing_tolerance
         self._require_seen()
         worst, attacks = self.oracle.judge(self.problem.allowed, longest=True)
         search.add(attacks, 0.0 if self.oracle.few else 1.0)
@@ -246,7 +246,8 @@ class _Planning:
         search.seed(1.0)
         search.starts = self.started()
         search.share = SOUGHT
-        for margin in NARROW_MARGINS if search.spread else MARGINS:
+        margins = list(NARROW_MARGINS if search.spread else MARGINS[:1] if late else MARGINS)
+        for margin in margins:
             again = True
             while again:
                 search.found.chosen, search.found.complete = None, False
@@ -255,6 +256,7 @@ class _Planning:
                 again = last.worst > 1 and not search.late and self._farther(last)
             if last.worst <= 1 or search.late:
                 break
+            margins += tighter_margins(margin, self.oracle.judge(last.chosen)[0], last.worst) if late else []
         search.share = np.inf
         return last
 
@@ -299,7 +301,7 @@ class _Planning:
     def _farther(self, found: ProvenChoice) -> bool:
         """Whether the search must look farther back, since it holds a choice for better than it is proven to be."""
         judged, _ = self.oracle.judge(found.chosen)
-        if judged * (1 + BLIND) >= found.worst:
+        if judged * (1 + BLIND) >= found.worst or self.problem.timing_tolerance:  # late samples make it worse
             return False
         return self.search.deepened(found.chosen, judged, found.worst / (1 + BLIND), IDLE) > judged * (1 + BLIND)
 
@@ -313,6 +315,7 @@ class _Planning:
         """
         rival = self._better(best, self.problem.cost(best.chosen))
         best = self.held.sharpest(rival.held, best)
+        best.require_bounded()
         if best.worst > 1:
             text, what = "No plan with these spacings and uses was found that keeps the tolerances", "spacing"
             if self.problem.unspaced:
@@ -372,11 +375,11 @@ class _Planning:
 
     def _ratios(self, chosen: Mask) -> tuple[GoalProofs, Array]:
         """The proof of a choice, and its ratios to the tolerances."""
-        proof = proof_of(self.problem, chosen)
+        proof, ratios = ratios_of(self.problem, chosen)
         for part in proof[0].proof if proof[0] is not None else ():
             for gains in part.gains:
                 self.oracle.work.add(GAINS, len(gains) * self.motion.n)
-        return proof, reached(self.problem, chosen, *proof) / [g.tolerance for g in self.problem.goals]
+        return proof, ratios
 
     def _densest(self) -> Mask:
         """As much as hours and spacing allow, from the first allowed time on."""

@@ -93,7 +93,9 @@ class Plan(PlanFigures):
         problem = self.problem
         if not problem.is_admissible(self.chosen):
             return False
-        if self.accuracy is not None and not self.accuracy.verify():
+        if self.accuracy is not None and not (
+            self.accuracy.question.timing_tolerance == problem.timing_tolerance and self.accuracy.verify()
+        ):
             return False
         if self.deviation is not None:
             anew = deviation_of(problem, self.chosen)
@@ -139,6 +141,7 @@ class Plan(PlanFigures):
         rows += [] if self.problem.counts else [("cost", f"{short(self.cost)} a period")]
         if self.bound.cost is not None:
             rows.append(("no plan keeps it for less than", short(self.bound.cost.value)))
+        rows += [("samples early or late", f"up to {self._late()}")] if self._late() else []
         for value, goal in zip(self.reached, self.goals, strict=True):
             unit = f" {goal.unit}" if goal.unit else ""
             text = f"{short(value, 4)} of {short(goal.tolerance)}{unit} ({goal.when()})"
@@ -155,6 +158,11 @@ class Plan(PlanFigures):
             rows.append(("certificate", f"the samples show the whole state; rate {eta}"))
         rows += [("left out", self.unsaid())] if self.left_out else []
         return [*rows, ("status", self.status)]
+
+    def _late(self) -> str:
+        """How early or late samples may be, in words."""
+        late = self.problem.timing_tolerance
+        return spoken(late, self.plant.time_unit) if late else ""
 
     def unsaid(self) -> str:
         """What was asked for and left out, in words."""
@@ -174,13 +182,14 @@ class Plan(PlanFigures):
         ]
         text = f"{counted(self.samples, 'sample')} every {spoken(self.schedule.period, self.plant.time_unit)}{unit} "
         text += "keeps " if self.samples == 1 else "keep "
-        text += ", ".join(parts) + "."
+        text += ", ".join(parts) + (f", for samples up to {self._late()} early or late." if self._late() else ".")
         if self.bound.cost is not None:
             text += f" No admissible plan keeps the tolerances for less than {short(self.bound.cost.value)}."
         if self.bound.ratio is not None:
             share = 100 * self.bound.ratio.level
             text += f" No admissible plan of this cost is better than {share:.3g} % of every tolerance: this one"
             text += f" needs {100 * self.ratio:.3g} %, so at most {100 * self.gap:.2g} % could be gained."
+        text += " The rest is said of samples on time." if self._late() else ""
         text += UNSTARTED if self.start is None else f" {self.start.explain()}"
         text += "" if self.robustness is None else f" {self.robustness.explain()}"
         return f"{text} Left out: {self.unsaid()}." if self.left_out else text

@@ -73,6 +73,8 @@ class PlanProblem:
         0 where no goal is a standard deviation.
     initial : InitialSet
         What is known of the state's error when the plan starts.
+    timing_tolerance : float
+        How early or late each sample may be [the plant's time unit]; samples are more than twice as far apart.
     """
 
     plant: Plant
@@ -91,6 +93,7 @@ class PlanProblem:
     most_samples: float
     most_cost: float
     initial: InitialSet
+    timing_tolerance: float = 0.0
 
     @property
     def steps(self) -> int:
@@ -194,6 +197,7 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
         1 if least is None else _steps(place, least, unit, plant, steps, step)
         for place, least in zip(places, asked, strict=True)
     ]
+    late = _tolerance(requirement, unit, plant, steps * step)
     used = [steps if t.longest_use is None else t.longest_use for t in terms]
     goals = tuple(_goals(plant, requirement, unit, step))
     _check_bounds(plant, requirement, terms, goals)
@@ -215,7 +219,7 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
         allowed=allowed & says,
         price=np.array([t.price for t in terms]),
         visit=requirement.visit_price,
-        spacing=max(1, spacing),
+        spacing=max(1, spacing, int(2 * late / step + WHOLE) + 1 if late else 1),
         sensor_spacing=np.array(in_step, dtype=np.intp),
         longest_use=np.array(used, dtype=np.intp),
         v_bound=bound,
@@ -224,7 +228,23 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
         most_samples=np.inf if requirement.samples is None else float(requirement.samples),
         most_cost=np.inf if requirement.cost_limit is None else requirement.cost_limit,
         initial=InitialSet.of(plant, requirement.initial_error),
+        timing_tolerance=late,
     )
+
+
+def _tolerance(requirement: PlanRequirement, unit: str, plant: Plant, period: float) -> float:
+    """How early or late samples may be, in the plant's time unit."""
+    if requirement.timing_tolerance is None:
+        return 0.0
+    late = duration("timing_tolerance", requirement.timing_tolerance, unit) * time_factor(unit, plant.time_unit)
+    if 2 * late >= period * (1 - WHOLE):
+        raise ArgumentError(
+            f"`timing_tolerance` must be less than half of the period {spoken(period, plant.time_unit)}, got "
+            f"{spoken(late, plant.time_unit)}: samples would change places."
+        )
+    if any(goal.kind == KINDS[1] for goal in requirement.accuracy.values()):
+        raise ArgumentError("`timing_tolerance` is for goals that are guaranteed, not for standard deviations.")
+    return late
 
 
 def _raster(plant: Plant, requirement: PlanRequirement, unit: str) -> tuple[int, float]:

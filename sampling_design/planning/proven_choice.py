@@ -5,19 +5,16 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.accuracy import guaranteed_accuracy
-from sampling_design.accuracy.accuracy_record import Accuracy
-from sampling_design.errors import NotDetectableError
+from sampling_design.errors import UndecidedError
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.feasible_choices import GoalProofs
+from sampling_design.planning.figures import accuracy_of
 from sampling_design.planning.plan_record import Plan, deviation_of, reached
 from sampling_design.planning.problem import PlanProblem
 from sampling_design.records.checks import freeze
 
+Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-
-RTOL = 0.005
-"""Width of the brackets that prove a plan."""
 
 
 def proof_of(problem: PlanProblem, chosen: Mask) -> GoalProofs:
@@ -25,19 +22,16 @@ def proof_of(problem: PlanProblem, chosen: Mask) -> GoalProofs:
     return accuracy_of(problem, chosen), deviation_of(problem, chosen)
 
 
-def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy | None:
-    """The accuracy of a choice's goals that are guaranteed; None if it has none."""
-    rows = [goal.row for goal in problem.goals if not goal.spread]
-    if not rows:
-        return None
-    told = chosen & np.isfinite(problem.v_bound)
-    if not told.any():
-        raise NotDetectableError("`schedule` reads no sensor that has a `noise_bound`.")
-    schedule = problem.schedule(told)
-    v = np.tile(np.where(np.isfinite(problem.v_bound), problem.v_bound, 1.0), (len(schedule), 1))
-    return guaranteed_accuracy(
-        problem.plant, schedule, w_bound=problem.requirement.w_bound, v_bound=v, of=np.array(rows), rtol=RTOL
-    )
+def ratios_of(problem: PlanProblem, chosen: Mask) -> tuple[GoalProofs, Array]:
+    """The same, and the ratios to the tolerances: infinite where nothing bounds what early and late samples do."""
+    tolerances = np.array([goal.tolerance for goal in problem.goals])
+    try:
+        proof = proof_of(problem, chosen)
+    except UndecidedError:
+        if not problem.timing_tolerance:
+            raise
+        return (None, None), np.full_like(tolerances, np.inf)
+    return proof, reached(problem, chosen, *proof) / tolerances
 
 
 def proven_plan(problem: PlanProblem, chosen: Mask, bound: PlanBound, status: str) -> Plan:

@@ -198,6 +198,9 @@ class PlanRequirement(Record):
     initial_error : number, array or dict, optional
         Bound on the state's error when the plan starts, as for `accuracy`: one on its norm, half-widths, a weight, or
         by name of the state. Default: nothing is known then.
+    timing_tolerance : float or str, optional
+        How early or late each sample may be: tolerances that are guaranteed are then kept at all such times, and
+        samples lie more than twice as far apart. Default: samples come on time.
 
     Raises
     ------
@@ -229,6 +232,7 @@ class PlanRequirement(Record):
     time_unit: str | None = None
     w_intensity: DisturbanceBound = None
     initial_error: InitialError = None
+    timing_tolerance: Duration | None = None
 
     def __post_init__(self) -> None:
         own: dict[str, object] = {}
@@ -252,7 +256,7 @@ class PlanRequirement(Record):
         own["visit_price"] = checks.nonnegative("visit_price", self.visit_price)
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
-        for key in ("period", "raster", "spacing"):
+        for key in ("period", "raster", "spacing", "timing_tolerance"):
             if getattr(self, key) is not None:
                 duration(key, getattr(self, key), self.time_unit or "h")
         if self.aim is not None:
@@ -282,7 +286,7 @@ class PlanRequirement(Record):
     def to_dict(self) -> dict[str, Plain]:
         """Plain data, the tree of the requirement file; what was not given is left out."""
         data: dict[str, Plain] = {"format": FORMAT}
-        for key in ("period", "raster", "spacing", "samples", "cost_limit", "aim", "time_unit"):
+        for key in ("period", "raster", "spacing", "timing_tolerance", "samples", "cost_limit", "aim", "time_unit"):
             value = getattr(self, key)
             data |= {} if value is None else {key: value}
         data |= {"visit_price": self.visit_price} if self.visit_price else {}
@@ -296,7 +300,7 @@ class PlanRequirement(Record):
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [(f"accuracy of {k}", f"{short(g.tolerance)} ({g.when()})") for k, g in self.accuracy.items()]
-        for key in ("period", "raster", "spacing", "samples", "cost_limit"):
+        for key in ("period", "raster", "spacing", "timing_tolerance", "samples", "cost_limit"):
             value = getattr(self, key)
             rows += [] if value is None else [(key.replace("_", " "), f"{value}")]
         rows += [] if self.initial_error is None else [("initial error", f"{_plain_error(self.initial_error)}")]

@@ -72,6 +72,7 @@ def plan_start(plan: PlanFigures, work: Budget | None = None) -> PlanStart | Non
     BudgetSpentError
         If that takes more work than there is left.
     """
+    plan = plan.on_time
     if not plan.keeps:
         return None
     if work is not None:

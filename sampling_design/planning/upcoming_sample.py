@@ -254,8 +254,8 @@ def next_sample(
     again soonest, and of equally soon ones the plan's own. *The naive trigger*, which
     waits until the accuracy now reaches its tolerance, leaves states that no later sample can repair in time, and
     overshoots. Earlier than `latest` is as good where the plan has no spacing: it is one sample more; with spacing, a
-    sample may push out one of the plan's. *Assumptions.* The bounds; values measured play no part, so that the answer
-    holds whatever is read.
+    sample may push out one of the plan's. *Assumptions.* The bounds, and later samples on time, also where the plan
+    has a `timing_tolerance`; those taken count when they were. Values play no part: it holds whatever is read.
 
     References
     ----------
@@ -263,6 +263,7 @@ def next_sample(
     """
     if not plan.keeps:
         raise ArgumentError("`plan` must keep its tolerances: it does not, so there is nothing to go on keeping.")
+    plan = plan.on_time
     step = plan.problem.step
     taken = _taken(plan, record)
     last = taken[0][-1] if taken is not None and taken[0].size else 0.0

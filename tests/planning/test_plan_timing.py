@@ -1,0 +1,87 @@
+"""A plan that is kept although samples come early or late."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.errors import ArgumentError, UndecidedError
+from sampling_design.planning.files import save_plan
+from sampling_design.planning.problem import pose_plan
+
+PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["fix"])
+WANTED = sd.PlanRequirement(
+    {"position": 0.54}, period=4.0, raster=0.5, w_bound=0.05, sensors={"fix": {"noise_bound": 0.2}}
+)
+
+
+def made(**changes):
+    return sd.plan_samples(PLANT, WANTED.replace(**changes), search_seconds=4.0, certificate=False, robustness=False)
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return made(timing_tolerance=0.2, initial_error=0.5)
+
+
+def test_no_real_times_break_a_tolerance(plan):
+    assert plan.keeps
+    assert plan.verify()
+    assert "for samples up to 0.2 s early or late" in plan.explain()
+    assert ("samples early or late", "up to 0.2 s") in plan._rows()
+    rng = np.random.default_rng(2)
+    for _ in range(3):
+        schedule = plan.schedule
+        times = (schedule.times + schedule.period * np.arange(1, 3)[:, None]).ravel()
+        moved = times + 0.2 * rng.choice([-1.0, 1.0], times.size)
+        real = sd.PeriodicSchedule.from_times(moved - moved[0], 8.0)
+        attained = sd.guaranteed_accuracy(PLANT, real, w_bound=0.05, v_bound=0.2, of=["position"], rtol=0.02)
+        assert attained.lower[0] <= plan.reached[0] <= 0.54
+
+
+def test_samples_on_time_alone_would_not_be_enough(plan):
+    exact = made()
+    assert exact.samples < plan.samples
+    assert exact.bound.cost.value <= plan.samples
+    late = sd.guaranteed_accuracy(
+        PLANT, exact.schedule, w_bound=0.05, v_bound=0.2, of=["position"], timing_tolerance=0.2
+    )
+    assert late.lower[0] > 0.54  # the witness is at real times
+
+
+def test_its_file_says_the_same(plan, tmp_path):
+    found = sd.read_plan(save_plan(plan, tmp_path / "plan.json"))
+    assert found.requirement.timing_tolerance == 0.2
+    assert np.allclose(found.reached, plan.reached, rtol=1e-6)
+    assert found.verify()
+    assert not replace(found, requirement=found.requirement.replace(timing_tolerance=0.21)).verify()
+
+
+def test_start_and_next_sample_are_those_on_time(plan):
+    assert plan.on_time.problem.timing_tolerance == 0
+    assert plan.on_time.on_time is plan.on_time
+    assert np.isfinite(plan.start.from_time)
+    found = sd.next_sample(plan, [(40.0 + plan.schedule.times[0] + 0.1, [0.0], None)])
+    assert found.proven
+    assert found.latest > found.now
+    assert plan.accuracy.upper[0] > plan.on_time.accuracy.upper[0]
+
+
+def test_samples_are_so_far_apart_that_they_keep_their_order():
+    assert pose_plan(PLANT, WANTED.replace(timing_tolerance="200 ms")).spacing == 1
+    assert pose_plan(PLANT, WANTED.replace(timing_tolerance="250 ms")).spacing == 2
+    with pytest.raises(ArgumentError, match="`timing_tolerance` must be less than half of the period 4 s, got 2 s"):
+        pose_plan(PLANT, WANTED.replace(timing_tolerance=2.0))
+    with pytest.raises(ArgumentError, match="`timing_tolerance` is for goals that are guaranteed"):
+        pose_plan(PLANT, WANTED.replace(accuracy={"position": {"tolerance": 1.0, "kind": "standard deviation"}},
+                                        timing_tolerance=0.1))  # fmt: skip
+
+
+def test_where_nothing_bounds_what_late_samples_do_no_plan_is_made():
+    growing = sd.Plant([[0.0, 1.0], [1.0, 0.0]], [[1.0, 0.0]], outputs=["fix"])
+    wanted = sd.PlanRequirement(
+        {"x1": 9.0}, period=4.0, raster=2.0, w_bound=0.05, sensors={"fix": {"noise_bound": 0.2}}, timing_tolerance=0.9
+    )
+    with pytest.raises(UndecidedError, match="no plan was proven at all times within `timing_tolerance`"):
+        sd.plan_samples(growing, wanted, search_seconds=1.0)

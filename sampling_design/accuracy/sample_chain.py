@@ -85,8 +85,7 @@ class GapPanels:
     def _weights(self) -> tuple[Array, Array, float]:
         """Of the values at panel ends, of the largest |p''| on each panel, and what the third derivative adds."""
         d = np.diff(self.s)
-        ends = (np.append(d, 0.0) + np.append(0.0, d)) / 2
-        return ends, d**3 / 12, float(d**4 / 24 @ self.third)
+        return (np.append(d, 0.0) + np.append(0.0, d)) / 2, d**3 / 12, float(d**4 / 24 @ self.third)
 
     def integral(self, mu: Array, ball: bool) -> Array:
         """Return an upper bound on int h_W(M(s) mu) ds for each column of mu (n, k), for all real s.
@@ -195,9 +194,8 @@ class SampleChain:
         """Return the chain with cells so fine that their curvature loses no more than `loss`."""
         after = [self.L[(j + 1) % len(self)] for j in range(len(self.gaps))]
         fresh = [_cells(self.A, self.G, L, gap.panels, loss) for L, gap in zip(after, self.gaps, strict=True)]
-        finer = replace(
-            self, gaps=tuple(replace(g, edges=e, cells=c) for g, (e, c) in zip(self.gaps, fresh, strict=True))
-        )
+        cut = zip(self.gaps, fresh, strict=True)
+        finer = replace(self, gaps=tuple(replace(g, edges=e, cells=c) for g, (e, c) in cut))
         if "reach" in self.__dict__:
             finer.__dict__["reach"] = self.reach
         return finer
@@ -338,8 +336,7 @@ def endless_chain(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Array
         samples.append(ChainSample(bounds.measured(j), sizes[j], shown, exact[j], K))
     steps, table = [], GapTable(A, G, np.ones(len(A)))
     for j, h in enumerate(gaps):
-        following = L[(j + 1) % len(rows)]
-        gap = make_gap(table, float(h), L[j], following, F[j])
+        gap = make_gap(table, float(h), L[j], L[(j + 1) % len(rows)], F[j])
         gap.F[:r, r:] = 0.0
         steps.append(gap)
     return SampleChain(plant, bounds, balance * D, L, A, G, tuple(samples), tuple(steps), hidden=len(A) - r)

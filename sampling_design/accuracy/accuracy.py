@@ -19,7 +19,6 @@ from sampling_design.accuracy.timing import added, moved_witness, noise_enough, 
 from sampling_design.accuracy.undetectable import DetectablePart
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness
 from sampling_design.accuracy.worst_witness import left_open, strongest_witness
-from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -145,19 +144,8 @@ def guaranteed_accuracy(
     limit = Budget(None if budget is None else checks.positive("budget", budget))
     schedule = meet(plant, schedule)
     rows = wanted_rows(plant, of)
-    if schedule.endless:
-        given = [n for n, x in (("initial_error", initial_error), ("start", start), ("end", end)) if x is not None]
-        if given:
-            raise ArgumentError(
-                f"`{given[0]}` is for finite schedules, got a PeriodicSchedule, which has no start. "
-                "Cut it: schedule.between(start, end)."
-            )
-        question = AccuracyQuestion.endless(plant, schedule, w_bound, v_bound)
-    else:
-        until = end if end is not None or not len(schedule) else float(schedule.times[-1]) + late
-        question = AccuracyQuestion.finite(plant, schedule, w_bound, v_bound, initial_error, start, until)
+    question = AccuracyQuestion.of(plant, schedule, w_bound, v_bound, initial_error, start, end, late)
     if late:
-        question = replace(question, timing_tolerance=late)
         refuse_tolerance(question, w_intensity is not None or v_deviation is not None)
     deviation = None
     if w_intensity is not None or v_deviation is not None:
@@ -204,6 +192,16 @@ def _bracketed(search: ChainSearch, row: Array, tolerance: float) -> RowSearch:
     return found
 
 
+def _witness(
+    side: ChainSearch, question: AccuracyQuestion, shown: RowSearch, moves: bool
+) -> tuple[AccuracyWitness, int, int]:
+    """The strongest witness of a row, its node and offset; at real times that are sought, if samples may move."""
+    witness, j, offset = strongest_witness(side, shown.row, question, shown)
+    if moves:
+        witness = max(witness, moved_witness(side, question, shown, j, offset), key=lambda found: found.value)
+    return witness, j, offset
+
+
 def _record(
     question: AccuracyQuestion,
     rows: WantedRows,
@@ -219,7 +217,9 @@ def _record(
     grids = (
         [opened.d for opened in next(iter(found.values())).opened] if found else [np.array([0.0, h]) for h in lengths]
     )
-    edges = np.concatenate([*(t + d[:-1] for t, d in zip(times, grids, strict=True)), [question.end]])
+    edges = np.concatenate(
+        [*(t + d[:-1] for t, d in zip(times, grids, strict=True)), [question.end + plain * question.timing_tolerance]]
+    )
     lower, upper, worst = np.full(count, np.inf), np.full(count, np.inf), np.full(count, times[0])
     closed, offsets = np.ones(count, dtype=bool), np.zeros(count)
     known_from = np.full(count, np.inf)
@@ -236,10 +236,7 @@ def _record(
         below[k] = np.concatenate([side.below(shown, j)[:-1] for j in range(len(shown.opened))])
         if not np.isfinite(at_samples[k]).any() and not np.isfinite(above[k]).any():
             continue
-        witness, j, offset = strongest_witness(side, search.row, question, shown)
-        if planned is not None and not known.modes:
-            moved = moved_witness(planned, question, shown, j, offset)
-            witness = max(witness, moved, key=lambda found: found.value)
+        witness, j, offset = _witness(side, question, shown, planned is not None and not known.modes)
         witnesses[k], lower[k] = witness, witness.value * (1 - KEPT)
         upper[k] = finder.top(again)[0] * (1 + MARGIN)
         worst[k] = times[j] + again.opened[j].d[offset]

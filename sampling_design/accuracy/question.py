@@ -49,6 +49,30 @@ class AccuracyQuestion:
     timing_tolerance: float = 0.0
 
     @classmethod
+    def of(
+        cls, plant: Plant, schedule: Schedule | PeriodicSchedule, w_bound: Bound, v_bound: Bound,
+        initial_error: InitialError, start: float | None, end: float | None, late: float,
+    ) -> AccuracyQuestion:  # fmt: skip
+        """Ask about a schedule of either kind, whose samples may be so early or late.
+
+        Raises
+        ------
+        ArgumentError
+            If an endless one is given a start, an end or an initial error, or as for `finite`.
+        """
+        if isinstance(schedule, PeriodicSchedule):
+            given = [n for n, x in (("initial_error", initial_error), ("start", start), ("end", end)) if x is not None]
+            if given:
+                raise ArgumentError(
+                    f"`{given[0]}` is for finite schedules, got a PeriodicSchedule, which has no start. "
+                    "Cut it: schedule.between(start, end)."
+                )
+            return replace(cls.endless(plant, schedule, w_bound, v_bound), timing_tolerance=late)
+        until = end if end is not None or not len(schedule) else float(schedule.times[-1]) + late
+        question = cls.finite(plant, schedule, w_bound, v_bound, initial_error, start, until)
+        return replace(question, timing_tolerance=late)
+
+    @classmethod
     def endless(cls, plant: Plant, schedule: PeriodicSchedule, w_bound: Bound, v_bound: Bound) -> AccuracyQuestion:
         """Ask about a periodic schedule, so long under way that its start no longer matters."""
         times = schedule.times

@@ -102,6 +102,8 @@ def test_an_integrator_waits_from_an_early_sample_to_a_late_one():
     assert found.noise == pytest.approx(0.01, rel=0.02)
     assert found.at_samples == pytest.approx(0.32, rel=1e-3)  # the sample is in from 0.1 after its planned time on
     assert found.timing_tolerance == 0.1
+    assert found.profile.edges[[0, -1]] == pytest.approx([1.1, 2.1])
+    assert np.all(np.diff(found.profile.edges) > 0)
     assert "up to 0.1 s early or late" in found.explain()
     assert ("samples early or late", "up to 0.1 s") in found._rows()
     assert found.to_dict()["timing_tolerance"] == 0.1

@@ -221,8 +221,7 @@ def _record(
         [*(t + d[:-1] for t, d in zip(times, grids, strict=True)), [question.end + plain * question.timing_tolerance]]
     )
     lower, upper, worst = np.full(count, np.inf), np.full(count, np.inf), np.full(count, times[0])
-    closed, offsets = np.ones(count, dtype=bool), np.zeros(count)
-    known_from = np.full(count, np.inf)
+    closed, offsets, known_from = np.ones(count, dtype=bool), np.zeros(count), np.full(count, np.inf)
     at_samples = np.full((count, len(times)), np.inf)
     below, above = np.full((2, count, edges.size - 1), np.inf)
     witnesses: list[AccuracyWitness | None] = [None] * count

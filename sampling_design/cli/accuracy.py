@@ -45,8 +45,7 @@ def accuracy(
         ),
     ] = None,
     v_deviation: Annotated[
-        str | None,
-        typer.Option("--v-deviation", help="Standard deviation of the noise of a sample, with --w-intensity."),
+        str | None, typer.Option(help="Standard deviation of the noise of a sample, with --w-intensity.")
     ] = None,
     shadow: Annotated[
         str, typer.Option("--shadow", help="Two states, FIRST,SECOND: the exact set of their errors, drawn with -o.")
@@ -55,8 +54,7 @@ def accuracy(
         float, typer.Option(help="How early or late each sample may be: the error guaranteed at all such times.")
     ] = 0.0,
     budget: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", help="Seconds after which brackets stay as they are. Default: none."),
+        float | None, typer.Option(metavar="SECONDS", help="After which brackets stay as they are. Default: none.")
     ] = None,
 ) -> None:
     """Bracket the least error that any estimator can guarantee, at the worst time of a schedule.

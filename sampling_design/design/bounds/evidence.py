@@ -29,7 +29,7 @@ from sampling_design.design.bounds.zones import (
 )
 from sampling_design.design.problem.canonical import CanonicalDesign
 from sampling_design.design.problem.choices import affordable_choices
-from sampling_design.design.problem.feasible import changed
+from sampling_design.design.problem.feasible import changed, without_hours
 from sampling_design.design.problem.gram import MANY_STATES
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.errors import ArgumentError
@@ -441,7 +441,8 @@ def local_part(
 def alone_part(problem: DesignProblem) -> BoundPart:
     """Bound of one sample a period: the window, counted from the sample, that sees some state least."""
     all_outputs = np.ones((1, problem.plant.n_outputs), dtype=bool)
-    return _least_seen(problem, "alone", np.zeros(1), all_outputs if problem.chosen is None else problem.chosen)
+    chosen = all_outputs if problem.chosen is None else problem.chosen
+    return _least_seen(without_hours(problem), "alone", np.zeros(1), chosen)
 
 
 def fixed_part(problem: DesignProblem) -> BoundPart:

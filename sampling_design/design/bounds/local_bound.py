@@ -75,7 +75,9 @@ def _held(problem: DesignProblem, zones: Array, j: int, ends: int, right: int) -
     order = index - j
     nearest = np.where(order > 0, np.maximum(nearest, order * problem.spacing - offset), nearest)
     farthest = np.where(order < 0, np.minimum(farthest, order * problem.spacing - offset), farthest)
-    held = (farthest >= -tiny) & (nearest <= T + tiny)
+    # no sample lies on a closing time itself: one that comes up to a whole window later than that is not seen
+    shut = problem.closes(zones[:, 1])
+    held = (farthest >= np.where(shut[index % k], tiny, -tiny)) & (nearest <= T + (-tiny if shut[j] else tiny))
     own = order % k == 0
     lag = (order // k) * P - offset
     inside = (lag > tiny) & (lag <= T + tiny) if right else (lag >= -tiny) & (lag < T - tiny)

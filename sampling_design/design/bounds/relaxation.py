@@ -171,16 +171,17 @@ def _telling_starts(problem: DesignProblem) -> Array:
     closed = problem.intervals if not problem.is_shift_invariant else np.zeros((0, 2))
     late = np.concatenate([problem.fixed, closed[:, 1]])
     early = np.concatenate([problem.fixed, closed[:, 0]]) - problem.window - before
+    early = problem.on_closings(early, 2 * before)
     found = np.unique(np.mod(np.concatenate([late, early]), P))
     most = max(_start_count(problem) // 2, 4)
     return found[:: int(np.ceil(found.size / most))] if found.size else found
 
 
 def grams_at(problem: DesignProblem, times: Array, starts: Array, mask: npt.NDArray[np.bool_]) -> Array:
-    """(M, N, n, n) scaled Gram matrices of samples at `times` in the windows (a_m, a_m + T]."""
+    """(M, N, n, n) scaled Gram matrices of samples at `times` in the windows that `starts` mean."""
     rows = problem.rows
     n, p = problem.plant.n_states, problem.plant.n_outputs
-    r, inside = lags(times[None, :], starts[:, None], problem.window, problem.period, "right")
+    r, inside = lags(times[None, :], starts[:, None], problem.window, problem.period, problem.closes(starts)[:, None])
     c = rows.rows(r) * (inside[..., None] & mask[None, :, None, :])[..., None]
     c = c.reshape(starts.size, times.size, -1, n) if times.size else np.zeros((starts.size, 0, p, n))
     return np.asarray(np.swapaxes(c, -1, -2) @ c)

@@ -15,7 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.design.bounds.derivatives import change_of_bend, remainder_of_bend
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.feasible import without_hours
+from sampling_design.design.problem.gram import lags
+from sampling_design.design.problem.numbers import ON_AN_END, DesignProblem
 from sampling_design.numerics.linalg import expm_batch, rows_ahead
 
 Array = npt.NDArray[np.float64]
@@ -27,7 +29,7 @@ NARROWER = 1e-11
 """Relative: cells are that much narrower than the spacing, so that rounding never decides on which side of a jump one
 ends."""
 
-_SAME, _JUST_AFTER = 1e-11, 1e-9  # of the period: windows so near to an end start there, and are moved by so much
+_JUST_AFTER = 1e-9  # of the period: windows that start where something opens, or other outputs close, are moved by it
 _NODE = 0.5  # |A| times the distance of the nodes to which multipliers are carried
 _LOOSE = 1e-7  # of the highest peak: pieces whose remainder may be worth more are looked at to a higher order
 _FAMILIES = 16  # of first cells in a cycle: more would be exact, at a cost that grows with the spacing
@@ -35,12 +37,16 @@ _FAMILIES = 16  # of first cells in a cycle: more would be exact, at a cost that
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """g per output at both ends of every piece of [0, period], and a bound on -g'' inside (never negative)."""
+    """g per output at both ends of every piece of [0, period], and a bound on -g'' inside (never negative).
+
+    `beside` (2, pieces): whether what holds just before a piece, and just after it, may hold at its very end.
+    """
 
     edges: Array
     left: Array
     right: Array
     bend: Array
+    beside: npt.NDArray[np.bool_]
 
 
 def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Profile:
@@ -84,7 +90,21 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Pr
         finer = change_of_bend(A, c[loose], Y, node[loose], width[loose], growth[loose])
         sharpness[loose] = np.minimum(sharpness[loose], finer)
     rounded = rows.rounding * high
-    return Profile(edges, g_left + rounded, g_right + rounded, np.maximum(-bend, 0.0) + sharpness)
+    beside = _beside(problem, starts, edges)
+    return Profile(edges, g_left + rounded, g_right + rounded, np.maximum(-bend, 0.0) + sharpness, beside)
+
+
+def _beside(problem: DesignProblem, starts: Array, edges: Array) -> npt.NDArray[np.bool_]:
+    """Whether what holds just before each piece, and just after it, may hold at its very end.
+
+    Not where nothing is allowed there: the closing time itself is not allowed, and the opening time is not seen by
+    windows [b, b + T) that end there.
+    """
+    there = problem.mask((edges[:-1] + edges[1:]) / 2).any(axis=1)
+    ends = starts[~problem.closes(starts)] + problem.window
+    away = np.mod(ends - edges[:-1, None] + problem.period / 2, problem.period) - problem.period / 2
+    ended = np.any(np.abs(away) <= ON_AN_END * problem.period, axis=1)
+    return np.stack([np.roll(there, 1) | ended, np.roll(there, -1)])
 
 
 def peaks(g: Profile) -> Array:
@@ -96,11 +116,16 @@ def peaks(g: Profile) -> Array:
 def roofs(g: Profile, mask: npt.NDArray[np.bool_], prices: Array | None = None) -> Array:
     """Upper bounds of g on the closed pieces, summed over the outputs measured there; both limits count at an end.
 
+    What holds beside a piece counts only where it may hold at its end (`Profile.beside`).
+
     With `prices` per output each measurement costs that much, and the best choice of outputs counts.
     """
     rest = (np.diff(g.edges) ** 2 / 8)[:, None] * g.bend
-    sides = (np.roll(g.right, 1, axis=0), g.left, g.right, np.roll(g.left, -1, axis=0))
-    return np.asarray(np.max([best_choice(side + rest, mask, prices) for side in sides], axis=0))
+    before, after = (
+        best_choice(side + rest, mask, prices) for side in (np.roll(g.right, 1, 0), np.roll(g.left, -1, 0))
+    )
+    own = [best_choice(side + rest, mask, prices) for side in (g.left, g.right)]
+    return np.asarray(np.max([*own, *np.where(g.beside, [before, after], -np.inf)], axis=0))
 
 
 def best_choice(values: Array, mask: npt.NDArray[np.bool_], prices: Array | None) -> Array:
@@ -117,15 +142,17 @@ def jump_times(problem: DesignProblem, starts: Array) -> Array:
 
 
 def clear_of_ends(problem: DesignProblem, starts: Array) -> Array:
-    """Window starts, those on a time at which something closes just after it: no sample before it is seen by them then.
+    """Window starts, those beside a time at which all outputs close on it, to the last bit (`DesignProblem.closes`).
 
-    On that time itself rounding would decide, and a bound has to count what might be seen.
+    Those on another time at which some close or open come just after it: there rounding would decide, and a bound has
+    to count what might be seen.
     """
     if problem.breakpoints.size == 2:  # nothing ever closes
         return starts
     apart = np.mod(starts[:, None] - problem.breakpoints + problem.period / 2, problem.period) - problem.period / 2
-    on = np.any(np.abs(apart) <= _SAME * problem.period, axis=1)
-    return np.asarray(starts + np.where(on, _JUST_AFTER * problem.period, 0.0))
+    on = np.any(np.abs(apart) <= ON_AN_END * problem.period, axis=1) & ~problem.closes(starts)
+    moved = problem.on_closings(starts, ON_AN_END * problem.period)
+    return np.asarray(moved + np.where(on, _JUST_AFTER * problem.period, 0.0))
 
 
 def _forms(C: Array, Y: Array) -> Array:
@@ -149,12 +176,8 @@ def _held(problem: DesignProblem, starts: Array, Z: Array, at: Array, inside: Ar
 
 def value_at(problem: DesignProblem, starts: Array, Z: Array, times: Array) -> Array:
     """g per output exactly at `times`, shape (N, p); a window end within rounding counts as inside."""
-    period, tiny = problem.period, 1e-11 * problem.period
-    base = np.mod(times[:, None] - starts[None, :], period)
-    base = np.where(base <= tiny, base + period, base)
-    count = int(np.ceil(problem.window / period - 1e-9))
-    r = base[..., None] + period * np.arange(count)
-    i, m, cycle = np.nonzero(r <= problem.window + tiny)
+    r, inside = lags(times[:, None], starts[None, :], problem.window, problem.period, problem.closes(starts))
+    i, m, cycle = np.nonzero(inside)
     E = expm_batch(problem.rows.A, r[i, m, cycle])
     Y = np.zeros((times.size, *Z.shape[1:]))
     np.add.at(Y, i, E @ Z[m] @ np.swapaxes(E, 1, 2))
@@ -295,7 +318,7 @@ def alone_bound(problem: DesignProblem, starts: Array, Z: Array) -> float:
     """Bound sigma of every schedule of one sample a period, whatever it measures; windows count from the sample."""
     if problem.samples != 1:
         return np.inf
-    values = value_at(problem, starts, Z, np.zeros(1))
+    values = value_at(without_hours(problem), starts, Z, np.zeros(1))
     return rooted(problem, float((values if problem.chosen is None else values * problem.chosen).sum()))
 
 

@@ -52,6 +52,11 @@ def changed(problem: DesignProblem, change: Change) -> DesignProblem:
     return result
 
 
+def without_hours(problem: DesignProblem) -> DesignProblem:
+    """The problem with every time allowed: of windows that are counted from a sample, wherever that lies."""
+    return changed(problem, {"forbidden": np.zeros((0, 2)), "available": (None,) * problem.plant.n_outputs})
+
+
 def obstacle(problem: DesignProblem) -> InfeasibleConstraint | None:
     """The first constraint that no schedule meets."""
     return _fixed(problem) or _room(problem) or _too_few(problem) or _too_dear(problem)

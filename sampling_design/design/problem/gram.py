@@ -18,6 +18,7 @@ from sampling_design.observability.windows.sampled import observability_matrix
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 
 _NODES = (
     2049  # positions in the window at which rows are held: the trapezoidal weights are exact to rounding between them
@@ -197,19 +198,15 @@ class ScaledRows:
         return np.asarray(z / np.sqrt(np.einsum("...iq,ij,...jq->...q", z, self.N, z))[..., None, :])
 
 
-def lags(times: Array, start: Array, window: float, period: float, closed: str) -> tuple[Array, npt.NDArray[np.bool_]]:
+def lags(times: Array, start: Array, window: float, period: float, below: Mask | bool) -> tuple[Array, Mask]:
     """Return the distances of all periods of `times` from `start`, and which lie in the half-open window.
 
-    `closed` = "right" for (start, start + T], the limit just after a sample leaves, or "left" for
-    [start, start + T). Distances within 1e-11 periods of an end lie on it. Shapes broadcast; one axis
-    of periods is appended.
+    That is (start, start + T], the limit just after a sample leaves, or from `below` [start, start + T). Distances
+    within 1e-11 periods of an end lie on it. Shapes broadcast; one axis of periods is appended.
     """
     tiny = 1e-11 * period
     base = np.mod(times - start, period)
-    if closed == "right":
-        base = np.where(base <= tiny, base + period, base)
-    else:
-        base = np.where(base >= period - tiny, base - period, base)
+    base = np.where(below, np.where(base >= period - tiny, base - period, base), base + period * (base <= tiny))
     r = base[..., None] + period * np.arange(int(np.ceil(window / period - 1e-9)))
-    inside = r <= window + tiny if closed == "right" else r < window - tiny
+    inside = np.where(np.asarray(below)[..., None], r < window - tiny, r <= window + tiny)
     return np.clip(r, 0.0, window), inside

@@ -19,6 +19,7 @@ Mask = npt.NDArray[np.bool_]
 _EXACT = 1e-12  # relative: a period counts as a whole number of spacings where it is one to rounding
 _COUNTED = 10**15  # where there is room for more samples than that, nobody asks how many
 SLACK = 1e-9  # relative: gaps are designed this much wider than asked, so that rounding cannot break them
+ON_AN_END = 1e-11  # of the period: what lies so near to a time at which something opens or closes lies on it
 _JUST_SO = 5e-12  # of the period: what canonical units may round
 _TURNED = 2.0**30  # parts of a period: times that lie nearer to each other lie together
 
@@ -112,6 +113,23 @@ class DesignProblem:
             elif good:
                 found.append([float(a), float(b)])
         return np.array(found).reshape(-1, 2)
+
+    def closes(self, times: Array) -> Mask:
+        """Which of the `times`, mod period, are those at which an open interval ends: no sample is allowed then.
+
+        A window that begins there means the limit of windows that begin before, [b, b + T): of any one schedule no
+        sample lies between them, nor does it hold one at b + T yet. Windows elsewhere are (a, a + T].
+        """
+        return np.asarray(np.any(np.abs(self._after_closing(times)) <= ON_AN_END * self.period, axis=-1))
+
+    def on_closings(self, starts: Array, near: float) -> Array:
+        """Window starts, those that are `near` a time at which an open interval ends moved there."""
+        away = self._after_closing(starts)
+        return np.asarray(starts - np.sum(np.where(np.abs(away) <= near, away, 0.0), axis=-1))
+
+    def _after_closing(self, times: Array) -> Array:
+        ends = np.zeros(0) if self._is_whole else self.intervals[:, 1]
+        return np.asarray(np.mod(times[..., None] - ends + self.period / 2, self.period) - self.period / 2)
 
     @cached_property
     def inner(self) -> Array:

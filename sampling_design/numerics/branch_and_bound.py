@@ -157,40 +157,54 @@ class LeastOverCells(Generic[Batch]):
         Returns
         -------
         str
-            "closed", "budget" (after one step at least), "stopped" by `judge` or `look`, or "small" where a cell could
-            not be cut.
+            "closed", "budget" (after one step at least), "stopped" by `judge` or `look`, "small" where a cell could not
+            be cut, or "interrupted": what was proven before that step stands. An interrupt before anything was judged
+            or met is raised.
         """
-        while True:
-            self._close()
-            if not len(self.bound):
-                return "closed"
-            if look():
-                return "stopped"
-            spent = self.budget.over or self.judged + min(self.together, len(self.bound)) > self.most
-            if self.judged and spent:
-                return "budget"
-            near, rest = self._nearest()
-            some = self.cells.take(near)
-            found = judge(some)
-            if found is None:
-                return "stopped"
-            self.judged += len(near)
-            self.bound[near] = np.fmax(found[0], self.bound[near])
-            open_ = ~self._done(self.bound[near])
-            self.closed_at = np.minimum(self.closed_at, self.bound[near][~open_].min(axis=0, initial=np.inf))
-            if not open_.all():
-                self.closed.append(some.take(~open_))
-            parts = cut(some.take(open_), found[1][open_]) if open_.any() else None
-            if parts is None:
-                left = np.concatenate([near[open_], rest])
-                self.cells, self.bound = self.cells.take(left), self.bound[left]
-                if open_.any():
-                    return "small"
-                continue
-            made, parents = parts
-            bound = self.bound[near][open_][parents]
-            bound = bound if self.begin is None else np.fmax(self.begin(made), bound)
-            self.cells, self.bound = made.joined(self.cells.take(rest)), np.concatenate([bound, self.bound[rest]])
+        status = ""
+        while not status:
+            before, closed = (self.cells, self.bound.copy(), self.closed_at, self.judged), len(self.closed)
+            try:
+                status = self._stepped(judge, cut, look)
+            except KeyboardInterrupt:
+                self.cells, self.bound, self.closed_at, self.judged = before
+                del self.closed[closed:]
+                if not self.judged and not np.isfinite(self.best).any():  # nothing is known yet
+                    raise
+                status = "interrupted"
+        return status
+
+    def _stepped(self, judge: JudgeCells[Batch], cut: CutCells[Batch], look: Callable[[], bool]) -> str:
+        """One step: why the search ends, or nothing."""
+        self._close()
+        if not len(self.bound):
+            return "closed"
+        if look():
+            return "stopped"
+        spent = self.budget.over or self.judged + min(self.together, len(self.bound)) > self.most
+        if self.judged and spent:
+            return "budget"
+        near, rest = self._nearest()
+        some = self.cells.take(near)
+        found = judge(some)
+        if found is None:
+            return "stopped"
+        self.judged += len(near)
+        self.bound[near] = np.fmax(found[0], self.bound[near])
+        open_ = ~self._done(self.bound[near])
+        self.closed_at = np.minimum(self.closed_at, self.bound[near][~open_].min(axis=0, initial=np.inf))
+        if not open_.all():
+            self.closed.append(some.take(~open_))
+        parts = cut(some.take(open_), found[1][open_]) if open_.any() else None
+        if parts is None:
+            left = np.concatenate([near[open_], rest])
+            self.cells, self.bound = self.cells.take(left), self.bound[left]
+            return "small" if open_.any() else ""
+        made, parents = parts
+        bound = self.bound[near][open_][parents]
+        bound = bound if self.begin is None else np.fmax(self.begin(made), bound)
+        self.cells, self.bound = made.joined(self.cells.take(rest)), np.concatenate([bound, self.bound[rest]])
+        return ""
 
     def _done(self, bound: Array) -> Mask:
         return np.asarray(np.all(self.enough(bound, self.best), axis=1))

@@ -21,7 +21,7 @@ class ProvenBound(Protocol):
 
     @property
     def status(self) -> str:
-        """ "closed" where it is as near as can be."""
+        """ "closed" where it is as near as can be, "interrupted" where it did not come to an end."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -36,7 +36,7 @@ class SigmaBracket(PlainRecord):
     rigorous: bool = field(default=False, kw_only=True)
 
     _table = {
-        "sigma at least": "{lower} ({_grounds}; {coordinates} coordinates, state at the window's start)",
+        "sigma at least": "{_at_least} ({_grounds}; {coordinates} coordinates, state at the window's start)",
         "sigma at most": "{upper} (attained)",
     }
 
@@ -46,13 +46,26 @@ class SigmaBracket(PlainRecord):
         return self.status not in UNSETTLED
 
     @property
+    def _is_undecided(self) -> bool:
+        """Whether 0 is all that is known: the search has not come to a bound yet."""
+        return self.lower == 0 and not self.closed
+
+    def _at_least(self) -> str:
+        return "undecided" if self._is_undecided else short(self.lower)
+
+    @property
     def _grounds(self) -> str:
-        if self.status == "sampled":
+        if self._is_undecided:
             return "nothing is proven"
         return "proven in ball arithmetic" if self.rigorous else "proven"
 
     def _concluded(self, claim: str, where: str, reasons: dict[str, str]) -> str:
         """The claim, what is attained and where; why the bracket did not close, if `reasons` knows the status."""
+        if self._is_undecided and self.status in reasons:
+            return (
+                f"Nothing is proven yet, whether sigma is positive is undecided: {short(self.upper)} is attained, and "
+                f"{reasons[self.status]}. {where}."
+            )
         if self.status not in reasons:
             return f"{claim} and {short(self.upper)} is attained. {where}."
         return f"{claim}; {short(self.upper)} is attained, and {reasons[self.status]}. {where}."
@@ -61,6 +74,8 @@ class SigmaBracket(PlainRecord):
 def in_balls(found: Bracket, proof: ProvenBound, room: float = 1.0) -> Bracket:
     """Return a bracket with the lower bound that ball arithmetic proves; `room`: how much wider it may stay."""
     status = found.status
+    if proof.status == "interrupted":  # what floats have proven stands
+        return replace(found, status=proof.status)
     if status == "closed" and not proof.lower >= (1 - room * found.rtol) * found.upper:
         status = proof.status if proof.status != "closed" else "rounding"
     return replace(found, lower=proof.lower, status=status, rigorous=True)

@@ -70,7 +70,7 @@ def nearest_proven(
     Returns
     -------
     ProvenSigma
-        lower = 0 where nothing is proven: "budget" or "rounding".
+        lower = 0 where nothing is proven: "budget", "interrupted" or "rounding".
 
     Raises
     ------
@@ -86,8 +86,8 @@ def nearest_proven(
             try:
                 proves = begin(clock)
                 proven = next((mu for mu in (guess * (1 - shave) for shave in shaves) if proves(mu)), None)
-            except BudgetSpentError:
-                return ProvenSigma(0.0, slack, "budget")
+            except (BudgetSpentError, KeyboardInterrupt) as end:
+                return ProvenSigma(0.0, slack, "budget" if isinstance(end, BudgetSpentError) else "interrupted")
             return ProvenSigma(0.0, slack, "rounding") if proven is None else ProvenSigma(proven, slack, "closed")
     return ProvenSigma(0.0, slack, "rounding")
 

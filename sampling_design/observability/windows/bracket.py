@@ -6,6 +6,7 @@ An upper bound on a norm is what follows, and norms are convex.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -215,19 +216,25 @@ class _BracketSearch:
         self.owner = np.concatenate([self.owner, self.owner])
 
     def run(self, seconds: float, progress: Progress | None) -> str:
-        """Halve until nothing is open or the budget is spent."""
-        budget = Budget(seconds)
+        """Halve until nothing is open or the budget is spent; an interrupt leaves what was proven before its step."""
+        budget, status = Budget(seconds), ""
         self.close()
-        while self.owner.size:
+        while self.owner.size and not status:
             if budget.over or self.evaluations > _MOST_NODES:
-                np.minimum.at(self.piece_lower, self.owner, self.lower_open)
-                return "budget"
-            self.halve()
-            self.close()
-            if progress is not None:
-                open_part = float(np.sum(self.b - self.a)) / max(self.total, 1e-300)
-                progress(1 - open_part, f"sigma over windows: {self.owner.size} intervals open")
-        return "closed"
+                status = "budget"
+                break
+            before = {name: copy(value) for name, value in vars(self).items()}
+            try:
+                self.halve()
+                self.close()
+                if progress is not None:
+                    open_part = float(np.sum(self.b - self.a)) / max(self.total, 1e-300)
+                    progress(1 - open_part, f"sigma over windows: {self.owner.size} intervals open")
+            except KeyboardInterrupt:
+                vars(self).update(before)
+                status = "interrupted"
+        np.minimum.at(self.piece_lower, self.owner, self.lower_open)
+        return status or "closed"
 
 
 def bracket_sigma(

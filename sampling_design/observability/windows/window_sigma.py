@@ -36,6 +36,7 @@ HANDED_OVER = 20.0
 """Seconds that balls have for what was only asked of floats."""
 _REASONS = {
     "budget": "the budget ran out before the bracket closed; more time narrows it",
+    "interrupted": "the search was interrupted before the bracket closed; more time narrows it",
     "rounding": "rounding in the exponentials keeps the bracket open; scale the plant",
     "timing": "what late and early samples may take away is bounded no better",
 }
@@ -114,9 +115,9 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
         Attained at `witness`.
     witness : WindowWitness
     status : str
-        Why the search ended: "closed", "too few samples", "below rounding", "budget", "rounding", "timing" where late
-        and early samples leave the bracket wider than `rtol`, "no states", or "sampled" where the plant varies in time
-        by functions: `lower` is 0 then, and nothing is proven.
+        Why the search ended: "closed", "too few samples", "below rounding", "budget", "interrupted", "rounding",
+        "timing" where late and early samples leave the bracket wider than `rtol`, "no states", or "sampled" where the
+        plant varies in time by functions: `lower` is 0 then, and nothing is proven.
     window : float
     from_time : float
         Every window that begins then or later is covered: 0 for an endless schedule, the first sample of a finite one,
@@ -254,7 +255,7 @@ def window_sigma(
     rtol : float
         The search ends when lower >= (1 - rtol) upper; in (0, 1). Default 0.001, over a box or in varying time 0.01.
     budget : float, optional [seconds]
-        When it runs out, the bounds so far are returned with closed = False.
+        When it runs out, the bounds so far are returned with closed = False; so they are after an interrupt (Ctrl-C).
     progress : callable, optional
         Called with the fraction done and a message.
     rigorous : bool
@@ -428,7 +429,8 @@ def _in_balls(
             witness = WindowWitness(end, side, pieces.samples(seen.piece), seen.direction, seen.sigma)
             result = replace(result, lower=seen.sigma, upper=seen.sigma, witness=witness, status="closed")
     proof = prove_window_sigma(plant, schedule, pieces, result.lower, seconds)
-    return replace(in_balls(result, proof), slack=proof.slack)
+    result = in_balls(result, proof)
+    return replace(result, slack=proof.slack) if result.rigorous else result
 
 
 def record_of(found: WindowBracket, rtol: float, time_unit: str, coordinates: str) -> WindowSigma:

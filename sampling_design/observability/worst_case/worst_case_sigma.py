@@ -30,6 +30,7 @@ Array = npt.NDArray[np.float64]
 
 MOST_MEMORY = 2.0
 """GiB that a search over the times of all samples may take."""
+_PROOF = 0.25  # of the budget: what the proof has in any case, however long a busy machine took for the search
 LEAST_SEARCH = 1.0  # seconds for the attained bound even where the budget is spent: without it nothing is said
 RTOL = 0.01
 """Default width of the bracket, relative."""
@@ -306,7 +307,7 @@ def _proof(
         elif rows.n > MOST_STATES:
             proof, method = SphereBounds(0.0, found, "too many states", 0), "none"
         else:
-            proof = prove_worst(rows, found, rtol, budget.left, progress)
+            proof = prove_worst(rows, found, rtol, max(budget.left, _PROOF * seconds), progress)
     if rows.counts_as_zero(proof.attained.sigma, proof.attained.slacks):
         proof = proof._replace(lower=0.0, status="below rounding")
     return proof, method

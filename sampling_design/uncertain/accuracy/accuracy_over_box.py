@@ -167,9 +167,11 @@ def accuracy_over_box(
     search.meet(np.zeros(len(rows)))
     for corner in _corners(plant):
         attained(corner, one(plant.at(corner), w, v, rows.matrix, FINER * rtol)[0])
-    search.run(judged, cut, look)
+    status = search.run(judged, cut, look)
     lower, top, cells = -search.best, -search.lower, search.judged
     if not np.all(np.isfinite(top)):
+        if status == "interrupted":
+            raise KeyboardInterrupt
         raise UndecidedError(
             f"undecided: some plant of the box near {at_parameters(_named(plant, worst[0]))} could not be bounded in "
             "time. Try a smaller box."

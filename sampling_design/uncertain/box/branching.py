@@ -81,7 +81,8 @@ def branch(
         start, np.zeros((len(start.s), 1)), within(rtol), Budget(seconds), together=MOST_CELLS, most=MOST_CELLS
     )
     status = search.run(judged, bisected, look)
-    best = descended(best, value, ends)
+    if status != "interrupted":
+        best = descended(best, value, ends)
     if status == "stopped":
         return BoxBounds(0.0, *best, "unseen", search.judged)
     lower = min(float(search.lower[0]), best[0])

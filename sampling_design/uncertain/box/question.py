@@ -8,6 +8,7 @@ from sampling_design.records.record import short
 
 REASONS = {
     "budget": "the budget ran out before the bracket closed; more time, or a smaller box, narrows it",
+    "interrupted": "the search was interrupted before the bracket closed",
     "rounding": "rounding keeps the bracket open; scale the plant",
 }
 

@@ -134,16 +134,21 @@ def bracket_varying(plant: TimeVaryingPlant, pieces: Pieces, rtol: float, budget
         if clock.over:
             status = "budget"
             break
-        _, piece, _, a, b = heap[0]
+        low, piece, _, a, b = heap[0]
         middle = a.at / 2 + b.at / 2
         if not a.at < middle < b.at:
             status = "rounding"
             break
-        new = search.before(b, middle)
-        nodes[piece].append(new)
-        g, best = (piece, new) if new.sigma < best.sigma else (g, best)
-        heapq.heapreplace(heap, (search.least(a, new), piece, a.at, a, new))
-        heapq.heappush(heap, (search.least(new, b), piece, middle, new, b))
+        try:
+            new = search.before(b, middle)
+            parts = [(search.least(*ends), piece, ends[0].at, *ends) for ends in ((a, new), (new, b))]
+            nodes[piece].append(new)
+            g, best = (piece, new) if new.sigma < best.sigma else (g, best)
+            heapq.heapreplace(heap, parts[0])
+            heapq.heappush(heap, parts[1])
+        except KeyboardInterrupt:  # what the interval was known to be not below holds for its halves
+            floors[piece], status = min(floors[piece], low), "interrupted"
+            break
     else:
         status = "budget"
     for low, piece, *_ in heap:

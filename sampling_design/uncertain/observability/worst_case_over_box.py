@@ -53,7 +53,7 @@ class WorstCaseOverBox(SigmaBracket):
     witness : (k,) array
         Sample times within [0, T].
     status : str
-        "closed", "unseen" (some plant and schedule see nothing of a state), "budget" or "no states".
+        "closed", "unseen" (some plant and schedule see nothing of a state), "budget", "interrupted" or "no states".
     plants : int
         How many plants were judged one by one.
     coordinates : str
@@ -115,28 +115,36 @@ def worst_case_over_box(
     if not model.n:
         return _record(model, family, tolerance, "no states", 0, np.inf, (np.inf, model.start, np.zeros(0)))
 
+    clock = Budget(seconds)
+
     def one(member: Plant, fine: float, left: float) -> tuple[float, float, Array]:
         limit = max(left, LEAST_SEARCH) if np.isfinite(left) else None
         found = worst_case_sigma(member, replace(family, time_unit=None), fine, limit)
         if found.status == "interrupted":  # of one plant: the others are not looked at
-            raise KeyboardInterrupt
+            clock.stop()
         return found.lower, found.upper, found.witness
 
+    def firm(member: Plant, fine: float, left: float) -> tuple[float, float, Array]:
+        found = one(member, fine, left)
+        if clock.limit < 0:
+            raise KeyboardInterrupt
+        return found
+
     settled: list[BoxCells] = []
-    found = _searched(model, family, tolerance, seconds, one, settled)
-    if not rigorous:
+    found = _searched(model, family, tolerance, clock, one, settled)
+    if not rigorous or found.status == "interrupted":
         return found
     from sampling_design.uncertain.observability.worst_case_balls import prove_worst_over_box
 
-    proof = prove_worst_over_box(model, family, found.lower, FINER * tolerance, settled, one, seconds)
+    proof = prove_worst_over_box(model, family, found.lower, FINER * tolerance, settled, firm, seconds)
     return in_balls(found, proof, BALL_ROOM)
 
 
 def _searched(
-    model: BoxModel, family: SpacedWindows, rtol: float, seconds: float, one: SigmaOfOne, settled: list[BoxCells]
+    model: BoxModel, family: SpacedWindows, rtol: float, budget: Budget, one: SigmaOfOne, settled: list[BoxCells]
 ) -> WorstCaseOverBox:
     """The bracket; `settled` takes the cells that were proven."""
-    budget, known = Budget(seconds), dict[tuple[float, ...], tuple[float, float]]()
+    known = dict[tuple[float, ...], tuple[float, float]]()
     wide, best = bool(np.ptp(np.log(model.unit)) > np.log(WIDE)), (np.inf, model.start, np.zeros(family.count))
 
     def judged(cell: BoxCells) -> tuple[Array, Array] | None:
@@ -166,9 +174,9 @@ def _searched(
     settled += [*search.closed, search.cells]
     if best[0] == 0:
         return _record(model, family, rtol, "unseen", len(known), 0.0, best)
-    return _record(
-        model, family, rtol, status if status == "closed" else "budget", len(known), float(search.lower[0]), best
-    )
+    if status != "closed":
+        status = "interrupted" if status == "interrupted" or budget.limit < 0 else "budget"
+    return _record(model, family, rtol, status, len(known), float(search.lower[0]), best)
 
 
 def _record(

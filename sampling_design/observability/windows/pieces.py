@@ -72,13 +72,18 @@ class Pieces:
         return None if self.mask is None else self.mask[self.first[g] : self.stop[g]]
 
 
-def window_pieces(schedule: Schedule | PeriodicSchedule, window: float, start: float | None = None) -> Pieces:
+def window_pieces(
+    schedule: Schedule | PeriodicSchedule, window: float, start: float | None = None, late: float = 0.0
+) -> Pieces:
     """Return the pieces of all full windows that begin at `start` or later.
+
+    With samples that may come up to `late` early or late, those of windows that are by so much shorter at both ends.
 
     A finite schedule is judged from its first sample unless `start` says otherwise: where a clock has its zero is no
     property of the schedule. An endless one is judged from time 0 on. One period stands for all windows in its rhythm;
     if its first sample comes later than that rhythm has one, the windows that miss what came before are judged too.
     """
+    asked, window = window, window - 2 * late
     if schedule.endless:
         start = 0.0 if start is None else start
         high, missed = schedule.first + schedule.period, schedule.first - float(schedule.gaps[0])
@@ -92,12 +97,14 @@ def window_pieces(schedule: Schedule | PeriodicSchedule, window: float, start: f
         high = last - window
         if high < low - SAME_TIME * max(window, abs(last)):
             spans = f"spans {short(last - low)}" if start is None else f"ends {short(last - low)} after `start`"
+            spans += f" with up to {short(late)} more at both ends" if late else ""
             raise ArgumentError(
-                f"`window` must fit into the schedule, which {spans}, got {short(window)}. "
+                f"`window` must fit into the schedule, which {spans}, got {short(asked)}. "
                 "A finite schedule is judged from its first full window to its last."
             )
         start, high = low, max(high, low)
-    return _cut(held.times, held.outputs, low, high, window, start)
+    found = _cut(held.times, held.outputs, low, high, window, start)
+    return found.widened(late) if late else found
 
 
 def _cut(times: Array, mask: Mask | None, low: float, high: float, window: float, start: float) -> Pieces:

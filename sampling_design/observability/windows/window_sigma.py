@@ -329,13 +329,17 @@ def window_sigma(
                 f"`window` must be longer than twice `timing_tolerance` {short(late)}, got {short(window)}: no sample "
                 "is certain to lie in it."
             )
-    pieces, tolerance, seconds = asked(aligned, window - 2 * late, start, RTOL if rtol is None else rtol, budget)
-    pieces = pieces.widened(late) if late else pieces
+    pieces, tolerance, seconds = asked(aligned, window, start, RTOL if rtol is None else rtol, budget, late)
     return sigma_of_pieces(plant, aligned, pieces, tolerance, seconds, progress, rigorous=rigorous)
 
 
 def asked(
-    schedule: Schedule | PeriodicSchedule, window: float, start: float | None, rtol: float, budget: float | None
+    schedule: Schedule | PeriodicSchedule,
+    window: float,
+    start: float | None,
+    rtol: float,
+    budget: float | None,
+    late: float = 0.0,
 ) -> tuple[Pieces, float, float]:
     """Return the window's pieces along a schedule in the plant's unit, the tolerance and the seconds, all checked.
 
@@ -349,7 +353,7 @@ def asked(
         raise ArgumentError(f"`rtol` must be less than 1, got {tolerance!r}.")
     seconds = np.inf if budget is None else checks.nonnegative("budget", budget)
     first = None if start is None else checks.nonnegative("start", start)
-    return window_pieces(schedule, length, first), tolerance, seconds
+    return window_pieces(schedule, length, first, late), tolerance, seconds
 
 
 def refuse_tolerance(timing_tolerance: float) -> None:

@@ -45,6 +45,7 @@ def test_every_plant_has_a_requirement_that_fits_it(name):
     with (EXAMPLES / "requirements" / f"{name}.toml").open("rb") as stream:
         need = tomllib.load(stream)
     known = {"format", "window", "period", "spacing", "samples", "decay_rate", "forbidden", "fixed", "outputs"}
+    known |= {"timing_tolerance"}
     assert need["format"] == "sampling-design/requirement/1"
     assert set(need) <= known
     count = need["samples"]["exactly"]

@@ -105,6 +105,9 @@ def design(
     samples: Annotated[int | None, typer.Option(help="Exactly so many samples per period.")] = None,
     target_sigma: Annotated[float | None, typer.Option(help="Fewest samples that reach this sigma.")] = None,
     cost_limit: Annotated[float | None, typer.Option(help="Most that the measurements of a period may cost.")] = None,
+    timing_tolerance: Annotated[
+        float | None, typer.Option(help="How early or late each sample may be: the least sigma over all such times.")
+    ] = None,
     branches: Annotated[
         int | None, typer.Option(help="Boxes of schedules cut in two to narrow the upper bound; more take longer.")
     ] = None,
@@ -126,7 +129,7 @@ def design(
     """
     plant = reading.plant(plant_file)
     flags = {"window": window, "period": period, "spacing": spacing, "samples": samples, "target_sigma": target_sigma}
-    flags.update(cost_limit=cost_limit, decay_rate=settings.decay_rate)
+    flags.update(cost_limit=cost_limit, decay_rate=settings.decay_rate, timing_tolerance=timing_tolerance)
     if settings.folder() is None and start is not None:  # said before the design is computed, not after
         raise ArgumentError("`--start` writes a calendar, so it needs a folder. Give --output DIR.")
     if zone is not None and start is None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sampling_design.observability.windows.window_sigma import window_sigma
+from sampling_design.observability.windows.pieces import window_pieces
+from sampling_design.observability.windows.window_sigma import WindowSigma, sigma_of_pieces, window_sigma
 from sampling_design.plants.plant import Plant
 from sampling_design.records.record import Plain, Record, short
 from sampling_design.schedules.schedule import PeriodicSchedule, ScheduleDetails
@@ -69,19 +70,49 @@ class DesignDeviations(Record):
             f"are {wider} longer {short(self.late_wider)}; if one is lost, {short(self.lost)}."
         )
 
+    @property
+    def lost_only(self) -> str:
+        """The sentence where the other says again what was asked for."""
+        return f"If one sample is lost, sigma is at least {short(self.lost)}."
 
-def deviations_of(plant: Plant, schedule: PeriodicSchedule, window: float, share: float = SHARE) -> DesignDeviations:
-    """Prove what is left of sigma if samples come early or late by a share of the least gap, or one is lost."""
-    tolerance = share * float(schedule.gaps.min())
-    late, wider = (
-        window_sigma(plant, schedule, length, RTOL, timing_tolerance=tolerance).lower if length > 2 * tolerance else 0.0
-        for length in (window, window + 2 * tolerance)
-    )
-    periods = periods_touched(schedule, window)
-    rest = [without_sample(schedule, i, periods) for i in range(len(schedule))]
-    lost = np.array([0.0 if one is None else window_sigma(plant, one, window, RTOL).lower for one in rest])
-    worst = int(np.argmin(lost))
-    return DesignDeviations(tolerance, late, wider, float(lost[worst]), worst, plant.time_unit)
+
+def deviations_of(
+    plant: Plant, schedule: PeriodicSchedule, window: float, asked: float = 0.0, sigma: float = 0.0
+) -> DesignDeviations:
+    """Prove what is left of sigma if samples come early or late, or one is lost.
+
+    As early or late as was `asked`, for which `sigma` is proven, else by a share of the least gap.
+    """
+    tolerance = asked or SHARE * float(schedule.gaps.min())
+
+    def left(length: float) -> float:
+        if length <= 2 * tolerance:
+            return 0.0
+        return window_sigma(plant, schedule, length, RTOL, timing_tolerance=tolerance).lower
+
+    lost, worst = _lost(plant, schedule, window, asked)
+    wider = left(window + 2 * tolerance)
+    return DesignDeviations(tolerance, sigma if asked else left(window), wider, lost, worst, plant.time_unit)
+
+
+def _lost(plant: Plant, schedule: PeriodicSchedule, window: float, late: float) -> tuple[float, int]:
+    """Proven sigma if any one sample is lost once, and whose loss leaves that: over the windows that could hold it.
+
+    What sees more than the worst that was found by then is not looked at closely.
+    """
+    found: WindowSigma | None = None
+    least, worst = np.inf, 0
+    begin = schedule.period * np.ceil((window + 2 * late) / schedule.period)
+    for i, t in enumerate((schedule.times + begin).tolist()):
+        held = schedule.between(t - window - 2 * late, t + window + 2 * late + float(schedule.gaps.max()))
+        kept = np.abs(held.times - t) > schedule.gaps.min() / 2
+        rest = replace(held, times=held.times[kept], outputs=None if held.outputs is None else held.outputs[kept])
+        pieces = window_pieces(rest, window, t - window - late, late)
+        seen = sigma_of_pieces(plant, rest, pieces, RTOL, np.inf, reached=found)
+        if seen.lower < least:
+            least, worst = seen.lower, i
+        found = seen if found is None or seen.upper < found.upper else found
+    return least, worst
 
 
 def periods_touched(schedule: PeriodicSchedule, window: float) -> int:

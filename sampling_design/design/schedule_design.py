@@ -112,7 +112,9 @@ class ScheduleDesign(PlainRecord):
         """What is left of sigma if samples come early or late or one is lost; None where nothing has to be observed."""
         if self.schedule is None or not self.sigma > 0:
             return None
-        return deviations_of(self.split.retained, self.schedule, float(self.requirement.window or 0))
+        asked = self.requirement
+        window = float(asked.window or 0)
+        return deviations_of(self.split.retained, self.schedule, window, asked.timing_tolerance, self.sigma)
 
     @cached_property
     def problem(self) -> DesignProblem:
@@ -125,11 +127,13 @@ class ScheduleDesign(PlainRecord):
         """What is claimed, and how strongly."""
         if self.schedule is None:
             return Claim("no samples needed: nothing is retained", theorem="Theorem 16", strength="proven")
+        late = short(self.requirement.timing_tolerance) if self.requirement.timing_tolerance else ""
+        times = (f"each sample is within {late} of the schedule's time",) if late else ()
         return Claim(
             f"sigma >= {short(self.sigma)} over every window of length {short(self.requirement.window)}, and no "
             f"admissible schedule with {self._counts} samples per period exceeds {short(self.upper_bound)}",
             theorem="Theorems 14 and 16; weak duality",
-            assumptions=("the plant's matrices are exact", f"sigma in {self.coordinates} coordinates"),
+            assumptions=("the plant's matrices are exact", *times, f"sigma in {self.coordinates} coordinates"),
         )
 
     def verify(self, rtol: float | None = None) -> bool:
@@ -213,6 +217,7 @@ class ScheduleDesign(PlainRecord):
                 "No samples needed: every mode decays by itself at the rate asked for. "
                 "Ask for a faster decay with `decay_rate` (--decay-rate) to have slow modes observed."
             )
+        asked, unit = self.requirement.timing_tolerance, self.plant.time_unit
         many = f"{counted(len(self.schedule), 'sample')} every {short(self.schedule.period)} {self.plant.time_unit}"
         if not self.sigma > 0:
             window = f"every window of {short(self.requirement.window)} {self.plant.time_unit}"
@@ -223,10 +228,16 @@ class ScheduleDesign(PlainRecord):
                 f"{short(self.upper_bound)}, which does not show that there is none."
             )
         sees = "sees" if len(self.schedule) == 1 else "see"
+        late = f", each up to {short(asked)} {unit} early or late" if asked else ""
         return (
-            f"{many} {sees} every state direction in every window with sigma >= {short(self.sigma)}; no admissible "
-            f"schedule can exceed {short(self.upper_bound)}, so at most {100 * self.gap:.1f} % could be gained."
-            + ("" if self.deviations is None else f" {self.deviations.explain()}")
+            f"{many} {sees} every state direction in every window with sigma >= {short(self.sigma)}{late}; "
+            f"no admissible schedule can exceed {short(self.upper_bound)}, so at most {100 * self.gap:.1f} % "
+            "could be gained."
+            + (
+                ""
+                if self.deviations is None
+                else f" {self.deviations.lost_only if asked else self.deviations.explain()}"
+            )
         )
 
 
@@ -244,7 +255,10 @@ def prove(
     budget: float | None = None,
 ) -> WindowSigma:
     """Sigma of the retained part over all real window positions."""
-    return window_sigma(split.retained, schedule, float(requirement.window or 0), rtol, budget, progress)
+    return window_sigma(
+        split.retained, schedule, float(requirement.window or 0), rtol, budget, progress,
+        timing_tolerance=requirement.timing_tolerance,
+    )  # fmt: skip
 
 
 def _cost(requirement: Requirement, name: str) -> float:

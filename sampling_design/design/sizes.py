@@ -37,7 +37,7 @@ def check_size(problem: DesignProblem) -> None:
 
 
 def _check_numbers(problem: DesignProblem) -> None:
-    window, plant = problem.window, problem.plant
+    window, plant = problem.window + 2 * problem.late, problem.plant
     for name, value in (("window", window), ("period", problem.period), ("spacing", problem.spacing)):
         ratio = value / window
         if not (_SMALLEST < value < _LARGEST and 1 / _LIKELY_PERIODS**2 < ratio < _LIKELY_PERIODS**2):

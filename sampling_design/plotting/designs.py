@@ -44,14 +44,30 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str |
     draw_window_sigma(shown, bottom)
     note = f"no admissible schedule exceeds {short(result.upper_bound, 4)}"
     bottom.axhline(result.upper_bound, color=style.TRUTH, linestyle="--", linewidth=1.0, label=note)
+    least = _deviations(bottom, result)
     style.legend(bottom, 2)
-    style.from_below(bottom, shown.lower, max(result.upper_bound, float(shown.profile.sigma.max())))
+    style.from_below(bottom, min(shown.lower, least), max(result.upper_bound, float(shown.profile.sigma.max())))
     if schedule.origin is not None:
         label = bottom.get_xlabel()
         style.dates(bottom, schedule.time_unit, schedule.origin)
         bottom.set_xlabel(label.replace(f" [{schedule.time_unit}]", f" {schedule.time_unit}"))
-    figure.suptitle(f"{result.plant.name}: sigma {short(result.sigma, 4)} proven, gap {100 * result.gap:.1f} %")
+    asked = result.requirement.timing_tolerance
+    late = f" for samples up to {short(asked)} {result.plant.time_unit} early or late" if asked else ""
+    figure.suptitle(f"{result.plant.name}: sigma {short(result.sigma, 4)} proven{late}, gap {100 * result.gap:.1f} %")
     return style.Panels([top, bottom])
+
+
+def _deviations(ax: Axes, result: ScheduleDesign) -> float:
+    """Draw what late samples and a lost one leave; the least of it."""
+    found = result.deviations
+    if found is None:
+        return result.sigma
+    late = f"if {short(found.tolerance, 3)} {found.time_unit} early or late: {short(found.late, 4)}"
+    if result.requirement.timing_tolerance == 0:
+        ax.axhline(found.late, color=style.ATTAINED, linestyle="-.", linewidth=1.0, label=late)
+    lost = f"if one sample is lost: {short(found.lost, 4)}"
+    ax.axhline(found.lost, color=style.FAILED, linestyle=":", linewidth=1.0, label=lost)
+    return min(found.late, found.lost)
 
 
 def _time_line(schedule: PeriodicSchedule, result: ScheduleDesign, ax: Axes) -> Axes:

@@ -144,8 +144,9 @@ def _too_few(problem: DesignProblem) -> InfeasibleConstraint | None:
     if per_window >= least:
         return None
     needed = fewest_samples(problem)
+    window = problem.window + 2 * problem.late
     words = (
-        f"`samples` {k} per period {period:g} leave some window {problem.window:g} with {per_window} samples, and "
+        f"`samples` {k} per period {period:g} leave some window {window:g} with {per_window} samples, and "
         f"{problem.plant.n_states} states with {problem.plant.n_outputs} outputs need at least {least}."
     )
     return InfeasibleConstraint("samples", words, ({"samples": needed},))

@@ -39,6 +39,7 @@ class DesignProblem:
     costs: Array | None = None  # of one measurement, per output
     cost_limit: float = np.inf  # of one period
     chosen: Mask | None = None  # (k, p): what each sample measures, where that is decided
+    late: float = 0.0  # how early or late each sample may be: by twice that, `window` is shorter than was asked
 
     @cached_property
     def rows(self) -> ScaledRows:

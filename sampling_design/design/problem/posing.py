@@ -10,12 +10,13 @@ import numpy.typing as npt
 from sampling_design.design.problem.feasible import check_feasible
 from sampling_design.design.problem.numbers import SLACK, DesignProblem
 from sampling_design.design.problem.requirement import Requirement
-from sampling_design.errors import InfeasibleRequirementError
+from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.count.default_window import default_window
 from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import time_factor
 
@@ -23,6 +24,8 @@ Array = npt.NDArray[np.float64]
 
 MOST_DEFAULT_SAMPLES = 24
 """Samples of a period that are taken unasked, at most: more take minutes."""
+TIMES = ("window", "period", "spacing", "timing_tolerance")
+"""What a requirement says in its unit of time, beside what is within the period."""
 
 
 class ResolvedRequirement(NamedTuple):
@@ -46,9 +49,10 @@ def resolve(split: ModalSplit, requirement: Requirement) -> ResolvedRequirement:
         r = r.replace(period=r.window)
         used["period"] = r.period
     if not r.samples:
-        count = zero_count_bound(retained, _known(r.window))
+        held = _held(r)
+        count = zero_count_bound(retained, held)
         needed = count.samples
-        per_period = max(1, int(np.ceil(needed * _known(r.period) / _known(r.window) - SLACK)))
+        per_period = max(1, int(np.ceil(needed * _known(r.period) / held - SLACK)))
         kind = "exactly" if r.target_sigma is None else "at_most"
         most = min(per_period, MOST_DEFAULT_SAMPLES) if r.target_sigma is None else MOST_DEFAULT_SAMPLES
         r = r.replace(samples={kind: max(most, r.fixed.size)})
@@ -62,7 +66,23 @@ def resolve(split: ModalSplit, requirement: Requirement) -> ResolvedRequirement:
         r = r.replace(spacing=_known(r.window) / (4 * max(r.samples.values())))
         used["spacing"] = r.spacing
     r._check_within(_known(r.period))
+    if 2 * r.timing_tolerance >= _known(r.spacing):
+        raise ArgumentError(
+            f"`timing_tolerance` must be less than half of the least time between two samples, {short(r.spacing)}, got "
+            f"{short(r.timing_tolerance)}: they could change places. Ask for a wider `spacing`."
+        )
     return ResolvedRequirement(r, used, count)
+
+
+def _held(requirement: Requirement) -> float:
+    """The part of a window whose planned samples lie in it whatever their real times are."""
+    window, late = _known(requirement.window), requirement.timing_tolerance
+    if not window > 2 * late:
+        raise ArgumentError(
+            f"`window` must be longer than twice `timing_tolerance` {short(late)}, got {short(window)}: no sample is "
+            "certain to lie in it."
+        )
+    return window - 2 * late
 
 
 def repeated(requirement: Requirement, periods: int) -> Requirement:
@@ -99,7 +119,7 @@ def in_unit(requirement: Requirement, unit: str) -> Requirement:
     if requirement.time_unit in (None, unit):
         return requirement.replace(time_unit=unit)
     c = time_factor(str(requirement.time_unit), unit)
-    times = {k: v * c for k in ("window", "period", "spacing") if (v := getattr(requirement, k)) is not None}
+    times = {k: v * c for k in TIMES if (v := getattr(requirement, k)) is not None}
     outputs = {
         name: {"available": None if a.available is None else a.available * c, "cost": a.cost}
         for name, a in requirement.outputs.items()
@@ -117,6 +137,10 @@ def in_unit(requirement: Requirement, unit: str) -> Requirement:
 def pose(plant: Plant, requirement: Requirement, samples: int, check: bool = True) -> DesignProblem:
     """Return the numbers of the design with `samples` per period; `requirement` is resolved.
 
+    With samples that come up to d early or late, no schedule has a larger sigma over windows of T than exact ones have
+    over windows of T - 2d, of the state d before these begin: of the plant (A, C e^{Ad}). Those planned within d of
+    a window's ends may be out of it, and all others on time.
+
     Raises
     ------
     InfeasibleRequirementError
@@ -126,9 +150,11 @@ def pose(plant: Plant, requirement: Requirement, samples: int, check: bool = Tru
     checks.known_keys("`outputs` of the requirement", requirement.outputs, names)
     access = [requirement.outputs.get(name) for name in names]
     prices = np.array([0.0 if a is None else a.cost for a in access])
+    late = requirement.timing_tolerance
     problem = DesignProblem(
-        plant=plant,
-        window=_known(requirement.window),
+        plant=Plant(plant.A, plant.C @ plant.transition(np.array([late]))[0]) if late else plant,
+        window=_held(requirement),
+        late=late,
         period=_known(requirement.period),
         spacing=_known(requirement.spacing),
         samples=samples,

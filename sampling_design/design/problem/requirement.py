@@ -84,6 +84,10 @@ class Requirement(Record):
         each sample measures, at least one.
     time_unit : str, optional
         Unit of all times here; None means the plant's.
+    timing_tolerance : float
+        How early or late each sample may come, less than half of `spacing`: sigma is then the least over all such real
+        times too, and the bound is one of that least sigma. A window that just holds a sample may lose it; one that is
+        2 `timing_tolerance` longer than a whole number of gaps does not.
 
     Raises
     ------
@@ -116,6 +120,7 @@ class Requirement(Record):
     outputs: Converted[Mapping[str, OutputAccess | Mapping[str, object]] | None, Mapping[str, OutputAccess]] = None  # type: ignore[assignment]
     cost_limit: float | None = None
     time_unit: str | None = field(default=None, kw_only=True)
+    timing_tolerance: float = field(default=0.0, kw_only=True)
 
     def __post_init__(self) -> None:
         own: dict[str, object] = {}
@@ -123,7 +128,8 @@ class Requirement(Record):
             value = getattr(self, key)
             own[key] = None if value is None else checks.positive(key, value)
         own["samples"] = _counts(self.samples)
-        own["decay_rate"] = checks.nonnegative("decay_rate", self.decay_rate)
+        for key in ("decay_rate", "timing_tolerance"):
+            own[key] = checks.nonnegative(key, getattr(self, key))
         own["forbidden"] = _intervals("forbidden", () if self.forbidden is None else self.forbidden)
         own["fixed"] = checks.increasing("fixed", () if self.fixed is None else self.fixed)
         if not isinstance(self.outputs, (Mapping, type(None))):
@@ -168,6 +174,8 @@ class Requirement(Record):
         if self.samples:
             data["samples"] = dict(self.samples)
         data["decay_rate"] = self.decay_rate
+        if self.timing_tolerance:
+            data["timing_tolerance"] = self.timing_tolerance
         if self.forbidden.size:
             data["forbidden"] = self.forbidden.tolist()
         if self.fixed.size:
@@ -192,6 +200,8 @@ class Requirement(Record):
         rows += [
             (f"output {k}", f"{_spans(v.available, 'always')}, cost {short(v.cost)}") for k, v in self.outputs.items()
         ]
+        if self.timing_tolerance:
+            rows.append(("samples early or late", f"up to {short(self.timing_tolerance)}"))
         if self.cost_limit is not None:
             rows.append(("cost limit", f"{short(self.cost_limit)} a period"))
         return rows
@@ -209,6 +219,8 @@ class Requirement(Record):
             parts.append(f"none in {_spans(self.forbidden, '')}")
         if self.fixed.size:
             parts.append(f"always at {short(self.fixed)}")
+        if self.timing_tolerance:
+            parts.append(f"each up to {short(self.timing_tolerance)} early or late")
         if self.cost_limit is not None:
             parts.append(f"cost at most {short(self.cost_limit)} a period")
         return ", ".join(parts) + "."

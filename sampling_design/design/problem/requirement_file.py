@@ -37,6 +37,7 @@ _TREE = table(
         **dict.fromkeys(("window", "period", "spacing", "target_sigma", "cost_limit"), positive),
         "samples": _samples,
         "decay_rate": nonnegative,
+        "timing_tolerance": nonnegative,
         "forbidden": _SPANS,
         "fixed": list_of(nonnegative),
         "outputs": by_name(_ACCESS),

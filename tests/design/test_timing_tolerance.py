@@ -1,0 +1,119 @@
+"""Designs for samples that come early or late: sigma holds for all real times, and the bound for all schedules."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.design import read_requirement, write_requirement
+from sampling_design.errors import ArgumentError, InfeasibleRequirementError
+from tests.oracles.design import random_schedule
+
+A, C = [[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]
+OSCILLATOR, TURN, LATE = sd.Plant(A, C), 2 * np.pi, 0.02
+ASKED = sd.Requirement(window=TURN, period=TURN, spacing=0.2, samples=4, timing_tolerance=LATE)
+WIDER = ASKED.replace(window=TURN + 2 * LATE)
+
+
+@pytest.fixture(scope="module")
+def designs():
+    return sd.design_schedule(OSCILLATOR, ASKED, starts=2, branches=4), sd.design_schedule(OSCILLATOR, WIDER)
+
+
+def worst_of_real_times(times, window):
+    """The least sigma of the windows just after a sample, or just before the one that comes a period later, over real
+    times on plan and at both ends of their tolerance."""
+    found = np.inf
+    for j, moves in product(range(len(times)), product((-LATE, 0.0, LATE), repeat=len(times) + 1)):
+        planned = np.concatenate([times[j:], times[: j + 1] + TURN])
+        real = planned + moves
+        rows = np.array([[np.cos(t), np.sin(t)] for t in real])
+        for start in (real[0] + 1e-9, real[-1] - window - 1e-9):
+            inside = (real >= start) & (real <= start + window)
+            found = min(found, np.linalg.svd(rows[inside], compute_uv=False)[1])  # turned states are seen alike
+    return found
+
+
+def test_sigma_is_that_of_all_real_times_and_is_nearly_attained(designs):
+    for design, asked in zip(designs, (ASKED, WIDER), strict=True):
+        proof = sd.window_sigma(OSCILLATOR, design.schedule, asked.window, timing_tolerance=LATE)
+        assert design.sigma == proof.lower
+        assert design.sigma_attained == proof.upper
+        attained = worst_of_real_times(design.schedule.times, asked.window)
+        assert design.sigma <= attained * (1 + 1e-9)
+        assert attained <= 1.05 * design.sigma
+        assert design.verify()
+
+
+def test_the_bound_is_one_of_that_aim_and_near(designs):
+    exact = sd.design_schedule(OSCILLATOR, ASKED.replace(timing_tolerance=0.0))
+    plain, wider = designs
+    assert plain.upper_bound < 0.9 * exact.upper_bound  # a window of one turn may lose a sample
+    assert wider.upper_bound <= exact.upper_bound * (1 + 1e-6)
+    assert wider.gap < 0.05
+    assert wider.sigma == pytest.approx(exact.sigma, rel=0.05)
+    rng = np.random.default_rng(5)
+    for _ in range(6):
+        times = random_schedule(rng, TURN, 0.2, 4)
+        for design, asked in zip(designs, (ASKED, WIDER), strict=True):
+            assert worst_of_real_times(times, asked.window) <= design.upper_bound
+
+
+def test_texts_files_and_losses_say_for_which_times(designs, tmp_path):
+    design = designs[1]
+    assert "each up to 0.02 s early or late" in design.explain().split(";")[0]
+    assert f"If one sample is lost, sigma is at least {design.deviations.lost:.6g}." in design.explain()
+    assert f"each sample is within {LATE} of the schedule's time" in design.claim.assumptions
+    assert f"each up to {LATE} early or late" in ASKED.explain()
+    assert "up to 0.02" in str(ASKED)
+    assert design.deviations.tolerance == LATE
+    assert design.deviations.late == design.sigma
+    assert sd.sample_losses(design).lower.min() == pytest.approx(design.deviations.lost, rel=0.02)
+    front = sd.pareto_front(OSCILLATOR, WIDER, [4])
+    assert front.points[0].sigma == pytest.approx(design.sigma, rel=1e-6)
+    again = read_requirement(write_requirement(ASKED, tmp_path / "wish.toml"))
+    assert again.to_dict() == ASKED.to_dict()
+    assert design.to_dict()["requirement"]["timing_tolerance"] == LATE
+
+
+def test_another_unit_of_time_changes_nothing(designs):
+    minutes = sd.Plant(np.array(A) * 60, C, time_unit="min")
+    design = sd.design_schedule(minutes, WIDER.replace(time_unit="s"))
+    assert design.requirement.timing_tolerance == pytest.approx(LATE / 60)
+    assert design.sigma == pytest.approx(designs[1].sigma, rel=1e-6)
+    assert design.upper_bound == pytest.approx(designs[1].upper_bound, rel=1e-6)
+
+
+def test_opening_hours_and_counts_that_are_left_open():
+    asked = sd.Requirement(
+        window=TURN + 2 * LATE, period=TURN, spacing=0.2, samples={"at_most": 4}, forbidden=[[1.0, 2.5]]
+    )
+    exact = sd.design_schedule(OSCILLATOR, asked.replace(window=TURN))
+    late = sd.design_schedule(OSCILLATOR, asked.replace(timing_tolerance=LATE))
+    assert 0.9 * exact.sigma < late.sigma < exact.sigma
+    assert late.gap < exact.gap + 0.05
+    assert late.verify()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"timing_tolerance": -1.0}, "`timing_tolerance` must not be negative"),
+        ({"timing_tolerance": 0.1}, "`timing_tolerance` must be less than half of the least time between two samples"),
+        ({"timing_tolerance": 4.0, "spacing": 9.0}, "`window` must be longer than twice `timing_tolerance` 4"),
+    ],
+)
+def test_a_tolerance_that_is_too_large_is_refused(changes, words):
+    with pytest.raises(ArgumentError, match=words):
+        sd.design_schedule(OSCILLATOR, ASKED.replace(**changes))
+
+
+def test_windows_are_named_as_they_were_typed():
+    asked = sd.Requirement(window=TURN, period=TURN, spacing=1.0, samples=1, timing_tolerance=0.1)
+    with pytest.raises(InfeasibleRequirementError, match=r"leave some window 6\.28319 with 0 samples"):
+        sd.design_schedule(OSCILLATOR, asked)
+    finite = sd.Schedule([0.0, 1.0, 2.0])
+    with pytest.raises(ArgumentError, match=r"which spans 2 with up to 0.1 more at both ends, got 2.5"):
+        sd.window_sigma(OSCILLATOR, finite, 2.5, timing_tolerance=0.1)
+    assert sd.window_sigma(OSCILLATOR, finite, 2.2, timing_tolerance=0.1).lower > 0

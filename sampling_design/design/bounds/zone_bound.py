@@ -99,7 +99,7 @@ def _window_starts(problem: DesignProblem, zones: Array, hints: Array) -> Array:
     early, late = zones[:, 0] - JUST_BESIDE * P, zones[:, 1] + JUST_BESIDE * P
     between = (np.arange(_BETWEEN) + 0.5) * (P / _BETWEEN)
     starts = np.concatenate([early, late, early - problem.window, between])
-    rest = np.unique(np.mod(problem.on_closings(starts, 2 * _JUST_BESIDE * P), P))
+    rest = np.unique(np.mod(problem.on_closings(starts, 2 * JUST_BESIDE * P), P))
     return np.concatenate([hints, rest[~np.isin(rest, hints)]])
 
 

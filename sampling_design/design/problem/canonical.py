@@ -16,7 +16,7 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.numbers import ON_AN_END, DesignProblem
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
@@ -27,7 +27,6 @@ BITS = 40
 
 SAME_RATIO = 1e-11  # relative: window/period counts as a ratio of whole numbers where it is one to rounding
 _MOST_PARTS = 64  # of a window or a period: larger ratios are met by chance
-_BESIDE = 1e-11  # of the period: a time so near to an end of an interval, or to a fixed one, is meant to lie on it
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +46,7 @@ class CanonicalDesign:
         t = np.mod(found * self.time + self.shift, P)
         for a in problem.intervals[:, 0] if len(problem.inner) and problem.inner[0, 1] < P else ():
             early = np.mod(a - t, P)
-            t[(early > 0) & (early < _BESIDE * P)] = a
+            t[(early > 0) & (early < ON_AN_END * P)] = a
         for a in problem.fixed:
             t[np.argmin(np.abs(np.mod(t - a + P / 2, P) - P / 2))] = a
         t = np.mod(tied_again(problem, t), P)
@@ -72,16 +71,16 @@ def canonical(problem: DesignProblem) -> CanonicalDesign:
     def turned(times: Array) -> Array:
         """Times from the origin on, in [0, period); those beside the origin, to rounding, are there."""
         t = _cut(np.mod(times - origin, problem.period) / time)
-        return np.where(t > period * (1 - _BESIDE), 0.0, t)
+        return np.where(t > period * (1 - ON_AN_END), 0.0, t)
 
     def spans(ends: Array) -> Array:
         """Intervals as they are cut by the new end of the period, and joined at the old one."""
         starts = turned(ends[:, 0])
         stops = np.minimum(_cut(starts + (ends[:, 1] - ends[:, 0]) / time), starts + period)
-        later = stops > period * (1 + _BESIDE)
+        later = stops > period * (1 + ON_AN_END)
         first = np.stack([starts, np.minimum(stops, period)], axis=1)
         rest = np.stack([np.zeros(int(later.sum())), _cut(stops[later] - period)], axis=1)
-        return joined(np.concatenate([first, rest]), _BESIDE * period)
+        return joined(np.concatenate([first, rest]), ON_AN_END * period)
 
     spacing = _cut(problem.spacing / time)
     inside = replace(
@@ -121,7 +120,7 @@ def tied_again(problem: DesignProblem, times: Array) -> Array:
     order = np.argsort(~np.isin(t, problem.fixed), kind="stable")  # fixed ones lead
     for place, i in enumerate(order):
         apart = (t[i] - t[order[:place]]) / part
-        near = np.flatnonzero(np.abs(apart - np.rint(apart)) * part <= _BESIDE * problem.period)
+        near = np.flatnonzero(np.abs(apart - np.rint(apart)) * part <= ON_AN_END * problem.period)
         if near.size and not np.isin(t[i], problem.fixed):
             t[i] = t[order[near[0]]] + np.rint(apart[near[0]]) * part
     return t

@@ -10,7 +10,6 @@ from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED, ConeSolver
 
 Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 
 class RecordCones:

@@ -12,7 +12,6 @@ from sampling_design.accuracy.accuracy_record import Accuracy, AccuracyBracket
 from sampling_design.accuracy.bounds import Bound
 from sampling_design.accuracy.deviation import Intensity, deviations
 from sampling_design.accuracy.question import AccuracyQuestion
-from sampling_design.accuracy.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.accuracy.search import ChainSearch, RowSearch
 from sampling_design.accuracy.start import InitialError
 from sampling_design.accuracy.timing import added, moved_witness, noise_enough, refuse_tolerance
@@ -21,6 +20,7 @@ from sampling_design.accuracy.witness import KEPT, AccuracyWitness
 from sampling_design.accuracy.worst_witness import left_open, strongest_witness
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze

@@ -12,13 +12,13 @@ from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.deviation import StandardDeviation
 from sampling_design.accuracy.projection import Projection, shadow
 from sampling_design.accuracy.question import AccuracyQuestion
-from sampling_design.accuracy.rows import WantedRows
 from sampling_design.accuracy.search import ChainSearch
 from sampling_design.accuracy.timing import added, is_enough, keeps_times
 from sampling_design.accuracy.undetectable import DetectablePart
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import WantedRows
 from sampling_design.records.record import CurveRecord, PlainRecord, Variable, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 

@@ -11,13 +11,13 @@ import numpy.typing as npt
 from sampling_design.accuracy.finite import DIFFUSE
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.riccati import RootedPeriod, in_turn, strong
-from sampling_design.accuracy.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.accuracy.start import SEMIDEFINITE
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.filtering import CovarianceMap, covariance_root
 from sampling_design.numerics.linalg import discounted_flow, psd_root, symmetrise
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import PlainRecord, short

@@ -19,12 +19,12 @@ from sampling_design.accuracy.readings import (
 )
 from sampling_design.accuracy.record_program import DISPROVED, SPREADS, RecordProgram, RowEnd
 from sampling_design.accuracy.record_readings import read_record
-from sampling_design.accuracy.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.accuracy.undetectable import unseen_modes
 from sampling_design.accuracy.witness import KEPT
 from sampling_design.checkers.check import verdict
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import Plain, PlainRecord, short

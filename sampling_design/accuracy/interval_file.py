@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from sampling_design import __version__
 from sampling_design.accuracy.readings import DisturbanceSet, Readings, RowReading, StartError
-from sampling_design.accuracy.rows import WantedRows
 from sampling_design.checkers import claims
 from sampling_design.checkers.interval_file import OfInterval
 from sampling_design.checkers.parts import FORMAT, digest
@@ -18,6 +17,7 @@ from sampling_design.checkers.strict import BadFile
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import WantedRows
 from sampling_design.records import file_io
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import Plain

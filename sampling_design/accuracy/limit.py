@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from sampling_design.accuracy.bounds import Bound, SignalBounds
 from sampling_design.accuracy.question import AccuracyQuestion
-from sampling_design.accuracy.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.accuracy.search import ChainSearch
 from sampling_design.accuracy.undetectable import GOLDEN, DetectablePart, known_part
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains, physical
@@ -19,6 +18,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import PlainRecord, short

@@ -13,7 +13,6 @@ from sampling_design.accuracy.deviation import WALK
 from sampling_design.accuracy.finite import DIFFUSE
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.riccati import in_turn, strong
-from sampling_design.accuracy.rows import WantedRows, wanted_rows
 from sampling_design.accuracy.sample_chain import SampleChain
 from sampling_design.accuracy.search import ChainSearch
 from sampling_design.accuracy.start import InitialSet
@@ -21,6 +20,7 @@ from sampling_design.accuracy.witness import AccuracyWitness, attains, physical
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.filtering import CovarianceMap, information_update, propagate
 from sampling_design.numerics.linalg import discounted_flow
+from sampling_design.plants.rows import WantedRows, wanted_rows
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import PlainRecord, short

@@ -30,7 +30,9 @@ from sampling_design.certificates.existence.periodic import certificate_exists, 
 from sampling_design.checkers.work import Work
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.numerics.linalg import symmetrise
+from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.records.dispatch import OpenPlant, registered
@@ -104,13 +106,14 @@ def _bounds(plant: Plant, schedule: AnySchedule, canon: ScaledProblem) -> tuple[
 def certify(
     plant: Plant, schedule: AnySchedule | None, *, eta: float | None = ..., P2: npt.ArrayLike | None = ...,
     Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
-    noise_gain: float = ..., budget: float | None = ..., progress: Progress | None = ...,
+    noise_gain: float = ..., budget: float | None = ..., progress: Progress | None = ..., of: Wanted = ...,
 ) -> Certificate: ...  # fmt: skip
 @overload
 def certify(
     plant: Plant, schedule: SamplingFamily, *, eta: float | None = ..., P2: npt.ArrayLike | None = ...,
     Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
     noise_gain: float = ..., budget: float | None = ..., memory: int | None = ..., progress: Progress | None = ...,
+    of: Wanted = ...,
 ) -> FamilyCertificate: ...  # fmt: skip
 @overload
 def certify(
@@ -132,6 +135,7 @@ def certify(
     budget: float | None = None,
     memory: int | None = None,
     progress: Progress | None = None,
+    of: Wanted = None,
 ) -> SampledCertificate:
     """Certify that a schedule makes a plant sample-based exponentially i-iIOSS (Assumption 7), with the best lambda.
 
@@ -163,6 +167,10 @@ def certify(
         For a family alone: how much of the past its graph remembers; see `certify_family`.
     progress : callable, optional
         Called with (fraction, message).
+    of : str, sequence of str, or (k, n) array, optional
+        Only these rows of the state: names of states or outputs, or the rows themselves (`functional_plant`). The
+        certificate is about the part of the plant that they need, and its file holds the whole plant beside it.
+        Default: all states.
 
     Returns
     -------
@@ -207,10 +215,13 @@ def certify(
     True
     """
     if not isinstance(plant, Plant):
+        if of is not None:
+            raise ArgumentError("`of` is for exactly known plants: certify all states of this one.")
         return registered("certify", plant, SampledCertificate)(  # type: ignore[type-abstract]
             plant, schedule, eta=eta, P2=P2, Qw=Qw, R=R, Qv=Qv, noise_gain=noise_gain, budget=budget, memory=memory,
             progress=progress,
         )  # fmt: skip
+    plant = part_for(plant, of)
     if isinstance(schedule, SamplingFamily):
         from sampling_design.certificates.families.certify_family import certify_family
 

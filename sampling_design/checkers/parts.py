@@ -44,9 +44,13 @@ PLANT_TREE: dict[str, Reader] = {
     "source": table({}, {"citation": text}),
 }
 _needed = ("format", "matrices")
-PLANT = table(
-    {key: PLANT_TREE[key] for key in _needed}, {key: item for key, item in PLANT_TREE.items() if key not in _needed}
-)
+_plain = {key: item for key, item in PLANT_TREE.items() if key not in _needed}
+WHOLE = table({key: PLANT_TREE[key] for key in _needed}, _plain)
+PART = table({"plant": WHOLE, "map": matrix(), "rows": count})
+"""What a plant is the quotient of, for rows of its state: the first so many of the quotient's."""
+PLANT = table({key: PLANT_TREE[key] for key in _needed}, {**_plain, "part_of": PART})
+CARRIED = 1e-10
+"""What map A = A_q map, C = C_q map and map G = G_q may miss, each entry relative to the terms that make it up."""
 
 AROUND: dict[str, Reader] = {
     "format": word(FORMAT),
@@ -123,7 +127,36 @@ def plant_of(read: Tree) -> Plant:
     if (n and C.shape != (p, n)) or (n and len(G) != n) or not p:
         raise refuse("plant.matrices", f"must have n columns in C and n rows in G, n = {n} rows of A, and a row in C")
     signals_of(read, n, p, G.shape[1])
-    return Plant(A, C.reshape(p, n), G.reshape(n, G.shape[1] if n else 0), read["time_unit"])
+    found = Plant(A, C.reshape(p, n), G.reshape(n, G.shape[1] if n else 0), read["time_unit"])
+    if "part_of" in read:
+        check_part(found, read["part_of"])
+    return found
+
+
+def check_part(part: Plant, read: Tree) -> None:
+    """Refuse a plant that is not the quotient which its file says it is."""
+    whole, onto = plant_of({"time_unit": part.time_unit, **read["plant"]}), read["map"]
+    if whole.time_unit != part.time_unit:
+        raise refuse("plant.part_of.plant.time_unit", f"must be {part.time_unit!r}")
+    if onto.shape != (part.n, whole.n) or not 1 <= read["rows"] <= part.n:
+        raise refuse("plant.part_of", f"must have a map of shape {(part.n, whole.n)}, and 1 to {part.n} rows")
+    apart = not_carried(onto, (part.A, part.C, part.G), (whole.A, whole.C, whole.G))
+    if apart is not None:
+        raise refuse("plant.part_of.map", f"does not carry {apart} of the whole plant, each entry to {CARRIED:g}")
+
+
+def not_carried(onto: Array, part: tuple[Array, Array, Array], whole: tuple[Array, Array, Array]) -> str | None:
+    """Which of A, C and G the map of a quotient does not carry: None where all are, to rounding."""
+    (A, C, G), (A_whole, C_whole, G_whole) = part, whole
+    if G.shape[1] != G_whole.shape[1] or C.shape[0] != C_whole.shape[0]:
+        return "the sizes"
+    size = np.abs(onto)
+    terms = {
+        "A": (onto @ A_whole - A @ onto, size @ np.abs(A_whole) + np.abs(A) @ size),
+        "C": (C @ onto - C_whole, np.abs(C) @ size + np.abs(C_whole)),
+        "G": (onto @ G_whole - G, size @ np.abs(G_whole) + np.abs(G)),
+    }
+    return next((name for name, (off, of) in terms.items() if not np.all(np.abs(off) <= CARRIED * of)), None)
 
 
 def sized(M: Array, place: str, size: int) -> Array:

@@ -16,6 +16,7 @@ from sampling_design.design.schedule_design import ScheduleDesign
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.default_window import default_window
 from sampling_design.plants.clusters import format_eigenvalue
+from sampling_design.plants.functional import weighed_over
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.records.checks import positive
 from sampling_design.records.record import short
@@ -37,7 +38,7 @@ def info(
 
     Example: sampling-design info examples/plants/oscillator.toml
     """
-    plant = reading.plant(plant_file)
+    plant = settings.part(reading.plant(plant_file))
     split = sd.plants.split_modes(plant, settings.decay_rate or 0.0)
     tables: list[RichTable | str] = [record_table(plant), _modes(split, plant.time_unit), split.explain()]
     data: dict[str, object] = {"plant": plant.to_dict(), "split": split.to_dict(), "counts": None}
@@ -128,8 +129,9 @@ def design(
     Example: sampling-design design examples/plants/oscillator.toml examples/requirements/oscillator.toml -o out
     """
     plant = reading.plant(plant_file)
-    flags = {"window": window, "period": period, "spacing": spacing, "samples": samples, "target_sigma": target_sigma}
-    flags.update(cost_limit=cost_limit, decay_rate=settings.decay_rate, timing_tolerance=timing_tolerance)
+    flags: dict[str, object] = {"window": window, "period": period, "spacing": spacing, "samples": samples}
+    flags.update(target_sigma=target_sigma, cost_limit=cost_limit, decay_rate=settings.decay_rate)
+    flags.update(timing_tolerance=timing_tolerance, of=settings.asked_rows)
     if settings.folder() is None and start is not None:  # said before the design is computed, not after
         raise ArgumentError("`--start` writes a calendar, so it needs a folder. Give --output DIR.")
     if zone is not None and start is None:
@@ -185,13 +187,14 @@ def sigma(
 
     Example: sampling-design sigma examples/plants/oscillator.toml out/schedule.csv --window 6.28
     """
-    plant = reading.plant(plant_file)
+    plant = settings.part(reading.plant(plant_file))
     schedule = schedule_for(settings, plant, schedule_file)
     split = sd.plants.split_modes(plant, settings.decay_rate or 0.0)
     if not split.retained.n_states:
         settings.show({"sigma": None, "split": split.to_dict()}, split.explain())
         return
     length = window_length(settings, split, window)
+    split = weighed_over(split, length)
     with settings.progress("sigma") as progress:
         result = sd.window_sigma(
             split.retained, schedule, length, budget=settings.budget, progress=progress, rigorous=rigorous,

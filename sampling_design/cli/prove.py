@@ -85,7 +85,7 @@ def certify(
 
     Example: sampling-design certify examples/plants/oscillator.toml out/schedule.csv --eta 0.3 -o out
     """
-    plant = reading.plant(plant_file)
+    plant = settings.part(reading.plant(plant_file))
     given = {"gap-range": gap_range, "spaced": spaced, "jitter": jitter, "lost": lost}
     families: dict[str, object] = {k: v for k, v in given.items() if v is not None}
     if horizons and (families or schedule_file is None):

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from sampling_design.design.schedule_design import ScheduleDesign
     from sampling_design.observability.windows.window_sigma import WindowSigma
     from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseSigma
+    from sampling_design.plants.plant import Plant
     from sampling_design.records.record import Record
     from sampling_design.records.workers import Workers
 
@@ -45,6 +46,13 @@ COMMON_FLAGS: dict[str, tuple[object, object]] = {
         ],
         None,
     ),
+    "of": (
+        Annotated[
+            str | None,
+            typer.Option(help="Only these rows of the state: names of states or outputs, with commas between."),
+        ],
+        None,
+    ),
     "version": (
         Annotated[bool, typer.Option("--version", help="Print the version.", callback=show_version, is_eager=True)],
         False,
@@ -56,10 +64,11 @@ ONLY: dict[str, tuple[str, ...]] = {
     "seed": ("design", "pareto", "losses", "validate", "thyroid"),
     "budget": ("design", "losses", "sigma", "worst-case", "certify", "verify", "survive", "log"),
     "decay_rate": ("info", "design", "pareto", "losses", "sigma", "worst-case", "log", "explore"),
+    "of": ("info", "design", "pareto", "losses", "sigma", "worst-case", "certify", "estimate", "validate"),
 }
 """Flags of those commands alone that draw at random; that end early with what they have (the others' work is given by
 their arguments, or they have a limit of their own: what ends by the clock depends on how many share the work); and
-that ask for observability of some modes."""
+that ask for observability of some modes, or of some rows alone (`accuracy` has its own --of)."""
 
 WITHOUT: dict[str, tuple[str, ...]] = {
     "no_picture": ("info", "verify", "next", "explore", "new"),
@@ -87,6 +96,7 @@ class Settings:
     no_picture: bool = False
     budget: float = 60.0
     decay_rate: float | None = None
+    of: str | None = None
     files: list[Path] = field(default_factory=list)
 
     def notice(self, text: str) -> None:
@@ -106,6 +116,20 @@ class Settings:
         except OSError as error:
             raise ArgumentError(f"`--output` {self.output} cannot be made a folder ({error.strerror}).") from None
         return self.output
+
+    @property
+    def asked_rows(self) -> list[str] | None:
+        """The names after --of; None where all states are meant."""
+        return None if self.of is None else [name.strip() for name in self.of.split(",")]
+
+    def part(self, plant: Plant) -> Plant:
+        """Return the plant, or with --of what those rows of its state need."""
+        from sampling_design.observability.count.functional import part_for
+
+        part = part_for(plant, self.asked_rows)
+        if part is not plant:
+            self.notice(part.explain())
+        return part
 
     def wrote(self, path: Path) -> None:
         """Remember a written file, so that it is named at the end."""

@@ -77,7 +77,7 @@ def estimate(
     """
     if tube and (settings.output is None or settings.no_picture):
         raise ArgumentError("`--tube` is for the picture: give a folder for it (-o DIR), and leave out --no-picture.")
-    plant = reading.plant(plant_file)
+    plant = settings.part(reading.plant(plant_file))
     bounds = _bounds(plant, w_bound, v_bound, initial_error)
     schedule = None if schedule_file is None else schedule_for(settings, plant, schedule_file)
     record = reading.measurements(settings, measurement_file, plant, None if schedule is None else schedule.origin)
@@ -134,7 +134,7 @@ def validate(
 
     Example: sampling-design validate examples/plants/oscillator.toml out/schedule.csv -o out
     """
-    plant = reading.plant(plant_file)
+    plant = settings.part(reading.plant(plant_file))
     schedule = schedule_for(settings, plant, schedule_file)
     bounds = _bounds(plant, w_bound, v_bound, initial_error)
     if certificate_file is not None:

@@ -23,6 +23,7 @@ from sampling_design.cli.settings import (
 )
 from sampling_design.design.pareto import NO_NEED, NO_TIME
 from sampling_design.errors import ArgumentError
+from sampling_design.plants.functional import weighed_over
 from sampling_design.records.checks import positive
 
 
@@ -39,7 +40,8 @@ def worst_case(
 
     Example: sampling-design worst-case examples/plants/oscillator.toml --window 4 --count 3 --spacing 0.5
     """
-    retained = sd.plants.split_modes(reading.plant(plant_file), settings.decay_rate or 0.0).retained
+    split = sd.plants.split_modes(settings.part(reading.plant(plant_file)), settings.decay_rate or 0.0)
+    retained = weighed_over(split, positive("window", window)).retained
     if not retained.n_states:
         settings.show({"lower": None}, "No samples needed: every mode decays. Ask for more with --decay-rate.")
         return
@@ -77,8 +79,7 @@ def pareto(
     """
     plant = reading.plant(plant_file)
     requirement = reading.requirement(requirement_file)
-    if settings.decay_rate is not None:
-        requirement = requirement.replace(decay_rate=settings.decay_rate)
+    requirement = _asked(settings, requirement)
     folder = settings.folder()
     resume = None if folder is None else folder / "pareto.json"
     with settings.progress("pareto") as progress, workforce(workers, scheduler) as hands:
@@ -117,8 +118,7 @@ def losses(
     """
     plant = reading.plant(plant_file)
     requirement = reading.requirement(requirement_file)
-    if settings.decay_rate is not None:
-        requirement = requirement.replace(decay_rate=settings.decay_rate)
+    requirement = _asked(settings, requirement)
     with settings.progress("losses") as progress:
         design, result = sd.design.design_and_losses(
             plant, requirement, every_period=every_period, rng=settings.seed, budget=settings.budget, progress=progress
@@ -132,6 +132,12 @@ def losses(
         settings.write_json(folder / "losses.json", result.to_dict())
         settings.draw(result, folder / "losses.png")
     settings.show(result.to_dict(), record_table(result), result.explain())
+
+
+def _asked(settings: Settings, requirement: sd.Requirement) -> sd.Requirement:
+    """The requirement with what the flags say instead."""
+    given = {"decay_rate": settings.decay_rate, "of": settings.asked_rows}
+    return requirement.replace(**{key: value for key, value in given.items() if value is not None})
 
 
 def _counts(text: str) -> list[int]:

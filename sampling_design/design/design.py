@@ -27,8 +27,10 @@ from sampling_design.design.search.fedorov_exchange import even, is_admissible
 from sampling_design.design.search.local_search import search
 from sampling_design.design.sizes import check_size
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError, SolverError
+from sampling_design.observability.count.functional import part_for
 from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
 from sampling_design.observability.windows.window_sigma import WindowSigma
+from sampling_design.plants.functional import weighed_over
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -146,7 +148,7 @@ def design_schedule(
     given = Budget(None if budget is None else checks.nonnegative("budget", budget))
     if checks.positive("rtol", rtol) >= 1:
         raise ArgumentError(f"`rtol` must be less than 1, got {rtol!r}.")
-    split = split_modes(plant, _rate(wanted, plant))
+    plant, split = _part(plant, wanted)
     if split.retained.n_states == 0:
         return _nothing(plant, split, wanted)
     resolved, used, count = resolve(split, wanted)
@@ -168,6 +170,14 @@ def design_schedule(
         progress=progress,
     )
     return _aimed(run) if resolved.target_sigma is not None else run.best()
+
+
+def _part(plant: Plant, wanted: Requirement) -> tuple[Plant, ModalSplit]:
+    """The plant that is designed for, split: where rows are asked for, what they need, weighed over the window."""
+    split = split_modes(part_for(plant, wanted.of), _rate(wanted, plant))
+    if wanted.of is not None and split.retained.n_states:
+        split = weighed_over(split, float(resolve(split, wanted)[0].window or 0))
+    return split.plant, split
 
 
 def _aimed(run: _Run) -> ScheduleDesign:

@@ -17,6 +17,7 @@ from sampling_design.design.search.fedorov_exchange import is_admissible
 from sampling_design.observability.count.zero_count import ZeroCountBound
 from sampling_design.observability.sigma_bracket import coordinates_of
 from sampling_design.observability.windows.window_sigma import WindowSigma, window_sigma
+from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 from sampling_design.records.evidence import Claim, SolverRecord
@@ -228,9 +229,10 @@ class ScheduleDesign(PlainRecord):
                 f"{short(self.upper_bound)}, which does not show that there is none."
             )
         sees = "sees" if len(self.schedule) == 1 else "see"
+        rows = self.plant.wanted.names if isinstance(self.plant, FunctionalPlant) else ("every state direction",)
         late = f", each up to {short(asked)} {unit} early or late" if asked else ""
         return (
-            f"{many} {sees} every state direction in every window with sigma >= {short(self.sigma)}{late}; "
+            f"{many} {sees} {', '.join(rows)} in every window with sigma >= {short(self.sigma)}{late}; "
             f"no admissible schedule can exceed {short(self.upper_bound)}, so at most {100 * self.gap:.1f} % "
             "could be gained."
             + (

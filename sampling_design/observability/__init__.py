@@ -8,6 +8,7 @@ _NAMES = {
     "count.loss_tolerance": ("loss_tolerance",),
     "count.pbh": ("UnobservableModes", "require_observable", "unobservable_modes"),
     "count.zero_count": ("ZeroCountBound", "zero_count_bound"),
+    "count.functional": ("functional_plant",),
     "windows.sampled": ("observability_gramian", "observability_matrix", "sigma_min"),
     "windows.window_sigma": ("WindowProfile", "WindowSigma", "WindowWitness", "window_sigma"),
     "worst_case.worst_case_sigma": ("WorstCaseProfile", "WorstCaseSigma", "worst_case_sigma"),

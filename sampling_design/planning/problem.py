@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.rows import wanted_rows
 from sampling_design.accuracy.start import InitialSet
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.planning.opening import DAYS, week_hours
 from sampling_design.planning.requirement import KINDS, PlanRequirement, SensorTerms, duration
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import wanted_rows
 from sampling_design.records import checks
 from sampling_design.records.units import SECONDS, spoken, time_factor
 from sampling_design.schedules.schedule import PeriodicSchedule

@@ -5,6 +5,7 @@ from sampling_design.records.lazy import lazy
 _NAMES = {
     "clusters": ("EigenvalueCluster", "eigenvalue_clusters"),
     "files": ("read_plant", "write_plant"),
+    "functional": ("FunctionalPlant",),
     "library": ("named_plant", "plant_of_motions"),
     "modes": ("ModalSplit", "split_modes"),
     "plant": ("Plant", "Signals"),

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from sampling_design.checkers.parts import PLANT
 from sampling_design.checkers.strict import MOST_BYTES, Tree
 from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.plant import FORMAT, GROUPS, MATRICES, Plant, Signals
 from sampling_design.records import checks, file_io
 from sampling_design.records.dispatch import offered
@@ -24,7 +25,7 @@ from sampling_design.records.units import check_time_unit
 
 _COLUMNS = {"A": "states", "B": "inputs", "C": "states", "D": "inputs", "G": "disturbances"}
 _KEYS = ("names", "units", "scales")
-_TREE = ("format", "name", "time_unit", "matrices", *GROUPS, "source")
+_TREE = ("format", "name", "time_unit", "matrices", *GROUPS, "source", "part_of")
 _FLAT = ("format", "name", "time_unit", *MATRICES, *(f"{g}_{k}" for g in GROUPS for k in _KEYS), "citation")
 
 
@@ -136,14 +137,14 @@ def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
     checks.known_keys("[source]", source, ("citation",))
     groups = {group: _signals_from_dict(group, _table(data, group)) for group in GROUPS}
     _exactly(data)
-    arrays: Tree = {key: _rows(value, groups[_COLUMNS[key]]) for key, value in matrices.items()}
-    return Plant(
-        **arrays,
-        **groups,  # type: ignore[arg-type]
-        time_unit=_agreed_unit(data.get("time_unit"), time_unit),
-        name=data.get("name", ""),
-        source=source.get("citation", ""),
-    )
+    found: Tree = {key: _rows(value, groups[_COLUMNS[key]]) for key, value in matrices.items()}
+    unit = _agreed_unit(data.get("time_unit"), time_unit)
+    found |= {**groups, "time_unit": unit, "name": data.get("name", ""), "source": source.get("citation", "")}
+    if "part_of" not in data:
+        return Plant(**found)
+    part = data["part_of"]
+    whole = _plant_from_tree(part["plant"], unit)
+    return FunctionalPlant(**found, whole=whole, map=part["map"], rows=part["rows"])
 
 
 def _exactly(data: Mapping[str, Any]) -> None:
@@ -316,6 +317,8 @@ def _words(key: str, value: object) -> list[str]:
 
 
 def _flat(tree: Tree) -> Tree:
+    if "part_of" in tree:
+        raise ArgumentError("`path` must end in .toml or .json: a plant of chosen rows holds the whole one beside it.")
     flat: Tree = {key: np.array(tree[key]) for key in ("format", "name", "time_unit")}
     for key, rows in tree["matrices"].items():
         flat[key] = np.array(_rows(rows, tree.get(_COLUMNS[key], {}).get("names")), dtype=np.float64)

@@ -372,6 +372,10 @@ def first_difference(mine: Plant, theirs: Plant) -> str:
 
     See `Plant.same_dynamics`.
     """
+    if (whole := getattr(theirs, "whole", None)) is not None and not isinstance(mine, type(theirs)):
+        if not (other := first_difference(mine, whole)):
+            return "it is about chosen rows of this one, whose plant is its own `plant` (--of on the command line)"
+        return other
     if mine.time_unit != theirs.time_unit:
         return f"its time unit is {theirs.time_unit!r}, not {mine.time_unit!r}"
     for key in ("A", "C", "G"):

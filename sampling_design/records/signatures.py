@@ -152,9 +152,14 @@ def _behind_a_door(
     """The door; `chosen` says who does it for the plant that came as the first argument."""
     enter = _arguments(function, chosen is not None)
 
-    def does(given: Sequence[object], named: Mapping[str, object]) -> Callable[..., object]:
+    def does(given: Sequence[object], named: dict[str, object]) -> Callable[..., object]:
         plant = given[0] if given else named.get("plant", _NO)
-        return function if chosen is None or plant is _NO else chosen(plant)
+        if chosen is None or plant is _NO:
+            return function
+        found = chosen(plant)
+        if found is not function:
+            _for_this_kind(function, found, plant, named)
+        return found
 
     inside, failures, worded = _inside, (ArithmeticError, np.linalg.LinAlgError, MemoryError), _worded
     too_big, unfit = _too_big, misfit
@@ -185,6 +190,20 @@ def _behind_a_door(
     functools.update_wrapper(own, function)
     vars(own)["checked"] = True
     return own
+
+
+def _for_this_kind(
+    verb: Callable[..., object], does: Callable[..., object], plant: object, named: dict[str, object]
+) -> None:
+    """Refuse what a verb takes of its own plants and not of a ring's; as it stands by default, it is left out."""
+    taken, known = inspect.signature(does).parameters, inspect.signature(verb).parameters
+    for key in [key for key in named if key in known and key not in taken]:
+        value, default = named.pop(key), known[key].default
+        if value is not default and not (isinstance(value, numbers.Real) and value == default):
+            raise ArgumentError(
+                f"`{key}` is for exactly known plants, got {described(value)} with a plant of another kind: "
+                f"{type(plant).__name__}."
+            )
 
 
 def within() -> bool:

@@ -9,8 +9,8 @@ import sampling_design as sd
 from sampling_design.accuracy.interval import prove
 from sampling_design.accuracy.record_bounds import bounds_from_record
 from sampling_design.accuracy.record_program import RecordProgram
-from sampling_design.accuracy.rows import wanted_rows
 from sampling_design.errors import ArgumentError
+from sampling_design.plants.rows import wanted_rows
 
 WALK = sd.Plant([[0.0]], [[1.0]])
 STEPS = [(0.0, [0.0], None), (1.0, [1.0], None), (2.0, [0.0], None)]

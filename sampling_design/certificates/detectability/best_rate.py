@@ -14,8 +14,10 @@ from sampling_design.certificates.form.constants import Constant, ConstantList
 from sampling_design.errors import ArgumentError, CertificateError, NotDetectableError, SolverError
 from sampling_design.numerics import conic_programs
 from sampling_design.numerics.linalg import symmetrise
+from sampling_design.observability.count.functional import part_for
 from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
@@ -56,6 +58,7 @@ def certify_detectability(
     margin: float = MARGIN,
     floor: float = FLOOR,
     method: str = "riccati",
+    of: Wanted = None,
 ) -> DetectabilityCertificate:
     """Certify exponential i-iIOSS with explicit constants.
 
@@ -78,6 +81,9 @@ def certify_detectability(
     method : {"riccati", "lmi"}
         "riccati" returns the largest P; "lmi" the P of least condition number (least overshoot) for the same
         eta, c_w, c_y.
+    of : str, sequence of str, or (k, n) array, optional
+        Only these rows of the state: names of states or outputs, or the rows themselves (`functional_plant`).
+        Default: all states.
 
     Returns
     -------
@@ -119,6 +125,7 @@ def certify_detectability(
         ...
     sampling_design.errors.NotDetectableError: ... -0.3 ...
     """
+    plant = part_for(plant, of)
     _arguments(plant, method, c_w, c_y)
     noise_gain, margin = checks.positive("noise_gain", noise_gain), checks.positive("margin", margin)
     floor = checks.nonnegative("floor", floor)

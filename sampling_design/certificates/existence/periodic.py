@@ -13,9 +13,11 @@ from sampling_design.numerics.balancing import balance, balanced, balanced_rows
 from sampling_design.numerics.filtering import measurement_update, propagate
 from sampling_design.numerics.linalg import expm_batch, positive_or_one
 from sampling_design.observability.alignment import meet
+from sampling_design.observability.count.functional import part_for
 from sampling_design.observability.count.period_modes import LeastObservedMode, PeriodModes, period_modes
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import Wanted
 from sampling_design.records.record import YesOrNo, short
 from sampling_design.records.signatures import checked, open_verb
 from sampling_design.schedules.family import period_of
@@ -90,7 +92,7 @@ class Existence(ExistenceAnswer):
 
 
 @open_verb(ExistenceAnswer)
-def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta: float) -> Existence:
+def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta: float, of: Wanted = None) -> Existence:
     """Decide whether some certificate with rate `eta` exists on a schedule, whatever the weights.
 
     Parameters
@@ -100,6 +102,9 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
     schedule : PeriodicSchedule or Schedule
         On a finite one a certificate always exists, to its last time.
     eta : float [1/time]
+    of : str, sequence of str, or (k, n) array, optional
+        Only these rows of the state: names of states or outputs, or the rows (`functional_plant`).
+        Default: all states.
 
     Returns
     -------
@@ -132,6 +137,7 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
     >>> certificate_exists(oscillator, PeriodicSchedule([np.pi]), 0.4).exists
     False
     """
+    plant = part_for(plant, of)
     schedule = meet(plant, schedule)
     if not schedule.endless:
         return Existence(True, float("inf"), period=0.0, reason="a finite schedule is certified to its last time")

@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
+from sampling_design.plants.rows import Wanted, rows_asked
 from sampling_design.records import checks
 from sampling_design.records.declarations import Converted, frozen
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import Plain, Record, counted, short
 from sampling_design.records.units import check_time_unit
 
 Array = npt.NDArray[np.float64]
@@ -79,6 +80,9 @@ class Requirement(Record):
         Times within the period that must be sampled.
     outputs : dict of str to OutputAccess or dict, optional
         Availability and cost per output name.
+    of : str, sequence of str, or (k, n) array, optional
+        Only these rows of the state must be known: names of states or outputs, or the rows themselves
+        (`functional_plant`). The window must show them; what else it shows counts nothing. Default: all states.
     cost_limit : float, optional
         Most that the measurements of one period may cost together; the design then chooses which outputs
         each sample measures, at least one.
@@ -119,6 +123,7 @@ class Requirement(Record):
     fixed: Converted[npt.ArrayLike | None, Array] = None  # type: ignore[assignment]
     outputs: Converted[Mapping[str, OutputAccess | Mapping[str, object]] | None, Mapping[str, OutputAccess]] = None  # type: ignore[assignment]
     cost_limit: float | None = None
+    of: Converted[Wanted, tuple[str, ...] | Array | None] = field(default=None, kw_only=True)  # type: ignore[assignment]
     time_unit: str | None = field(default=None, kw_only=True)
     timing_tolerance: float = field(default=0.0, kw_only=True)
 
@@ -136,6 +141,7 @@ class Requirement(Record):
             came = checks.described(self.outputs)
             raise ArgumentError(f"`outputs` must be a table of outputs by name, got {came}.")
         own["outputs"] = {str(k): _access(str(k), v) for k, v in dict(self.outputs or {}).items()}
+        own["of"] = rows_asked(self.of)
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
         for key, value in own.items():
@@ -171,6 +177,8 @@ class Requirement(Record):
         for key in ("window", "period", "spacing", "target_sigma", "cost_limit", "time_unit"):
             if getattr(self, key) is not None:
                 data[key] = getattr(self, key)
+        if self.of is not None:
+            data["of"] = list(self.of) if isinstance(self.of, tuple) else self.of.tolist()
         if self.samples:
             data["samples"] = dict(self.samples)
         data["decay_rate"] = self.decay_rate
@@ -192,6 +200,8 @@ class Requirement(Record):
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [(key, _given(getattr(self, key))) for key in ("window", "period", "spacing")]
+        if self.of is not None:
+            rows.append(("of", ", ".join(self.of) if isinstance(self.of, tuple) else counted(len(self.of), "row")))
         rows.append(("samples", ", ".join(f"{k} {v}" for k, v in self.samples.items()) or "default"))
         if self.target_sigma is not None:
             rows.append(("target sigma", short(self.target_sigma)))
@@ -212,6 +222,8 @@ class Requirement(Record):
         parts = [f"{counts} samples per period".capitalize() if counts else "As many samples as the zero count asks"]
         if self.target_sigma is not None:
             parts[0] = f"Fewest samples with sigma >= {short(self.target_sigma)}" + (f", {counts}" if counts else "")
+        if self.of is not None:
+            parts.append("for " + (", ".join(self.of) if isinstance(self.of, tuple) else counted(len(self.of), "row")))
         if self.spacing is not None:
             parts.append(f"at least {short(self.spacing)} apart")
         parts += [f"{key} {short(v)}" for key in ("window", "period") if (v := getattr(self, key)) is not None]

@@ -11,9 +11,11 @@ from sampling_design.checkers.strict import (
     by_name,
     count,
     list_of,
+    matrix,
     nonnegative,
     positive,
     table,
+    text,
     word,
 )
 from sampling_design.design.problem.requirement import COUNTS, FORMAT, Requirement
@@ -31,6 +33,13 @@ def _samples(value: object, place: str) -> object:
     return _COUNTS(value, place) if isinstance(value, Mapping) else count(value, place)
 
 
+def _of(value: object, place: str) -> object:
+    """Names, or rows of numbers."""
+    if isinstance(value, str) or (isinstance(value, list) and value and isinstance(value[0], str)):
+        return text(value, place) if isinstance(value, str) else list_of(text)(value, place)
+    return matrix()(value, place)
+
+
 _TREE = table(
     {"format": word(FORMAT)},
     {
@@ -41,6 +50,7 @@ _TREE = table(
         "forbidden": _SPANS,
         "fixed": list_of(nonnegative),
         "outputs": by_name(_ACCESS),
+        "of": _of,
         "time_unit": time_unit,
     },
     whole="the requirement",

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.interval import Interval
-from sampling_design.accuracy.rows import Wanted
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.state_tube import StateTube
+from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import Plain, PlainRecord, finite_or_none, short

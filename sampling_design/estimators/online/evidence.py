@@ -11,11 +11,11 @@ from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.interval import Disproof, Interval, prove
 from sampling_design.accuracy.readings import DisturbanceSet, Readings, RowReading, StartError, gathered, rows_told
 from sampling_design.accuracy.record_program import RecordProgram
-from sampling_design.accuracy.rows import Wanted, wanted_rows
 from sampling_design.estimators.online.estimate import Contradiction
 from sampling_design.estimators.online.history import HistoryNode, InputHistory
 from sampling_design.estimators.online.state_tube import StateTube, open_tube
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import Wanted, wanted_rows
 
 Array = npt.NDArray[np.float64]
 

@@ -9,9 +9,11 @@ import numpy as np
 
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.critical_length import search
+from sampling_design.observability.count.functional import part_for
 from sampling_design.observability.count.pbh import observable_rank, require_observable, spectrum
 from sampling_design.plants.clusters import EigenvalueCluster, eigenvalue_clusters
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import PlainRecord, short
@@ -121,7 +123,7 @@ class ZeroCountBound(SampleCount):
 
 
 @open_verb(SampleCount)
-def zero_count_bound(plant: Plant, duration: float) -> ZeroCountBound:
+def zero_count_bound(plant: Plant, duration: float, of: Wanted = None) -> ZeroCountBound:
     """Return how many samples in a closed window of length `duration` determine the state, whatever the times.
 
         k* = r - 1 + T delta/(2 pi),    delta = 2 max |Im lambda|
@@ -133,6 +135,9 @@ def zero_count_bound(plant: Plant, duration: float) -> ZeroCountBound:
         Observable; give the retained part of a plant that is only detectable.
     duration : float
         T >= 0 [the plant's time unit].
+    of : str, sequence of str, or (k, n) array, optional
+        Only these rows of the state: names of states or outputs, or the rows (`functional_plant`): how many samples
+        determine all that they need. Default: all states.
 
     Returns
     -------
@@ -167,7 +172,7 @@ def zero_count_bound(plant: Plant, duration: float) -> ZeroCountBound:
     >>> bound.value, bound.samples_needed, bound.binding
     (2.0, 3, 'zero count')
     """
-    T = checks.nonnegative("duration", duration)
+    T, plant = checks.nonnegative("duration", duration), part_for(plant, of)
     n, p = plant.n_states, plant.n_outputs
     if not n:
         return _record(plant, T, -1.0, 0, 0, 0.0, None, 0)

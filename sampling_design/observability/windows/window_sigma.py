@@ -11,11 +11,13 @@ import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import meet
+from sampling_design.observability.count.functional import part_for
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
 from sampling_design.observability.windows.bracket import WindowBracket, bracket_sigma
 from sampling_design.observability.windows.pieces import Pieces, window_pieces
 from sampling_design.observability.windows.timing import MOST_TRIED, moved_window
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
@@ -237,6 +239,7 @@ def window_sigma(
     rigorous: bool = False,
     start: float | None = None,
     timing_tolerance: float = 0.0,
+    of: Wanted = None,
 ) -> WindowSigma:
     """Bound sigma over all real positions of a sliding window.
 
@@ -269,6 +272,10 @@ def window_sigma(
         How early or late each sample may be, less than half of the least gap: the least sigma over all such real times
         too. A window that just holds a sample may lose it then; in windows of T + 2 `timing_tolerance`, which hold all
         samples planned in T, sigma falls to that of T continuously. Of exactly known plants.
+    of : str, sequence of str, or (k, n) array, optional
+        Only these rows of the state: names of states or outputs, or the rows (`functional_plant`). Sigma is then the
+        least |O x| over |H x|, in coordinates that the rows share with states that count next to nothing.
+        Default: all states.
 
     Returns
     -------
@@ -313,6 +320,7 @@ def window_sigma(
     >>> window_sigma(plant, PeriodicSchedule([1.0]), 1.0).upper
     0.0
     """
+    plant = part_for(plant, of, window)
     aligned = meet(plant, schedule)
     late = checks.nonnegative("timing_tolerance", timing_tolerance)
     if late:
@@ -354,20 +362,6 @@ def asked(
     seconds = np.inf if budget is None else checks.nonnegative("budget", budget)
     first = None if start is None else checks.nonnegative("start", start)
     return window_pieces(schedule, length, first, late), tolerance, seconds
-
-
-def refuse_tolerance(timing_tolerance: float) -> None:
-    """Refuse late and early samples of plants that are not exactly known.
-
-    Raises
-    ------
-    ArgumentError
-        If a tolerance is asked for.
-    """
-    if checks.nonnegative("timing_tolerance", timing_tolerance):
-        raise ArgumentError(
-            "`timing_tolerance` is for exactly known plants. Ask of `plant.nominal`, or certify a Jitter family."
-        )
 
 
 def sigma_of_pieces(

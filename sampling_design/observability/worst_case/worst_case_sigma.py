@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
+from sampling_design.observability.count.functional import part_for
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
 from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.sampled import sigma_min
@@ -16,6 +17,7 @@ from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.observability.worst_case.spaced_search import LEAST_CELLS, AttainedSchedule, search_worst, worst_of
 from sampling_design.observability.worst_case.spaced_sphere import MOST_STATES, SphereBounds, prove_worst
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed
@@ -154,6 +156,7 @@ def worst_case_sigma(
     rng: Seed = None,
     progress: Progress | None = None,
     rigorous: bool = False,
+    of: Wanted = None,
 ) -> WorstCaseSigma:
     """Bracket the least sigma over all schedules with k samples, epsilon apart, in a window.
 
@@ -178,6 +181,10 @@ def worst_case_sigma(
     rigorous : bool
         Prove `lower` anew in ball arithmetic (extra `rigorous`), at most 1e-6 of it given away; the budget then
         holds for that proof once more.
+    of : str, sequence of str, or (k, n) array, optional
+        Only these rows of the state: names of states or outputs, or the rows (`functional_plant`). Sigma is then the
+        least |O x| over |H x|, in coordinates that the rows share with states that count next to nothing.
+        Default: all states.
 
     Returns
     -------
@@ -226,6 +233,7 @@ def worst_case_sigma(
     >>> bool(0.99 * sigma.upper <= sigma.lower <= sigma.upper)
     True
     """
+    plant = part_for(plant, of, family.window)
     tolerance, seconds = asked(plant, family, RTOL if rtol is None else rtol, budget)
     generator = checks.generator(rng)
     require_moderate(plant)

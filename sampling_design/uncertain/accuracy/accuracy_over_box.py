@@ -12,11 +12,11 @@ import numpy.typing as npt
 from sampling_design.accuracy.accuracy import guaranteed_accuracy
 from sampling_design.accuracy.accuracy_record import AccuracyBracket
 from sampling_design.accuracy.bounds import Bound
-from sampling_design.accuracy.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.branch_and_bound import LeastOverCells
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant, Signals
+from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import Claim

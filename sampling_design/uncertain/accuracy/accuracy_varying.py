@@ -12,10 +12,10 @@ import numpy.typing as npt
 from sampling_design.accuracy.accuracy import RTOL
 from sampling_design.accuracy.accuracy_record import AccuracyBracket
 from sampling_design.accuracy.bounds import Bound, SignalBounds
-from sampling_design.accuracy.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.accuracy.start import InitialError, InitialSet
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.observability.alignment import meet
+from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze

@@ -12,7 +12,7 @@ from sampling_design.observability.alignment import meet
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
 from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.pieces import Pieces
-from sampling_design.observability.windows.window_sigma import asked, refuse_tolerance
+from sampling_design.observability.windows.window_sigma import asked
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
@@ -126,16 +126,8 @@ def window_sigma_over_box(
     progress: Progress | None = None,
     rigorous: bool = False,
     start: float | None = None,
-    timing_tolerance: float = 0.0,
 ) -> WindowSigmaOverBox:
-    """Bound sigma over all positions of a window and all plants of a box: see `window_sigma`.
-
-    Raises
-    ------
-    ArgumentError
-        If a timing tolerance is asked for.
-    """
-    refuse_tolerance(timing_tolerance)
+    """Bound sigma over all positions of a window and all plants of a box: see `window_sigma`."""
     aligned = meet(plant.nominal, schedule)
     pieces, tolerance, seconds = asked(aligned, window, start, RTOL if rtol is None else rtol, budget)
     require_moderate(plant.nominal)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import meet
 from sampling_design.observability.sigma_bracket import coordinates_of
-from sampling_design.observability.windows.window_sigma import WindowSigma, asked, record_of, refuse_tolerance
+from sampling_design.observability.windows.window_sigma import WindowSigma, asked, record_of
 from sampling_design.records import checks
 from sampling_design.records.progress import Progress
 from sampling_design.schedules.schedule import Schedule
@@ -25,16 +25,14 @@ def window_sigma_varying(
     progress: Progress | None = None,
     rigorous: bool = False,
     start: float | None = None,
-    timing_tolerance: float = 0.0,
 ) -> WindowSigma:
     """Bound sigma over all positions of a window, rows C(tau) Phi(tau, t - T): see `window_sigma`.
 
     Raises
     ------
     ArgumentError
-        If balls or a timing tolerance are asked for, or the schedule is not finite or leaves the plant's horizon.
+        If balls are asked for, or the schedule is not finite or leaves the plant's horizon.
     """
-    refuse_tolerance(timing_tolerance)
     if rigorous:
         raise ArgumentError("`rigorous` is for plants that do not vary: of a table all rounding is counted anyway.")
     if not isinstance(schedule, Schedule):

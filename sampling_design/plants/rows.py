@@ -56,16 +56,32 @@ def wanted_rows(plant: Plant, of: Wanted = None) -> WantedRows:
     """
     if of is None:
         return WantedRows(freeze(np.eye(plant.n_states)), plant.states.names, plant.states.units)
-    names = (of,) if isinstance(of, str) else tuple(of) if isinstance(of, Sequence) else ()
-    if names and all(isinstance(name, str) for name in names):
-        texts = tuple(str(name) for name in names)
-        found = [_named(plant, name) for name in texts]
-        return WantedRows(freeze([row for row, _ in found]), texts, tuple(unit for _, unit in found))
+    asked = rows_asked(of)
+    if isinstance(asked, tuple):
+        found = [_named(plant, name) for name in asked]
+        return WantedRows(freeze([row for row, _ in found]), asked, tuple(unit for _, unit in found))
     matrix = checks.matrix("of", of, None, plant.n_states)
-    if not matrix.shape[0]:
-        raise ArgumentError("`of` must name at least one row, got none.")
     count = matrix.shape[0]
     return WantedRows(matrix, tuple(f"z{i + 1}" for i in range(count)), ("",) * count)
+
+
+def rows_asked(of: Wanted) -> tuple[str, ...] | Array | None:
+    """Return what `of` asks for as names or as a matrix, before any plant is known; None as it is.
+
+    Raises
+    ------
+    ArgumentError
+        If it holds neither names alone nor rows of numbers, or nothing.
+    """
+    if of is None:
+        return None
+    names = (of,) if isinstance(of, str) else tuple(of) if isinstance(of, Sequence) else ()
+    if names and all(isinstance(name, str) for name in names):
+        return tuple(str(name) for name in names)
+    matrix = checks.matrix("of", of)
+    if not matrix.shape[0]:
+        raise ArgumentError("`of` must name at least one row, got none.")
+    return matrix
 
 
 def _named(plant: Plant, name: str) -> tuple[Array, str]:

@@ -1,0 +1,145 @@
+"""Chosen rows of the state: which part of a plant they need, and whether any record can tell them."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import qr
+
+from sampling_design.errors import ArgumentError, NotDetectableError
+from sampling_design.numerics.balancing import balance
+from sampling_design.observability.count.pbh import RANK_TOLERANCE, UnobservableModes, unobservable_modes
+from sampling_design.plants.functional import FunctionalPlant, replace_matrices, without
+from sampling_design.plants.plant import GROUPS, Plant, Signals
+from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
+from sampling_design.records import checks
+from sampling_design.records.signatures import checked
+
+Array = npt.NDArray[np.float64]
+
+
+@checked
+def functional_plant(plant: Plant, of: Wanted, *, decay_rate: float = 0.0) -> FunctionalPlant:
+    """Return the part of a plant that chosen rows z = H x of its state need: a plant that every verb takes.
+
+    Parameters
+    ----------
+    plant : Plant
+    of : str, sequence of str, or (k, n) array
+        Names of states or outputs (the row of an output is C), or the rows H themselves; independent of each other.
+    decay_rate : float [1/time_unit]
+        Modes that no output shows may enter z if their squared error decays at this rate; 0: if it decays at all.
+
+    Returns
+    -------
+    FunctionalPlant
+        Its first k states are z, under the names and in the units asked for.
+
+    Raises
+    ------
+    ArgumentError
+        If a name is unknown, or the rows depend on each other on what the outputs and they themselves show.
+    NotDetectableError
+        If a mode that no output shows enters z and does not decay: no record of outputs can tell z then.
+
+    Notes
+    -----
+    *Theorem.* Let M be the largest A-invariant subspace on which C and H vanish. x mod M is a plant of its own, with
+    the same outputs, that carries z. It is detectable at the rate eta if and only if H vanishes on the part N+ of the
+    unobservable subspace of (C, A) whose modes have Re lambda >= -eta/2, that is if and only if z can be told from
+    all outputs. *Method.* M is the unobservable subspace of (A, [C; H]), taken out eigenvector by eigenvector until
+    none is left, which takes out chains too. The rank test of [s I - A; C; H] and [s I - A; C] asks for eigenvectors
+    only and misses a chain whose second vector H shows; so it is not used. *Numerical aspects.* A mode counts as hidden
+    where entries wrong by 1e-10 of themselves could hide it (`unobservable_modes`).
+
+    References
+    ----------
+    Darouach, Fernando, On functional detectability and functional observers (2020); docs/theory/functional.md.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> plant = Plant(np.diag([0.1, 0.2, -1.0]), [[1.0, 0.0, 0.5]])
+    >>> part = functional_plant(plant, "x1")
+    >>> part.states.names, part.A.diagonal()
+    (('x1', 'x3'), array([ 0.1, -1. ]))
+    """
+    checks.nonnegative("decay_rate", decay_rate)
+    rows = wanted_rows(plant, of)
+    part, onto, H = plant, np.eye(plant.n_states), rows.matrix
+    while len(hidden := unobservable_modes(_with_rows(part, H))):
+        weights = balance(part.A, np.vstack([part.C, H])).d
+        part, step, kept = without(part, _real(hidden, weights), weights, RANK_TOLERANCE)
+        onto, H = step @ onto, H[:, kept]
+    part, onto = _rows_first(plant, part, onto, H, rows)
+    _require_told(plant, part, rows, decay_rate)
+    return FunctionalPlant(
+        **{key: getattr(part, key) for key in ("A", "B", "C", "D", "G", "time_unit", "name", "source", *GROUPS)},
+        whole=plant,
+        map=onto,
+        rows=len(rows),
+    )
+
+
+def part_for(plant: Plant, of: Wanted, window: float | None = None) -> Plant:
+    """Return what a verb is asked about: the plant, or what rows of it need, weighed for sigma over a window."""
+    if of is None:
+        return plant
+    part = functional_plant(plant, of)
+    return part if window is None else part.beside(window)
+
+
+def _with_rows(plant: Plant, H: Array) -> Plant:
+    """The plant that measures the rows, too."""
+    return Plant(plant.A, np.vstack([plant.C, H]), time_unit=plant.time_unit, states=plant.states)
+
+
+def _real(hidden: UnobservableModes, weights: Array) -> Array:
+    """A real basis of the directions, complex ones with their mirrors."""
+    scaled = hidden.directions / weights[:, None]
+    left, _, _ = np.linalg.svd(np.hstack([scaled.real, scaled.imag]), full_matrices=False)
+    return np.asarray(weights[:, None] * left[:, : len(hidden)])
+
+
+def _rows_first(plant: Plant, part: Plant, onto: Array, H: Array, rows: WantedRows) -> tuple[Plant, Array]:
+    """The quotient in coordinates whose first entries are the rows, in the sizes that the user gave."""
+    count, weights = len(rows), balance(part.A, np.vstack([part.C, H])).d
+    R, order = qr(H * weights / np.linalg.norm(H * weights, axis=1)[:, None], pivoting=True, mode="r")
+    if count > part.n_states or np.min(np.abs(np.diag(R)[:count])) <= RANK_TOLERANCE:
+        raise ArgumentError(f"`of` must have rows that are independent of each other, got {', '.join(rows.names)}.")
+    others = np.sort(order[count:])
+    T = np.vstack([H, np.eye(part.n_states)[others]])
+    # a row that is one state, or all others: exchanged without rounding
+    A, C = np.linalg.solve(T.T, (T @ part.A).T).T, np.linalg.solve(T.T, part.C.T).T
+    states = part.states
+    given = np.abs(rows.matrix) @ plant.states.scales if plant.has_scales else np.ones(count)
+    signals = Signals(
+        [*rows.names, *(states.names[j] for j in others)],
+        [*rows.units, *(states.units[j] for j in others)],
+        np.concatenate([given, states.scales[others]]),
+    )
+    whole = T @ onto
+    whole[:count] = rows.matrix
+    return replace_matrices(plant, A, C, whole, signals), whole
+
+
+def _require_told(plant: Plant, part: Plant, rows: WantedRows, decay_rate: float) -> None:
+    """Refuse rows into which a mode enters that no output shows and that does not decay fast enough."""
+    hidden = unobservable_modes(part, decay_rate)
+    if not len(hidden):
+        return
+    spoiled = [
+        name for name, d in zip(rows.names, hidden.directions, strict=False) if np.max(np.abs(d)) > RANK_TOLERANCE
+    ]
+    everywhere = unobservable_modes(plant, decay_rate).directions
+    free = [
+        name for name, d in zip(plant.states.names, everywhere, strict=True) if not np.any(np.abs(d) > RANK_TOLERANCE)
+    ]
+    slow = f"does not decay at the rate {decay_rate!r}" if decay_rate else "does not decay"
+    other = f", or ask for states that it leaves alone: {', '.join(free[:6])}" if free else ""
+    raise NotDetectableError(
+        f"`of` asks for {', '.join(spoiled or rows.names)}, into which a mode enters that no output shows and that "
+        f"{slow}: {hidden.describe()}. Add an output that shows it{other}.",
+        hidden.eigenvalues,
+        hidden.directions,
+    )

@@ -1,0 +1,184 @@
+"""The part of a plant that chosen rows of its state need: what no output shows and no row holds is left out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import qr
+
+from sampling_design.checkers.parts import CARRIED, not_carried
+from sampling_design.errors import ArgumentError
+from sampling_design.numerics.balancing import balance
+from sampling_design.plants.modes import ModalSplit, split_modes
+from sampling_design.plants.plant import Plant, Signals
+from sampling_design.plants.rows import WantedRows
+from sampling_design.records import checks
+from sampling_design.records.record import Plain, counted
+
+Array = npt.NDArray[np.float64]
+Order = npt.NDArray[np.intp]
+
+BESIDE = 1e-2
+"""Share of the rows' least gain that the other states may take away in `beside`: sigma is then low by 5e-5 at most."""
+STEPS = 16
+"""Times per state at which a window is looked at to weigh the other states."""
+DARK = 1e-8
+"""Gain, beside the largest, below which a direction weighs as one of this gain: what decays unseen has none."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FunctionalPlant(Plant):
+    """The quotient of a plant that carries chosen rows z = H x: an exactly known plant like any other.
+
+        q = map x,    q' = A q + B u + G w,    y = C q + D u + v,    z = (q_1, ..., q_k)
+
+        map A_whole = A map,    C_whole = C map,    map B_whole = B,    map G_whole = G,    H = map[:k]
+
+    Every verb takes it, and what it says of q holds for `map x` of every motion x of the whole plant: what is left
+    out is shown by no output and enters neither z nor q. The first k states are the rows asked for.
+
+    Parameters
+    ----------
+    A, C, B, D, G, and what else `Plant` takes
+    whole : Plant
+        The plant that it is a part of.
+    map : (n_q, n) array
+    rows : int
+        k, how many rows were asked for.
+
+    Raises
+    ------
+    ArgumentError
+        If the equations above do not hold, each entry to 1e-10 of the terms that make it up.
+
+    Notes
+    -----
+    `observability.functional_plant` makes one; files keep `whole`, `map` and `rows` as `part_of`, and every reader
+    and checker works the equations out again. *Theory*: docs/theory/functional.md.
+    """
+
+    whole: Plant = field(default=None, kw_only=True)  # type: ignore[assignment]
+    map: Array = field(default=None, kw_only=True)  # type: ignore[arg-type]
+    rows: int = field(default=0, kw_only=True)
+
+    if not TYPE_CHECKING:  # the fields of the plant come first, as their class checks them
+
+        def __post_init__(self) -> None:
+            super().__post_init__()
+            checks.of_kind("whole", self.whole, Plant, "a Plant")
+            object.__setattr__(self, "map", checks.matrix("map", self.map, self.n_states, self.whole.n_states))
+            rows = checks.whole("rows", self.rows, 1)
+            if rows > self.n_states:
+                raise ArgumentError(f"`rows` must be at most {self.n_states}, as many as there are states, got {rows}.")
+            whole = self.whole
+            if whole.time_unit != self.time_unit:
+                raise ArgumentError(f"`time_unit` must be that of the whole plant, {whole.time_unit!r}.")
+            apart = not_carried(self.map, (self.A, self.C, self.G), (whole.A, whole.C, whole.G))
+            if apart is None and self.B.shape[1] == whole.B.shape[1]:
+                apart = not_carried(self.map, (self.A, self.C, self.B), (whole.A, whole.C, whole.B))
+            if apart is not None:
+                raise ArgumentError(f"`map` does not carry `{apart}` of the whole plant, each entry to {CARRIED:g}.")
+
+    @property
+    def wanted(self) -> WantedRows:
+        """The rows asked for, on the whole plant's state."""
+        return WantedRows(self.map[: self.rows], self.states.names[: self.rows], self.states.units[: self.rows])
+
+    def beside(self, window: float) -> FunctionalPlant:
+        """Return the plant with scales in which the rows count and the other states hardly do, over a window.
+
+        In them sigma is that of the rows, the least |O q| over |z| of all q, but for 5e-5 of itself and never above
+        it: 1/sigma^2 is the largest value of S^-1 W^-1 S^-1, whose block of the other states is made small.
+
+        Parameters
+        ----------
+        window : float [time_unit]
+        """
+        count = self.n_states - self.rows
+        if not count:
+            return self
+        weights = balance(self.A, self.C).d
+        times = np.linspace(0.0, checks.positive("window", window), STEPS * self.n_states)
+        seen = ((self.C / self.outputs.scales[:, None]) @ self.transition(times)).reshape(-1, self.n_states)
+        _, gains, V = np.linalg.svd(seen * weights, full_matrices=False)
+        gains = np.maximum(gains, DARK * gains[0])
+        deviations = weights * np.linalg.norm(V / gains[:, None], axis=0)
+        scales = np.array(self.states.scales)
+        least = np.max(deviations[: self.rows] / scales[: self.rows])
+        scales[self.rows :] = deviations[self.rows :] * np.sqrt(count) / (BESIDE * least)
+        return replace(self, states=Signals(self.states.names, self.states.units, scales))
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Return the tree of the plant file format, with what it is a part of."""
+        part = {"plant": self.whole.to_dict(), "map": self.map.tolist(), "rows": self.rows}
+        return {**super().to_dict(), "part_of": part}
+
+    def explain(self) -> str:
+        """Say what is kept."""
+        left = self.whole.n_states - self.n_states
+        names = ", ".join(self.states.names[: self.rows])
+        out = f"{counted(left, 'direction')} of the state that no output shows and no row holds left out"
+        return f"What {names} of {self.whole.name or 'a plant'} needs: {counted(self.n_states, 'state')}, {out}."
+
+
+def weighed_over(split: ModalSplit, window: float) -> ModalSplit:
+    """Return the split of a plant as it is looked at over a window: one for chosen rows weighs the other states."""
+    plant = split.plant
+    if not isinstance(plant, FunctionalPlant) or not split.retained.n_states:
+        return split
+    return split_modes(plant.beside(window), split.decay_rate)
+
+
+def without(plant: Plant, hidden: Array, weights: Array, cut: float) -> tuple[Plant, Array, Order]:
+    """Return the quotient of a plant by an invariant subspace that C does not show, the map onto it, and what it keeps.
+
+    Parameters
+    ----------
+    plant : Plant
+    hidden : (n, m) array
+        Independent columns that span it.
+    weights : (n,) array
+        Typical sizes of the states, in which pivots are chosen.
+    cut : float
+        Entries of the map below this, in those sizes, are rounding.
+
+    Notes
+    -----
+    *Method.* m states that together determine the hidden part are left out (pivots of a QR factorisation); each
+    other state has subtracted what it holds of them, q_j = x_j - h_j h_J^-1 x_J. A state that holds none of the hidden
+    part keeps its name, its unit and its column of C.
+    """
+    n, m = hidden.shape
+    order = qr((hidden / weights[:, None]).T, pivoting=True, mode="r")[1]
+    left, kept = np.sort(order[:m]), np.sort(order[m:])
+    held = np.linalg.solve(hidden[left].T, hidden[kept].T).T
+    held[np.abs(held) * weights[left] <= cut * weights[kept][:, None]] = 0.0
+    onto = np.zeros((n - m, n))
+    onto[np.arange(n - m), kept] = 1.0
+    onto[:, left] = -held
+    pure = [not row.any() for row in held]
+    names = [plant.states.names[j] + ("" if own else " (shown part)") for j, own in zip(kept, pure, strict=True)]
+    units = [plant.states.units[j] for j in kept]
+    states = Signals(names, units, plant.states.scales[kept])
+    return replace_matrices(plant, onto @ plant.A[:, kept], plant.C[:, kept], onto, states), onto, kept
+
+
+def replace_matrices(plant: Plant, A: Array, C: Array, onto: Array, states: Signals) -> Plant:
+    """The plant of q = onto x, with the matrices that it has there."""
+    return Plant(
+        A,
+        C,
+        B=onto @ plant.B,
+        D=plant.D,
+        G=onto @ plant.G,
+        time_unit=plant.time_unit,
+        name=plant.name,
+        states=states,
+        outputs=plant.outputs,
+        inputs=plant.inputs,
+        disturbances=plant.disturbances,
+        source=plant.source,
+    )

@@ -1,0 +1,213 @@
+"""Plants of chosen rows: against the quotient by hand, against what the rows show, in files and verbs."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from sampling_design import (
+    PeriodicSchedule,
+    Plant,
+    Requirement,
+    UncertainParameter,
+    UncertainPlant,
+    certificate_exists,
+    certify,
+    design_schedule,
+    read_certificate,
+    window_sigma,
+)
+from sampling_design.certificates.files import certificate_from_dict
+from sampling_design.checkers.check import verdict
+from sampling_design.errors import (
+    ArgumentError,
+    CertificateError,
+    FileFormatError,
+    NotDetectableError,
+    NotObservableError,
+)
+from sampling_design.observability import functional_plant, unobservable_modes
+from sampling_design.plants import FunctionalPlant, read_plant, write_plant
+from tests.oracles.hidden import random_hidden
+
+THREE = Plant(np.diag([0.1, 0.2, -1.0]), [[1.0, 0.0, 0.5]], name="three")
+EVERY_SECOND = PeriodicSchedule([1.0])
+
+
+def least_gain_of_rows(observed, H):
+    """min |O x| over |H x| = 1, where O has full rank: one over the largest value of H O^+, without any coordinates."""
+    return 1 / np.linalg.norm(H @ np.linalg.pinv(observed), 2)
+
+
+def test_a_state_that_nothing_else_holds_is_deleted_without_rounding():
+    part = functional_plant(THREE, "x1")
+    np.testing.assert_array_equal(part.A, np.diag([0.1, -1.0]))
+    np.testing.assert_array_equal(part.C, [[1.0, 0.5]])
+    np.testing.assert_array_equal(part.map, [[1, 0, 0], [0, 0, 1]])
+    assert (part.states.names, part.rows, part.wanted.names) == (("x1", "x3"), 1, ("x1",))
+    assert part.explain() == (
+        "What x1 of three needs: 2 states, 1 direction of the state that no output shows and no row holds left out."
+    )
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_quotient_has_the_size_and_the_rows_of_the_one_by_hand(seed):
+    plant, H, kept = random_hidden(np.random.default_rng(seed))
+    part = functional_plant(plant, H)
+    assert part.n_states == kept
+    times = [0.0, 0.7, 1.9]
+    for t in times:  # z of every motion, and y, are those of the whole plant
+        whole, own = expm(plant.A * t), expm(part.A * t) @ part.map
+        for rows, mine in ((H, np.eye(part.n_states)[: len(H)]), (plant.C, part.C)):
+            np.testing.assert_allclose(mine @ own, rows @ whole, atol=1e-8 * np.abs(rows @ whole).max())
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_sigma_of_rows_is_their_least_gain(seed):
+    rng = np.random.default_rng(seed)
+    plant, H, _ = random_hidden(rng)
+    part = functional_plant(plant, H)
+    shown = np.vstack([part.C @ expm(part.A * t) for t in np.sort(rng.uniform(0, 4, 2 * part.n_states + 2))])
+    true = least_gain_of_rows(shown, np.eye(part.n_states)[: len(H)])
+    scales = part.beside(4.0).states.scales
+    assert (scales[: len(H)] == 1).all()
+    weighed = np.linalg.svd(shown * scales, compute_uv=False)[-1]
+    assert weighed <= true * (1 + 1e-9)
+    assert weighed >= 0.98 * true
+
+
+def test_window_sigma_of_rows_is_theirs_in_the_worst_window():
+    found = window_sigma(THREE, EVERY_SECOND, 3.0, of="x1")
+    part = functional_plant(THREE, "x1")
+    ends = np.linspace(3.0, 4.0, 101)[:-1]
+    least = min(
+        least_gain_of_rows(
+            np.vstack([part.C @ expm(part.A * (k - t + 3)) for k in range(9) if t - 3 <= k <= t]), np.array([[1.0, 0]])
+        )
+        for t in ends
+    )
+    assert found.lower == pytest.approx(least, rel=5e-3)
+    assert found.lower <= least
+
+
+def test_a_chain_that_the_rank_test_misses_is_refused():
+    chain = Plant([[0.0, 1.0], [0.0, 0.0]], [[0.0, 0.0]], states=["position", "velocity"])
+    for s in (0.0, 0.3):  # [sI - A; C; H] and [sI - A; C] have one rank, for H = velocity, and yet nobody knows it
+        pencil = np.vstack([s * np.eye(2) - chain.A, chain.C])
+        assert np.linalg.matrix_rank(pencil) == np.linalg.matrix_rank(np.vstack([pencil, [0.0, 1.0]]))
+    with pytest.raises(NotDetectableError, match="asks for velocity, into which a mode enters that no output shows"):
+        functional_plant(chain, "velocity")
+
+
+def test_a_hidden_mode_may_enter_where_it_decays():
+    plant = Plant(np.diag([0.1, -0.5]), [[1.0, 0.0]])
+    assert functional_plant(plant, ["x1", "x2"]).n_states == 2
+    with pytest.raises(NotDetectableError, match=r"does not decay at the rate 2\.0: -0\.5 along x2") as caught:
+        functional_plant(plant, ["x1", "x2"], decay_rate=2.0)
+    assert "or ask for states that it leaves alone: x1." in str(caught.value)
+
+
+def test_refusals_name_the_row_the_mode_and_what_would_help():
+    with pytest.raises(
+        NotDetectableError, match=r"asks for x2, .* does not decay: 0.2 along x2\. Add an output"
+    ) as caught:
+        functional_plant(THREE, ["x1", "x2"])
+    assert str(caught.value).endswith("or ask for states that it leaves alone: x1, x3.")
+    with pytest.raises(ArgumentError, match="`of` must have rows that are independent of each other, got z1, z2"):
+        functional_plant(THREE, [[1.0, 0, 0], [2.0, 0, 0]])
+    with pytest.raises(ArgumentError, match="`of` must name states or outputs, got 'x4'"):
+        functional_plant(THREE, "x4")
+    with pytest.raises(ArgumentError, match="`of` must name at least one row, got none"):
+        Requirement(of=np.zeros((0, 3)))
+
+
+def test_the_rows_of_a_requirement_are_designed_for():
+    with pytest.raises(NotObservableError, match=r"unseen: 0\.2"):
+        design_schedule(THREE, Requirement(window=4.0, samples=3))
+    found = design_schedule(THREE, Requirement(window=4.0, samples=3, of="x1"))
+    sigma = window_sigma(found.split.retained, found.schedule, 4.0).lower
+    assert found.sigma == pytest.approx(sigma, rel=1e-9)
+    assert "see x1 in every window" in found.explain()
+    assert found.verify()
+
+
+def test_a_certificate_of_rows_keeps_the_whole_plant_and_refuses_another(tmp_path):
+    found = certify(THREE, EVERY_SECOND, of="x1")
+    again = read_certificate(found.save(tmp_path / "certificate.json"))
+    assert isinstance(again.plant, FunctionalPlant)
+    assert again.plant.whole.same_dynamics(THREE)
+    assert again.verify(rigorous=True)
+    with pytest.raises(CertificateError, match="it is about chosen rows of this one"):
+        read_certificate(tmp_path / "certificate.json", THREE)
+    with pytest.raises(CertificateError, match=r"its A\[0, 0\] is 0.1, not 0.3"):
+        read_certificate(tmp_path / "certificate.json", Plant(np.diag([0.3, 0.2, -1.0]), THREE.C))
+    assert certificate_exists(THREE, EVERY_SECOND, 0.1, of="x1")
+
+
+@pytest.mark.parametrize(
+    ("where", "change"),
+    [
+        (("map", 0, 0), 1.01),
+        (("map", 1, 1), 1e-6),
+        (("plant", "matrices", "A", 0, 0), 0.1001),
+        (("plant", "matrices", "A", 0, 1), 1e-3),
+        (("plant", "matrices", "C", 0, 1), 1e-3),
+        (("plant", "matrices", "C", 0, 2), 0.6),
+        (("plant", "time_unit"), "h"),
+        (("rows",), 0),
+        (("rows",), 3),
+        (("map",), [[1.0, 0.0, 0.0]]),
+    ],
+)
+def test_no_file_says_of_another_plant_what_holds_of_its_part(where, change):
+    data = json.loads(json.dumps(certify(THREE, EVERY_SECOND, of="x1").to_dict()))
+    place = data["plant"]["part_of"]
+    for key in where[:-1]:
+        place = place[key]
+    place[where[-1]] = change
+    assert verdict(data).verdict == "bad file"
+    with pytest.raises((ArgumentError, FileFormatError)):
+        certificate_from_dict(data)
+
+
+def test_plant_files_hold_the_whole_plant_beside_the_part(tmp_path):
+    part = functional_plant(THREE, "x1")
+    for name in ("part.toml", "part.json"):
+        again = read_plant(write_plant(part, tmp_path / name))
+        assert (type(again), again.to_dict()) == (FunctionalPlant, part.to_dict())
+    with pytest.raises(ArgumentError, match="a plant of chosen rows holds the whole one beside it"):
+        write_plant(part, tmp_path / "part.mat")
+
+
+def test_a_part_that_is_none_is_refused():
+    part = functional_plant(THREE, "x1")
+    given = {key: getattr(part, key) for key in ("A", "C", "G", "whole", "map", "rows")}
+    with pytest.raises(ArgumentError, match="`map` does not carry `A` of the whole plant"):
+        FunctionalPlant(**{**given, "A": np.diag([0.11, -1.0])})
+    with pytest.raises(ArgumentError, match="`rows` must be at most 2"):
+        FunctionalPlant(**{**given, "rows": 3})
+    with pytest.raises(ArgumentError, match="`time_unit` must be that of the whole plant"):
+        FunctionalPlant(**given, time_unit="h")
+    with pytest.raises(ArgumentError, match="`map` does not carry `the sizes`"):
+        FunctionalPlant(**{**given, "G": np.eye(2)})
+
+
+def test_plants_of_other_kinds_are_told_that_rows_are_not_for_them():
+    unsure = UncertainPlant(
+        Plant([[0.0, 1], [-1, 0]], [[1.0, 0]]), (UncertainParameter("k", -0.1, 0.1, A=[[0, 0], [1, 0]]),)
+    )
+    with pytest.raises(ArgumentError, match="`of` is for exactly known plants, got str 'x1' with a plant"):
+        window_sigma(unsure, EVERY_SECOND, 3.0, of="x1")
+    with pytest.raises(ArgumentError, match="`of` is for exactly known plants: certify all states"):
+        certify(unsure, EVERY_SECOND, of="x1")
+
+
+@pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
+def test_units_change_no_part(unit):
+    rng = np.random.default_rng(3)
+    plant, H, kept = random_hidden(rng)
+    d = unit ** rng.uniform(-1, 1, plant.n_states)
+    part = functional_plant(Plant(plant.A * d / d[:, None], plant.C * d), H * d)
+    assert part.n_states == kept
+    assert not len(unobservable_modes(Plant(part.A, np.vstack([part.C, np.eye(part.n_states)[: len(H)]]))))

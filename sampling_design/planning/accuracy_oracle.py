@@ -160,7 +160,7 @@ class AccuracyOracle:
             mine = np.array([goal.spread == kind for goal in goals], dtype=bool)
             if mine.any():
                 always = np.array([goal.at == "all times" for goal in goals], dtype=bool)[mine]
-                found = hidden_at(self.motion, chosen, self.problem.allowed, self.rows[mine], always, outputs)
+                found = hidden_at(self.motion, chosen, self.rows[mine], always, outputs)
                 if found is not None:
                     return found
         return None

@@ -147,13 +147,13 @@ class UndetectedModes:
 
 
 def hidden_at(
-    motion: DiscretePlant, chosen: Mask, allowed: Mask, rows: Array, always: Mask, outputs: Array | None = None
+    motion: DiscretePlant, chosen: Mask, rows: Array, always: Mask, outputs: Array | None = None
 ) -> UndetectedModes | None:
     """Return the motions that do not fade and that a choice never sees.
 
     None if there are none, or if they are hidden at all times, not only at those of the raster, and of no account to
-    the rows of z, at any time to those that are `always` wanted. `outputs`:
-    those of z that are read, default H.
+    the rows of z, at any time to those that are `always` wanted; whether another sensor would show them is nothing
+    to these rows. `outputs`: those of z that are read, default H.
     """
     H = motion.H if outputs is None else outputs
     steps, p = chosen.shape
@@ -179,7 +179,7 @@ def hidden_at(
     reached = np.vstack([moved.reshape(-1, motion.n), *_derivatives(motion.A, rows[always])])
     moved_on = motion.A @ N  # where it is hidden at samples only, what nobody knows differs from time to time
     turns = float(np.linalg.norm(moved_on - N @ (N.T @ moved_on))) > HIDDEN * float(np.linalg.norm(motion.A))
-    matters = turns or bool(np.any(where & allowed)) or float(np.abs(reached @ N).max(initial=0.0)) > HIDDEN
+    matters = turns or float(np.abs(reached @ N).max(initial=0.0)) > HIDDEN
     return UndetectedModes(where, N) if stay and matters else None
 
 

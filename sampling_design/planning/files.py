@@ -39,7 +39,7 @@ from sampling_design.planning.requirement_file import plan_requirement_from_dict
 from sampling_design.planning.robustness import PlanRobustness
 from sampling_design.planning.start import PlanStart
 from sampling_design.plants.files import plant_from_dict
-from sampling_design.plants.plant import first_difference
+from sampling_design.plants.functional import is_about
 from sampling_design.records.checks import freeze
 from sampling_design.records.file_io import from_json, read_text, to_json, usable, write_text
 from sampling_design.records.signatures import checked
@@ -181,7 +181,7 @@ def _certificate(data: object, found: Plan) -> Certificate | None:
     if not isinstance(data, dict):
         raise refuse("certificate", "must be a table of keys and values")
     certificate = certificate_from_dict(data, "certificate")
-    if not isinstance(certificate, Certificate) or first_difference(found.plant, certificate.plant):
+    if not isinstance(certificate, Certificate) or not is_about(certificate.plant, found.plant):
         raise refuse("certificate", "is of another plant, or of no schedule")
     if not same_samples(certificate.schedule, found.schedule):
         raise refuse("certificate", "is of another schedule")

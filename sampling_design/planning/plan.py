@@ -19,6 +19,7 @@ from sampling_design.errors import (
     NotDetectableError,
     UndecidedError,
 )
+from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.bounds import out_of_reach, prove_cost
 from sampling_design.planning.coarser_raster import coarser, lifted_attacks, lifted_choices
@@ -176,7 +177,7 @@ def plan_samples(
 
 
 def plan_certificate(found: Plan, work: Budget | None = None) -> Certificate | None:
-    """That the samples show the whole state, or None.
+    """That the samples show the whole state, or else all that the rows of the goals need; or None.
 
     Raises
     ------
@@ -185,9 +186,22 @@ def plan_certificate(found: Plan, work: Budget | None = None) -> Certificate | N
     """
     (work or Budget(counted=True)).add(CERTIFIED, found.samples * found.plant.n_states**2)
     try:
-        return certify(found.plant, found.schedule)
+        hidden = len(unobservable_modes(found.plant, 0.0))
+        return certify(found.plant, found.schedule, of=_goal_rows(found) if hidden else None)
     except (CertificateError, UndecidedError, NotDetectableError):
         return None
+
+
+def _goal_rows(found: Plan) -> list[str] | Array:
+    """The rows of the goals that are independent of those before them, by name where a plant has these names."""
+    goals, kept = found.problem.goals, list[RowGoal]()
+    for goal in goals:
+        rows = np.array([other.row for other in (*kept, goal)])
+        if np.linalg.matrix_rank(rows / np.linalg.norm(rows, axis=1)[:, None]) == len(rows):
+            kept.append(goal)
+    names = [goal.name for goal in kept]
+    known = {*found.plant.states.names, *found.plant.outputs.names}
+    return names if known.issuperset(names) else np.array([goal.row for goal in kept])
 
 
 class _Planning:

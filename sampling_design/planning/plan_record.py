@@ -19,7 +19,7 @@ from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.filter_deviation import RasterFilter
 from sampling_design.planning.problem import PlanProblem
 from sampling_design.planning.start import PlanStart, starts
-from sampling_design.plants.plant import first_difference
+from sampling_design.plants.functional import FunctionalPlant, is_about
 from sampling_design.records.declarations import plain, selected
 from sampling_design.records.record import Plain, counted, short
 from sampling_design.records.units import spoken
@@ -115,7 +115,7 @@ class Plan(PlanFigures):
     def _extras_hold(self) -> bool:
         """Whether certificate, start and robustness are of this plan, and proven anew."""
         if self.certificate is not None:
-            mine = self.certificate.plant is self.plant or not first_difference(self.plant, self.certificate.plant)
+            mine = is_about(self.certificate.plant, self.plant)
             if not mine or not same_samples(self.certificate.schedule, self.schedule):
                 return False
             if not self.certificate.verify():
@@ -155,7 +155,9 @@ class Plan(PlanFigures):
         rows += [] if self.robustness is None else self.robustness.lines()
         if self.certificate is not None:
             eta = f"{short(self.certificate.eta)} 1/{self.plant.time_unit}"
-            rows.append(("certificate", f"the samples show the whole state; rate {eta}"))
+            part = self.certificate.plant
+            shown = ", ".join(part.wanted.names) if isinstance(part, FunctionalPlant) else "the whole state"
+            rows.append(("certificate", f"the samples show {shown}; rate {eta}"))
         rows += [("left out", self.unsaid())] if self.left_out else []
         return [*rows, ("status", self.status)]
 

@@ -42,6 +42,6 @@ def finer_raster(problem: PlanProblem, motion: DiscretePlant, rows: Array) -> fl
             break
         finer = replace(motion, step=motion.step / parts, _flows={})
         allowed = np.repeat(problem.allowed, parts, axis=0)
-        if hidden_at(finer, allowed, allowed, rows, always) is None:
+        if hidden_at(finer, allowed, rows, always) is None:
             return problem.step / parts
     return None

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from dataclasses import field, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -16,10 +16,19 @@ from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.plants.rows import WantedRows
 from sampling_design.records import checks
-from sampling_design.records.record import Plain, counted
+from sampling_design.records.declarations import Converted, frozen
+from sampling_design.records.record import Plain, counted, short
 
+Kind = TypeVar("Kind")
 Array = npt.NDArray[np.float64]
 Order = npt.NDArray[np.intp]
+
+if TYPE_CHECKING:  # a checker would forget there what the fields of Plant are converted to
+
+    def _frozen(kind: type[Kind]) -> type[Kind]: ...
+
+else:
+    _frozen = frozen
 
 BESIDE = 1e-2
 """Share of the rows' least gain that the other states may take away in `beside`: sigma is then low by 5e-5 at most."""
@@ -29,7 +38,7 @@ DARK = 1e-8
 """Gain, beside the largest, below which a direction weighs as one of this gain: what decays unseen has none."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@_frozen
 class FunctionalPlant(Plant):
     """The quotient of a plant that carries chosen rows z = H x: an exactly known plant like any other.
 
@@ -57,30 +66,32 @@ class FunctionalPlant(Plant):
     Notes
     -----
     `observability.functional_plant` makes one; files keep `whole`, `map` and `rows` as `part_of`, and every reader
-    and checker works the equations out again. *Theory*: docs/theory/functional.md.
+    and checker works the equations out again. *Theory*: section 16.
     """
 
     whole: Plant = field(default=None, kw_only=True)  # type: ignore[assignment]
-    map: Array = field(default=None, kw_only=True)  # type: ignore[arg-type]
+    map: Converted[npt.ArrayLike, Array] = field(default=None, kw_only=True)  # type: ignore[arg-type]
     rows: int = field(default=0, kw_only=True)
 
-    if not TYPE_CHECKING:  # the fields of the plant come first, as their class checks them
+    if TYPE_CHECKING:
 
-        def __post_init__(self) -> None:
-            super().__post_init__()
-            checks.of_kind("whole", self.whole, Plant, "a Plant")
-            object.__setattr__(self, "map", checks.matrix("map", self.map, self.n_states, self.whole.n_states))
-            rows = checks.whole("rows", self.rows, 1)
-            if rows > self.n_states:
-                raise ArgumentError(f"`rows` must be at most {self.n_states}, as many as there are states, got {rows}.")
-            whole = self.whole
-            if whole.time_unit != self.time_unit:
-                raise ArgumentError(f"`time_unit` must be that of the whole plant, {whole.time_unit!r}.")
-            apart = not_carried(self.map, (self.A, self.C, self.G), (whole.A, whole.C, whole.G))
-            if apart is None and self.B.shape[1] == whole.B.shape[1]:
-                apart = not_carried(self.map, (self.A, self.C, self.B), (whole.A, whole.C, whole.B))
-            if apart is not None:
-                raise ArgumentError(f"`map` does not carry `{apart}` of the whole plant, each entry to {CARRIED:g}.")
+        def __init__(
+            self, A: npt.ArrayLike, C: npt.ArrayLike, *, whole: Plant, map: npt.ArrayLike, rows: int, **details: Any
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        whole = checks.of_kind("whole", self.whole, Plant, "a Plant")
+        onto = checks.matrix("map", self.map, self.n_states, whole.n_states)
+        object.__setattr__(self, "map", onto)
+        if checks.whole("rows", self.rows, 1) > self.n_states:
+            raise ArgumentError(f"`rows` must be at most {self.n_states}, the number of states, got {self.rows}.")
+        if whole.time_unit != self.time_unit:
+            raise ArgumentError(f"`time_unit` must be that of the whole plant, {whole.time_unit!r}.")
+        driven = np.hstack([self.B, self.G]), np.hstack([whole.B, whole.G])
+        apart = not_carried(onto, (self.A, self.C, driven[0]), (whole.A, whole.C, driven[1]))
+        if apart is not None:
+            raise ArgumentError(f"`map` does not carry `{apart}` of the whole plant, each entry to {CARRIED:g}.")
 
     @property
     def wanted(self) -> WantedRows:
@@ -124,6 +135,12 @@ class FunctionalPlant(Plant):
         return f"What {names} of {self.whole.name or 'a plant'} needs: {counted(self.n_states, 'state')}, {out}."
 
 
+def is_about(theirs: Plant, plant: Plant) -> bool:
+    """Whether what is said of `theirs` is said of a plant, or of chosen rows of it."""
+    part = isinstance(theirs, FunctionalPlant) and not isinstance(plant, FunctionalPlant)
+    return plant.same_dynamics(theirs.whole if part and isinstance(theirs, FunctionalPlant) else theirs)
+
+
 def weighed_over(split: ModalSplit, window: float) -> ModalSplit:
     """Return the split of a plant as it is looked at over a window: one for chosen rows weighs the other states."""
     plant = split.plant
@@ -159,11 +176,23 @@ def without(plant: Plant, hidden: Array, weights: Array, cut: float) -> tuple[Pl
     onto = np.zeros((n - m, n))
     onto[np.arange(n - m), kept] = 1.0
     onto[:, left] = -held
-    pure = [not row.any() for row in held]
-    names = [plant.states.names[j] + ("" if own else " (shown part)") for j, own in zip(kept, pure, strict=True)]
+    names = [_sum(plant.states.names, row) for row in onto]
     units = [plant.states.units[j] for j in kept]
     states = Signals(names, units, plant.states.scales[kept])
     return replace_matrices(plant, onto @ plant.A[:, kept], plant.C[:, kept], onto, states), onto, kept
+
+
+def _sum(names: tuple[str, ...], row: Array) -> str:
+    """The name of a sum of states: "x1", "x1 + 2 x3", or, of many, its first state and that it is the shown part."""
+    places = np.flatnonzero(row)
+    first = int(places[np.argmax(row[places] == 1)])
+    others = [j for j in places.tolist() if j != first]
+    if len(others) > 2:
+        return f"{names[first]} (shown part)"
+    sizes = ["" if abs(row[j]) == 1 else f"{short(abs(row[j]), 3)} " for j in others]
+    signs = ["-" if row[j] < 0 else "+" for j in others]
+    terms = [f" {sign} {size}{names[j]}" for j, sign, size in zip(others, signs, sizes, strict=True)]
+    return names[first] + "".join(terms)
 
 
 def replace_matrices(plant: Plant, A: Array, C: Array, onto: Array, states: Signals) -> Plant:

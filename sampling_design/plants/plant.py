@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -70,6 +70,10 @@ class Signals(Record):
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def with_more(self, names: Sequence[str], units: Sequence[str], scales: Sequence[float]) -> Signals:
+        """Return these entries with others after them."""
+        return Signals([*self.names, *names], [*self.units, *units], [*self.scales, *scales])
 
     def labels(self) -> tuple[str, ...]:
         """Names with their units in brackets, for tables and axes."""
@@ -263,6 +267,75 @@ class Plant(Record):
             outputs=Signals(self.outputs.names),
             inputs=Signals(self.inputs.names),
             disturbances=Signals(self.disturbances.names),
+        )
+
+    def augmented(
+        self,
+        *,
+        bias: Sequence[str] | Mapping[str, float] = (),
+        disturbance: Sequence[str] | Mapping[str, float] = (),
+        parameter: Mapping[str, npt.ArrayLike] | None = None,
+        drift: Mapping[str, float] | None = None,
+    ) -> Plant:
+        """Return the plant with constants that nobody knows as states of their own, after its states.
+
+            x' = A x + E theta + ...,    theta' = 0, or w_theta,    y = C x + F theta + ...
+
+        Parameters
+        ----------
+        bias : names of outputs
+            A sensor's unknown zero, state "y1_bias" in the output's unit: its column of F is that of the identity.
+        disturbance : names of disturbances
+            The mean of a disturbance, state "w1_mean": its column of E is that of G.
+        parameter : mapping from name to (n,) array
+            What else enters linearly: the name of the state, and what one unit of it adds to x' (its column of E).
+        drift : mapping from the name of such a state to a number
+            How fast it may change at most [its unit/time_unit]: it is driven by a disturbance "y1_bias_drift" of this
+            scale. Default: it is constant.
+
+        Returns
+        -------
+        Plant
+            A mapping in place of names gives the typical size of each constant, its scale; default 1. Ask verbs `of`
+            the states that matter: what cannot be told from a bias is then named.
+
+        Raises
+        ------
+        ArgumentError
+            If a name is unknown or taken, or there is nothing to add.
+
+        Examples
+        --------
+        >>> gauge = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], outputs=["level"]).augmented(bias={"level": 0.1})
+        >>> gauge.states.names, gauge.C
+        (('x1', 'x2', 'level_bias'), array([[1., 0., 1.]]))
+        """
+        n, p = self.n_states, self.n_outputs
+        added: list[tuple[str, str, float, Array, Array]] = []
+        groups = (("bias", "bias", bias, self.outputs), ("disturbance", "mean", disturbance, self.disturbances))
+        for key, word, given, group in groups:
+            checks.known_keys(f"`{key}`", given, group.names)
+            for name in given:
+                at, size = group.names.index(name), given[name] if isinstance(given, Mapping) else 1.0
+                E, F = (np.zeros(n), np.eye(p)[at]) if key == "bias" else (self.G[:, at], np.zeros(p))
+                added.append((f"{name}_{word}", group.units[at], size, E, F))
+        for name, column in dict(parameter or {}).items():
+            added.append((name, "", 1.0, checks.vector(f"parameter.{name}", column, n), np.zeros(p)))
+        if not added:
+            raise ArgumentError("`augmented` needs a constant to add: bias, disturbance or parameter.")
+        names, units, scales, E_columns, F_columns = zip(*added, strict=True)
+        moving, k = dict(drift or {}), len(added)
+        checks.known_keys("`drift`", moving, names)
+        own = np.array([[float(name == other) for other in moving] for name in names]).reshape(k, len(moving))
+        words = [f"{name}_drift" for name in moving]
+        return replace(
+            self,
+            A=np.block([[self.A, np.column_stack(E_columns)], [np.zeros((k, n + k))]]),
+            C=np.hstack([self.C, np.column_stack(F_columns)]),
+            B=np.vstack([self.B, np.zeros((k, self.n_inputs))]),
+            G=np.block([[self.G, np.zeros((n, len(moving)))], [np.zeros((k, self.n_disturbances)), own]]),
+            states=self.states.with_more(names, units, scales),
+            disturbances=self.disturbances.with_more(words, [""] * len(words), list(moving.values())),
         )
 
     def unscaled(self) -> Plant:

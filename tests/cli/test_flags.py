@@ -71,3 +71,26 @@ def test_a_flag_that_would_do_nothing_is_refused(shell, tmp_path):
     assert result.code == 2
     assert "--decay-rate" in result.err
     assert not (tmp_path / "mine").exists()
+
+
+def test_chosen_rows_go_from_a_design_to_an_estimate(shell, tmp_path):
+    plant, record = tmp_path / "three.toml", tmp_path / "y.csv"
+    plant.write_text(
+        'format = "sampling-design/plant/1"\ntime_unit = "s"\n[matrices]\n'
+        "A = [[0.1, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, -1.0]]\nC = [[1.0, 0.0, 0.5]]\n"
+    )
+    record.write_text("time,y1\n0,1\n1.3,1.2\n2.7,1.3\n")
+    made, rows = tmp_path / "out", ("--of", "x1")
+    assert shell("design", plant, "--window", 4, "--samples", 3).code == 1  # x2 is seen by no output
+    assert shell("design", plant, *rows, "--window", 4, "--samples", 3, "-o", made, "--no-picture").code == 0
+    for words in (
+        ("info", plant),
+        ("sigma", plant, made / "schedule.csv", "--window", 4),
+        ("worst-case", plant, "--window", 4, "--count", 3, "--spacing", 0.5),
+        ("certify", plant, made / "schedule.csv", "-o", made, "--no-picture"),
+        ("estimate", plant, record, "--certificate", made / "certificate.json"),
+    ):
+        assert shell(*words, *rows).code == 0
+    refused = shell("estimate", plant, record, "--certificate", made / "certificate.json")
+    assert (refused.code, "(--of on the command line)" in refused.err) == (1, True)
+    assert "does not decay: 0.2 along x2" in shell("certify", plant, made / "schedule.csv", "--of", "x2").err

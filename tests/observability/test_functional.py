@@ -1,6 +1,7 @@
 """Plants of chosen rows: against the quotient by hand, against what the rows show, in files and verbs."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from scipy.linalg import expm
 
 from sampling_design import (
     PeriodicSchedule,
+    PlanRequirement,
     Plant,
     Requirement,
     UncertainParameter,
@@ -15,7 +17,9 @@ from sampling_design import (
     certificate_exists,
     certify,
     design_schedule,
+    plan_samples,
     read_certificate,
+    read_plan,
     window_sigma,
 )
 from sampling_design.certificates.files import certificate_from_dict
@@ -28,6 +32,7 @@ from sampling_design.errors import (
     NotObservableError,
 )
 from sampling_design.observability import functional_plant, unobservable_modes
+from sampling_design.planning.files import save_plan
 from sampling_design.plants import FunctionalPlant, read_plant, write_plant
 from tests.oracles.hidden import random_hidden
 
@@ -211,3 +216,26 @@ def test_units_change_no_part(unit):
     part = functional_plant(Plant(plant.A * d / d[:, None], plant.C * d), H * d)
     assert part.n_states == kept
     assert not len(unobservable_modes(Plant(part.A, np.vstack([part.C, np.eye(part.n_states)[: len(H)]]))))
+
+
+def test_a_sum_of_states_is_called_by_its_terms():
+    turn = 2 * np.pi / 12.42
+    tide = Plant([[0, 0, 0], [0, 0, turn], [0, -turn, 0]], [[1.0, 1.0, 0.0]], states=["mean", "tide", "other"])
+    gauge = tide.augmented(bias=["y1"])
+    assert functional_plant(gauge, "tide").states.names == ("tide", "other", "mean + y1_bias")
+    with pytest.raises(NotDetectableError, match="0 along 1 mean, -1 y1_bias"):
+        functional_plant(gauge, "mean")
+
+
+def test_a_plan_for_rows_is_certified_for_them(tmp_path):
+    wanted = PlanRequirement(
+        {"x1": 0.5}, period=8.0, raster=1.0, w_bound=0.05, sensors={"y1": {"price": 1, "noise_bound": 0.1}}
+    )
+    found = plan_samples(THREE, wanted, robustness=False)
+    assert found.certificate.plant.wanted.names == ("x1",)
+    assert "the samples show x1; rate" in str(found)
+    again = read_plan(save_plan(found, tmp_path / "plan.json"))
+    assert again.verify()
+    assert again.certificate.plant.whole.same_dynamics(THREE)
+    other = functional_plant(Plant(np.diag([0.1, 0.3, -1.0]), THREE.C), "x1")
+    assert not replace(found, certificate=certify(other, found.schedule)).verify()

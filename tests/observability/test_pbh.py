@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sampling_design import ArgumentError, Plant
+from sampling_design import ArgumentError, Plant, named_plant
 from sampling_design.errors import NotObservableError
 from sampling_design.observability.count.pbh import observable_rank, require_observable, unobservable_modes
 
@@ -104,3 +104,17 @@ def test_bad_input():
         unobservable_modes(plant, rate=-1.0)
     with pytest.raises(ArgumentError, match="`rtol` must be positive"):
         unobservable_modes(plant, rtol=0.0)
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 3600.0])
+def test_a_zero_that_rounding_moves_hides_no_mode(unit):
+    """A satellite's offset along its track cannot be told from that of the clock that it is read against."""
+    orbit = named_plant("satellite")
+    A = np.zeros((8, 8))
+    A[:6, :6], A[6, 7] = orbit.A, 1.0
+    clocked = Plant(
+        A * unit, np.hstack([orbit.C, [[0, 0], [1, 0], [0, 0]]]), states=[*orbit.states.names, "clock", "rate"]
+    )
+    found = unobservable_modes(clocked)
+    assert found.eigenvalues.tolist() == [0]
+    np.testing.assert_allclose(np.abs(found.directions[:, 0]), np.sqrt(0.5) * np.isin(np.arange(8), [1, 6]), atol=1e-12)

@@ -128,8 +128,24 @@ def test_the_mask_is_where_the_hidden_motion_shows():
     rows = motion.rows(np.array([[1.0, 0.0, 0.0]]))
     twice = np.zeros((6, 1), dtype=bool)
     twice[[0, 3]] = True  # twelve hours apart: level, and what turns by half, but not both and the quarter
-    found = hidden_at(motion, twice, problem.allowed, rows, np.array([True]))
+    found = hidden_at(motion, twice, rows, np.array([True]))
     assert found is not None
     assert not found.where[twice].any()
     assert found.where[~twice].all()
-    assert hidden_at(motion, problem.allowed, problem.allowed, rows, np.array([True])) is None
+    assert hidden_at(motion, problem.allowed, rows, np.array([True])) is None
+
+
+def test_no_sensor_is_paid_for_what_no_goal_asks():
+    """A second sensor would show the zero of the first; the tide can be told without it, and the plan does not buy it."""
+    turn = 2 * np.pi / 12.42
+    gauge = Plant(
+        [[0, 0, 0], [0, 0, turn], [0, -turn, 0]],
+        [[1.0, 1.0, 0.0]] * 2,
+        time_unit="h",
+        states=["mean", "tide", "other"],
+        outputs=["gauge", "survey"],
+    ).augmented(bias=["gauge"], drift={"gauge_bias": 0.001})
+    sensors = {"gauge": {"price": 1.0, "noise_bound": 0.02}, "survey": {"price": 20.0, "noise_bound": 0.02}}
+    wanted = PlanRequirement({"tide": 0.4}, period=12.0, raster="2 h", w_bound=0.01, sensors=sensors)
+    found = plan_samples(gauge, wanted, robustness=False, certificate=False)
+    assert (found.cost, found.schedule.outputs[:, 1].any(), found.status) == (3.0, False, "complete")

@@ -272,3 +272,49 @@ def test_words_and_tables():
     assert repr(plant).startswith("Plant(name=tidal_gauge")
     assert "<th" in plant._repr_html_()
     assert plant.to_dict()["time_unit"] == "h"
+
+
+class TestAugmented:
+    LEVEL = Plant(
+        [[0.0, 1.0], [-1.0, 0.0]],
+        [[1.0, 0.0]],
+        B=[[0.0], [1.0]],
+        G=[[0.0], [2.0]],
+        outputs=Signals(["level"], ["m"]),
+        disturbances=Signals(["inflow"], ["m/s"]),
+        inputs=["gate"],
+    )
+
+    def test_constants_enter_where_they_belong(self):
+        found = self.LEVEL.augmented(
+            bias={"level": 0.1}, disturbance=["inflow"], parameter={"leak": [-1.0, 0.0]}, drift={"level_bias": 1e-3}
+        )
+        assert found.states.names == ("x1", "x2", "level_bias", "inflow_mean", "leak")
+        assert found.states.units == ("", "", "m", "m/s", "")
+        assert found.states.scales.tolist() == [1, 1, 0.1, 1, 1]
+        np.testing.assert_array_equal(found.A[:2], [[0, 1, 0, 0, -1], [-1, 0, 0, 2, 0]])
+        np.testing.assert_array_equal(found.A[2:], np.zeros((3, 5)))
+        np.testing.assert_array_equal(found.C, [[1, 0, 1, 0, 0]])
+        np.testing.assert_array_equal(found.B, [[0], [1], [0], [0], [0]])
+        np.testing.assert_array_equal(found.G, [[0, 0], [2, 0], [0, 1], [0, 0], [0, 0]])
+        assert (found.disturbances.names, found.disturbances.scales.tolist()) == (
+            ("inflow", "level_bias_drift"),
+            [1, 1e-3],
+        )
+
+    def test_a_constant_acts_as_what_it_stands_for(self):
+        found = self.LEVEL.augmented(bias=["level"], disturbance=["inflow"])
+        x = found.transition(2.0) @ [0.3, 0.0, 0.5, 0.2]
+        alone = self.LEVEL.transition(2.0) @ [0.3, 0.0] + 0.2 * 2.0 * np.array([1 - np.cos(2.0), np.sin(2.0)])
+        np.testing.assert_allclose(x, [*alone, 0.5, 0.2], atol=1e-12)
+        np.testing.assert_allclose(found.C @ x, [alone[0] + 0.5])
+
+    def test_what_is_not_there_cannot_be_unknown(self):
+        with pytest.raises(ArgumentError, match="`augmented` needs a constant to add"):
+            self.LEVEL.augmented()
+        with pytest.raises(ArgumentError, match="levl"):
+            self.LEVEL.augmented(bias=["levl"])
+        with pytest.raises(ArgumentError, match="level_bia"):
+            self.LEVEL.augmented(bias=["level"], drift={"level_bia": 1.0})
+        with pytest.raises(ArgumentError, match=r"`parameter\.leak`"):
+            self.LEVEL.augmented(parameter={"leak": [1.0]})

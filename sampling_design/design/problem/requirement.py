@@ -123,7 +123,7 @@ class Requirement(Record):
     fixed: Converted[npt.ArrayLike | None, Array] = None  # type: ignore[assignment]
     outputs: Converted[Mapping[str, OutputAccess | Mapping[str, object]] | None, Mapping[str, OutputAccess]] = None  # type: ignore[assignment]
     cost_limit: float | None = None
-    of: Converted[Wanted, tuple[str, ...] | Array | None] = field(default=None, kw_only=True)  # type: ignore[assignment]
+    of: Converted[Wanted, tuple[str, ...] | Array | None] = field(default=None, kw_only=True)  # type: ignore[arg-type]
     time_unit: str | None = field(default=None, kw_only=True)
     timing_tolerance: float = field(default=0.0, kw_only=True)
 

@@ -54,7 +54,7 @@ def functional_plant(plant: Plant, of: Wanted, *, decay_rate: float = 0.0) -> Fu
 
     References
     ----------
-    Darouach, Fernando, On functional detectability and functional observers (2020); docs/theory/functional.md.
+    Darouach, Fernando, Functional detectability and asymptotic functional observer design (2023); theory, section 16.
 
     Examples
     --------

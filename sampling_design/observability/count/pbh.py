@@ -149,7 +149,7 @@ def unobservable_modes(plant: Plant, rate: float | None = None, *, rtol: float =
         if not directions:
             margin = min(margin, seen)
         vectors.extend(directions)
-        values.extend([cluster.value] * len(directions))
+        values.extend([pair.value(cluster)] * len(directions))
     found = np.column_stack(vectors) if vectors else np.zeros((n, 0), dtype=complex)
     return UnobservableModes(np.array(values, dtype=complex), found, margin, tolerance, plant.states.names)
 
@@ -171,11 +171,19 @@ class _Pair:
         self.A, self.C = balanced(plant.A, form.d), balanced_rows(plant.C, form.d)
         self.size = np.vstack([np.abs(self.A), np.abs(self.C)])
 
+    def noise(self, cluster: EigenvalueCluster) -> float:
+        """What rounding does to the mean of a group of eigenvalues."""
+        return SPREAD * len(self.A) * EPS * self.form.norm * cluster.projector_norm
+
+    def value(self, cluster: EigenvalueCluster) -> complex:
+        """The mean: a zero that is known to rounding only is zero, and no number to hold entries against."""
+        return 0j if abs(cluster.value) <= self.noise(cluster) else cluster.value
+
     def unseen(self, cluster: EigenvalueCluster, group: list[int], tolerance: float) -> tuple[list[Complex], float]:
         """Independent unseen directions of one group of eigenvalues, and the error of the first that is seen."""
         X, T = invariant_subspace(self.form, group)
-        inner = T - cluster.value * np.eye(len(group))
-        noise = SPREAD * len(self.A) * EPS * self.form.norm * cluster.projector_norm
+        noise, value = self.noise(cluster), self.value(cluster)
+        inner = T - value * np.eye(len(group))
         size = float(np.linalg.norm(inner))
         reach = np.linalg.norm(X, axis=1)
         shown = np.abs(self.C) @ reach
@@ -184,7 +192,7 @@ class _Pair:
         while len(found) < len(group):
             taken = np.array([X.conj().T @ z for z in found]).reshape(-1, len(group))
             right = np.linalg.svd(np.vstack([small, BARRED * taken.conj()]))[2]
-            z, error = self._refined(cluster.value, X @ right[-1].conj(), reach, found)
+            z, error = self._refined(value, X @ right[-1].conj(), reach, found)
             if error > tolerance:
                 break
             found.append(z / np.linalg.norm(z))
@@ -247,8 +255,8 @@ def require_observable(plant: Plant, purpose: str, *, rtol: float = RANK_TOLERAN
     unseen = unobservable_modes(plant, rtol=rtol)
     if len(unseen):
         raise NotObservableError(
-            f"{purpose} needs every mode to be seen by some output; unseen: {unseen.describe()}. "
-            "Add an output that sees it, or split it off (split_modes) if it decays.",
+            f"{purpose} needs every mode to be seen by some output; unseen: {unseen.describe()}. Add an output that "
+            "sees it, split it off (split_modes) if it decays, or ask only `of` rows that it does not enter.",
             unseen.eigenvalues,
             unseen.directions,
         )

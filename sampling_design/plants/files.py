@@ -143,8 +143,8 @@ def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
     if "part_of" not in data:
         return Plant(**found)
     part = data["part_of"]
-    whole = _plant_from_tree(part["plant"], unit)
-    return FunctionalPlant(**found, whole=whole, map=part["map"], rows=part["rows"])
+    found |= {"whole": _plant_from_tree(part["plant"], unit), "map": part["map"], "rows": part["rows"]}
+    return FunctionalPlant(**found)
 
 
 def _exactly(data: Mapping[str, Any]) -> None:

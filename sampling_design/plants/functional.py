@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import field, replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -72,12 +72,6 @@ class FunctionalPlant(Plant):
     whole: Plant = field(default=None, kw_only=True)  # type: ignore[assignment]
     map: Converted[npt.ArrayLike, Array] = field(default=None, kw_only=True)  # type: ignore[arg-type]
     rows: int = field(default=0, kw_only=True)
-
-    if TYPE_CHECKING:
-
-        def __init__(
-            self, A: npt.ArrayLike, C: npt.ArrayLike, *, whole: Plant, map: npt.ArrayLike, rows: int, **details: Any
-        ) -> None: ...
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -42,7 +42,7 @@ def attributes(function: ast.FunctionDef) -> Iterator[tuple[str, str]]:
 
 def read_by(module: str, name: str) -> set[str]:
     """The common flags that a function reads, itself or through functions of the room."""
-    methods = {name for name, _ in inspect.getmembers(Settings, inspect.isfunction)}
+    methods = {name for name, each in vars(Settings).items() if inspect.isfunction(each) or isinstance(each, property)}
     flags, done, ahead = set(), set(), [(module, name)]
     while ahead:
         here = ahead.pop()
@@ -55,7 +55,7 @@ def read_by(module: str, name: str) -> set[str]:
             elif owner and named in methods:
                 ahead.append(("settings", named))
             elif not owner:  # of this file, else imported from another
-                places = [place for place in functions() if place[1] == named and named not in COMMANDS]
+                places = [place for place in functions() if place[1] == named and named not in {*COMMANDS, *methods}]
                 ahead += [place for place in places if place[0] == here[0]] or places
     return flags
 

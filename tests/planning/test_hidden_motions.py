@@ -136,7 +136,7 @@ def test_the_mask_is_where_the_hidden_motion_shows():
 
 
 def test_no_sensor_is_paid_for_what_no_goal_asks():
-    """A second sensor would show the zero of the first; the tide can be told without it, and the plan does not buy it."""
+    """A second sensor would show the zero of the first; the tide can be told without it, so no reading is bought."""
     turn = 2 * np.pi / 12.42
     gauge = Plant(
         [[0, 0, 0], [0, 0, turn], [0, -turn, 0]],

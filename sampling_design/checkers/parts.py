@@ -129,16 +129,17 @@ def plant_of(read: Tree) -> Plant:
     signals_of(read, n, p, G.shape[1])
     found = Plant(A, C.reshape(p, n), G.reshape(n, G.shape[1] if n else 0), read["time_unit"])
     if "part_of" in read:
-        check_part(found, read["part_of"])
+        part = read["part_of"]
+        whole = plant_of({"time_unit": found.time_unit, **part["plant"]})
+        check_part(found, whole, part["map"], part["rows"])
     return found
 
 
-def check_part(part: Plant, read: Tree) -> None:
+def check_part(part: Plant, whole: Plant, onto: Array, rows: int) -> None:
     """Refuse a plant that is not the quotient which its file says it is."""
-    whole, onto = plant_of({"time_unit": part.time_unit, **read["plant"]}), read["map"]
     if whole.time_unit != part.time_unit:
         raise refuse("plant.part_of.plant.time_unit", f"must be {part.time_unit!r}")
-    if onto.shape != (part.n, whole.n) or not 1 <= read["rows"] <= part.n:
+    if onto.shape != (part.n, whole.n) or not 1 <= rows <= part.n:
         raise refuse("plant.part_of", f"must have a map of shape {(part.n, whole.n)}, and 1 to {part.n} rows")
     apart = not_carried(onto, (part.A, part.C, part.G), (whole.A, whole.C, whole.G))
     if apart is not None:

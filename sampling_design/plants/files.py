@@ -143,8 +143,7 @@ def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
     if "part_of" not in data:
         return Plant(**found)
     part = data["part_of"]
-    found |= {"whole": _plant_from_tree(part["plant"], unit), "map": part["map"], "rows": part["rows"]}
-    return FunctionalPlant(**found)
+    return FunctionalPlant.of_part(Plant(**found), _plant_from_tree(part["plant"], unit), part["map"], part["rows"])
 
 
 def _exactly(data: Mapping[str, Any]) -> None:

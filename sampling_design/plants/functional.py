@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import field, replace
+from dataclasses import field, fields, replace
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -86,6 +86,13 @@ class FunctionalPlant(Plant):
         apart = not_carried(onto, (self.A, self.C, driven[0]), (whole.A, whole.C, driven[1]))
         if apart is not None:
             raise ArgumentError(f"`map` does not carry `{apart}` of the whole plant, each entry to {CARRIED:g}.")
+
+    @classmethod
+    def of_part(cls, part: Plant, whole: Plant, onto: npt.ArrayLike, rows: int) -> FunctionalPlant:
+        """Return the plant `part` as what `rows` rows of `whole` need, its state `onto` x."""
+        own = {each.name: getattr(part, each.name) for each in fields(Plant)}
+        own |= {"whole": whole, "map": onto, "rows": rows}
+        return cls(**own)
 
     @property
     def wanted(self) -> WantedRows:

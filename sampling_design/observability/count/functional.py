@@ -6,12 +6,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import qr
 
-from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError, NotDetectableError
 from sampling_design.numerics.balancing import balance
 from sampling_design.observability.count.pbh import RANK_TOLERANCE, UnobservableModes, unobservable_modes
 from sampling_design.plants.functional import FunctionalPlant, replace_matrices, without
-from sampling_design.plants.plant import GROUPS, Plant, Signals
+from sampling_design.plants.plant import Plant, Signals
 from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
 from sampling_design.records.signatures import checked
@@ -74,9 +73,7 @@ def functional_plant(plant: Plant, of: Wanted, *, decay_rate: float = 0.0) -> Fu
         onto, H = step @ onto, H[:, kept]
     part, onto = _rows_first(plant, part, onto, H, rows)
     _require_told(plant, part, rows, decay_rate)
-    keys = ("A", "B", "C", "D", "G", "time_unit", "name", "source", *GROUPS)
-    found: Tree = {key: getattr(part, key) for key in keys}
-    return FunctionalPlant(**(found | {"whole": plant, "map": onto, "rows": len(rows)}))
+    return FunctionalPlant.of_part(part, plant, onto, len(rows))
 
 
 def part_for(plant: Plant, of: Wanted, window: float | None = None) -> Plant:

@@ -18,7 +18,7 @@ from sampling_design.design.counts import rival_counts
 from sampling_design.design.folding import folded, parts, unfolded
 from sampling_design.design.problem.canonical import canonical
 from sampling_design.design.problem.numbers import DesignProblem
-from sampling_design.design.problem.posing import pose, resolve
+from sampling_design.design.problem.posing import pose, resolve, split_for
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.problem.stopping import Interrupted
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove
@@ -148,7 +148,8 @@ def design_schedule(
     given = Budget(None if budget is None else checks.nonnegative("budget", budget))
     if checks.positive("rtol", rtol) >= 1:
         raise ArgumentError(f"`rtol` must be less than 1, got {rtol!r}.")
-    plant, split = _part(plant, wanted)
+    split = split_for(plant, wanted)
+    plant = split.plant
     if split.retained.n_states == 0:
         return _nothing(plant, split, wanted)
     resolved, used, count = resolve(split, wanted)
@@ -172,14 +173,6 @@ def design_schedule(
     return _aimed(run) if resolved.target_sigma is not None else run.best()
 
 
-def _part(plant: Plant, wanted: Requirement) -> tuple[Plant, ModalSplit]:
-    """The plant that is designed for, split: where rows are asked for, what they need, weighed over the window."""
-    split = split_modes(part_for(plant, wanted.of), _rate(wanted, plant))
-    if wanted.of is not None and split.retained.n_states:
-        split = weighed_over(split, float(resolve(split, wanted)[0].window or 0))
-    return split.plant, split
-
-
 def _aimed(run: _Run) -> ScheduleDesign:
     """The fewest samples for the target; an error's nearest requirement is tried, so that it reaches its target."""
     try:
@@ -193,12 +186,6 @@ def _aimed(run: _Run) -> ScheduleDesign:
     except InfeasibleRequirementError as second:
         first.nearest |= second.nearest
     raise first
-
-
-def _rate(requirement: Requirement, plant: Plant) -> float:
-    """The decay rate in the plant's unit."""
-    unit = requirement.time_unit or plant.time_unit
-    return requirement.decay_rate / time_factor(unit, plant.time_unit)
 
 
 def _nothing(plant: Plant, split: ModalSplit, requirement: Requirement) -> ScheduleDesign:

@@ -187,21 +187,9 @@ def plan_certificate(found: Plan, work: Budget | None = None) -> Certificate | N
     (work or Budget(counted=True)).add(CERTIFIED, found.samples * found.plant.n_states**2)
     try:
         hidden = len(unobservable_modes(found.plant, 0.0))
-        return certify(found.plant, found.schedule, of=_goal_rows(found) if hidden else None)
+        return certify(found.plant, found.schedule, of=found.problem.asked_rows() if hidden else None)
     except (CertificateError, UndecidedError, NotDetectableError):
         return None
-
-
-def _goal_rows(found: Plan) -> list[str] | Array:
-    """The rows of the goals that are independent of those before them, by name where a plant has these names."""
-    goals, kept = found.problem.goals, list[RowGoal]()
-    for goal in goals:
-        rows = np.array([other.row for other in (*kept, goal)])
-        if np.linalg.matrix_rank(rows / np.linalg.norm(rows, axis=1)[:, None]) == len(rows):
-            kept.append(goal)
-    names = [goal.name for goal in kept]
-    known = {*found.plant.states.names, *found.plant.outputs.names}
-    return names if known.issuperset(names) else np.array([goal.row for goal in kept])
 
 
 class _Planning:

@@ -95,6 +95,17 @@ class PlanProblem:
     initial: InitialSet
     timing_tolerance: float = 0.0
 
+    def asked_rows(self) -> list[str] | Array:
+        """The rows of the goals that are independent of those before them, by name where the plant has these names."""
+        kept = list[RowGoal]()
+        for goal in self.goals:
+            rows = np.array([other.row for other in (*kept, goal)])
+            if np.linalg.matrix_rank(rows / np.linalg.norm(rows, axis=1)[:, None]) == len(rows):
+                kept.append(goal)
+        names = [goal.name for goal in kept]
+        known = {*self.plant.states.names, *self.plant.outputs.names}
+        return names if known.issuperset(names) else np.array([goal.row for goal in kept])
+
     @property
     def steps(self) -> int:
         """Steps in a period."""

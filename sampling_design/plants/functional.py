@@ -19,13 +19,13 @@ from sampling_design.records import checks
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import Plain, counted, short
 
-Kind = TypeVar("Kind")
+PlantClass = TypeVar("PlantClass")
 Array = npt.NDArray[np.float64]
 Order = npt.NDArray[np.intp]
 
 if TYPE_CHECKING:  # a checker would forget there what the fields of Plant are converted to
 
-    def _frozen(kind: type[Kind]) -> type[Kind]: ...
+    def _frozen(kind: type[PlantClass]) -> type[PlantClass]: ...
 
 else:
     _frozen = frozen

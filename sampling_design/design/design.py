@@ -27,18 +27,15 @@ from sampling_design.design.search.fedorov_exchange import even, is_admissible
 from sampling_design.design.search.local_search import search
 from sampling_design.design.sizes import check_size
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError, SolverError
-from sampling_design.observability.count.functional import part_for
 from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
 from sampling_design.observability.windows.window_sigma import WindowSigma
-from sampling_design.plants.functional import weighed_over
-from sampling_design.plants.modes import ModalSplit, split_modes
+from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed
 from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked
-from sampling_design.records.units import time_factor
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 Array = npt.NDArray[np.float64]

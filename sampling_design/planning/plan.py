@@ -19,7 +19,6 @@ from sampling_design.errors import (
     NotDetectableError,
     UndecidedError,
 )
-from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.bounds import out_of_reach, prove_cost
 from sampling_design.planning.coarser_raster import coarser, lifted_attacks, lifted_choices
@@ -186,8 +185,7 @@ def plan_certificate(found: Plan, work: Budget | None = None) -> Certificate | N
     """
     (work or Budget(counted=True)).add(CERTIFIED, found.samples * found.plant.n_states**2)
     try:
-        hidden = len(unobservable_modes(found.plant, 0.0))
-        return certify(found.plant, found.schedule, of=found.problem.asked_rows() if hidden else None)
+        return certify(found.plant, found.schedule, of=found.problem.asked_rows())
     except (CertificateError, UndecidedError, NotDetectableError):
         return None
 

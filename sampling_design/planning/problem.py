@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from sampling_design.accuracy.start import InitialSet
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
+from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.planning.opening import DAYS, week_hours
 from sampling_design.planning.requirement import KINDS, PlanRequirement, SensorTerms, duration
 from sampling_design.plants.plant import Plant
@@ -95,8 +96,13 @@ class PlanProblem:
     initial: InitialSet
     timing_tolerance: float = 0.0
 
-    def asked_rows(self) -> list[str] | Array:
-        """The rows of the goals that are independent of those before them, by name where the plant has these names."""
+    def asked_rows(self) -> list[str] | Array | None:
+        """What the goals ask for where a mode that does not decay is hidden from all outputs; None: the whole state.
+
+        Rows that are independent of those before them, by name where the plant has these names.
+        """
+        if not len(unobservable_modes(self.plant, 0.0)):
+            return None
         kept = list[RowGoal]()
         for goal in self.goals:
             rows = np.array([other.row for other in (*kept, goal)])

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import UndecidedError
-from sampling_design.numerics.filtering import CovarianceMap, root_update, triangle
+from sampling_design.numerics.filtering import CovarianceMap, largest_first, root_update, triangle
 
 Array = npt.NDArray[np.float64]
 
@@ -93,7 +93,7 @@ class RootedPeriod:
         error that was made there."""
         after, error = [], np.eye(len(root))
         for F, H, noise in zip(self.F, self.rows, self.noise, strict=True):
-            root, step, _ = root_update(root, H, -H @ error)
+            root, step, _ = root_update(largest_first(root), H, -H @ error)
             error = F @ (error + step)
             after.append(root)
             root = triangle(np.hstack([F @ root, noise]))

@@ -76,7 +76,7 @@ def root_update(root: Array, rows: Array, innovation: Array) -> tuple[Array, Arr
     stacked = np.zeros((m + p, p + n))
     stacked[:m, :p], stacked[:m, p:] = (rows @ root).T, root.T
     stacked[m:, :p] = np.eye(p)
-    R = triangle(stacked.T).T
+    R = np.asarray(np.linalg.qr(stacked, mode="r"))
     half = np.asarray(lapack.dtrtrs(R[:p, :p], innovation, lower=0, trans=1)[0])
     return R[p:, p:].T, R[:p, p:].T @ half, half
 
@@ -94,8 +94,12 @@ def covariance_root(Y: Array) -> Array:
 
 def triangle(root: Array) -> Array:
     """The lower triangle T with T T' = `root` `root`'; the largest columns first, or the small ones would drown."""
-    order = np.argsort(-np.abs(root).max(axis=0, initial=0.0), kind="stable")
-    return np.asarray(np.linalg.qr(root[:, order].T, mode="r"), dtype=np.float64).T
+    return np.asarray(np.linalg.qr(largest_first(root).T, mode="r"), dtype=np.float64).T
+
+
+def largest_first(root: Array) -> Array:
+    """The same root, its columns in order of size: what is factorised so keeps the digits of the small ones."""
+    return np.asarray(root[:, np.argsort(-np.abs(root).max(axis=0, initial=0.0), kind="stable")])
 
 
 def information_update(P: Array, G: Array) -> Array:

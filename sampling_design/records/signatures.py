@@ -38,6 +38,7 @@ _CALLED = {
     "Client": "a Dask client",
     "Executor": "a concurrent.futures.Executor",
     "Generator": "a numpy.random.Generator",
+    "HasSchedule": "a ScheduleDesign",
     "OnlineEstimator": "an estimator of this package",
     "OpenPlant": "a plant of another kind",
     "SampledCertificate": "a Certificate or FamilyCertificate",
@@ -264,22 +265,32 @@ def checked_methods(cls: type[T]) -> type[T]:
 def _exchanged(
     function: Callable[..., object], places: list[tuple[int, Check]], given: Sequence[object], failed: int
 ) -> str:
-    """The sentence for two arguments that stand in each other's place, if that is the slip."""
+    """The sentence for two arguments that stand in each other's place, if that is the slip.
 
-    def fits(check: Check, value: object) -> bool:
+    One of them is enough, where it does not belong where it stands: what came for it may be of a third kind.
+    """
+
+    def fits(check: Check | None, value: object) -> bool:
+        if check is None:  # what becomes an array, which nothing of ours does
+            return type(value).__module__.partition(".")[0] != __package__.partition(".")[0]
         try:
             check(value)
         except ArgumentError:
             return False
         return True
 
-    own, names = dict(places)[failed], list(inspect.signature(function).parameters)
-    for place, check in places:
-        if place < len(given) and place != failed and fits(check, given[failed]) and fits(own, given[place]):
-            one, other = sorted((place, failed))
-            order = ", ".join(name for name in names[: other + 1] if name not in ("self", "cls"))
-            more = ", ..." * (len(names) > other + 1)
-            return f" `{names[one]}` and `{names[other]}` are exchanged: it is {function.__name__}({order}{more})."
+    asked, names = dict(places), list(inspect.signature(function).parameters)
+    for place in range(len(given)):
+        check = asked.get(place)
+        if place == failed or not fits(asked[failed], given[place]):
+            continue
+        if fits(check, given[place]) and (check is None or not fits(check, given[failed])):
+            continue
+        one, other = sorted((place, failed))
+        called = function.__name__ if function.__name__ != "__init__" else function.__qualname__.split(".")[-2]
+        order = ", ".join(name for name in names[: other + 1] if name not in ("self", "cls"))
+        more = ", ..." * (len(names) > other + 1)
+        return f" `{names[one]}` and `{names[other]}` are exchanged: it is {called}({order}{more})."
     return ""
 
 

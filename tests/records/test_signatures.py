@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Literal
 
 import control
@@ -25,6 +26,7 @@ from sampling_design.observability.count.critical_length import critical_length
 from sampling_design.plotting import draw
 from sampling_design.records import dispatch
 from sampling_design.records.signatures import _Foreign, _kinds, checked, checked_methods, hints_of, open_verb
+from tests import front_door
 from tests.front_door import DOORS
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -311,7 +313,8 @@ def estimator() -> sd.KalmanFilter:
         (lambda: find_counterexample(OSCILLATOR, 3, 0.1), "`family` must be a SamplingFamily, got int 3"),
         (lambda: GAPS.between(0.0, 1e12), "`stop` asks for .* samples, which take .* GiB"),
         (lambda: sd.Schedule([1.0], output_names=3), "`output_names` must be a list of strings, got int 3"),
-        (lambda: sd.robustness(OSCILLATOR, 3), "`certificate` must be one about samples, got int 3"),
+        (lambda: sd.robustness(OSCILLATOR, 3), "`certificate` must be a Certificate or FamilyCertificate or a Sche"),
+        (lambda: sd.robustness(OSCILLATOR, SimpleNamespace(schedule=3)), "`certificate` must be one about samples"),
         (lambda: four_horizons(OSCILLATOR, GAPS, None, 3), "`proof_constants` must be a ProofConstants, got int 3"),
         (lambda: EstimateRecord.collect(OSCILLATOR, [3]), "`estimates` must be a list of estimates, got list"),
         (lambda: EstimateRecord.collect(3, []), "`plant` must be a Plant or a NonlinearPlant, got int 3"),
@@ -385,12 +388,32 @@ def test_an_opened_verb_checks_the_arguments_of_every_kind(monkeypatch):
     assert next(iter(inspect.signature(opened).parameters)) == "plant"
 
 
+def with_a_plant():
+    """Public functions and classes that take a plant and then something about it, by place; at most three needed."""
+    for name, thing in front_door.public().items():
+        door = thing.__init__ if inspect.isclass(thing) else thing
+        if inspect.isfunction(door):
+            given = [p for p in inspect.signature(door).parameters.values() if p.name != "self"]
+            placed = [p.name for p in given if p.kind is p.POSITIONAL_OR_KEYWORD]
+            if placed[:1] == ["plant"] and sum(p.default is p.empty for p in given) <= 3:
+                yield from ((name, thing, placed[1:k]) for k in (2, 3) if placed[k - 1 : k] and placed[k - 1] in ABOUT)
+
+
+ABOUT = {"schedule", "certificate", "family", "requirement", "record"}
+
+
 def test_arguments_in_each_others_place_are_named():
-    """Whichever of the two the door stops at: a plant of another kind may be anything with a unit of time."""
-    plant, schedule = sd.Plant([[0.0]], [[1.0]]), sd.PeriodicSchedule([1.0])
-    for verb in (sd.certify, sd.window_sigma, sd.certificates.four_horizons, sd.certificates.certificate_exists):
-        with pytest.raises(ArgumentError, match=rf"`schedule` are exchanged: it is {verb.__name__}\(plant, schedule"):
-            verb(schedule, plant)
-        with pytest.raises(ArgumentError, match="`schedule` must be") as other:
-            verb(plant, plant)
+    """In every verb, whichever of the two the door stops at, and where a schedule stands for its certificate."""
+    things, named, special, seen = front_door.things(), front_door.named(), front_door.special(), set()
+    for name, thing, between in with_a_plant():
+        valid = {**named, **special.get(name, {})}
+        about, plant = between[-1], things["uncertain"] if name == "certify_inclusion" else valid["plant"]
+        kinds = [valid[about] or things[about]] + [things["schedule"]] * (len(between) == 1 and about == "certificate")
+        for kind in kinds:
+            with pytest.raises(ArgumentError, match=rf"`plant` and `{about}` are exchanged: it is {name}\(plant, "):
+                thing(kind, *(valid[other] for other in between[:-1]), plant)
+        with pytest.raises((ArgumentError, CallError)) as other:
+            thing(plant, *(valid[each] for each in between[:-1]), plant)
         assert "exchanged" not in str(other.value)
+        seen |= {name}
+    assert {"certify", "robustness", "window_sigma", "estimate", "KalmanFilter", "plan_samples"} <= seen

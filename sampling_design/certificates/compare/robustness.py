@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -167,6 +167,7 @@ class Robustness(PlainRecord):
         )
 
 
+@runtime_checkable
 class HasSchedule(Protocol):
     """What holds a schedule: a certificate about samples, or a design."""
 

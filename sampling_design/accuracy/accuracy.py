@@ -236,13 +236,13 @@ def _record(
         if not np.isfinite(at_samples[k]).any() and not np.isfinite(above[k]).any():
             continue
         witness, j, offset = _witness(side, question, shown, planned is not None and not known.modes)
-        witnesses[k], lower[k] = witness, witness.value * (1 - KEPT)
         upper[k] = finder.top(again)[0] * (1 + MARGIN)
+        witnesses[k], lower[k] = witness, witness.value * (1 - KEPT) if witness.value > KEPT * upper[k] else 0.0
         worst[k] = times[j] + again.opened[j].d[offset]
         if plain and worst[k] > question.end - times[0]:
             worst[k] -= question.end - times[0]
         offsets[k] = finder.offset(again, j, offset)
-        closed[k] = upper[k] <= (1 + rtol) * witness.value
+        closed[k] = search.closed or upper[k] <= (1 + rtol) * witness.value
         open_ends = np.flatnonzero(np.isinf(above[k]))
         late = open_ends[-1] + 1 if open_ends.size else 0
         known_from[k] = -np.inf if plain else edges[late] if late < edges.size - 1 else np.inf

@@ -125,7 +125,8 @@ class Accuracy(AccuracyBracket, CurveRecord):
 
         rigorous : bool
             In ball arithmetic (extra `rigorous`): True is then a theorem about the doubles of this record; False
-            says that it was not decided, as for exact sensors. For endless schedules that show every mode.
+            says that it was not decided, as for exact sensors or where nothing drives what attains it. For endless
+            schedules that show every mode.
 
         Raises
         ------

@@ -231,7 +231,7 @@ class ConeWindow:
         best = self._nothing()
         for corrected in (False, True):
             z, w = np.zeros((K, n)), []
-            z[0] = chain.opening(point.z[0]) if isinstance(self.start, StartSet) else 0.0
+            z[0] = self._first(point.z[0])
             for k, j in enumerate(self.nodes[:-1]):
                 gap, q, u = chain.gaps[j], chain.G.shape[1], point.w[k]
                 z[k + 1] = gap.F @ z[k] + np.einsum("mnq,mq->n", gap.cells, u)
@@ -249,11 +249,23 @@ class ConeWindow:
                 break
         return best
 
+    def _first(self, z: Array) -> Array:
+        """The state of an adversary at the first sample, from a solver's: admissible before it, but for its size."""
+        chain, at = self.chain, self.nodes[0]
+        if isinstance(self.start, StartSet):
+            return chain.opening(z)
+        if not self.start.any() or chain.undriven is None:
+            return np.zeros_like(z)
+        x = chain.undriven.nearest(chain.D * (chain.L[at] @ z))
+        return np.asarray(np.linalg.solve(chain.L[at], x / chain.D))
+
     def _excess(self, z: Array, w: list[Array]) -> float:
         """Least factor by which bounds must grow for this trajectory, at least 1."""
         chain, factor = self.chain, 1.0
         if isinstance(self.start, StartSet):
             factor = max(factor, self.start.excess(z[0]))
+        elif z[0].any() and chain.undriven is not None:
+            factor = max(factor, chain.undriven.excess(chain.D * (chain.L[self.nodes[0]] @ z[0])))
         for u in w:
             size = np.linalg.norm(u, axis=1) if chain.bounds.w_ball else np.abs(u)
             factor = max(factor, float(np.max(size, initial=0.0)))

@@ -91,19 +91,29 @@ def cell_rate(M: Array, bend: Array, loss: float) -> Array:
 
 
 def state_scales(F: Array, W: Array, rows: list[Array]) -> Array:
-    """Diagonal D: between what w reaches and what samples see of each state over a period."""
+    """Diagonal D: between what w reaches and what samples see of each state over a period.
+
+    Of what neither does: what is seen of it in later periods, or what others bring into it.
+    """
     n = F.shape[1]
-    flow, seen, spread = np.eye(n), np.zeros(n), np.zeros((n, n))
-    for H, step, reached in zip(rows, F, W, strict=True):
-        seen += np.sum((H @ flow) ** 2, axis=0)
-        if max(np.abs(flow).max(), np.sqrt(np.abs(spread).max())) * max(np.abs(step).max(), 1.0) > GROWN:
-            break  # what has grown so far says nothing more of sizes, and would overflow
-        flow = step @ flow
-        spread = propagate(spread, step, reached)
-    reach, seen = np.sqrt(np.diag(spread)), np.sqrt(seen)
+    flow, seen, later, spread = np.eye(n), np.zeros(n), np.zeros(n), np.zeros((n, n))
+    for period in range(n):
+        for H, step, reached in zip(rows, F, W, strict=True):
+            shown = np.sum((H @ flow) ** 2, axis=0)
+            seen, later = (seen, later + shown) if period else (seen + shown, later)
+            if max(np.abs(flow).max(), np.sqrt(np.abs(spread).max())) * max(np.abs(step).max(), 1.0) > GROWN:
+                break  # what has grown so far says nothing more of sizes, and would overflow
+            flow = step @ flow
+            spread = spread if period else propagate(spread, step, reached)
+        reach = np.sqrt(np.diag(spread))
+        if not period and np.all((reach > 0) | (seen > 0)):
+            break
+    seen = np.sqrt(np.where((reach > 0) | (seen > 0), seen, later))
     with np.errstate(divide="ignore", invalid="ignore"):
         both = np.sqrt(reach / seen)
     D = np.where((reach > 0) & (seen > 0), both, np.where(seen > 0, 1 / np.where(seen > 0, seen, 1), reach))
+    for _ in range(n):
+        D = np.where(D > 0, D, np.abs(F).max(axis=0, initial=0.0) @ D)
     return np.asarray(np.where(D > 0, D, 1.0))
 
 

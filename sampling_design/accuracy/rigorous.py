@@ -261,8 +261,10 @@ def proven_below(witness: AccuracyWitness, bounds: SignalBounds, lower: float) -
     """Whether a witness attains `lower` within its bounds, in ball arithmetic.
 
     The states at the samples are taken as they stand; the least change of w that leads from one to the next is added,
-    and the whole divided by what it exceeds its bounds.
+    and the whole divided by what it exceeds its bounds. What does not start from rest is not decided.
     """
+    if np.any(witness.states[0]):
+        return lower <= 0
     with precision(BITS):
         flight, most, value = _Flight(witness, bounds), ball(1.0), ball(0.0)
         for k in range(len(witness.states)):

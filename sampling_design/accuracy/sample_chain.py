@@ -18,6 +18,7 @@ from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.gap_table import GROWN, GapTable, cell_rate, state_scales
 from sampling_design.accuracy.riccati import RootedPeriod, in_turn, limit
 from sampling_design.accuracy.start import StartSet
+from sampling_design.accuracy.undriven import UndrivenMotions
 from sampling_design.errors import UndecidedError
 from sampling_design.numerics.filtering import (
     CovarianceMap,
@@ -30,9 +31,6 @@ from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
-
-EXACT = 1e-6
-"""Size given to an exact sensor, in units of what w does to its output over a period: for scaling only."""
 
 RANDOM_WALK = 1e-3
 """Share of a free start's covariance that joins the filter's noise at each period, so that it never goes to sleep."""
@@ -179,6 +177,11 @@ class SampleChain:
         if self.known is None or not self.known.any():
             return z
         return np.asarray(np.linalg.solve(self.L[0], np.where(self.known, 0.0, self.L[0] @ z)))
+
+    @cached_property
+    def undriven(self) -> UndrivenMotions | None:
+        """Motions of an endless chain that may have gone on for ever; None where something is unknown for ever."""
+        return UndrivenMotions.of(self.plant, self.bounds) if self.start is None and not self.hidden else None
 
     def mu(self, j: int, rows: Array) -> Array:
         """Return rows (k, n) of x at sample j as columns (n, k) that multiply z."""

@@ -52,6 +52,14 @@ LASTING = 32
 LONGEST = 4096
 """Samples back beyond which the past is not followed."""
 
+FADING = 256
+"""The same where nothing is attained: a drift is known twice as well from twice as many samples, for ever."""
+
+NEGLIGIBLE = 1e-4
+"""A row counts as 0 below this share of what disturbance and noise of a period make of it (`state_scales`), if attacks
+attain less than so much of that again: what nothing drives and what fades is known exactly in the end, no relative
+tolerance closes the bracket of a 0, and a solver leaves its last digits."""
+
 
 @dataclass(frozen=True, eq=False)
 class RowAdversary:
@@ -88,6 +96,13 @@ class RowSearch:
     upper: float = np.inf
     worst: tuple[int, int] = (0, 0)
     closed: bool = False
+    size: float = 0.0
+    """What disturbance and noise of a period make of the row."""
+
+    @property
+    def idle(self) -> bool:
+        """Whether attacks attain nothing."""
+        return bool(self.tried) and self.lower <= NEGLIGIBLE**2 * self.size
 
 
 class ChainSearch:
@@ -164,19 +179,37 @@ class ChainSearch:
         return found
 
     def attack(self, j: int, mu: Array, rough: bool = False) -> tuple[Gains, Adversary]:
-        """An adversary from rest against mu'z_j over `deep` samples, and the gains that come with it; both are kept."""
+        """An adversary against mu'z_j over `deep` samples, and the gains that come with it; both are kept.
+
+        From rest, or where that leads nowhere, one that nothing drives and that has gone on for ever.
+        """
         self.solves += 1
         self._tell()
-        gains, adversary = self.window(j, self.deep, True, rough).both(mu)
+        from_rest = self.chain.undriven is None or bool(self.chain.G.any())
+        gains, adversary = self.window(j, self.deep, from_rest, rough).both(mu)
+        if from_rest and adversary.value <= 0 and self.chain.undriven is not None:
+            from_rest = False
+            gains, adversary = self.window(j, self.deep, False, rough).both(mu)
+        if not from_rest:
+            adversary = max(adversary, self._for_ever(j, mu), key=lambda one: one.value)
         self._keep(j, adversary, self._coarse if rough else self.chain)
         gains = self.proven(j, mu, gains)
         self.atoms[j].add(mu, gains)
         return gains, adversary
 
+    def _for_ever(self, j: int, mu: Array) -> Adversary:
+        """The strongest adversary against mu'z_j that nothing drives and that noise hides whenever samples come."""
+        chain, undriven = self.chain, self.chain.undriven
+        assert undriven is not None
+        x = undriven.strongest(np.linalg.solve(chain.L[j].T, mu) / chain.D)
+        z = np.linalg.solve(chain.L[j], x / max(1.0, undriven.excess(x)) / chain.D)
+        return Adversary(float(mu @ z), (), z[None])
+
     def _keep(self, j: int, adversary: Adversary, chain: SampleChain) -> None:
         """Keep a strike, and what it is at the samples of the last period on its way."""
         count = len(adversary.z)
-        for k in range(max(int(self.chain.start is None), count - len(self.chain)), count):
+        rests = self.chain.start is None and not adversary.z[0].any()
+        for k in range(max(int(rests), count - len(self.chain)), count):
             part = Adversary(0.0, adversary.w[:k], adversary.z[: k + 1])
             at = (j - (count - 1 - k)) % len(self.chain)
             self.strikes[at].append(RowAdversary(at, part, chain))
@@ -200,7 +233,7 @@ class ChainSearch:
 
     def _deeper(self, j: int, mu: Array, best: float, below: float, rtol: float) -> bool:
         """Whether adversaries that start earlier do."""
-        if 2 * self.deep > LONGEST or self.deep in self._enough:
+        if 2 * self.deep > (LONGEST if below > 0 else FADING) or self.deep in self._enough:
             return False
         self.deep *= 2
         gains, adversary = self.attack(j, mu)
@@ -267,10 +300,11 @@ class ChainSearch:
         """Bracket the worst time of one row to `rtol`, with at most so many solves."""
         found = self.opened(row)
         limit = self.solves + most
+        found.size = float(np.abs(row * self.chain.D).sum())
         while True:
             top, j, panel = self.top(found)
             found.upper, found.worst = top, (j, panel)
-            if top <= found.lower * (1 + rtol):
+            if top <= (NEGLIGIBLE * found.size if found.idle else found.lower * (1 + rtol)):
                 found.closed = True
                 return found
             if self.solves >= limit:
@@ -324,7 +358,7 @@ class ChainSearch:
             return True
         rest = float(found.opened[j].below[offset])
         best = above - float(found.opened[j].above[offset])
-        done = self.improve(j, found.opened[j].mu[offset], best, below - rest, rtol)
+        done = self.improve(j, found.opened[j].mu[offset], best, 0.0 if found.idle else below - rest, rtol)
         self._refresh(found, j)
         return done
 
@@ -363,6 +397,8 @@ class ChainSearch:
 
     def profile(self, found: RowSearch) -> None:
         """Smooth the upper curve, then attack every gap where the two bounds are furthest apart."""
+        if found.idle:
+            return
         gaps = range(len(found.opened))
         for j in gaps:
             if self.budget.over:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from sampling_design.accuracy.between_samples import RowBetweenSamples
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.search import RowAdversary
 from sampling_design.accuracy.start import InitialSet
+from sampling_design.accuracy.undriven import UndrivenMotions
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
@@ -45,8 +47,9 @@ class WitnessRun(NamedTuple):
 class AccuracyWitness(Record):
     """A disturbance and a noise that keep their bounds and that no estimator can tell from nothing at all.
 
-    The state starts at 0 (or within what is known at the start); every sample shows y = C x + v = 0,
-    so that +x and -x look alike, and any estimator errs by `value` on one of them.
+    The state starts at 0 (or within what is known at the start; on an endless schedule also on a motion that has gone
+    on for ever without a disturbance, within the noise); every sample shows y = C x + v = 0, so that +x and -x look
+    alike, and any estimator errs by `value` on one of them.
 
     Attributes
     ----------
@@ -60,7 +63,7 @@ class AccuracyWitness(Record):
     last : int
         Place of the last sample in the schedule's period.
     states : (K, n) array
-        x at those samples; the first is 0, or lies within what is known at the start.
+        x at those samples; the first is where it starts.
     outputs : (K, p) array of bool
         What each sample measures.
     value : float
@@ -118,6 +121,16 @@ class AccuracyWitness(Record):
         ahead, flat = _flown(flows[None, ends[-2] :])
         x = ahead[0] @ z[-1] + flat[0] @ w[ends[-2] :].ravel()
         return WitnessRun(np.where(self.outputs, -self.states @ plant.C.T, np.nan), scale * x, w * size)
+
+    def flown(self) -> AccuracyWitness:
+        """Return the witness with states that follow from the first one by its disturbance."""
+        scale, states = self.scales(), [self.states[0]]
+        flows = forced_flow(self.plant.A * scale / scale[:, None], self.plant.G / scale[:, None], np.diff(self.edges))
+        ends = np.searchsorted(self.edges, self.samples)
+        for a, b in pairwise(ends.tolist()):
+            ahead, flat = _flown(flows[None, a:b])
+            states.append(scale * (ahead[0] @ (states[-1] / scale) + flat[0] @ self.w[a:b].ravel()))
+        return replace(self, states=freeze(states))
 
     def within(self, excess: float, value: float) -> AccuracyWitness:
         """Return the witness made so small that bounds which it exceeds by a factor are kept; `value` is its row."""
@@ -187,8 +200,8 @@ def _times(matrices: Array, vectors: Array) -> Array:
 def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet | None = None) -> tuple[float, float]:
     """Return row'x at the end of a witness flown anew, and the factor by which w, v and start exceed their bounds.
 
-    Without `initial` the schedule is endless and the witness starts from rest; with it, one that starts at the first
-    node may start anywhere in that set.
+    Without `initial` the schedule is endless and the witness starts from rest, or from what has gone on for ever
+    without a disturbance, within the noise; with it, one that starts at the first node may start anywhere in that set.
     """
     v, x, moved = witness.simulate(bounds.w)  # an entry that the witness hardly uses may close a gap, too
     period = [(witness.last - k) % len(bounds.v) for k in range(len(v))][::-1]
@@ -196,8 +209,10 @@ def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet 
     begun = 0.0
     if initial is not None and witness.last + 1 == len(v):
         begun = initial.excess(witness.states[0])
-    elif witness.states[0].any() or (initial is not None and witness.last + 1 < len(v)):
+    elif initial is not None and (witness.states[0].any() or witness.last + 1 < len(v)):
         legal = False
+    elif witness.states[0].any():
+        begun = UndrivenMotions.of(witness.plant, bounds).excess(witness.states[0])
     if not legal or np.isnan(moved).any():
         return 0.0, np.inf
     w = np.linalg.norm(moved, axis=1, keepdims=True) if bounds.w_ball else np.abs(moved)

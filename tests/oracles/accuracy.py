@@ -71,3 +71,16 @@ def flown(A, G, c, d, w, cells=2000):
     s = np.linspace(0.0, d, cells + 1)
     norms = [np.linalg.norm(G.T @ expm(A.T * a) @ c) for a in s]
     return w * np.trapezoid(norms, s)
+
+
+def undriven(A, C, ages, c, v):
+    """Largest c'x(t) of motions without a disturbance whose outputs stayed within v so long ago; one linear program."""
+    from scipy.optimize import linprog
+
+    rows = np.vstack([np.asarray(C, float) @ expm(-np.asarray(A, float) * age) for age in ages])
+    size = np.linalg.norm(rows, axis=1)
+    rows, limit = rows[size > 0] / size[size > 0, None], v / size[size > 0]
+    unit = float(limit.min())  # of rows of length one, the strictest
+    sides = np.concatenate([limit, limit]) / unit
+    found = linprog(-np.asarray(c, float), np.vstack([rows, -rows]), sides, bounds=(None, None))
+    return np.inf if found.status == 3 else -found.fun * unit

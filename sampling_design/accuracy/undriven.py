@@ -1,0 +1,99 @@
+"""Motions that need no disturbance and are bounded for all times before: they may have gone on for ever, within noise.
+
+x(t - s) = sum_m X_m c_m e^{-mu_m s},   Re mu_m >= 0:   |C_i x(t - s)| <= sum_m |C_i X_m| |c_m|  for all s >= 0
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.accuracy.bounds import SignalBounds
+from sampling_design.plants.clusters import eigenvalue_clusters
+from sampling_design.plants.grouping import balanced_schur
+from sampling_design.plants.plant import Plant
+
+Array = npt.NDArray[np.float64]
+Complex = npt.NDArray[np.complex128]
+
+LASTS = 1e-12
+"""Share of |A| below which a mode does not decay, and within which a direction is an eigenvector: rounding alone."""
+
+AMONG = 1e-9
+"""A state is one of these motions if what is left of it, balanced, is below this share of it: rounding alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class UndrivenMotions:
+    """All that eigenvectors of modes that do not decay span.
+
+    Attributes
+    ----------
+    scale : (n,) array
+        Of the states; balances A.
+    modes : (n, m) array
+        Eigenvectors of length one, in that scale.
+    shown : (p, m) array
+        What outputs show of each at most, in units of the least noise that a sample of the period bounds them by.
+    ball : bool
+        Whether the noise of a sample is bounded in the Euclidean norm.
+    """
+
+    scale: Array
+    modes: Complex
+    shown: Array
+    ball: bool
+
+    @classmethod
+    def of(cls, plant: Plant, bounds: SignalBounds) -> UndrivenMotions:
+        """Return those of a plant."""
+        scale = balanced_schur(plant.A).d
+        A, n = plant.A * scale / scale[:, None], plant.n_states
+        size = float(np.linalg.norm(A, 2))
+        found = [np.zeros((n, 0), dtype=np.complex128)]
+        for cluster in eigenvalue_clusters(A):
+            value = complex(cluster.value)
+            if value.real >= -LASTS * size:
+                _, sizes, right = np.linalg.svd(A - value * np.eye(n))
+                found.append(right[sizes <= LASTS * n * size].conj().T)
+        modes, v = np.hstack(found), bounds.v.min(axis=0)
+        modes[np.abs(modes) < LASTS] = 0.0
+        size_of = np.abs(plant.C * scale @ modes)
+        with np.errstate(divide="ignore"):
+            shown = np.divide(size_of, v[:, None], out=np.zeros_like(size_of), where=size_of > 0)
+        return cls(scale, modes, shown, bounds.v_ball)
+
+    def _shares(self, x: Array) -> Complex:
+        return np.asarray(np.linalg.lstsq(self.modes, (x / self.scale).astype(complex))[0])
+
+    def nearest(self, x: Array) -> Array:
+        """The state of such a motion that is nearest to x."""
+        return np.asarray(self.scale * (self.modes @ self._shares(x)).real)
+
+    def strongest(self, row: Array) -> Array:
+        """The state of such a motion, within the noise at all times before, with about the largest row'x."""
+        from scipy.optimize import linprog
+
+        reached = (row * self.scale) @ self.modes
+        finite = np.isfinite(self.shown).all(axis=0)
+        sizes, shown = np.abs(reached) * finite, np.where(finite, self.shown, 0.0)
+        seen = shown.max(axis=0, initial=0.0)
+        unit = np.where(seen > 0, seen, 1.0)
+        if not np.any(sizes * seen):
+            return np.zeros(row.size)
+        found = linprog(
+            -sizes / unit, A_ub=shown / unit, b_ub=np.ones(len(shown)), bounds=[(0.0, float(s > 0)) for s in seen]
+        )
+        return np.asarray(self.scale * (self.modes @ (found.x / unit * np.exp(-1j * np.angle(reached)))).real)
+
+    def excess(self, x: Array) -> float:
+        """By which factor outputs of the motion through x may exceed the noise at any time before; infinite if none."""
+        shares = self._shares(x)
+        z = x / self.scale
+        if np.linalg.norm(z - self.modes @ shares) > AMONG * np.linalg.norm(z):
+            return np.inf
+        with np.errstate(invalid="ignore"):
+            sizes = np.where(np.abs(shares) > 0, self.shown * np.abs(shares), 0.0).sum(axis=1)
+        return float(np.linalg.norm(sizes) if self.ball else np.max(sizes, initial=0.0))

@@ -1,0 +1,81 @@
+"""What no disturbance drives is known as well as a linear program of the state alone says, soon; 0 is closed, too."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.accuracy.search import ChainSearch
+from tests.cases import few
+from tests.oracles.accuracy import undriven
+
+PLANTS = {
+    "level": ([[0.0]], [1.0]),
+    "drift": ([[0.0, 1.0], [0.0, 0.0]], [1.0, 0.0]),
+    "oscillator": ([[0.0, 1.0], [-1.0, 0.0]], [1.0, 0.0]),
+    "decaying": ([[-0.1, 0.0], [0.0, -0.2]], [1.0, 0.0]),
+    "growing": ([[0.1, 0.0], [1.0, -0.2]], [1.0, 0.0]),
+    "two growing": ([[0.1, 0.0], [0.0, 0.3]], [1.0, 1.0]),
+    "level and rhythm": ([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]], [1.0, 1.0, 0.0]),
+    "defective": ([[-0.3, 1.0, 0.0], [0.0, -0.3, 0.0], [0.0, 0.0, 0.05]], [1.0, 0.0, 1.0]),
+}
+GAPS = {"one": [6.4], "two alike": [3.2, 3.2], "uneven": [0.8, 1.6, 4.0]}
+CASES = [(plant, gaps, unit) for unit in (1.0, 1e-9, 1e12) for gaps in GAPS for plant in PLANTS]
+KEPT = [CASES.index(case) for case in (
+    ("drift", "one", 1.0), ("decaying", "two alike", 1.0), ("growing", "uneven", 1e-9), ("defective", "one", 1e12),
+    ("level and rhythm", "one", 1.0))]  # fmt: skip
+MOST = 150
+"""Programs for a row of few states: a search that finds nothing to attain asked 2000."""
+
+
+def counted(monkeypatch):
+    """Searches that are made from now on."""
+    made, begin = [], ChainSearch.__init__
+
+    def noted(self, *given, **named):
+        begin(self, *given, **named)
+        made.append(self)
+
+    monkeypatch.setattr(ChainSearch, "__init__", noted)
+    return made
+
+
+@pytest.mark.parametrize(("name", "gaps", "unit"), few(CASES, *KEPT))
+def test_what_nothing_drives_is_known_as_a_linear_program_says(name, gaps, unit, monkeypatch):
+    A, c = PLANTS[name]
+    steps = np.array(GAPS[gaps])
+    plant, made = sd.Plant(A, [c]), counted(monkeypatch)
+    found = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule(steps), w_bound=0.0, v_bound=0.1 * unit, of="x1")
+    assert made[0].solves <= MOST
+    assert found.closed.all()
+    assert found.verify()
+    before = np.cumsum(np.tile(steps[::-1], 400 // steps.size))
+    fastest = -min(np.linalg.eigvals(A).real.min(), 0.0)
+    before = before[before * fastest <= 20]  # what has decayed by e^20 is 0 by then
+    row, worst = np.eye(len(A))[0], 0.0
+    for j, h in enumerate(steps):  # h lies behind sample j
+        past = np.concatenate([[0.0], np.cumsum(np.roll(steps, -j)[::-1])[:-1]])
+        ages = np.unique(
+            np.concatenate([past, *(past + k * steps.sum() for k in range(1, 1 + before.size // steps.size))])
+        )
+        for d in np.linspace(0.0, h, 17):
+            worst = max(worst, undriven(A, [c], ages + d, row, 0.1 * unit))
+    below, above = float(found.lower[0]), float(found.upper[0])
+    assert below <= worst * (1 + 1e-6)
+    if name in ("decaying", "defective"):
+        assert above <= 1e-4 * unit
+        assert "0: nothing was attained" in found.explain()
+    else:
+        assert worst <= above * 1.02  # with 400 samples, where for ever is meant
+        assert above <= worst * 1.02
+
+
+def test_a_motion_that_was_beyond_its_noise_before_is_no_witness():
+    plant = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])
+    found = sd.guaranteed_accuracy(plant, sd.PeriodicSchedule([1.0]), w_bound=0.0, v_bound=0.1, of="x1")
+    (witness,) = found.witnesses
+    assert "From an admissible start" in witness.explain()
+    for start in ([0.1, 0.01], [0.2, 0.0]):  # one has drifted there, one was too large
+        forged = replace(witness, states=witness.states + (np.array(start) - witness.states[0]), value=start[0])
+        assert not replace(found, witnesses=(forged,), lower=np.array([start[0]])).verify()

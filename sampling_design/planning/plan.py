@@ -22,17 +22,20 @@ from sampling_design.errors import (
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.bounds import out_of_reach, prove_cost
 from sampling_design.planning.coarser_raster import coarser, lifted_attacks, lifted_choices
+from sampling_design.planning.cost_proof import CostProof
 from sampling_design.planning.covering import CoveringRows, cheapest
 from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.disturbed import plan_robustness
 from sampling_design.planning.evidence import EASED, PlanBound, gathered
 from sampling_design.planning.feasible_choices import FeasibleChoices, GoalProofs, ProvenChoice, tighter_margins
+from sampling_design.planning.first_choices import densest, sparse
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.planning.plan_record import Plan, is_free, limit_of, without_limits
-from sampling_design.planning.problem import SAME_PRICE, PlanProblem, pose_plan
+from sampling_design.planning.problem import PlanProblem, pose_plan
 from sampling_design.planning.proven_choice import plan_of, ratios_of
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.search import PlanSearch
+from sampling_design.planning.search_progress import AFTERWARDS, PlanProgress
 from sampling_design.planning.start import plan_start
 from sampling_design.planning.undetected_modes import finer_raster, modes_of
 from sampling_design.planning.work_prices import AFTER, CERTIFIED, GAINS
@@ -104,7 +107,8 @@ def plan_samples(
     robustness : bool
         Also prove how late samples may be, and how many may be lost, before a tolerance breaks.
     progress : callable, optional
-        Called with the fraction done and a message.
+        Called with the fraction done and a message: the best plan so far (the densest one before any is found), what
+        none costs less than, as soon as that is proven, and the gap.
 
     Returns
     -------
@@ -159,8 +163,7 @@ def plan_samples(
         nonlocal found
         try:
             if found.status != "interrupted":
-                if progress:
-                    progress(0.9, name)
+                run.told.say(name, AFTERWARDS)
                 return make(found, work)
         except BudgetSpentError:
             pass
@@ -193,12 +196,20 @@ def plan_certificate(found: Plan, work: Budget | None = None) -> Certificate | N
 class _Planning:
     """One call: the search, its proof, and its bounds."""
 
-    def __init__(self, problem: PlanProblem, work: float, progress: Progress | None, first: float = COARSER):
-        self.problem, self.progress, self.first = problem, progress, first
+    def __init__(
+        self, problem: PlanProblem, work: float, progress: Progress | PlanProgress | None, first: float = COARSER
+    ):
+        self.problem, self.first = problem, first
         self.motion = motion_of(problem)
         self.oracle = AccuracyOracle(problem, self.motion)
         self.oracle.work.seconds = self.oracle.work.limit = work
-        self.search = PlanSearch(problem, self.oracle, progress)
+        own = isinstance(progress, PlanProgress)
+        self.told = progress if own else PlanProgress(progress, problem, self.oracle.work)
+        self.search = PlanSearch(problem, self.oracle, self.told)
+        self.kept = False
+        """Whether the densest choice was judged to keep every tolerance."""
+        self.least: CostProof | None = None
+        """The bound on the cost, once it is proven."""
         self.held = FeasibleChoices(problem, self.oracle.work, self._ratios)
 
     def started(self) -> list[Mask]:
@@ -211,7 +222,7 @@ class _Planning:
         if coarse is None:
             return []
         try:
-            run = _Planning(coarse, self.first * work.seconds, self.progress, 1.0)
+            run = _Planning(coarse, self.first * work.seconds, self.told, 1.0)
         except (ArgumentError, MathematicsError):  # it is too coarse to be looked at
             return []
         try:
@@ -241,8 +252,12 @@ class _Planning:
         search.add(attacks, 0.0 if self.oracle.few else 1.0)
         if worst > 1:
             self._refuse(attacks)
-        everything = self._densest()
-        search.add(self.oracle.judge(everything, longest=True)[1], 1.0)
+        everything = densest(self.problem)
+        worst, attacks = self.oracle.judge(everything, longest=True)
+        search.add(attacks, 1.0)
+        self.kept = worst <= 1
+        if self.kept:
+            self.told.held(everything, worst)
         search.seed(1.0)
         search.starts = self.started()
         search.share = SOUGHT
@@ -262,7 +277,7 @@ class _Planning:
 
     def cheapest(self) -> Plan:
         """The least cost that keeps every tolerance, and what no choice can do."""
-        search, last, everything = self.search, self._cheapest(), self._densest()
+        search, last, everything = self.search, self._cheapest(), densest(self.problem)
         if not search.held and last.worst > 1:
             return self._nearest(last)
         best = self.held.cheapest([chosen for chosen, _ in search.held], everything)
@@ -270,7 +285,8 @@ class _Planning:
         frame = CoveringRows(without_limits(self.problem), fixed=is_free(self.problem))
         search.sharpen(1 / EASED**2, cost)
         self.oracle.work.extend(*AFTER[0])
-        least = prove_cost(frame, search.pool, 1 / EASED**2, cost, self.oracle.work, find=search.find)
+        self.least = prove_cost(frame, search.pool, 1 / EASED**2, cost, self.oracle.work, find=search.find)
+        self.told.bounded(self.least.value)
         rival = self._better(best, cost)
         best = self.held.sharpest(rival.held, best)
         known, keys = rival.found.out_of_reach, rival.found.keys
@@ -278,10 +294,10 @@ class _Planning:
         ratio = out_of_reach(
             frame, search.pool, cost, known, best.worst, WIDTH, keys=keys, work=self.oracle.work, find=search.find
         )
-        return self._record(best, gathered(search.pool, ratio, least), sure)
+        return self._record(best, gathered(search.pool, ratio, self.least), sure)
 
     def interrupted(self) -> Plan:
-        """The best of what the search holds, by proof; what else is known of it is left out.
+        """The best of what the search holds, by proof, with the bound on its cost if that is proven already.
 
         Raises
         ------
@@ -289,14 +305,18 @@ class _Planning:
             If it holds nothing yet.
         """
         held, work = self.search.held, self.oracle.work
-        if not held:
+        if not held and not self.kept:
             raise KeyboardInterrupt
         work.stop()
         if self.problem.requirement.aim == "cheapest":
-            best = self.held.cheapest([chosen for chosen, _ in held], self._densest())
+            try:
+                best = self.held.cheapest([chosen for chosen, _ in held], densest(self.problem))
+            except UndecidedError:  # the densest one was judged too well, and nothing else is held
+                raise KeyboardInterrupt from None
         else:
             best = self.held.sharpest(held, self.held.proven(held[-1][0]))
-        return plan_of(self.problem, best.chosen, best.proof, PlanBound((), None, None), "interrupted")
+        bound = gathered(self.search.pool, None, self.least)
+        return plan_of(self.problem, best.chosen, best.proof, bound, "interrupted")
 
     def _farther(self, found: ProvenChoice) -> bool:
         """Whether the search must look farther back, since it holds a choice for better than it is proven to be."""
@@ -331,7 +351,7 @@ class _Planning:
         """Of all plans of a cost, a search for the most accurate one; the attacks found join the pool."""
         problem = self.problem
         limited = replace(problem, most_samples=cost) if problem.counts else replace(problem, most_cost=cost)
-        search = PlanSearch(limited, self.oracle, self.progress)
+        search = PlanSearch(limited, self.oracle, self.told)
         search.pool, search.blind = self.search.pool, self.search.blind
         search.keep(best.chosen, best.worst)
         search.seed(best.worst * 0.9)
@@ -342,7 +362,7 @@ class _Planning:
         """The least ratio of accuracy to tolerance that the limits allow, as far as the search comes."""
         search = self.search
         self._require_seen()
-        for chosen in [self._seeing(self._sparse()), *self.started()]:
+        for chosen in [self._seeing(sparse(self.problem)), *self.started()]:
             worst, attacks = self.oracle.judge(chosen)
             search.add(attacks, 0.0)
             if worst < search.found.worst:
@@ -366,6 +386,8 @@ class _Planning:
         ratio = out_of_reach(
             search.cover, search.pool, limit, known, best.worst, WIDTH, keys=keys, work=work, find=search.find
         )
+        if ratio is not None:
+            self.told.bounded(ratio.level)
         return self._record(best, gathered(search.pool, ratio, None))
 
     def _held_last(self) -> ProvenChoice:
@@ -380,61 +402,6 @@ class _Planning:
             for gains in part.gains:
                 self.oracle.work.add(GAINS, len(gains) * self.motion.n)
         return proof, ratios
-
-    def _densest(self) -> Mask:
-        """As much as hours and spacing allow, from the first allowed time on."""
-        problem = self.problem
-        chosen = np.zeros(problem.allowed.shape, dtype=bool)
-        for i in np.flatnonzero(problem.allowed.any(axis=1)).tolist():
-            for j in np.flatnonzero(problem.allowed[i]).tolist():
-                chosen[i, j] = True
-                if not without_limits(problem).is_admissible(chosen):
-                    chosen[i, j] = False
-        return chosen
-
-    def _sparse(self) -> Mask:
-        """A choice within the limits: times as even as can be, at each as many sensors as there is money for.
-
-        Raises
-        ------
-        InfeasibleRequirementError
-            If not a single measurement is admissible.
-        """
-        problem = self.problem
-        at = np.flatnonzero(problem.allowed.any(axis=1))
-        each = problem.visit + problem.price.min()
-        affordable = problem.most_cost * (1 + SAME_PRICE) / each if each > 0 else np.inf
-        most = int(min(problem.most_samples, len(at), affordable))
-        for count in range(most, 0, -1):
-            chosen = np.zeros(problem.allowed.shape, dtype=bool)
-            wanted = np.arange(count) * problem.steps / count
-            for step in wanted:
-                near = np.argsort(np.abs((at - step + problem.steps / 2) % problem.steps - problem.steps / 2))
-                for i in at[near].tolist():
-                    if self._filled(chosen, i):
-                        break
-            if int(chosen.any(axis=1).sum()) == count:
-                return self._filled_up(chosen)
-        raise InfeasibleRequirementError("No measurement is admissible within `cost_limit` and hours.", "cost_limit")
-
-    def _filled_up(self, chosen: Mask) -> Mask:
-        """The samples of a choice with every sensor that there is room and money for, the cheapest first."""
-        for _ in range(chosen.shape[1]):
-            for i in np.flatnonzero(chosen.any(axis=1)).tolist():
-                self._filled(chosen, i)
-        return chosen
-
-    def _filled(self, chosen: Mask, i: int) -> bool:
-        """Whether one more sensor, the cheapest, fits in at a step."""
-        done = False
-        for j in np.argsort(self.problem.price, kind="stable").tolist():
-            if self.problem.allowed[i, j] and not chosen[i, j]:
-                chosen[i, j] = True
-                done = self.problem.is_admissible(chosen)
-                if done:
-                    break
-                chosen[i, j] = False
-        return done
 
     def _require_seen(self) -> None:
         """Refuse goals that not even all that is allowed shows.
@@ -497,4 +464,5 @@ class _Planning:
 
     def _record(self, best: ProvenChoice, bound: PlanBound, sure: bool = True) -> Plan:
         complete = sure and self.search.found.complete
+        self.told.proven(best.chosen, best.worst)
         return plan_of(self.problem, best.chosen, best.proof, bound, "complete" if complete else "budget")

@@ -21,8 +21,8 @@ from sampling_design.planning.hidden_trajectories import MOST_ENDS, HiddenTrajec
 from sampling_design.planning.hitting_set import HittingSet, hit
 from sampling_design.planning.narrowing import narrowed
 from sampling_design.planning.problem import PlanProblem
+from sampling_design.planning.search_progress import PlanProgress
 from sampling_design.planning.work_prices import WEIGHED
-from sampling_design.records.progress import Progress
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -79,8 +79,9 @@ class PlanSearchState:
 class PlanSearch:
     """A search over choices of one problem, with its pool of attacks."""
 
-    def __init__(self, problem: PlanProblem, oracle: AccuracyOracle, progress: Progress | None = None):
-        self.problem, self.oracle, self.progress = problem, oracle, progress
+    def __init__(self, problem: PlanProblem, oracle: AccuracyOracle, told: PlanProgress | None = None):
+        self.problem, self.oracle = problem, oracle
+        self.told = told or PlanProgress(None, problem, oracle.work)
         self.free = bool(problem.allowed.all()) and all(goal.at != "given times" for goal in problem.goals)
         self.cover = CoveringRows(problem, fixed=self.free)
         self.pool = HiddenTrajectories(problem.steps, [_ends(problem, g) for g in range(len(problem.goals))])
@@ -191,6 +192,7 @@ class PlanSearch:
         """Whether there is a choice at a level: True with `found` set, False if none sees every attack, else None."""
         keys: list[Key] = []
         for _ in range(rounds):
+            self.told.say(f"{len(self.pool.attacks)} attacks")
             if self.late:
                 return None
             few = self._few(level)
@@ -293,8 +295,7 @@ class PlanSearch:
         """Remember the best choice."""
         self.found.chosen, self.found.worst = chosen, worst
         self.held.append((chosen, worst))
-        if self.progress:
-            self.progress(0.5, f"{int(chosen.any(axis=1).sum())} samples, {100 * worst:.1f} % of the tolerance")
+        self.told.held(chosen, worst)
 
     def polished(self, chosen: Mask) -> Mask:
         """Move one measurement at a time to where the attacks so far prove least, while that gains."""
@@ -390,6 +391,7 @@ class PlanSearch:
         keys = self.found.keys
         best, fruitless = self._started(level), 0
         for _ in range(rounds):
+            self.told.say(f"{len(self.pool.attacks)} attacks")
             if self.late:
                 return
             chosen, none = self._candidate(keys, level, best)

@@ -1,5 +1,6 @@
 """Plans: proven on both sides, admissible, and refused where nothing helps."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.files import save_plan
+from sampling_design.records.budget import Budget
 from tests.cases import few
 from tests.oracles import planning as oracle
 
@@ -104,7 +106,7 @@ def test_a_spacing_beyond_the_period_is_refused(sensor):
 
 
 @pytest.mark.parametrize("A", few([[[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0], [-1.0, 0.0]], [[-0.1, 0.0], [0.0, -0.2]],
-                                   [[0.1, 0.0], [1.0, -0.2]]], 0))  # fmt: skip
+                                   [[0.1, 0.0], [1.0, -0.2]]], 0, 2))  # fmt: skip
 def test_a_motion_that_nothing_drives_is_planned_and_proven(A):
     plant = sd.Plant(A, [[1.0, 0.0]], states=["first", "second"], outputs=["y"])
     given = {**GIVEN, "raster": 0.8, "w_bound": 0.0, "sensors": {"y": {"noise_bound": 0.1}}}
@@ -117,9 +119,31 @@ def test_a_motion_that_nothing_drives_is_planned_and_proven(A):
     assert best.bound.ratio is None or best.bound.ratio.level <= best.ratio
 
 
-@pytest.mark.parametrize("words", ["samples", "certificate"])
+CHEAPEST = re.compile(r"cost (\S+), (\d+) samples, (\S+) % of the tolerance(?:, none below (\S+), gap (\S+) %)?, .+")
+
+
+def test_progress_tells_the_cheapest_plan_so_far_and_its_bound_early_and_ever_better():
+    """Work is counted, not timed: in the first tenth a plan that keeps the tolerances is told, and at last the plan."""
+    told, works, of = [], [], Budget.spend
+    wanted = sd.PlanRequirement({"position": 0.35}, **{**GIVEN, "raster": 0.4})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Budget, "spend", lambda work, seconds: (works.append(seconds), of(work, seconds))[1])
+        found = sd.plan_samples(OSCILLATOR, wanted, progress=lambda *said: told.append((sum(works), *said)))
+    figures = [CHEAPEST.fullmatch(message).groups() for _, _, message in told]
+    assert told[0][0] <= sum(works) / 10
+    costs, least = [float(each[0]) for each in figures], [float(each[3] or 0) for each in figures]
+    assert costs == sorted(costs, reverse=True)
+    assert least == sorted(least)
+    assert [each for _, each, _ in told] == sorted(each for _, each, _ in told)
+    assert (costs[-1], float(figures[-1][2])) == (found.cost, pytest.approx(100 * found.ratio, abs=0.06))
+    assert least[-1] == found.bound.cost.value
+    assert float(figures[-1][4]) == pytest.approx(100 * (1 - least[-1] / costs[-1]), abs=0.06)
+    assert {"certificate", "robustness", "start"} <= {message.rsplit(", ", 1)[1] for _, _, message in told}
+
+
+@pytest.mark.parametrize("words", ["samples", "bounding", "certificate"])
 @pytest.mark.parametrize("limit", [{}, {"samples": 4}])
-def test_an_interrupt_leaves_what_the_search_holds(words, limit, tmp_path):
+def test_an_interrupt_leaves_what_the_search_holds_and_what_is_proven(words, limit, tmp_path):
     def interrupt(_, message):
         if words in message:
             raise KeyboardInterrupt
@@ -128,7 +152,10 @@ def test_an_interrupt_leaves_what_the_search_holds(words, limit, tmp_path):
     found = sd.plan_samples(OSCILLATOR, wanted, search_seconds=2, progress=interrupt)
     assert found.status == "interrupted"
     assert found.keeps
-    assert found.left_out == (("bound",) if words == "samples" else ()) + ("certificate", "robustness", "start")
+    assert found.left_out == (("bound",) if found.bound.ratio is None else ()) + ("certificate", "robustness", "start")
+    assert (found.bound.ratio is None) == (words != "certificate")
+    if not limit:  # the first that was told, the densest, or what was found, with its bound
+        assert (found.bound.cost is None) == (words == "samples")
     assert found.explain().endswith("after the start: interrupted.")
     back = sd.read_plan(save_plan(found, tmp_path / "plan.json"))
     assert back.verify()

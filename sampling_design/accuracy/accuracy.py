@@ -237,7 +237,9 @@ def _record(
             continue
         witness, j, offset = _witness(side, question, shown, planned is not None and not known.modes)
         upper[k] = finder.top(again)[0] * (1 + MARGIN)
-        witnesses[k], lower[k] = witness, witness.value * (1 - KEPT) if witness.value > KEPT * upper[k] else 0.0
+        if witness.value <= KEPT * upper[k]:  # rounding alone
+            witness = witness.within(np.inf, 0.0)
+        witnesses[k], lower[k] = witness, witness.value * (1 - KEPT)
         worst[k] = times[j] + again.opened[j].d[offset]
         if plain and worst[k] > question.end - times[0]:
             worst[k] -= question.end - times[0]

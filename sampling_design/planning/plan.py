@@ -203,8 +203,9 @@ class _Planning:
         self.motion = motion_of(problem)
         self.oracle = AccuracyOracle(problem, self.motion)
         self.oracle.work.seconds = self.oracle.work.limit = work
-        own = isinstance(progress, PlanProgress)
-        self.told = progress if own else PlanProgress(progress, problem, self.oracle.work)
+        if not isinstance(progress, PlanProgress):
+            progress = PlanProgress(progress, problem, self.oracle.work)
+        self.told = progress
         self.search = PlanSearch(problem, self.oracle, self.told)
         self.kept = False
         """Whether the densest choice was judged to keep every tolerance."""

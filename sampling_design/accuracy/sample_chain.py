@@ -32,6 +32,9 @@ from sampling_design.plants.plant import Plant
 
 Array = npt.NDArray[np.float64]
 
+EXACT = 1e-6
+"""Size given to an exact sensor, in units of what w does to its output over a period: for scaling only."""
+
 RANDOM_WALK = 1e-3
 """Share of a free start's covariance that joins the filter's noise at each period, so that it never goes to sleep."""
 

@@ -200,13 +200,44 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, told: dict[int, 
             told[k] = max(told.get(k, 0.0), here)
         elif worst > 1:
             return worst
-    wider, room = 1.0, 1 / usual if 0 < usual < 1 else np.inf
-    for k in range(settled, settled + memory):
-        phase = phase_of(schedule, float(sequence.shown[k]))
-        wider = max(wider, _beyond(search, k, filtered.reach[phase], room))
+    wider = _wider(search, plan, sequence, range(settled, settled + memory), 1 / usual if 0 < usual < 1 else np.inf)
     if told is not None:
         told[len(times) - 1] = max(told.get(len(times) - 1, 0.0), float(usual) * wider)
     return max(worst, float(usual) * wider)
+
+
+def _wider(
+    search: ChainSearch, plan: PlanFigures, sequence: SampleSequence, samples: range, room: float = np.inf
+) -> float:
+    """How many times as large as the plan's filter bounds it the error is at most at samples of a sequence, at least 1.
+
+    So it is after all that follow, if those are the plan's and they are as many as its filter looks back.
+    """
+    filtered, wider = plan_chain(plan), 1.0
+    for k in samples:
+        phase = phase_of(plan.schedule, float(sequence.shown[k]))
+        wider = max(wider, _beyond(search, k, filtered.reach[phase], room))
+    return wider
+
+
+def settled_since(plan: PlanFigures, sequence: SampleSequence) -> tuple[float, float]:
+    """From when on the error, or its covariance, is at most so many times the plan's own, for ever; infinite if never.
+
+    The sequence ends with the plan, and that goes on.
+    """
+    times, memory, since, wider = sequence.times, forgets(plan), -np.inf, 1.0
+    if plan.deviation is not None:
+        wider, since = spread_of(plan).worst(sequence)[1], float(times[-1])
+    if plan.accuracy is not None:
+        settled = len(times) - 1 - memory
+        chain = sequence_chain(plan, plan_chain(plan), sequence, len(times) - max(settled, 0))
+        search = ChainSearch(*chain)
+        search.back = looks_back(plan)
+        if settled < sequence.first or not _is_the_plan(search, plan_chain(plan), settled):
+            return np.inf, np.inf
+        since = max(since, float(times[settled]))
+        wider = max(wider, _wider(search, plan, sequence, range(settled, settled + memory)))
+    return (since, wider) if np.isfinite(wider) else (np.inf, np.inf)
 
 
 def _gap_bound(search: ChainSearch, opened: RowBetweenSamples, k: int, goal: RowGoal, asked: list[float]) -> float:

@@ -116,7 +116,7 @@ def sequence_chain(
         chain = replace(own, L=np.array(L), samples=tuple(samples), gaps=tuple(made), start=start, last=0.0)
         chain = replace(chain, known=initial.exact)
         return chain, finite_atoms(chain)
-    before = [own.reach[phase_of(plan.schedule, float(t))] for t in sequence.shown[: sequence.first]]
+    before = [sequence.wider * own.reach[phase_of(plan.schedule, float(t))] for t in sequence.shown[: sequence.first]]
     start = StartSet(np.diag(1 / np.maximum(before[0], LEAST * before[0].max(initial=1.0))), ball=False)
     chain = replace(own, L=np.array(L), samples=tuple(samples), gaps=tuple(made), start=start, last=0.0)
     return chain, finite_atoms(chain, before)

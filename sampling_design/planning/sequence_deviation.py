@@ -65,6 +65,9 @@ class SampleSequence:
     clock: PlanClock = ORDINARY
     begins: bool = False
     """Whether the plan starts at the first time, where its requirement says what is known; else it was followed."""
+    wider: float = 1.0
+    """Before the first change, or at the first sample, the error is at most so many times what the plan followed for
+    ever leaves of it."""
     since: float = -np.inf
     """Nothing is judged before this time, though all that was measured then counts."""
 
@@ -257,7 +260,8 @@ class SpreadSequence:
             times = sequence.times
             self.plan.oracle.work.add(SEQUENCE, len(times) * len(self.A))
             start = max(sequence.first - 1, 0)
-            P = np.eye(len(self.A)) * WIDE if sequence.begins else self._limit(sequence, start)
+            usual = sequence.wider**2 * self._limit(sequence, start)
+            P = np.eye(len(self.A)) * WIDE if sequence.begins else usual
             P = measurement_update(P, self.S[sequence.seen[0]]) if sequence.begins else P
             found = [(start, P)]
             for k in range(start, len(times) - 1):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from sampling_design.errors import NotDetectableError, UndecidedError
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.opening import PlanClock
-from sampling_design.planning.sequence import proven_ratio, settles
+from sampling_design.planning.sequence import proven_ratio, settled_since, settles
 from sampling_design.planning.sequence_deviation import GRAIN, ORDINARY, SampleSequence, planned
 from sampling_design.records.budget import Budget
 from sampling_design.records.record import PlainRecord, short
@@ -17,6 +18,9 @@ from sampling_design.records.units import spoken
 
 LONGER = 2
 """How often the time that a plan takes to settle is doubled, at most, until its start is forgotten."""
+
+LARGER = 1 + 1e-3
+"""So many times what a plan leaves of the error in the end counts as settled; what is more is looked at for longer."""
 
 SAME_ANEW = 1e-4
 """Figures worked out anew may be larger by this share: solvers of other machines."""
@@ -98,6 +102,24 @@ def _settled(plan: PlanFigures) -> tuple[SampleSequence, dict[int, float]]:
         if gaps[len(sequence.times) - 1] <= 1:
             break
     return sequence, gaps
+
+
+@lru_cache(maxsize=4)
+def settled_from_start(plan: PlanFigures) -> tuple[float, float]:
+    """Since its start, from when on what a plan leaves of the error is at most so many times what it does in the end.
+
+    Infinite where that is not proven.
+    """
+    span = settles(plan) * plan.schedule.period / len(plan.schedule) + plan.schedule.period
+    found = np.inf, np.inf
+    for doubled in range(LONGER + 1):
+        try:
+            found = settled_since(plan, from_start(plan, span * 2**doubled, plan.clock))
+        except (NotDetectableError, UndecidedError):
+            break
+        if found[1] <= LARGER:
+            break
+    return found
 
 
 def from_start(plan: PlanFigures, stop: float, clock: PlanClock = ORDINARY) -> SampleSequence:

@@ -17,7 +17,7 @@ from sampling_design.planning.opening import WEEK
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import known_at, looks_back
 from sampling_design.planning.sequence_deviation import SampleSequence, planned
-from sampling_design.planning.start import from_start
+from sampling_design.planning.start import from_start, settled_from_start
 from sampling_design.records import checks
 from sampling_design.records.record import Plain, Record, short
 from sampling_design.records.signatures import checked
@@ -337,30 +337,31 @@ def _taken(
 
 
 def _history(plan: Plan, taken: tuple[Array, Mask] | None, now: float) -> SampleSequence:
-    """Everything measured until now, and how much of it is the plan's."""
+    """Everything measured until now, and how much of it is the plan's: from its start, until that settles by proof."""
     mean = plan.schedule.period / len(plan.schedule)
     span = (looks_back(plan) + 1) * mean + plan.schedule.period
     tiny = 1e-6 * plan.problem.step
-    if taken is None or not taken[0].size:
-        if now < span:
-            return from_start(plan, now + tiny, plan.clock)
-        times, seen = planned(plan, now - span, now + tiny, plan.clock)
-        return SampleSequence(times, seen, _unchanged(plan, times), plan.clock)
-    first = float(taken[0][0])
-    if first < span:
-        begun = from_start(plan, first - tiny, plan.clock)
-        late = begun.times < first - tiny
+    taken = taken if taken is not None and taken[0].size else None
+    until = now + tiny if taken is None else float(taken[0][0]) - tiny
+    since, wider = settled_from_start(plan) if until >= span else (np.inf, np.inf)
+    if until - span < since:
+        begun = from_start(plan, until, plan.clock)
+        if taken is None:
+            return begun
+        late = begun.times < until
         times, seen = np.concatenate([begun.times[late], taken[0]]), np.concatenate([begun.seen[late], taken[1]])
         return replace(begun, times=times, seen=seen)
-    before = planned(plan, first - span, first - tiny, plan.clock)
-    wanted = planned(plan, first - tiny, now + tiny, plan.clock)
-    same = 0
+    times, seen = planned(plan, until - span, until, plan.clock)
+    if taken is None:
+        return SampleSequence(times, seen, _unchanged(plan, times), plan.clock, wider=wider)
+    wanted = planned(plan, until, now + tiny, plan.clock)
+    same, count = 0, times.size
     for t, mask, due, meant in zip(taken[0], taken[1], wanted[0], wanted[1], strict=False):
         if abs(t - due) > tiny or not np.array_equal(mask, meant):
             break
         same += 1
-    times, seen = np.concatenate([before[0], taken[0]]), np.concatenate([before[1], taken[1]])
-    return SampleSequence(times, seen, min(before[0].size + same, _unchanged(plan, times)), plan.clock)
+    times, seen = np.concatenate([times, taken[0]]), np.concatenate([seen, taken[1]])
+    return SampleSequence(times, seen, min(count + same, _unchanged(plan, times)), plan.clock, wider=wider)
 
 
 def _unchanged(plan: Plan, times: Array) -> int:

@@ -10,6 +10,8 @@ from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.files import save_plan
 from sampling_design.planning.requirement_file import plan_requirement_from_dict
+from sampling_design.planning.sequence import looks_back
+from sampling_design.planning.sequence_deviation import planned
 from sampling_design.planning.start import PlanStart, from_start, plan_start
 from tests.cases import few
 
@@ -94,6 +96,53 @@ def test_before_the_first_samples_the_next_one_is_not_said_to_keep_what_nobody_k
             assert found.proven
             assert found.kept_from == (0.0 if keeps else pytest.approx(4.2, abs=1.5))
             assert np.isfinite(found.latest)
+
+
+HIDDEN = sd.Plant([[0.0, 0.0], [0.0, -0.05]], [[1.0, 0.0]], states=["a", "b"], outputs=["y"])
+"""A level, and beside it what no sensor shows and what fades slowly."""
+
+
+def fading(error):
+    goals = {"a": 0.52, "b": 0.5}
+    terms = {"y": {"noise_bound": 0.1}}
+    return sd.PlanRequirement(goals, period=8.0, raster=1.0, w_bound=[0.1, 0.01], sensors=terms, initial_error=error)
+
+
+@pytest.fixture(scope="module")
+def followed(plans):
+    """Plans that begin with an error, by name and error."""
+    known = {(name, error): started(plans[name], name, error) for name in PLANTS for error in (None, 50.0)}
+    found = sd.plan_samples(HIDDEN, fading([1.0, 50.0]), search_seconds=3, **BARE)
+    return known | {("fading", "50"): found, ("fading", "5e4"): replace(found, requirement=fading([1.0, 5e4]))}
+
+
+@pytest.mark.parametrize("periods", few([0.0, 1.0, 3.0, 7.0, 20.0], 1, 3))
+def test_the_next_sample_promises_nothing_that_the_start_may_still_break(followed, periods):
+    """Whoever follows the plan for so long, then the advice: no admissible start and motion breaks a tolerance."""
+    for (name, error), plan in followed.items():
+        span = (looks_back(plan) + 1) * plan.schedule.period / len(plan.schedule)
+        now = span + periods * plan.schedule.period
+        found = sd.next_sample(plan, now=now)
+        if name == "fading":  # what no sample shows is what is left of it at the start
+            assert not found.keeps or float(error) * np.exp(-0.05 * now) <= 0.5
+            continue
+        assert found.keeps, (name, error)
+        assert found.proven, (name, error)
+        end = found.latest + 2 * plan.schedule.period
+        before, after = planned(plan, 0.0, now + 1e-6)[0], planned(plan, found.latest + 1e-6, end)[0]
+        alone = sd.guaranteed_accuracy(
+            plan.plant,
+            sd.Schedule(np.concatenate([before, [found.latest], after])),
+            w_bound=plan.requirement.w_bound,
+            v_bound=float(plan.problem.v_bound[0]),
+            initial_error=error,
+            start=0.0,
+            end=end,
+            of=["a"],
+            rtol=0.1,
+        )
+        assert np.max(alone.profile.lower[0, alone.profile.edges[:-1] >= now - 1e-9]) <= plan.goals[0].tolerance
+    assert sd.next_sample(followed["fading", "50"], now=400.0).keeps
 
 
 def test_dates_begin_with_the_start():

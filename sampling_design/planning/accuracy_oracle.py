@@ -70,8 +70,9 @@ class AccuracyOracle:
         self._open: list[list[tuple[Array, float]]] = [[(row, 0.0)] for row in self.rows]
 
     def count(self, work: Budget) -> None:
-        """Count what was done and what is done from now on as part of some other work."""
-        work.spend(self.work.spent)
+        """Count what was done, once, and what is done from now on as part of some other work."""
+        if work is not self.work:
+            work.spend(self.work.spent)
         self.work = work
         if self.spread is not None:
             self.spread.work = work

@@ -162,7 +162,7 @@ TIGHT = ((0.1, 0.0), (0.2, 0.0), (0.5, 0.0))
 @pytest.mark.parametrize("tight", [False, True])
 def test_a_plan_ends_with_its_work_and_says_what_did_not_fit(tight, monkeypatch, tmp_path):
     """Its seconds are counted: so is all that follows the search, and a piece that does not fit in is left out."""
-    works, extend, seconds = [], Budget.extend, 0.05 if tight else 2.0
+    works, extend, seconds = [], Budget.extend, 0.05 if tight else 0.4
 
     def noted(work, *limit, **how):
         works.append(work)

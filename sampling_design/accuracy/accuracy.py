@@ -244,7 +244,7 @@ def _record(
         if plain and worst[k] > question.end - times[0]:
             worst[k] -= question.end - times[0]
         offsets[k] = finder.offset(again, j, offset)
-        closed[k] = search.closed or upper[k] <= (1 + rtol) * witness.value
+        closed[k] = (search.closed and search.idle) or upper[k] <= (1 + rtol) * witness.value
         open_ends = np.flatnonzero(np.isinf(above[k]))
         late = open_ends[-1] + 1 if open_ends.size else 0
         known_from[k] = -np.inf if plain else edges[late] if late < edges.size - 1 else np.inf

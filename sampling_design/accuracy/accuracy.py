@@ -193,13 +193,16 @@ def _bracketed(search: ChainSearch, row: Array, tolerance: float) -> RowSearch:
 
 
 def _witness(
-    side: ChainSearch, question: AccuracyQuestion, shown: RowSearch, moves: bool
+    side: ChainSearch, question: AccuracyQuestion, shown: RowSearch, moves: bool, rounding: float
 ) -> tuple[AccuracyWitness, int, int]:
-    """The strongest witness of a row, its node and offset; at real times that are sought, if samples may move."""
+    """The strongest witness of a row, its node and offset; at real times that are sought, if samples may move.
+
+    At rest where it attains `rounding` alone.
+    """
     witness, j, offset = strongest_witness(side, shown.row, question, shown)
     if moves:
         witness = max(witness, moved_witness(side, question, shown, j, offset), key=lambda found: found.value)
-    return witness, j, offset
+    return witness if witness.value > rounding else witness.within(np.inf, 0.0), j, offset
 
 
 def _record(
@@ -235,10 +238,8 @@ def _record(
         below[k] = np.concatenate([side.below(shown, j)[:-1] for j in range(len(shown.opened))])
         if not np.isfinite(at_samples[k]).any() and not np.isfinite(above[k]).any():
             continue
-        witness, j, offset = _witness(side, question, shown, planned is not None and not known.modes)
         upper[k] = finder.top(again)[0] * (1 + MARGIN)
-        if witness.value <= KEPT * upper[k]:  # rounding alone
-            witness = witness.within(np.inf, 0.0)
+        witness, j, offset = _witness(side, question, shown, side is planned and not known.modes, KEPT * upper[k])
         witnesses[k], lower[k] = witness, witness.value * (1 - KEPT)
         worst[k] = times[j] + again.opened[j].d[offset]
         if plain and worst[k] > question.end - times[0]:

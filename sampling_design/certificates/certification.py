@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design import __version__
-from sampling_design.certificates.exact.canonical import NoiseWeights, ScaledProblem, canonical, evened, followed, slip
-from sampling_design.certificates.exact.certificate import Certificate, SampledCertificate
+from sampling_design.certificates.exact.canonical import NoiseWeights, ScaledProblem, canonical, followed, slip
+from sampling_design.certificates.exact.certificate import WITHOUT_GAIN, Certificate, SampledCertificate
 from sampling_design.certificates.exact.efforts import ALL_WORK, BEYOND, LOOK_WORK, SEARCHED, SearchEffort
 from sampling_design.certificates.exact.given_weights import above_one, met, weights_of
 from sampling_design.certificates.exact.own_decay import own_decay
 from sampling_design.certificates.exact.precise import precisely_chosen
 from sampling_design.certificates.exact.proof import ScheduleProof
+from sampling_design.certificates.exact.retained_part import parted_weights, search_units
 from sampling_design.certificates.exact.weight_choice import (
     COMPARED,
     SEARCH_WORK,
     ChosenWeights,
+    WeightSearch,
     choose_rate,
     choose_weights,
     rate_range,
     round_choices,
-    settled_sizes,
 )
 from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
 from sampling_design.checkers.work import Work
@@ -159,10 +162,12 @@ def certify(
         Default 2 diag(1/s_y^2), so that R~ = (R^-1 + Qv^-1)^-1 = diag(1/s_y^2). One stands for both.
     noise_gain : float
         C_w and C_v may be at most this many times their least at the eta in question (above 1), states counted in
-        their scales. Only used where P2 is chosen.
+        their scales. Only used where P2 is chosen. Where nothing is proven with it, a plant that decays on its own is
+        certified without, which `explain()` says.
     budget : float, optional [seconds]
         Of the whole call. What is best by then is proven and returned; without a budget the work is counted, and the
-        result is the same on every machine.
+        result is the same on every machine. An interrupt (KeyboardInterrupt) ends the search of weights likewise, once
+        it holds some; a second one ends the call.
     memory : int, optional
         For a family alone: how much of the past its graph remembers; see `certify_family`.
     progress : callable, optional
@@ -243,9 +248,10 @@ def certify(
     except UndecidedError as error:
         if not limit.over:
             raise
+        tried = str(error).removeprefix("undecided: ").split(". ")[0].rstrip(".")
         raise UndecidedError(
             f"undecided: no certificate was proven within `budget` = {limit.seconds:g} s. Give it more time, or a rate "
-            "`eta`.", **{**error.details, "status": "budget"},
+            f"`eta`. When it ended: {tried}.", **{**error.details, "status": "budget"},
         ) from None  # fmt: skip
 
 
@@ -310,26 +316,21 @@ def chosen(
             _require(plant, schedule, eta, canon)
             bounds = (eta * canon.time, eta * canon.time)
         plain, between = canon, bounds
-        sizes = settled_sizes(canon, bounds[0])
-        if sizes is None:  # the disturbance is so weak or strong that no balance with it can be followed
-            canon = canonical(plant, schedule, weights, driven=False)
-            sizes = settled_sizes(canon, bounds[0])
-        canon = canon if sizes is None else canonical(plant, schedule, weights, log_sizes=sizes)
-        longer, canon = canon.time, evened(canon)
-        bounds = (bounds[0] * canon.time / longer, bounds[1] * canon.time / longer)
+        canon, bounds = search_units(plant, schedule, weights, bounds)
         problem, searching = (plant, schedule, weights), limit.share(SEARCHED)
         asked = [(gain, SearchEffort(Work(ALL_WORK, stop=lambda: limit.over))) for gain in gains]
-        alone = own_decay(canon, bounds, gains, Work(SEARCH_WORK, stop=lambda: searching.over))
-        try:  # lambda is one: no search finds a shorter horizon
-            proven = [
-                _first_proven(problem, canon, [choice], eta, *each)
-                for choice, each in zip(alone, asked, strict=True)
-                if choice is not None
-            ]
-            if len(proven) == len(gains):
-                return proven
-        except UndecidedError:
-            pass
+        # where lambda is one no search finds a shorter horizon; the slow modes of a large plant are sought alone
+        ways = (
+            partial(own_decay, canon, bounds, gains, Work(SEARCH_WORK, stop=lambda: searching.over)),
+            partial(parted_weights, canon, bounds, gains, progress, searching),
+        )
+        for way in ways:
+            try:
+                if len(made := [choice for choice in way() if choice is not None]) == len(gains):
+                    known = zip(made, asked, strict=True)
+                    return [_first_proven(problem, canon, [choice], eta, *each) for choice, each in known]
+            except UndecidedError:
+                pass
         try:
             found = zip(choose_weights(canon, bounds, gains, progress, searching), asked, strict=True)
             return [_best_proven(problem, canon, choices, eta, *each) for choices, each in found]
@@ -339,7 +340,38 @@ def chosen(
             try:  # nearly equal modes behind few outputs leave conditions that doubles lose, and more digits hold
                 return [precisely_chosen(problem, plain, between, eta, gain, first.total) for gain, first in asked]
             except UndecidedError:
-                raise error from None
+                return _without_gain(problem, canon, bounds, eta, gains, error)
+
+
+def _without_gain(
+    problem: tuple[Plant, AnySchedule, NoiseWeights],
+    canon: ScaledProblem,
+    bounds: tuple[float, float],
+    eta: float | None,
+    gains: list[float],
+    error: UndecidedError,
+) -> list[Certificate]:
+    """What the plant's own decay proves without the noise gain that was asked for, which the certificate says.
+
+    Raises
+    ------
+    UndecidedError
+        The `error`, where it proves nothing.
+    """
+    own = -2 * float(np.max(np.linalg.eigvals(canon.plant.A).real))
+    if not own > 0:
+        raise error from None
+    slower = bounds if eta is not None else (min(bounds[0], own / 2), bounds[1])
+    choice = own_decay(canon, slower, [np.inf], Work(SEARCH_WORK))[0]
+    if choice is None:
+        raise error from None
+    gain = float(np.exp(-WeightSearch(canon).setting(choice.eta).least(choice.P2)))
+    try:
+        made = _first_proven(problem, canon, [choice], eta, gain, SearchEffort())
+    except UndecidedError:
+        raise error from None
+    told = [f"{WITHOUT_GAIN} {asked:g}: {gain:.3g}, for none was proven with {asked:g}" for asked in gains]
+    return [replace(made, solver=replace(made.solver, details={"weights": how})) for how in told]
 
 
 def _best_proven(

@@ -351,6 +351,30 @@ def test_a_certificate_is_saved_as_json_and_as_nothing_else(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("when", [0.1, 0.3, 0.7, 0.8])
+def test_an_interrupt_ends_the_search_with_what_it_has_met(when):
+    def stop(fraction, message):
+        if fraction >= when and not rung:
+            rung.append(message)
+            raise KeyboardInterrupt
+
+    rung = []
+    made = certify(DOUBLE, EVERY, progress=stop)
+    assert rung
+    assert made.verify().passed
+    assert made.horizon().C_w <= 3.0 * 1.01 * WindowSet.of(
+        window_problem(DOUBLE, EVERY, np.eye(2), *weights_of(DOUBLE, None, None, None), made.eta)
+    ).least_floor(np.ones(2))
+
+
+def test_an_interrupt_before_anything_is_met_ends_the_call():
+    def stop(fraction, message):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        certify(DOUBLE, EVERY, progress=stop)
+
+
 def test_a_budget_of_seconds_ends_the_search_and_then_the_proof():
     assert certify(DOUBLE, EVERY, budget=60.0).verify().passed
     with pytest.raises(UndecidedError, match=r"was proven within `budget` = 1e-06 s\. Give it more time"):

@@ -20,6 +20,7 @@ from sampling_design.certificates.rigorous.decide import (
     assumption_7,
     attained,
     replays_in_balls,
+    targets,
     verify_rigorously,
 )
 from sampling_design.certificates.rigorous.refutation import RefutationSearch, fails_at, refute
@@ -27,7 +28,7 @@ from sampling_design.checkers.claims import certificate as content
 from sampling_design.errors import CertificateError, MissingExtraError
 from sampling_design.numerics import balls
 from sampling_design.numerics.filtering import propagate
-from sampling_design.records.budget import Budget, BudgetSpentError
+from sampling_design.records.budget import ENDLESS, Budget, BudgetSpentError
 from tests.cases import few
 from tests.checkers.test_sampled import redigested, scaled, verdict_by_scan
 from tests.oracles import riccati as oracle
@@ -368,7 +369,7 @@ def test_a_recursion_that_grows_has_no_family():
     with balls.precision():
         c = content(made_up)
         frame = framed(c, BallWeights(c.plant, c.weights).P2, "aliased")
-        with pytest.raises(ArithmeticError, match="the recursion does not settle"):
+        with pytest.raises(ArithmeticError, match="settles far above what is claimed"):
             settled(frame, 1e-2, Budget(60.0))
 
 
@@ -419,3 +420,22 @@ def test_the_search_for_a_counterexample_walks_in_doubles(made):
             exact = balls.floats(frame.flow.step(Y, balls.ball(duration)))
             assert search.step(balls.floats(Y), duration) == pytest.approx(exact, rel=1e-12)
         assert propagate(balls.floats(Y), *search.over_gaps[0]) == pytest.approx(exact, rel=1e-12)
+
+
+def test_a_long_run_that_settles_over_thousands_of_periods_is_found():
+    plant, eta = Plant([[0.0]], [[1.0]], G=[[1e-4]]), 0.005
+    made = certify(plant, PeriodicSchedule([1.0]), eta=eta, P2=[[1e9]])  # Y begins so low that no gain holds it
+    with balls.precision(400):
+        frame = framed(made.content, targets(made.content.weights)[0].target, "slow")
+        found, worst = settled(frame, 1e-30, ENDLESS)
+    F, W = np.exp(eta), 1e-8 * np.expm1(eta) / eta  # after a sample Y = M/(1 + M), M = F Y + W before it
+    Y = (np.sqrt((1 + W - F) ** 2 + 4 * F * W) - (1 + W - F)) / (2 * F)
+    unit = made.P1[0, 0] * (1 + made.margin)
+    assert balls.floats(found[0])[0, 0] == pytest.approx(Y * unit, rel=1e-9)
+    assert worst == pytest.approx((F * Y + W) * unit, rel=1e-9)
+
+
+def test_a_long_run_far_above_what_is_claimed_is_no_family(made):
+    c = content(made("oscillator").to_dict())
+    with balls.precision(), pytest.raises(ArithmeticError, match="settles far above what is claimed"):
+        settled(framed(c, balls.symmetric(1e9 * c.weights.P1), "far"), 1e-14, ENDLESS)

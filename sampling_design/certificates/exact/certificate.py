@@ -32,6 +32,8 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
 
+WITHOUT_GAIN = "noise gain is beyond"
+"""How the weights are told that keep no noise gain as it was asked for."""
 MATRICES: tuple[str, ...] = ("P1", "P2", "Qw", "R", "Qv")
 NUMBERS: tuple[str, ...] = ("eta", "lam", "lam_samples", "margin")
 """What a file of this claim holds as it is, beside plant, times and witness."""
@@ -361,8 +363,12 @@ class Certificate(SampledCertificate):
         return (
             f"On this schedule the past fades at rate {short(self.eta)} per {self.plant.time_unit}{self._until()}: "
             f"whatever the window start, the information kept is at least 1/{short(self.lam)} of the prior weight P2, "
-            f"so that a window longer than {short(self.horizon().minimum)} contracts."
+            f"so that a window longer than {short(self.horizon().minimum)} contracts." + self._beyond()
         )
+
+    def _beyond(self) -> str:
+        how = str(self.solver.details.get("weights", ""))
+        return f" Its {how}." if how.startswith(WITHOUT_GAIN) else ""
 
 
 def times_to_dict(schedule: Schedule | PeriodicSchedule) -> dict[str, Plain]:

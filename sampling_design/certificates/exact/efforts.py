@@ -12,8 +12,8 @@ LOOK_WORK = 2e6
 what they have met by then is tried."""
 CHECK_WORK, ONE_CHECK = 6e6, 2.5e6
 """Work of the proofs in floats, for all choices of weights together, and of one of them."""
-BALL_WORK, ONE_IN_BALLS = 2e6, 1.8e6
-"""Likewise in balls, where eight and nine states take up to 1.7e6, and one of it about two microseconds; a
+BALL_WORK, ONE_IN_BALLS = 2.7e6, 2.5e6
+"""Likewise in balls, where eight and nine states take up to 2.4e6, and one of it about two microseconds; a
 later group may do one."""
 LATER = 0.7
 """Share of that in floats for the spare choices, and for the round ones; one of their checks may do as much as one

@@ -48,7 +48,7 @@ def own_decay(
         if search.late or all(found):
             break
         try:
-            rooms = [(shape, search.setting(rate).least(shape)) for shape in _shapes(canon, rate, own)]
+            rooms = [(shape, search.setting(rate).least(shape)) for shape in lyapunov_shapes(canon, rate, own)]
         except (SolverError, np.linalg.LinAlgError, ValueError):
             continue
         for k, budget in enumerate(budgets):
@@ -58,7 +58,7 @@ def own_decay(
     return found
 
 
-def _shapes(canon: ScaledProblem, rate: float, own: float) -> Iterator[Array]:
+def lyapunov_shapes(canon: ScaledProblem, rate: float, own: float) -> Iterator[Array]:
     """X^-1 for this rate, the roundest and the surest first."""
     n, H = canon.plant.n_states, noise_input(canon.plant.G, canon.weights[0])
     for faster in FASTER:

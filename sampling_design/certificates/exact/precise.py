@@ -22,7 +22,7 @@ from sampling_design.certificates.exact.proof import as_proven
 from sampling_design.certificates.exact.weight_choice import ROUNDNESS, ChosenWeights, WeightSearch
 from sampling_design.certificates.form.digest import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.rigorous.ball_problem import BallTimes, BallWeights, ScheduleFrame
-from sampling_design.certificates.rigorous.ball_proof import JUMP, one_period, rest
+from sampling_design.certificates.rigorous.ball_proof import long_run, one_period
 from sampling_design.certificates.rigorous.decide import decided_on_schedule
 from sampling_design.checkers.parts import Plant as FilePlant
 from sampling_design.checkers.parts import Weights
@@ -39,12 +39,10 @@ Array = npt.NDArray[np.float64]
 
 BITS = 400
 """Binary digits: a hundred decimal ones beside those that conditions of 1e45 lose."""
-LONGEST = 2000
-"""Samples that are followed until the long run is reached."""
 SHARE = 1e-4
 """Share of every state's variance that is added before a covariance becomes a weight: P2 is then no harder than 1e5."""
 REACHED = 1e-6
-"""Change of every state's variance in a period, relative, at which it is."""
+"""Change of every state's variance with twice as many periods, relative, at which the long run is reached."""
 MERGED = 3e-2, 1e-3
 """A window is followed no further that is below the long run and these shares of the long run and of its own start."""
 CELLS = 4
@@ -73,17 +71,17 @@ class PreciseWindows:
 
     def _settled(self) -> list[Matrix]:
         """Y after each sample of the period in the long run."""
-        Y = self.frame.start
-        for turn in range(1, LONGEST // self.times.N + 2):
-            self._spend(2 * self.times.N)
-            before, (kept, whole, _) = Y, one_period(self.frame, Y, 0.0)
-            Y = kept[-1]
-            size = np.sqrt(np.abs(np.diagonal(floats(Y))))
-            if np.all(np.abs(floats(Y - before)) <= REACHED * size * size[:, None]):
-                return kept
-            if turn % JUMP == 0:
-                Y = rest(whole, before, Y)
-        raise SolverError("the information did not settle: the schedule is on the edge of what can be certified.")
+
+        def near(before: Matrix, after: Matrix) -> bool:
+            size = np.sqrt(np.abs(np.diagonal(floats(after))))
+            return bool(np.all(np.abs(floats(after - before)) <= REACHED * size * size[:, None]))
+
+        try:
+            return one_period(self.frame, long_run(self.frame, 0.0, near, self._spend), 0.0)[0]
+        except ArithmeticError:
+            raise SolverError(
+                "the information did not settle: the schedule is on the edge of what can be certified."
+            ) from None
 
     def _spend(self, samples: int) -> None:
         self.work.spend(samples * (STEP_WORK[0] + STEP_WORK[1] * self.n**3))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -105,6 +106,17 @@ class WeightSearch:
         self.starts, self.iterations, self.restarts = STARTS[large], MAX_ITERATIONS[large], RESTARTS[large]
         self.joint, self.below = JOINT[large], BELOW[large]
         self.work = Work(SEARCH_WORK) if work is None else work
+        self.interrupted = False
+
+    @contextmanager
+    def kept(self, met: list[ChosenWeights]) -> Iterator[None]:
+        """After an interrupt the search ends with what it has met; it is on its way where that is nothing."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            if not met:
+                raise
+            self.interrupted, self.work.left = True, 0.0
 
     @property
     def late(self) -> bool:
@@ -322,23 +334,6 @@ def rate_range(plant: Plant, schedule: AnySchedule) -> tuple[float, float]:
     return min(low, high / 8), high
 
 
-def settled_sizes(canon: ScaledProblem, eta: float) -> Array | None:
-    """Base-two sizes of the states, in the caller's units, at which the long-run covariance has a unit diagonal.
-
-    The balanced ones of states that it does not reach; None where it cannot be followed.
-    """
-    known = np.log2(canon.x) + np.log2(canon.sizes)
-    n = canon.plant.n_states
-    with np.errstate(all="ignore"):
-        try:
-            windows = WindowSet.of(window_problem(canon.plant, canon.schedule, np.eye(n), *canon.weights, eta))
-            spread = np.mean(windows.long_run(np.diag(canon.sizes**2)), axis=0)
-        except (np.linalg.LinAlgError, SolverError):
-            return None
-        settled = np.log2(canon.x) + np.log2(np.diagonal(spread)) / 2
-    return np.where(np.isfinite(settled), settled, known) if np.isfinite(settled).any() else None
-
-
 def choose_weights(
     canon: ScaledProblem,
     bounds: tuple[float, float],
@@ -353,7 +348,7 @@ def choose_weights(
     *Method.* A scan over eta with P2 between the long-run information and the least that the budget asks for, then
     sequential quadratic programming on the exact lambda of a set of windows, with gradients, at reference budgets;
     every shape met is scaled to the budget asked for. A local optimum, never evidence. After `SEARCH_WORK` no further
-    descent begins and the one that runs ends; so they do once `budget` is spent.
+    descent begins and the one that runs ends; so they do once `budget` is spent, or after an interrupt.
 
     Raises
     ------
@@ -366,11 +361,12 @@ def choose_weights(
     rates = [float(rate) for rate in np.geomspace(*bounds, SCAN)] if free else [bounds[0]]
     guesses: list[ChosenWeights] = []
     for k, rate in enumerate(rates):
-        report(0.3 * k / len(rates), f"rate {rate:.3g}")
         if search.late:
             break
-        guess = search.best_guess(rate, REFERENCE)
-        guesses += [] if guess is None else [guess]
+        with search.kept(guesses):
+            report(0.3 * k / len(rates), f"rate {rate:.3g}")
+            guess = search.best_guess(rate, REFERENCE)
+            guesses += [] if guess is None else [guess]
     if free and not guesses:  # the slower the rate, the fewer modes grow when their squares are discounted
         for rate in (bounds[0] / slower for slower in SLOWER):
             if search.late:
@@ -390,23 +386,29 @@ def choose_weights(
     for k, guess in enumerate(guesses[: search.starts]):
         if found and search.late:
             break
-        report(0.3 + 0.13 * k, f"descent at rate {guess.eta:.3g}")
-        found.append(search.descend(guess, REFERENCE, (guess.eta, guess.eta)))
-    best = min(found, key=_value)
+        with search.kept(guesses):
+            report(0.3 + 0.13 * k, f"descent at rate {guess.eta:.3g}")
+            found.append(search.descend(guess, REFERENCE, (guess.eta, guess.eta)))
+    best = min(found or guesses, key=_value)
     if free and not search.late:
-        report(0.7, "descent on shape and rate")
-        best = min(best, search.descend(best, REFERENCE, bounds), key=_value)
-    report(0.8, "descents at other budgets")
+        with search.kept(guesses):
+            report(0.7, "descent on shape and rate")
+            best = min(best, search.descend(best, REFERENCE, bounds), key=_value)
+    with search.kept(guesses):
+        report(0.8, "descents at other budgets")
     shapes, last = [(0.0, best), (0.0, guesses[0])], best
     for reference in (*search.below, *(above for above in ABOVE if above <= max(budgets))):
         if search.late:
             break
         above = reference > REFERENCE
-        start = search.judged(last.P2, last.eta, reference) or search.best_guess(last.eta, reference)
-        if start is not None:
-            made = search.descend(start, reference, bounds if above else (start.eta, start.eta))
-            shapes.append((reference if above else 0.0, made))
-            last = made if above else last
+        with search.kept(guesses):
+            start = search.judged(last.P2, last.eta, reference) or search.best_guess(last.eta, reference)
+            if start is not None:
+                made = search.descend(start, reference, bounds if above else (start.eta, start.eta))
+                shapes.append((reference if above else 0.0, made))
+                last = made if above else last
+    if search.interrupted:
+        shapes = [(least, replace(choice, status="interrupted")) for least, choice in shapes]
     shapes += [(0.0, ChosenWeights(shape, best.eta, np.inf)) for shape in search.guesses(best.eta)]
     report(0.9, "proof")
     others = [guess for guess in guesses if guess.eta != best.eta]

@@ -30,8 +30,8 @@ ACTIVE = 0.05
 SHARPNESS = 100.0
 """Exponent of the smooth maximum over a window's times: it exceeds the true one by ln(times)/100 at most."""
 PARTS = (0.5, 1.0)
-STEP_WORK, GAINS = (20, 55, 0.6), 1.5
-"""Work of one sample of all windows: so much, so much for each output, and for each state of a window; and how many
+STEP_WORK, GAINS = (20, 55, 0.6, 0.002), 1.5
+"""Work of one sample of all windows: so much, so much for each output, and for n and n^3 of each window; and how many
 times as much it is with gains."""
 SET_UP = 1000
 """Work, about microseconds, of a set of windows before any is followed."""
@@ -131,10 +131,9 @@ class WindowSet:
             if not alive.any():
                 break
             at = (at + 1) % problem.count
-            self.work.spend(
-                (STEP_WORK[0] + STEP_WORK[1] * problem.rows.shape[-2] + STEP_WORK[2] * at.size * problem.size)
-                * (GAINS if gains else 1)
-            )
+            n, (once, output, row, product) = problem.size, STEP_WORK
+            price = once + output * problem.rows.shape[-2] + at.size * (row * n + product * n**3)
+            self.work.spend(price * (GAINS if gains else 1))
             for part in range(len(PARTS)):
                 F, W = self.inside[0][at, part], self.inside[1][at, part]
                 Y = propagate(following, F, W)

@@ -19,7 +19,7 @@ import numpy as np
 
 from sampling_design.certificates.rigorous.ball_problem import ScheduleFrame
 from sampling_design.numerics.ball_flow import BallFlow, fallen, highest
-from sampling_design.numerics.balls import BITS, Ball, Matrix, ball, definite, floats, largest, raised
+from sampling_design.numerics.balls import BITS, Ball, Matrix, ball, definite, floats, identity, largest, raised
 from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.records.budget import Budget
 
@@ -28,28 +28,25 @@ CELLS = 4
 HALVINGS = 40
 """Most halvings of a start cell."""
 PERIODS = 1000
-"""Periods along one window, or until the recursion of midpoints has settled."""
-JUMP = 10
-"""After so many periods it jumps to where its present gains would settle: a period may gain little."""
+"""Periods along one window."""
 DOUBLINGS = 40
-"""The jump is as long as 2^DOUBLINGS periods."""
-SETTLED = 1e-12
-"""What more of a jump no longer changes, relative."""
+"""The recursion of midpoints has settled after 2^DOUBLINGS periods, or does not."""
 BEYOND = 1e250
-"""What grows to this in a jump settles nowhere."""
+"""What grows to this settles nowhere."""
 LOST = 1e6
 """Where the target is I: what comes here does not come back, or not soon."""
-PROPOSALS = {
-    BITS: (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8, 1e-10, 1e-12, 1e-13, 1e-14),
-    400: (1e-20, 1e-26, 1e-32, 1e-38, 1e-44),
-}
-"""Noise added at every sample, where the target is I, to find the family: as much as the target bears; and the digits.
+PROPOSALS = {BITS: (1e-14, 1e-10, 1e-6, 1e-3), 400: (1e-44, 1e-38, 1e-32, 1e-26, 1e-20)}
+"""Noise added at every sample, where the target is I, to find the family; and the digits.
 
-Y is concave in the noise: a share s of one under which Y reaches w leaves at least s w, and is not tried above 1/w.
-Nearly equal modes behind few outputs bear 1e-30, with what is known best 1e45 times better than the rest.
+Little of it comes first: more of it fills fast directions, where Y must then be followed in short steps. Nearly equal
+modes behind few outputs bear 1e-30, with what is known best 1e45 times better than the rest.
 """
 POWERS = (0.95, 0.8, 0.5, 0.2, 0.02)
 """How far the family is blown up towards I, as powers of what is left."""
+
+
+Period = tuple[Matrix, Matrix, Matrix]
+"""A, H, W of the map Y -> A Y (I + H Y)^-1 A' + W that samples and gaps make; midpoints."""
 
 
 def settled(frame: ScheduleFrame, inflation: float, clock: Budget) -> tuple[list[Matrix], float]:
@@ -60,45 +57,81 @@ def settled(frame: ScheduleFrame, inflation: float, clock: Budget) -> tuple[list
     ArithmeticError
         If it leaves I behind by far, or does not settle.
     """
-    schedule, Y = frame.schedule, frame.start.mid()
-    for turn in range(1, PERIODS + 1 if schedule.periodic else 2):
-        clock.check((60 + frame.n**3 / 3) * schedule.N)
-        before, (kept, whole, worst) = Y, one_period(frame, Y, inflation)
-        Y = kept[-1]
-        if _size(Y - before) <= 1e-2 * inflation or not schedule.periodic:
-            return kept, worst
-        if not worst < LOST:
+
+    def near(before: Matrix, after: Matrix) -> bool:
+        return _size(after - before) <= 1e-2 * inflation
+
+    def spend(maps: int) -> None:
+        clock.check((60 + frame.n**3) * maps)
+
+    if not frame.schedule.periodic:
+        spend(frame.schedule.N)
+        return one_period(frame, frame.start.mid(), inflation)
+    kept, worst = one_period(frame, long_run(frame, inflation, near, spend), inflation)
+    if not worst < LOST:
+        raise ArithmeticError("the recursion settles far above what is claimed")
+    return kept, worst
+
+
+def long_run(
+    frame: ScheduleFrame, inflation: float, near: Callable[[Matrix, Matrix], bool], spend: Callable[[int], None]
+) -> Matrix:
+    """Y after a period's last sample, in the long run of noise that is inflated; midpoints.
+
+    Periods are composed, twice as many in each step, so that what settles over thousands of them costs a dozen maps.
+
+    Raises
+    ------
+    ArithmeticError
+        If it does not settle over 2^DOUBLINGS periods.
+    """
+    spend(frame.schedule.N)
+    period = reduce(_then, [_sampled(frame, i, inflation) for i in range(frame.schedule.N)])
+    Y = _apply(period, frame.start.mid())
+    for _ in range(DOUBLINGS):
+        spend(1)
+        before, Y = Y, _apply(period, Y)
+        if not _size(Y) < BEYOND:
             break
-        if turn % JUMP == 0:
-            Y = rest(whole, before, Y)
+        if near(before, Y):
+            return Y
+        period = _then(period, period)
     raise ArithmeticError("the recursion does not settle")
 
 
-def one_period(frame: ScheduleFrame, Y: Matrix, inflation: float) -> tuple[list[Matrix], Matrix, float]:
-    """Y after each sample, the linear part of the period with these gains, and the largest eigenvalue; midpoints."""
-    kept, whole, worst, more = [], frame.identity, 0.0, ball(inflation) * frame.identity
+def _sampled(frame: ScheduleFrame, i: int, inflation: float) -> Period:
+    """The gap before sample i, the sample, and what is inflated after it."""
+    F, W = frame.flow.over(frame.schedule.gaps[i])
+    C, K = frame.rows[i], frame.gain(W, i)
+    seen, variance = C * F, C * W * C.transpose() + frame.noises[i]
+    left = _even(frame.with_gain(W, i, K)) + ball(inflation) * frame.identity
+    return ((frame.identity - K * C) * F).mid(), _even(seen.transpose() * variance.solve(seen)), left
+
+
+def _then(first: Period, second: Period) -> Period:
+    """The composition of two maps of that form."""
+    (A, H, W), (B, J, V) = first, second
+    n = A.nrows()
+    carried = (identity(n) + W * J).transpose().solve(B.transpose()).transpose()  # B (I + W J)^-1
+    through = (identity(n) + J * W).solve(J * A)
+    return (carried * A).mid(), _even(H + A.transpose() * through), _even(V + carried * W * B.transpose())
+
+
+def _apply(period: Period, Y: Matrix) -> Matrix:
+    A, H, W = period
+    return _even(W + A * Y * (identity(A.nrows()) + H * Y).solve(A.transpose()))
+
+
+def one_period(frame: ScheduleFrame, Y: Matrix, inflation: float) -> tuple[list[Matrix], float]:
+    """Y after each sample, then inflated, and the largest eigenvalue; midpoints."""
+    kept, worst, more = [], 0.0, ball(inflation) * frame.identity
     for i, gap in enumerate(frame.schedule.gaps):
         F, W = frame.flow.over(gap)
         before = (F * Y * F.transpose() + W).mid()
-        K = frame.gain(before, i)
-        whole = ((frame.identity - K * frame.rows[i]) * F * whole).mid()
-        Y = _even(frame.with_gain(before, i, K)) + more
+        Y = _even(frame.with_gain(before, i, frame.gain(before, i))) + more
         kept.append(Y)
         worst = max(worst, _top(before), _top(Y))
-    return kept, whole, worst
-
-
-def rest(whole: Matrix, before: Matrix, after: Matrix) -> Matrix:
-    """Where periods Y -> whole Y whole' + const settle, of which one led from `before` to `after`; else `after`."""
-    found = after - whole * before * whole.transpose()
-    for _ in range(DOUBLINGS):
-        more, whole = (whole * found * whole.transpose()).mid(), (whole * whole).mid()
-        found = _even(found + more)
-        if not _size(found) < BEYOND:
-            break
-        if _size(more) <= SETTLED * _size(found):
-            return found
-    return after
+    return kept, worst
 
 
 def _even(M: Matrix) -> Matrix:
@@ -156,16 +189,14 @@ class BallWindows:
 
         A finite schedule needs none.
         """
-        bearable = np.inf
         for inflation in inflations:
-            if inflation >= bearable:
-                continue
             try:
                 Z, worst = settled(self.frame, inflation, self.clock)
             except (ArithmeticError, np.linalg.LinAlgError):
                 continue
-            bearable = inflation / worst
-            for power in POWERS if worst < 1 else ():
+            if not worst < 1:  # nor with more noise
+                break
+            for power in POWERS:
                 if self.invariant([ball(worst**-power) * z for z in Z]):
                     return True
         return not self.schedule.periodic

@@ -1,0 +1,123 @@
+"""The weights of a large plant from its slow modes; the fast ones have a Lyapunov matrix of their own.
+
+    x = V (z_s, z_f),   A V = V diag(A_s, A_f),   P2 = V^-T diag(P_s, X_f^-1) V^-1
+
+P_s is sought for the slow modes alone, as if the outputs showed nothing else; A_f decays at the rate by itself
+(`own_decay`). What the fast modes add to the slow ones' errors is not neglected: lambda is that of the whole plant, and
+is proven as all others are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import block_diag, schur, solve_sylvester
+
+from sampling_design.certificates.exact.canonical import NoiseWeights, ScaledProblem, canonical, evened
+from sampling_design.certificates.exact.own_decay import lyapunov_shapes
+from sampling_design.certificates.exact.weight_choice import (
+    SEARCH_WORK,
+    ChosenWeights,
+    WeightSearch,
+    choose_weights,
+)
+from sampling_design.certificates.exact.window_gains import WindowSet
+from sampling_design.certificates.exact.window_problem import window_problem
+from sampling_design.checkers.work import Work
+from sampling_design.errors import SolverError, UndecidedError
+from sampling_design.numerics.linalg import symmetrise
+from sampling_design.plants.plant import Plant
+from sampling_design.records.budget import Budget
+from sampling_design.records.progress import Progress
+from sampling_design.schedules.family import AnySchedule
+
+Array = npt.NDArray[np.float64]
+
+LARGE = 16
+"""States from which on a plant is parted; with fewer the search for all of them takes no longer."""
+APART = 4.0
+"""So many times faster than the slow modes the fast ones decay, at least."""
+BELOW = 0.7
+"""Part of their rate up to which one is sought: nearer to it their Lyapunov matrix grows beyond any noise gain."""
+SHARE, LEAST_GAIN = 0.7, 1.2
+"""Part of the noise gain that the slow modes alone may have, the rest is for what the fast ones add; and the least."""
+
+
+def settled_sizes(canon: ScaledProblem, eta: float) -> Array | None:
+    """Base-two sizes of the states, in the caller's units, at which the long-run covariance has a unit diagonal.
+
+    The balanced ones of states that it does not reach; None where it cannot be followed.
+    """
+    known = np.log2(canon.x) + np.log2(canon.sizes)
+    n = canon.plant.n_states
+    with np.errstate(all="ignore"):
+        try:
+            windows = WindowSet.of(window_problem(canon.plant, canon.schedule, np.eye(n), *canon.weights, eta))
+            spread = np.mean(windows.long_run(np.diag(canon.sizes**2)), axis=0)
+        except (np.linalg.LinAlgError, SolverError):
+            return None
+        settled = np.log2(canon.x) + np.log2(np.diagonal(spread)) / 2
+    return np.where(np.isfinite(settled), settled, known) if np.isfinite(settled).any() else None
+
+
+def search_units(
+    plant: Plant, schedule: AnySchedule, weights: NoiseWeights, bounds: tuple[float, float]
+) -> tuple[ScaledProblem, tuple[float, float]]:
+    """The problem in units in which weights are sought, and the bounds of the rate (those of `canonical`) in them."""
+    canon = canonical(plant, schedule, weights)
+    sizes = settled_sizes(canon, bounds[0])
+    if sizes is None:  # the disturbance is so weak or strong that no balance with it can be followed
+        canon = canonical(plant, schedule, weights, driven=False)
+        sizes = settled_sizes(canon, bounds[0])
+    canon = canon if sizes is None else canonical(plant, schedule, weights, log_sizes=sizes)
+    longer, canon = canon.time, evened(canon)
+    return canon, (bounds[0] * canon.time / longer, bounds[1] * canon.time / longer)
+
+
+def parted_weights(
+    canon: ScaledProblem, bounds: tuple[float, float], budgets: list[float], progress: Progress | None, limit: Budget
+) -> list[ChosenWeights | None]:
+    """For each budget the weights from the slow modes; None where the plant is small, or has no fast modes apart."""
+    nothing: list[ChosenWeights | None] = [None] * len(budgets)
+    parts = _parted(canon, bounds) if canon.plant.n_states >= LARGE else None
+    if parts is None:
+        return nothing
+    V, slow, fast, own = parts
+    back, top = np.linalg.inv(V), min(bounds[1], BELOW * own)
+    try:
+        unit = canonical(slow, canon.schedule, canon.weights).time
+        inner, between = search_units(slow, canon.schedule, canon.weights, (bounds[0] * unit, top * unit))
+        found = choose_weights(inner, between, [max(SHARE * budget, LEAST_GAIN) for budget in budgets], progress, limit)
+    except UndecidedError:
+        return nothing
+    search, made = WeightSearch(canon, work=Work(SEARCH_WORK, stop=lambda: limit.over)), nothing
+    for k, (budget, choices) in enumerate(zip(budgets, found, strict=True)):
+        for choice in choices[:1]:
+            rate = choice.eta / inner.time
+            lam = np.exp(choice.value * choice.eta)  # so much Y may rise in fast directions too
+            shape = lam * next(lyapunov_shapes(replace(canon, plant=fast), rate, own))
+            whole = symmetrise(back.T @ block_diag(inner.outside(choice.P2), shape) @ back)
+            made[k] = search.judged(whole, rate, budget, choice)
+    return made
+
+
+def _parted(canon: ScaledProblem, bounds: tuple[float, float]) -> tuple[Array, Plant, Plant, float] | None:
+    """V, the plants of the slow and of the fast modes, and the rate of the latter; None where none stand apart."""
+    plant, size = canon.plant, 1 / canon.plant.states.scales
+    A = plant.A * size[:, None] / size  # of states counted in their scales, where the noise gain is
+    rates = np.sort(np.maximum(-2 * np.linalg.eigvals(A).real, bounds[0]))
+    most = len(rates) // 2
+    k = 1 + int(np.argmax(rates[1 : most + 1] / rates[:most]))
+    if not rates[k] > APART * rates[k - 1]:
+        return None
+    middle = -float(np.sqrt(rates[k] * rates[k - 1])) / 2
+    T, Z, count = schur(A, output="real", sort=lambda real, imaginary=0.0: real > middle)
+    if count != k:
+        return None
+    across = solve_sylvester(T[:k, :k], -T[k:, k:], -T[:k, k:])
+    V = Z @ np.block([[np.eye(k), across], [np.zeros((len(T) - k, k)), np.eye(len(T) - k)]]) / size[:, None]
+    G, C = np.linalg.solve(V, plant.G), plant.C @ V
+    slow, fast = Plant(T[:k, :k], C[:, :k], G=G[:k]), Plant(T[k:, k:], C[:, k:], G=G[k:])
+    return V, slow, fast, float(rates[k])

@@ -396,8 +396,26 @@ def choose_weights(
             best = min(best, search.descend(best, REFERENCE, bounds), key=_value)
     with search.kept(guesses):
         report(0.8, "descents at other budgets")
-    shapes, last = [(0.0, best), (0.0, guesses[0])], best
-    for reference in (*search.below, *(above for above in ABOVE if above <= max(budgets))):
+    shapes = [(0.0, best), (0.0, guesses[0])]
+    _descend_at_others(search, shapes, guesses, bounds, max(budgets))
+    if search.interrupted:
+        shapes = [(least, replace(choice, status="interrupted")) for least, choice in shapes]
+    shapes += [(0.0, ChosenWeights(shape, best.eta, np.inf)) for shape in search.guesses(best.eta)]
+    report(0.9, "proof")
+    others = [guess for guess in guesses if guess.eta != best.eta]
+    return [_ordered(search, shapes, budget) + _spare(search, others, budget) for budget in budgets]
+
+
+def _descend_at_others(
+    search: WeightSearch,
+    shapes: list[tuple[float, ChosenWeights]],
+    guesses: list[ChosenWeights],
+    bounds: tuple[float, float],
+    most: float,
+) -> None:
+    """Add to `shapes`, whose first is the best at the reference budget, those that descents at others end at."""
+    last = shapes[0][1]
+    for reference in (*search.below, *(above for above in ABOVE if above <= most)):
         if search.late:
             break
         above = reference > REFERENCE
@@ -407,12 +425,6 @@ def choose_weights(
                 made = search.descend(start, reference, bounds if above else (start.eta, start.eta))
                 shapes.append((reference if above else 0.0, made))
                 last = made if above else last
-    if search.interrupted:
-        shapes = [(least, replace(choice, status="interrupted")) for least, choice in shapes]
-    shapes += [(0.0, ChosenWeights(shape, best.eta, np.inf)) for shape in search.guesses(best.eta)]
-    report(0.9, "proof")
-    others = [guess for guess in guesses if guess.eta != best.eta]
-    return [_ordered(search, shapes, budget) + _spare(search, others, budget) for budget in budgets]
 
 
 def _spare(search: WeightSearch, guesses: list[ChosenWeights], budget: float) -> list[ChosenWeights]:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design import ArgumentError, PeriodicSchedule, Plant, simulate_record
+from sampling_design.estimators.window.check_points import SAME_TIME_ULPS
 from sampling_design.validation.scenario import (
     ScenarioBounds,
     draw_inputs,
@@ -14,7 +15,7 @@ from sampling_design.validation.scenario import (
     scaled_to,
     within,
 )
-from sampling_design.validation.timeline import CELLS_PER_GAP, SAME_TIME, build_timeline, default_duration
+from sampling_design.validation.timeline import CELLS_PER_GAP, build_timeline, default_duration
 from tests.oracles.validation import integrate
 from tests.validation.plants import FINITE, PLANTS, SCHEDULES
 
@@ -95,7 +96,7 @@ def test_window_starts_are_break_points_and_snap_to_samples():
     line = build_timeline(OSCILLATOR, PeriodicSchedule([0.1]), 2.0, horizon=0.3)
     starts = line.times[line.starts]
     samples = line.times[line.samples]
-    assert starts[3:] == pytest.approx(samples[3:] - 0.3, abs=2 * SAME_TIME)
+    assert starts[3:] == pytest.approx(samples[3:] - 0.3, abs=2 * SAME_TIME_ULPS * np.spacing(2.0))
     assert np.isin(line.starts[4:], line.samples).all()  # 0.4 - 0.3 is the sample at 0.1 but for rounding
     uneven = build_timeline(OSCILLATOR, PeriodicSchedule([1.0]), 6.0, horizon=2.25)
     assert uneven.times[uneven.starts] == pytest.approx(np.maximum(np.arange(1.0, 7.0) - 2.25, 0.0))

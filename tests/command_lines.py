@@ -96,7 +96,10 @@ COMMANDS = {
     "losses": (("plant", "requirement"), {"--every-period": None}),
     "certify": (
         ("plant", "schedule"),
-        {"--eta": "0.4", "--noise-gain": "3", "--jitter": "0.01", "--gap-range": "0.9 1.1", "--detectability": None},
+        {
+            "--eta": "0.4", "--noise-gain": "3", "--timing-tolerance": "0.01", "--gap-range": "0.9 1.1",
+            "--detectability": None,
+        },
     ),
     "plan": (("plant", "wanted"), {}),
     "next": (("planned",), {"--now": "1.5"}),

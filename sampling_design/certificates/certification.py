@@ -43,6 +43,7 @@ from sampling_design.records.evidence import SolverRecord
 from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
+from sampling_design.schedules.jitter import Jitter
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 if TYPE_CHECKING:  # the families' programs are loaded when one is asked for
@@ -120,6 +121,13 @@ def certify(
 ) -> FamilyCertificate: ...  # fmt: skip
 @overload
 def certify(
+    plant: Plant | OpenPlant, schedule: AnySchedule, *, timing_tolerance: float, eta: float | None = ...,
+    P2: npt.ArrayLike | None = ..., Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ...,
+    Qv: npt.ArrayLike | None = ..., noise_gain: float = ..., budget: float | None = ..., memory: int | None = ...,
+    progress: Progress | None = ...,
+) -> SampledCertificate: ...  # fmt: skip
+@overload
+def certify(
     plant: OpenPlant, schedule: SamplingFamily | PeriodicSchedule, *, eta: float | None = ...,
     Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
     noise_gain: float = ..., budget: float | None = ..., progress: Progress | None = ...,
@@ -137,6 +145,7 @@ def certify(
     noise_gain: float = 3.0,
     budget: float | None = None,
     memory: int | None = None,
+    timing_tolerance: float = 0.0,
     progress: Progress | None = None,
     of: Wanted = None,
 ) -> SampledCertificate:
@@ -170,6 +179,9 @@ def certify(
         it holds some; a second one ends the call.
     memory : int, optional
         For a family alone: how much of the past its graph remembers; see `certify_family`.
+    timing_tolerance : float [plant.time_unit]
+        Other than 0: of one schedule, how early or late each sample may be. All such times are the family
+        `Jitter(schedule, timing_tolerance)`, whose certificate is returned.
     progress : callable, optional
         Called with (fraction, message).
     of : str, sequence of str, or (k, n) array, optional
@@ -219,6 +231,13 @@ def certify(
     >>> certificate.verify().passed
     True
     """
+    if checks.nonnegative("timing_tolerance", timing_tolerance):
+        if schedule is None or isinstance(schedule, SamplingFamily):
+            raise ArgumentError(
+                f"`timing_tolerance` is for one schedule, got {checks.described(schedule)}: a family says itself which "
+                "times its samples may have."
+            )
+        schedule = Jitter(schedule, timing_tolerance)
     if not isinstance(plant, Plant):
         if of is not None:
             raise ArgumentError("`of` is for exactly known plants: certify all states of this one.")

@@ -110,7 +110,7 @@ def lost_samples(family: LostSamples, graph: Graph) -> None:
 
 def jitter(family: Jitter, graph: Graph) -> None:
     """Words are the phase and the ends of the last deviation from the nominal time."""
-    nominal, radius, words = family.nominal, Fraction(family.radius), [exact(word) for word in graph.words]
+    nominal, radius, words = family.nominal, Fraction(family.timing_tolerance), [exact(word) for word in graph.words]
     lengths, reach, seen = [Fraction(g) for g in nominal.gaps], [Fraction(r) for r in nominal.reach], patterns(nominal)
     for u, word in enumerate(words):
         cells: dict[int, list[tuple[Fraction, Fraction]]] = {j: [] for j in phases(nominal, word, u)}

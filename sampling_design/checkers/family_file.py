@@ -76,10 +76,10 @@ class LostSamples(Family):
 
 @dataclass(frozen=True)
 class Jitter(Family):
-    """Every sample at most `radius` early or late."""
+    """Every sample at most `timing_tolerance` early or late."""
 
     nominal: Times
-    radius: float
+    timing_tolerance: float
 
     def has_word(self, word: tuple[float, ...]) -> bool:
         """The number of a sample of the period, and the ends of its deviation in order."""
@@ -193,9 +193,9 @@ def lost_samples(read: Tree, plant: Plant) -> LostSamples:
 def jitter(read: Tree, plant: Plant) -> Jitter:
     """Deviations that change no order."""
     path = nominal_of(read["schedule"], plant)
-    if 2 * read["radius"] >= path.gaps.min():
-        raise refuse("times.radius", "must be less than half of the least gap")
-    return Jitter(path, read["radius"])
+    if 2 * read["timing_tolerance"] >= path.gaps.min():
+        raise refuse("times.timing_tolerance", "must be less than half of the least gap")
+    return Jitter(path, read["timing_tolerance"])
 
 
 @dataclass(frozen=True)
@@ -213,7 +213,7 @@ FAMILIES: dict[str, Kind] = {
         table({"kind": text, "window": positive, "count": count, "spacing": positive}, _unit), spaced_windows
     ),
     "lost-samples": Kind(table({"kind": text, "schedule": schedule, "most": count, "of": count}), lost_samples),
-    "jitter": Kind(table({"kind": text, "schedule": schedule, "radius": nonnegative}), jitter),
+    "jitter": Kind(table({"kind": text, "schedule": schedule, "timing_tolerance": nonnegative}), jitter),
 }
 """What a certificate file may say of its family; another kind is another line here, and one in `cover.COVERED`."""
 

@@ -29,7 +29,7 @@ LEAST_LEFT = 1e-3
 OPTIONS = {
     "gap-range": {"shortest": " A", "longest": " B"},
     "spaced": {"window": " T", "count": " K", "spacing": " E"},
-    "jitter": {"radius": ""},
+    "timing-tolerance": {"timing_tolerance": ""},
     "lost": {"most": " D", "of": " W"},
 }
 """Names of a family's arguments, and where they stand behind its option."""
@@ -72,7 +72,7 @@ def certify(
     noise_gain: NoiseGain = None,
     gap_range: Gaps = None,
     spaced: Spaced = None,
-    jitter: Jittered = None,
+    timing_tolerance: Jittered = None,
     lost: Lost = None,
     detectability: Detectability = False,
     certificate_file: NewFile = None,
@@ -86,7 +86,7 @@ def certify(
     Example: sampling-design certify examples/plants/oscillator.toml out/schedule.csv --eta 0.3 -o out
     """
     plant = settings.part(reading.plant(plant_file))
-    given = {"gap-range": gap_range, "spaced": spaced, "jitter": jitter, "lost": lost}
+    given = {"gap-range": gap_range, "spaced": spaced, "timing-tolerance": timing_tolerance, "lost": lost}
     families: dict[str, object] = {k: v for k, v in given.items() if v is not None}
     if horizons and (families or schedule_file is None):
         raise ArgumentError("`--horizons` compares those of one SCHEDULE: it goes without a family or --detectability.")
@@ -151,7 +151,7 @@ def _times(settings: Settings, plant: sd.Plant, path: Path | None, families: Tre
     if len(families) > 1:
         raise ArgumentError(f"`--{'` and `--'.join(families)}` exclude each other: certify one family at a time.")
     kind = next(iter(families), None)
-    if (path is None) == (kind in (None, "jitter", "lost")):
+    if (path is None) == (kind in (None, "timing-tolerance", "lost")):
         need = "a SCHEDULE file" if path is None else "no SCHEDULE file"
         raise ArgumentError(
             f"`certify` needs {need} {'with --' + kind if kind else 'or a family such as --gap-range'}."
@@ -165,7 +165,9 @@ def _times(settings: Settings, plant: sd.Plant, path: Path | None, families: Tre
         assert schedule is not None
         if kind is None:
             return schedule
-        return sd.Jitter(schedule, families[kind]) if kind == "jitter" else sd.LostSamples(schedule, *families[kind])
+        if kind == "lost":
+            return sd.LostSamples(schedule, *families[kind])
+        return sd.Jitter(schedule, families[kind])
     except ArgumentError as error:
         raise ArgumentError(_as_typed(str(error), str(kind))) from None
 

@@ -43,23 +43,23 @@ _LONGEST_LAP = 1_000_000  # samples after which the periods of two periodic sche
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Jitter(SamplingFamily, kind="jitter"):
-    """All schedules whose i-th sample lies within `radius` of the nominal i-th sample.
+    """All schedules whose i-th sample lies within `timing_tolerance` of the nominal i-th sample.
 
     Parameters
     ----------
     schedule : Schedule or PeriodicSchedule
         The nominal one.
-    radius : float
+    timing_tolerance : float
         Largest deviation [time], >= 0, less than half of the nominal least gap so that order is kept.
 
     Raises
     ------
     ArgumentError
-        If the schedule is none or empty, or the radius is negative or too large.
+        If the schedule is none or empty, or the tolerance is negative or too large.
 
     Notes
     -----
-    A sample whose nominal time is less than `radius` never comes before time 0. Each sample measures what the
+    A sample whose nominal time is less than `timing_tolerance` never comes before time 0. Each sample measures what the
     nominal one measures.
 
     Examples
@@ -70,20 +70,20 @@ class Jitter(SamplingFamily, kind="jitter"):
     """
 
     schedule: AnySchedule
-    radius: float
+    timing_tolerance: float
 
-    _plain = "kind schedule radius"
-    _table = {"nominal": "{schedule.explain}", "radius": "{radius}"}
+    _plain = "kind schedule timing_tolerance"
+    _table = {"nominal": "{schedule.explain}", "early or late": "{timing_tolerance}"}
 
     def __post_init__(self) -> None:
         least = SamplingSet(self.schedule).min_gap
-        radius = checks.nonnegative("radius", self.radius)
+        radius = checks.nonnegative("timing_tolerance", self.timing_tolerance)
         if 2 * radius >= least:
             raise ArgumentError(
-                f"`radius` must be less than half of the least gap {short(least)}, got {short(radius)}: "
+                f"`timing_tolerance` must be less than half of the least gap {short(least)}, got {short(radius)}: "
                 "samples could change places."
             )
-        object.__setattr__(self, "radius", radius)
+        object.__setattr__(self, "timing_tolerance", radius)
 
     @property
     def time_unit(self) -> str | None:
@@ -92,15 +92,15 @@ class Jitter(SamplingFamily, kind="jitter"):
 
     @property
     def min_gap(self) -> float:
-        """Least nominal gap less twice the radius."""
-        return SamplingSet(self.schedule).min_gap - 2 * self.radius
+        """Least nominal gap less twice the tolerance."""
+        return SamplingSet(self.schedule).min_gap - 2 * self.timing_tolerance
 
     @property
     def d_max(self) -> float:
         """Longest gap that two deviations can make, or the latest first sample."""
         nominal = SamplingSet(self.schedule)
         later = float(np.max(nominal.later_gaps, initial=0.0))
-        return max(nominal.first + self.radius, later + 2 * self.radius if later else 0.0)
+        return max(nominal.first + self.timing_tolerance, later + 2 * self.timing_tolerance if later else 0.0)
 
     @property
     def nominal(self) -> AnySchedule:
@@ -108,7 +108,7 @@ class Jitter(SamplingFamily, kind="jitter"):
         return self.schedule
 
     def contains(self, schedule: AnySchedule) -> bool:
-        """Say whether every sample of `schedule` lies within the radius of its nominal place.
+        """Say whether every sample of `schedule` lies within the tolerance of its nominal place.
 
         A finite schedule is compared with the nominal samples of the same numbers (a finite nominal one must
         have as many); an endless one must keep the nominal pace for ever, and measure the same outputs.
@@ -135,7 +135,7 @@ class Jitter(SamplingFamily, kind="jitter"):
 
     def _near(self, nominal: Schedule, schedule: Schedule) -> bool:
         slack = ROUNDING * np.maximum(nominal.times, schedule.times)
-        near = np.abs(schedule.times - nominal.times) <= self.radius + slack
+        near = np.abs(schedule.times - nominal.times) <= self.timing_tolerance + slack
         return bool(np.all(near)) and same_outputs(nominal, schedule)
 
     def draw(self, rng: Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
@@ -151,7 +151,7 @@ class Jitter(SamplingFamily, kind="jitter"):
         """
         rng = checks.generator(rng)
         part = nominal_part(self.schedule, duration, samples, 20 * self.d_max)
-        shifts = np.array([pick(rng, -self.radius, self.radius) for _ in range(len(part))])
+        shifts = np.array([pick(rng, -self.timing_tolerance, self.timing_tolerance) for _ in range(len(part))])
         return Schedule(np.maximum(part.times + shifts, 0.0), part.outputs, **part._details())
 
     @property
@@ -161,7 +161,7 @@ class Jitter(SamplingFamily, kind="jitter"):
 
     def steps(self, memory: int, outputs: int) -> Steps:
         """Words are the phase, and lower and upper end of the last deviation."""
-        schedule, radius = period_of(self.schedule), self.radius
+        schedule, radius = period_of(self.schedule), self.timing_tolerance
         masks, reach, cells = masks_of(schedule, outputs), reach_of(schedule), DEVIATION_CELLS[memory]
         borders = np.linspace(-radius, radius, cells + 1).tolist() if radius else [0.0, 0.0]
 
@@ -186,12 +186,12 @@ class Jitter(SamplingFamily, kind="jitter"):
 
     def replanned(self, schedule: PeriodicSchedule) -> Self:
         """Return the same deviations around another nominal schedule."""
-        return type(self)(schedule, self.radius)
+        return type(self)(schedule, self.timing_tolerance)
 
     @property
     def leeway(self) -> TimingTolerance:
-        """Every sample within the radius."""
-        return TimingTolerance(self.schedule, radius=self.radius)
+        """Every sample within the tolerance."""
+        return TimingTolerance(self.schedule, radius=self.timing_tolerance)
 
     def suspects(
         self, periods: Sequence[float], rng: np.random.Generator, quick: bool = False
@@ -199,15 +199,15 @@ class Jitter(SamplingFamily, kind="jitter"):
         """Yield two periods with every deviation none or the largest."""
         cycle = period_of(self.schedule)
         for _ in range(4 * RANDOM_WORDS):
-            yield self._shifted(rng.choice([-1.0, 0.0, 1.0], 2 * len(cycle)) * self.radius)
+            yield self._shifted(rng.choice([-1.0, 0.0, 1.0], 2 * len(cycle)) * self.timing_tolerance)
 
     def variation(self, start: PeriodicSchedule) -> FamilyVariation | None:
         """Return two periods with other deviations, near those of `start`."""
         cycle = period_of(self.schedule)
-        if len(start) == len(cycle) or not self.radius:
+        if len(start) == len(cycle) or not self.timing_tolerance:
             return None
         origin = np.array(start.times) - np.append(cycle.times, cycle.times + cycle.period)
-        return FamilyVariation(origin, self.radius, self._shifted)
+        return FamilyVariation(origin, self.timing_tolerance, self._shifted)
 
     def _shifted(self, shifts: Array) -> PeriodicSchedule:
         """Two periods with these deviations."""
@@ -217,12 +217,12 @@ class Jitter(SamplingFamily, kind="jitter"):
         return PeriodicSchedule.from_times(times, 2 * cycle.period, mask, time_unit=cycle.time_unit)
 
     def narrowed(self, fraction: float) -> Self:
-        """Return the family of `fraction` times the radius."""
-        return type(self)(self.schedule, fraction * self.radius)
+        """Return the family of `fraction` times the tolerance."""
+        return type(self)(self.schedule, fraction * self.timing_tolerance)
 
     def explain(self) -> str:
         """Say which schedules belong."""
-        return f"Every sample at most {short(self.radius)} early or late. Nominal: {self.schedule.explain()}"
+        return f"Every sample at most {short(self.timing_tolerance)} early or late. Nominal: {self.schedule.explain()}"
 
 
 def _first(schedule: AnySchedule, count: int) -> Schedule:

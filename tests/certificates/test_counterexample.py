@@ -119,7 +119,7 @@ def test_without_a_counterexample_the_least_margin_is_told():
 
 def test_narrowed_families_lie_inside():
     assert GapRange(1.0, 3.0).narrowed(0.5).to_dict() == GapRange(1.5, 2.5).to_dict()
-    assert Jitter(PeriodicSchedule([1.0]), 0.2).narrowed(0.5).radius == 0.1
+    assert Jitter(PeriodicSchedule([1.0]), 0.2).narrowed(0.5).timing_tolerance == 0.1
     assert SpacedWindows(4.0, 2, 0.5).narrowed(0.5) is None
 
 

@@ -250,3 +250,15 @@ def test_a_record_by_hand_needs_a_family():
     made = family.certify_family(OSCILLATOR, GapRange(0.9, 1.1), eta=0.2, memory=0)
     with pytest.raises(ArgumentError, match="`schedule` must be a Schedule, a PeriodicSchedule or a family"):
         dataclasses.replace(made, family="often")
+
+
+def test_a_timing_tolerance_is_the_family_of_all_such_times():
+    schedule = PeriodicSchedule([1.0])
+    wanted = sd.certify(OSCILLATOR, Jitter(schedule, 0.05), eta=0.2)
+    found = sd.certify(OSCILLATOR, schedule, timing_tolerance=0.05, eta=0.2)
+    assert isinstance(found.family, Jitter)
+    assert found.to_dict() == wanted.to_dict()
+    with pytest.raises(ArgumentError, match="`timing_tolerance` is for one schedule, got"):
+        sd.certify(OSCILLATOR, Jitter(schedule, 0.05), timing_tolerance=0.05)
+    with pytest.raises(ArgumentError, match="`timing_tolerance` must be less than half of the least gap 1"):
+        sd.certify(OSCILLATOR, schedule, timing_tolerance=0.6)

@@ -99,7 +99,7 @@ def test_no_edge_can_be_left_out(kind):
         ("spaced-windows", "count", 2),
         ("spaced-windows", "spacing", 0.4),
         ("lost-samples", "most", 2),
-        ("jitter", "radius", 0.25),
+        ("jitter", "timing_tolerance", 0.25),
     ],
 )
 def test_a_larger_family_is_not_covered(kind, key, value):
@@ -251,7 +251,7 @@ def test_what_is_no_word_of_a_family_is_a_bad_file(kind, word):
 @pytest.mark.parametrize(
     ("kind", "change", "words"),
     [
-        ("jitter", {"radius": 9.0}, "must be less than half of the least gap"),
+        ("jitter", {"timing_tolerance": 9.0}, "must be less than half of the least gap"),
         ("spaced-windows", {"count": 99}, "must have room for an endless schedule"),
         ("jitter", {"schedule": {"kind": "finite", "times": [1.0, 2.0]}}, "must be periodic and have `gaps`"),
     ],

@@ -161,7 +161,10 @@ LINES = {
     "counts that fall": ("pareto p.toml r.toml --counts 14-6", "must rise from the smaller number to the larger"),
     "counts with dots": ("pareto p.toml r.toml --counts 6..14", "must look like 8,10,12 or 8-16"),
     "gaps that fall": ("certify p.toml --gap-range 2 0.5", "Did you swap them?"),
-    "a jitter below zero": ("certify p.toml s.csv --jitter -0.1", "`--jitter` must not be negative, got -0.1"),
+    "a jitter below zero": (
+        "certify p.toml s.csv --timing-tolerance -0.1",
+        "`--timing-tolerance` must not be negative, got -0.1",
+    ),
     "more lost than there are": ("certify p.toml s.csv --lost 4 3", "`--lost D`"),
     "no windows": ("certify p.toml --spaced -1 3 0.5", "`--spaced T` must be positive"),
     "one word for gaps": ("certify p.toml --gap-range 0.5-2", "requires 2 arguments"),

@@ -108,16 +108,16 @@ def test_a_range_that_holds_pi_is_refused_with_pi(shell):
 
 def test_jitter_and_losses_need_a_schedule(shell, tmp_path):
     write_schedule(PeriodicSchedule([1.0], time_unit="s"), tmp_path / "even.csv")
-    assert shell("certify", OSCILLATOR, tmp_path / "even.csv", "--jitter", 0.05, "--eta", 0.1).code == 0
+    assert shell("certify", OSCILLATOR, tmp_path / "even.csv", "--timing-tolerance", 0.05, "--eta", 0.1).code == 0
     assert shell("certify", OSCILLATOR, tmp_path / "even.csv", "--lost", 1, 3, "--eta", 0.1).code == 0
     assert shell("certify", OSCILLATOR, "--spaced", 2, 2, 0.5, "--eta", 0.1).code == 0
 
 
 def test_families_exclude_each_other_and_say_what_they_need():
     with pytest.raises(ArgumentError, match="exclude each other: certify one family at a time"):
-        certify(Settings(), OSCILLATOR, gap_range=(1.0, 2.0), jitter=0.1)
-    with pytest.raises(ArgumentError, match="`certify` needs a SCHEDULE file with --jitter"):
-        certify(Settings(), OSCILLATOR, jitter=0.1)
+        certify(Settings(), OSCILLATOR, gap_range=(1.0, 2.0), timing_tolerance=0.1)
+    with pytest.raises(ArgumentError, match="`certify` needs a SCHEDULE file with --timing-tolerance"):
+        certify(Settings(), OSCILLATOR, timing_tolerance=0.1)
     with pytest.raises(ArgumentError, match="`certify` needs no SCHEDULE file with --gap-range"):
         certify(Settings(), OSCILLATOR, OSCILLATOR, gap_range=(1.0, 2.0))
     with pytest.raises(ArgumentError, match="`certify` needs a SCHEDULE file or a family"):
@@ -217,7 +217,7 @@ def test_detectability_goes_without_schedules(shell, tmp_path):
     assert result.err == (
         "sampling-design: `--detectability` is about the plant alone and goes without a SCHEDULE file.\n"
     )
-    for family in ({"gap_range": (1.0, 2.0)}, {"spaced": (2.0, 2, 0.5)}, {"jitter": 0.1}, {"lost": (1, 3)}):
+    for family in ({"gap_range": (1.0, 2.0)}, {"spaced": (2.0, 2, 0.5)}, {"timing_tolerance": 0.1}, {"lost": (1, 3)}):
         flag = next(iter(family)).replace("_", "-")
         with pytest.raises(ArgumentError, match=f"is about the plant alone and goes without `--{flag}`"):
             certify(Settings(), OSCILLATOR, detectability=True, **family)

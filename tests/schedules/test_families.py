@@ -225,7 +225,7 @@ def test_bad_input():
         ArgumentError, match=r"`rng` must be a numpy\.random\.Generator or a whole number, got str 'seven'"
     ):
         GapRange(1.0, 2.0).draw("seven")
-    with pytest.raises(ArgumentError, match="`radius` must be less than half of the least gap 1"):
+    with pytest.raises(ArgumentError, match="`timing_tolerance` must be less than half of the least gap 1"):
         Jitter(PeriodicSchedule([1.0]), 0.5)
     with pytest.raises(ArgumentError, match="are for an endless nominal schedule; this one is finite"):
         Jitter(Schedule([1.0]), 0.5).draw(samples=3)

@@ -54,6 +54,7 @@ def guaranteed_accuracy(
     w_intensity: Intensity = None,
     v_deviation: Intensity = None,
     timing_tolerance: float = 0.0,
+    result_delay: float = 0.0,
     budget: float | None = None,
     progress: Progress | None = None,
 ) -> Accuracy:
@@ -91,6 +92,9 @@ def guaranteed_accuracy(
         How early or late each sample may be, less than half of the least gap: both sides are then those of all such
         times, which are known once samples are taken. What follows from a sample counts from so much after its planned
         time on. Of a finite schedule `start` and `end` (default: the last sample and so much) leave room for it.
+    result_delay : float [plant.time_unit]
+        How long after its sample a result comes, at most: both sides are then of what is known at the time, results
+        still out. It may be longer than a gap.
     budget : float, optional [seconds]
         Searches end then, a few programs for each row that is left after: the bracket is proven, and `closed` says
         where it is wider than `rtol`. An interrupt (Ctrl-C) ends them likewise; a second one is raised.
@@ -141,11 +145,12 @@ def guaranteed_accuracy(
     """
     tolerance = checks.positive("rtol", RTOL if rtol is None else rtol)
     late = checks.nonnegative("timing_tolerance", timing_tolerance)
+    delay = checks.nonnegative("result_delay", result_delay)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
     schedule = meet(plant, schedule)
     rows = wanted_rows(plant, of)
-    question = AccuracyQuestion.of(plant, schedule, w_bound, v_bound, initial_error, start, end, late)
-    if late:
+    question = AccuracyQuestion.of(plant, schedule, w_bound, v_bound, initial_error, start, end, late, delay)
+    if late or delay:
         refuse_tolerance(question, w_intensity is not None or v_deviation is not None)
     deviation = None
     if w_intensity is not None or v_deviation is not None:
@@ -221,7 +226,7 @@ def _record(
         [opened.d for opened in next(iter(found.values())).opened] if found else [np.array([0.0, h]) for h in lengths]
     )
     edges = np.concatenate(
-        [*(t + d[:-1] for t, d in zip(times, grids, strict=True)), [question.end + plain * question.timing_tolerance]]
+        [*(t + d[:-1] for t, d in zip(times, grids, strict=True)), [question.end + plain * question.late]]
     )
     lower, upper, worst = np.full(count, np.inf), np.full(count, np.inf), np.full(count, times[0])
     closed, offsets, known_from = np.ones(count, dtype=bool), np.zeros(count), np.full(count, np.inf)
@@ -242,8 +247,8 @@ def _record(
         witness, j, offset = _witness(side, question, shown, side is planned and not known.modes, KEPT * upper[k])
         witnesses[k], lower[k] = witness, witness.value * (1 - KEPT)
         worst[k] = times[j] + again.opened[j].d[offset]
-        if plain and worst[k] > question.end - times[0]:
-            worst[k] -= question.end - times[0]
+        if plain:
+            worst[k] -= max(0.0, np.ceil(worst[k] / (question.end - times[0]) - 1)) * (question.end - times[0])
         offsets[k] = finder.offset(again, j, offset)
         closed[k] = (search.closed and search.idle) or upper[k] <= (1 + rtol) * witness.value
         open_ends = np.flatnonzero(np.isinf(above[k]))

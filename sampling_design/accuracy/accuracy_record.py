@@ -93,7 +93,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
 
     _plain = (
         "rows{names units matrix} time_unit:plant.time_unit schedule lower upper unknown worst offset known_from "
-        "closed at_samples profile{edges lower upper} witnesses deviation? timing_tolerance?"
+        "closed at_samples profile{edges lower upper} witnesses deviation? timing_tolerance? result_delay?"
     )
 
     @property
@@ -110,6 +110,11 @@ class Accuracy(AccuracyBracket, CurveRecord):
     def timing_tolerance(self) -> float | None:
         """How early or late each sample may be; None where samples come on time."""
         return self.question.timing_tolerance or None
+
+    @property
+    def result_delay(self) -> float | None:
+        """How long after its sample a result comes; None where it comes at once."""
+        return self.question.result_delay or None
 
     @property
     def bounds(self) -> SignalBounds:
@@ -136,8 +141,8 @@ class Accuracy(AccuracyBracket, CurveRecord):
         asked = self.question.primitive()
         known = asked.known()
         if rigorous:
-            if self.timing_tolerance:
-                raise ArgumentError("`rigorous` is for samples on time: leave it or `timing_tolerance` out.")
+            if self.question.late:
+                raise ArgumentError("`rigorous` is for samples on time that are known at once: leave it out.")
             if self.question.initial is not None or self.unknown:
                 raise ArgumentError(
                     "`rigorous` is for endless schedules that show every mode; what else is known is decided "
@@ -195,6 +200,8 @@ class Accuracy(AccuracyBracket, CurveRecord):
             lines = [("samples", f"{len(self.schedule)}, {span}")]
         if self.timing_tolerance:
             lines.append(("samples early or late", f"up to {short(self.timing_tolerance)} {unit}"))
+        if self.result_delay:
+            lines.append(("results come after", f"{short(self.result_delay)} {unit}"))
         for k, label in enumerate(self.rows.labels()):
             text = f"{short(self.lower[k])} to {short(self.upper[k])}, worst at {short(self.worst[k])} {unit}"
             if not np.isfinite(self.upper[k]):
@@ -250,6 +257,8 @@ class Accuracy(AccuracyBracket, CurveRecord):
             when = f"From {short(max(self.known_from[k] for k in late))} {self.plant.time_unit} on"
         if self.timing_tolerance:
             when += f", for samples up to {short(self.timing_tolerance)} {self.plant.time_unit} early or late"
+        if self.result_delay:
+            when += f", with results {short(self.result_delay)} {self.plant.time_unit} after their samples"
         return (
             f"{text}{when}, some estimator guarantees {', '.join(parts)}; none guarantees less than "
             f"{short(low, 4)} ({within})."

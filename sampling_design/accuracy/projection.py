@@ -154,8 +154,10 @@ def shadow(found: BracketedRows, first: str, second: str, t: float | None = None
     (1968).
     """
     question = found.question
-    if question.timing_tolerance:
-        raise ArgumentError("`shadow` is of samples on time: leave it or `timing_tolerance` out.")
+    if question.late:
+        raise ArgumentError(
+            "`shadow` is of samples on time, known at once: leave `timing_tolerance`, `result_delay` out."
+        )
     rows = wanted_rows(question.plant, [first, second])
     if np.linalg.matrix_rank(rows.matrix) < 2:
         raise ArgumentError(f"`second` must be another row than `first`, got {first!r} and {second!r}.")

@@ -38,6 +38,8 @@ class AccuracyQuestion:
         Of the period that begins at the first node, or of the finite schedule.
     timing_tolerance : float
         How early or late each sample may be.
+    result_delay : float
+        How long after its sample a result comes.
     """
 
     plant: Plant
@@ -47,13 +49,14 @@ class AccuracyQuestion:
     nodes: Array
     end: float
     timing_tolerance: float = 0.0
+    result_delay: float = 0.0
 
     @classmethod
     def of(
         cls, plant: Plant, schedule: Schedule | PeriodicSchedule, w_bound: Bound, v_bound: Bound,
-        initial_error: InitialError, start: float | None, end: float | None, late: float,
+        initial_error: InitialError, start: float | None, end: float | None, late: float, delay: float,
     ) -> AccuracyQuestion:  # fmt: skip
-        """Ask about a schedule of either kind, whose samples may be so early or late.
+        """Ask about a schedule of either kind, samples so early or late, results so long after them.
 
         Raises
         ------
@@ -67,10 +70,11 @@ class AccuracyQuestion:
                     f"`{given[0]}` is for finite schedules, got a PeriodicSchedule, which has no start. "
                     "Cut it: schedule.between(start, end)."
                 )
-            return replace(cls.endless(plant, schedule, w_bound, v_bound), timing_tolerance=late)
-        until = end if end is not None or not len(schedule) else float(schedule.times[-1]) + late
+            endless = cls.endless(plant, schedule, w_bound, v_bound)
+            return replace(endless, timing_tolerance=late, result_delay=delay)
+        until = end if end is not None or not len(schedule) else float(schedule.times[-1]) + late + delay
         question = cls.finite(plant, schedule, w_bound, v_bound, initial_error, start, until)
-        return replace(question, timing_tolerance=late)
+        return replace(question, timing_tolerance=late, result_delay=delay)
 
     @classmethod
     def endless(cls, plant: Plant, schedule: PeriodicSchedule, w_bound: Bound, v_bound: Bound) -> AccuracyQuestion:
@@ -138,6 +142,11 @@ class AccuracyQuestion:
         return self if noise is None else replace(self, bounds=replace(self.bounds, v=freeze(self.bounds.v + noise)))
 
     @property
+    def late(self) -> float:
+        """How long after its planned time a result is in at the latest."""
+        return self.timing_tolerance + self.result_delay
+
+    @property
     def samples(self) -> npt.NDArray[np.intp]:
         """Nodes that are samples."""
         return np.arange(self.nodes.size - len(self.schedule), self.nodes.size)
@@ -159,7 +168,7 @@ class AccuracyQuestion:
             chain = finite_chain(plant, self.nodes, self.end, self.bounds, self.initial)
         else:
             chain = endless_chain(plant, np.diff(self.nodes, append=self.end), self.bounds, moving)
-        return replace(chain, late=self.timing_tolerance)
+        return replace(chain, late=self.late)
 
     def chain(self, plant: Plant, moving: Array | None = None) -> tuple[SampleChain, list[BoundedDirections]]:
         """The chain, and what its filter bounds."""

@@ -133,10 +133,8 @@ class PeriodicGains:
                 f"`found` must know every mode, but no sample shows {', '.join(found.unknown)}. "
                 "Leave those states out of the plant."
             )
-        if found.timing_tolerance:
-            raise ArgumentError(
-                "`found` must be of samples on time: gains are of one schedule. Leave `timing_tolerance` out."
-            )
+        if found.question.late:
+            raise ArgumentError("`found` must be of samples on time that are known at once: gains are of one schedule.")
         start = InitialSet.of(plant, initial_error)
         if not start.whole:
             raise ArgumentError("`initial_error` must bound every state: nothing is guaranteed before it is forgotten.")

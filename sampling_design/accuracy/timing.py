@@ -59,29 +59,31 @@ def refuse_tolerance(question: AccuracyQuestion, spread: bool) -> None:
     late, nodes = question.timing_tolerance, question.nodes
     gaps = np.diff(question.nodes[question.samples], append=[question.end] * (question.initial is None))
     least = float(np.min(gaps, initial=np.inf))
-    if 2 * late >= least * (1 - KEPT):
+    if late and 2 * late >= least * (1 - KEPT):
         raise ArgumentError(
             f"`timing_tolerance` must be less than half of the least gap {short(least)}, got {short(late)}: samples "
             "would change places."
         )
-    if question.bounds.w_centre is not None or question.bounds.v_centre is not None:
+    if late and (question.bounds.w_centre is not None or question.bounds.v_centre is not None):
         raise ArgumentError("`timing_tolerance` is for bounds centred at 0. Subtract their middle from the data.")
     if spread:
         raise ArgumentError(
-            "`timing_tolerance` is for errors that are guaranteed: leave it, or `w_intensity` and `v_deviation`, out."
+            "`timing_tolerance` and `result_delay` are for errors that are guaranteed: leave out these, or "
+            "`w_intensity` and `v_deviation`."
         )
     if question.initial is None:
         return
-    if not question.initial.whole:
+    if late and not question.initial.whole:
         raise ArgumentError(
             "`initial_error` must bound every state where samples may be early or late: what their times change "
             "depends on it."
         )
     first, last = question.nodes[question.samples][[0, -1]]
-    if nodes[0] > first - late or question.end < last + late:
+    if nodes[0] > first - late or nodes[0] == first or question.end < last + question.late:
         raise ArgumentError(
-            f"`start` and `end` must lie at least `timing_tolerance` {short(late)} before the first and after the last "
-            f"sample, got {short(nodes[0])} and {short(question.end)} for samples from {short(first)} to {short(last)}."
+            f"`start` must lie before the first sample, `timing_tolerance` {short(late)} at least, and `end` so much "
+            f"and `result_delay` {short(question.result_delay)} after the last one, got {short(nodes[0])} and "
+            f"{short(question.end)} for samples from {short(first)} to {short(last)}."
         )
 
 
@@ -246,10 +248,12 @@ def keeps_times(witness: AccuracyWitness, question: AccuracyQuestion) -> bool:
     planned = question.nodes[places % number] + places // number * length
     wanted, last = planned[:-1] - witness.samples, float(planned[-1])
     if question.initial is not None:
-        last = last if places[-1] < number else question.end - late
+        last = last if places[-1] < number else question.end - question.late
     if question.initial is not None and places[0] == 0:
         shift, wanted = float(question.nodes[0]), wanted[question.samples[0] :]
     else:  # a schedule of this kind may have begun at any time: as early as can be
         shift = float(wanted.max()) - late
     tiny = KEPT * max(float(witness.edges[-1]), float(np.abs(planned).max()))
-    return bool(np.all(np.abs(wanted - shift) <= late + tiny) and witness.edges[-1] + shift <= last + late + tiny)
+    return bool(
+        np.all(np.abs(wanted - shift) <= late + tiny) and witness.edges[-1] + shift <= last + question.late + tiny
+    )

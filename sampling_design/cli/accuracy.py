@@ -18,6 +18,14 @@ from sampling_design.records.checks import positive
 
 NUMBERS = "One number bounds the norm; numbers with commas between bound each entry; 0 for none."
 
+WhiteDisturbance = Annotated[
+    str | None,
+    typer.Option(help="Intensity of white w [its unit squared times time]: standard deviations beside."),
+]
+WhiteNoise = Annotated[
+    str | None, typer.Option(help="Standard deviation of the noise of a sample, with --w-intensity.")
+]
+
 
 def accuracy(
     settings: Settings,
@@ -38,20 +46,16 @@ def accuracy(
     tolerance: Annotated[
         str | None, typer.Option("--tolerance", help="Wanted error of each row, one number or with commas between.")
     ] = None,
-    w_intensity: Annotated[
-        str | None,
-        typer.Option(
-            "--w-intensity", help="Intensity of white w [its unit squared times time]: standard deviations beside."
-        ),
-    ] = None,
-    v_deviation: Annotated[
-        str | None, typer.Option(help="Standard deviation of the noise of a sample, with --w-intensity.")
-    ] = None,
+    w_intensity: WhiteDisturbance = None,
+    v_deviation: WhiteNoise = None,
     shadow: Annotated[
         str, typer.Option("--shadow", help="Two states, FIRST,SECOND: the exact set of their errors, drawn with -o.")
     ] = "",
     timing_tolerance: Annotated[
         float, typer.Option(help="How early or late each sample may be: the error guaranteed at all such times.")
+    ] = 0.0,
+    result_delay: Annotated[
+        float, typer.Option(help="How long after its sample a result comes: the error at the time, without those out.")
     ] = 0.0,
     budget: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="After which brackets stay as they are. Default: none.")
@@ -78,6 +82,7 @@ def accuracy(
             w_intensity=numbers("--w-intensity", w_intensity, plant.disturbances.names),
             v_deviation=numbers("--v-deviation", v_deviation, plant.outputs.names),
             timing_tolerance=timing_tolerance,
+            result_delay=result_delay,
             budget=None if budget is None else positive("budget", budget),
             progress=progress,
         )

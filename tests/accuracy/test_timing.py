@@ -194,10 +194,10 @@ FINITE = Schedule([1.0, 2.0])
         (UNEVEN, {"timing_tolerance": 0.3}, "must be less than half of the least gap 0.6"),
         (UNEVEN, {"timing_tolerance": -0.1}, "`timing_tolerance` must not be negative"),
         (UNEVEN, {"w_bound": (0.0, 0.1)}, "is for bounds centred at 0"),
-        (UNEVEN, {"w_intensity": 0.1, "v_deviation": 0.1}, "is for errors that are guaranteed"),
+        (UNEVEN, {"w_intensity": 0.1, "v_deviation": 0.1}, "are for errors that are guaranteed"),
         (FINITE, {}, "`initial_error` must bound every state where samples"),
-        (FINITE, {"initial_error": 1.0}, "`start` and `end` must lie at least `timing_tolerance` 0.05"),
-        (FINITE, {"initial_error": 1.0, "start": 0.0, "end": 2.0}, "`start` and `end` must lie at least"),
+        (FINITE, {"initial_error": 1.0}, "`start` must lie before the first sample, `timing_tolerance` 0.05"),
+        (FINITE, {"initial_error": 1.0, "start": 0.0, "end": 2.0}, "`start` must lie before the first sample"),
     ],
 )
 def test_what_does_not_fit_is_refused(schedule, given, said):
@@ -219,3 +219,28 @@ def test_what_is_of_samples_on_time_alone_is_refused():
     box = UncertainPlant(INTEGRATOR, [UncertainParameter("rate", -0.1, 0.0, A=[[1.0]], nominal=0.0)])
     with pytest.raises(ArgumentError, match="`timing_tolerance` must be left out"):
         guaranteed_accuracy(box, EVEN, w_bound=[0.1], v_bound=[0.1], timing_tolerance=0.1)
+
+
+@pytest.mark.parametrize("delay", [0.4, 2.5])
+def test_what_is_known_at_the_time_lacks_the_results_that_are_out(delay):
+    given = {"w_bound": 0.1, "v_bound": 0.3, "result_delay": delay}
+    found = guaranteed_accuracy(INTEGRATOR, EVEN, **given)
+    assert found.verify()
+    assert np.allclose([found.lower, found.upper], 0.3 + 0.1 * (1.0 + delay), rtol=1e-3)
+    assert 0 <= found.worst[0] <= 1.0
+    assert f"with results {delay:.6g} s after their samples" in found.explain()
+    both = guaranteed_accuracy(INTEGRATOR, EVEN, timing_tolerance=0.1, **given)
+    assert both.verify()
+    assert np.allclose([both.lower, both.upper], 0.3 + 0.1 * (1.2 + delay), rtol=1e-3)
+    assert ("results come after", f"{delay:.6g} s") in both._rows()
+
+
+def test_a_delay_is_the_same_as_waiting_for_the_next_result():
+    """Until the result of the second sample comes, the error is that of the first one alone."""
+    given = {"w_bound": 0.02, "v_bound": 0.1, "initial_error": 1.0, "start": 0.0, "of": "x1"}
+    late = guaranteed_accuracy(OSCILLATOR, Schedule([1.0, 2.0]), end=2.5, result_delay=0.5, **given)
+    alone = guaranteed_accuracy(OSCILLATOR, Schedule([1.0]), end=2.5, **given)
+    at = np.searchsorted(late.profile.edges, 2.5) - 1
+    assert late.profile.upper[0, at] == pytest.approx(alone.profile.upper[0, -1], rel=0.02)
+    with pytest.raises(ArgumentError, match=r"`result_delay` 0\.5 after the last one, got 0 and 2\.1"):
+        guaranteed_accuracy(OSCILLATOR, Schedule([1.0, 2.0]), end=2.1, result_delay=0.5, **given)

@@ -149,7 +149,7 @@ def guaranteed_accuracy(
     limit = Budget(None if budget is None else checks.positive("budget", budget))
     schedule = meet(plant, schedule)
     rows = wanted_rows(plant, of)
-    question = AccuracyQuestion.of(plant, schedule, w_bound, v_bound, initial_error, start, end, late, delay)
+    question = AccuracyQuestion.of(plant, schedule, w_bound, v_bound, initial_error, start, end, late=late, delay=delay)
     if late or delay:
         refuse_tolerance(question, w_intensity is not None or v_deviation is not None)
     deviation = None

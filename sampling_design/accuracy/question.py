@@ -54,7 +54,7 @@ class AccuracyQuestion:
     @classmethod
     def of(
         cls, plant: Plant, schedule: Schedule | PeriodicSchedule, w_bound: Bound, v_bound: Bound,
-        initial_error: InitialError, start: float | None, end: float | None, late: float, delay: float,
+        initial_error: InitialError, start: float | None, end: float | None, *, late: float, delay: float,
     ) -> AccuracyQuestion:  # fmt: skip
         """Ask about a schedule of either kind, samples so early or late, results so long after them.
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from sampling_design.accuracy.accuracy_profile import AccuracyProfile, GapProof
 from sampling_design.accuracy.accuracy_record import Accuracy, AccuracyBracket
 from sampling_design.accuracy.bounds import Bound
-from sampling_design.accuracy.deviation import Intensity, deviations
+from sampling_design.accuracy.deviation import Intensity, StandardDeviation, deviations
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.search import ChainSearch, RowSearch
 from sampling_design.accuracy.start import InitialError
@@ -26,7 +26,7 @@ from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
-from sampling_design.records.signatures import open_verb
+from sampling_design.records.signatures import checked, open_verb
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Array = npt.NDArray[np.float64]
@@ -54,7 +54,6 @@ def guaranteed_accuracy(
     w_intensity: Intensity = None,
     v_deviation: Intensity = None,
     timing_tolerance: float = 0.0,
-    result_delay: float = 0.0,
     budget: float | None = None,
     progress: Progress | None = None,
 ) -> Accuracy:
@@ -92,9 +91,6 @@ def guaranteed_accuracy(
         How early or late each sample may be, less than half of the least gap: both sides are then those of all such
         times, which are known once samples are taken. What follows from a sample counts from so much after its planned
         time on. Of a finite schedule `start` and `end` (default: the last sample and so much) leave room for it.
-    result_delay : float [plant.time_unit]
-        How long after its sample a result comes, at most: both sides are then of what is known at the time, results
-        still out. It may be longer than a gap.
     budget : float, optional [seconds]
         Searches end then, a few programs for each row that is left after: the bracket is proven, and `closed` says
         where it is wider than `rtol`. An interrupt (Ctrl-C) ends them likewise; a second one is raised.
@@ -145,17 +141,54 @@ def guaranteed_accuracy(
     """
     tolerance = checks.positive("rtol", RTOL if rtol is None else rtol)
     late = checks.nonnegative("timing_tolerance", timing_tolerance)
-    delay = checks.nonnegative("result_delay", result_delay)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
     schedule = meet(plant, schedule)
     rows = wanted_rows(plant, of)
-    question = AccuracyQuestion.of(plant, schedule, w_bound, v_bound, initial_error, start, end, late=late, delay=delay)
-    if late or delay:
+    question = AccuracyQuestion.of(plant, schedule, w_bound, v_bound, initial_error, start, end, late)
+    if late:
         refuse_tolerance(question, w_intensity is not None or v_deviation is not None)
     deviation = None
     if w_intensity is not None or v_deviation is not None:
         deviation = deviations(question, rows, w_intensity, v_deviation)
-    asked = question
+    return _answered(question, rows, tolerance, limit, deviation, progress)
+
+
+@checked
+def accuracy_at_the_time(found: Accuracy, result_delay: float, *, rtol: float = RTOL) -> Accuracy:
+    """Return an accuracy again where results come so long after their samples: what is known at the time.
+
+    Parameters
+    ----------
+    found : Accuracy
+        Its question is asked anew. That of a finite schedule ends `result_delay` after its last sample at least.
+    result_delay : float [plant.time_unit]
+        At most; it may be longer than a gap.
+    rtol : float
+        Relative width of the brackets.
+
+    Returns
+    -------
+    Accuracy
+
+    Raises
+    ------
+    ArgumentError
+        If the delay is negative, or does not fit the end of a finite schedule.
+    """
+    question = replace(found.question, result_delay=checks.nonnegative("result_delay", result_delay))
+    refuse_tolerance(question, found.deviation is not None)
+    return _answered(question, found.rows, checks.positive("rtol", rtol), Budget(None), None, None)
+
+
+def _answered(
+    asked: AccuracyQuestion,
+    rows: WantedRows,
+    tolerance: float,
+    limit: Budget,
+    deviation: StandardDeviation | None,
+    progress: Progress | None,
+) -> Accuracy:
+    """The answer to a question, over its shortest period."""
     question = asked.primitive()
     known = question.known()
     safe = [k for k, row in enumerate(rows.matrix) if not known.touches(row)]

@@ -54,9 +54,9 @@ class AccuracyQuestion:
     @classmethod
     def of(
         cls, plant: Plant, schedule: Schedule | PeriodicSchedule, w_bound: Bound, v_bound: Bound,
-        initial_error: InitialError, start: float | None, end: float | None, *, late: float, delay: float,
+        initial_error: InitialError, start: float | None, end: float | None, late: float,
     ) -> AccuracyQuestion:  # fmt: skip
-        """Ask about a schedule of either kind, samples so early or late, results so long after them.
+        """Ask about a schedule of either kind, whose samples may be so early or late.
 
         Raises
         ------
@@ -70,11 +70,10 @@ class AccuracyQuestion:
                     f"`{given[0]}` is for finite schedules, got a PeriodicSchedule, which has no start. "
                     "Cut it: schedule.between(start, end)."
                 )
-            endless = cls.endless(plant, schedule, w_bound, v_bound)
-            return replace(endless, timing_tolerance=late, result_delay=delay)
-        until = end if end is not None or not len(schedule) else float(schedule.times[-1]) + late + delay
+            return replace(cls.endless(plant, schedule, w_bound, v_bound), timing_tolerance=late)
+        until = end if end is not None or not len(schedule) else float(schedule.times[-1]) + late
         question = cls.finite(plant, schedule, w_bound, v_bound, initial_error, start, until)
-        return replace(question, timing_tolerance=late, result_delay=delay)
+        return replace(question, timing_tolerance=late)
 
     @classmethod
     def endless(cls, plant: Plant, schedule: PeriodicSchedule, w_bound: Bound, v_bound: Bound) -> AccuracyQuestion:

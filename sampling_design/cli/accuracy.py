@@ -54,9 +54,6 @@ def accuracy(
     timing_tolerance: Annotated[
         float, typer.Option(help="How early or late each sample may be: the error guaranteed at all such times.")
     ] = 0.0,
-    result_delay: Annotated[
-        float, typer.Option(help="How long after its sample a result comes: the error at the time, without those out.")
-    ] = 0.0,
     budget: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="After which brackets stay as they are. Default: none.")
     ] = None,
@@ -82,7 +79,6 @@ def accuracy(
             w_intensity=numbers("--w-intensity", w_intensity, plant.disturbances.names),
             v_deviation=numbers("--v-deviation", v_deviation, plant.outputs.names),
             timing_tolerance=timing_tolerance,
-            result_delay=result_delay,
             budget=None if budget is None else positive("budget", budget),
             progress=progress,
         )

@@ -17,26 +17,26 @@ def said():
     return names
 
 
-def same(found, wanted):
+def check_same(found, wanted):
     assert found.t == wanted.t
     np.testing.assert_allclose(found.x, wanted.x, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(found.radius, wanted.radius, rtol=1e-12)
 
 
 def test_late_and_out_of_order_results_give_the_estimate_in_order(said):
-    same(said["after"], said["batch"][-1])
-    same(said["last"], said["batch"][-1])
+    check_same(said["after"], said["batch"][-1])
+    check_same(said["last"], said["batch"][-1])
     assert not np.allclose(said["without"].x, said["after"].x, rtol=1e-6)
 
 
 def test_a_missing_sample_is_one_that_was_never_planned(said):
     reading = said["estimator"]()
     batch = [reading.update(t, [*y]) for t, y in said["rows"] if t != 3.0]
-    same(said["fewer"], batch[-1])
+    check_same(said["fewer"], batch[-1])
 
 
 def test_sensors_of_several_rates_may_come_one_after_the_other(said):
-    same(said["separate"], said["together"])
+    check_same(said["separate"], said["together"])
 
 
 def test_the_plan_of_several_prices_is_the_cheapest(said):

@@ -5,10 +5,12 @@ import json
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 import sampling_design as sd
 from sampling_design import GapRange, Jitter, LostSamples, PeriodicSchedule, Plant, SpacedWindows
 from sampling_design.certificates.families import certify_family as family
+from sampling_design.certificates.families import program
 from sampling_design.certificates.families.graphs import MOST_NODES, graph_of, in_plant_terms
 from sampling_design.certificates.families.path_complete import unrolled
 from sampling_design.checkers.outcome import Verdict
@@ -262,3 +264,20 @@ def test_a_timing_tolerance_is_the_family_of_all_such_times():
         sd.certify(OSCILLATOR, Jitter(schedule, 0.05), timing_tolerance=0.05)
     with pytest.raises(ArgumentError, match="`timing_tolerance` must be less than half of the least gap 1"):
         sd.certify(OSCILLATOR, schedule, timing_tolerance=0.6)
+
+
+def test_rows_of_a_long_schedule_are_kept_without_their_zeros(monkeypatch):
+    """Each edge of 60 gaps has rows over the matrices of 60 nodes, and numbers in those of two."""
+    held = []
+
+    def stopped(cost, blocks, budget):
+        held.append([(A.nnz if sparse.issparse(A) else A.size, A.shape[0] * A.shape[1]) for _, A, _ in blocks])
+        raise UndecidedError("undecided: that is enough")
+
+    monkeypatch.setattr(program, "_solved", stopped)
+    plant = Plant(np.kron(np.diag([1.0, 2.0, 3.0]), [[0.0, 1.0], [-1.0, 0.0]]), [[1.0, 0.0, 1.0, 0.0, 1.0, 0.0]])
+    late = sd.Jitter(PeriodicSchedule(np.linspace(0.1, 0.2, 60)), 0.001)
+    with pytest.raises(UndecidedError, match="that is enough"):
+        sd.certificates.certify_family(plant, late, eta=0.1, P2=np.eye(6))
+    stored, whole = np.sum(held[0], axis=0)
+    assert stored < 0.1 * whole

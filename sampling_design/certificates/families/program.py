@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
 
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.certificates.families.step_proof import StepDynamics
@@ -22,6 +23,7 @@ from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.records.evidence import SolverRecord
 
 Array = npt.NDArray[np.float64]
+Block = tuple[str, Array | sparse.csc_matrix, Array]
 
 MARGIN = 2e-4
 """Relative margin of every inequality on the grid at first; room for the proof between the grid points."""
@@ -37,6 +39,8 @@ LEAST_TIME = 0.05
 """Seconds that a solver is given where the budget has passed."""
 LEAST_SLACK = 1e-9
 """A point counts only if the solver reached at least this slack; the tolerance asked of it."""
+SPARSE = 50_000
+"""Numbers in the rows of an edge or node from which on zeros are left out: a long schedule's took gigabytes."""
 
 
 class ProgramSolution(NamedTuple):
@@ -162,9 +166,7 @@ class FamilyProgram:
             right[:n, :n] = self.P2
         return rows, right, press, E
 
-    def _edge(
-        self, k: int, h: float, width: int, slack: bool = False, infinite: bool = False
-    ) -> tuple[str, Array, Array]:
+    def _edge(self, k: int, h: float, width: int, slack: bool = False, infinite: bool = False) -> Block:
         edge = self.graph.edges[k]
         if infinite and edge.source == 0:
             return self._from_infinity(
@@ -175,40 +177,40 @@ class FamilyProgram:
         right = right + E.T @ self.dynamics.information(edge.outputs) @ E
         if slack:
             rows[:, -1] = conic_programs.svec(np.eye(E.shape[1]))
-        return "psd", rows, conic_programs.svec(right)
+        return "psd", _stored(rows), conic_programs.svec(right)
 
-    def _from_infinity(self, h: float, width: int, place: slice, information: Array) -> tuple[str, Array, Array]:
+    def _from_infinity(self, h: float, width: int, place: slice, information: Array) -> Block:
         """I - L'ZL >= 0 with Z = (1 + margin) P_v - information."""
         _, _, E = self._flow(h)
         L = E[:, self.dynamics.size :]
         rows = np.zeros((L.shape[1] * (L.shape[1] + 1) // 2, width))
         rows[:, place] = (1 + self.margin) * conic_programs.svec(L.T @ self.basis @ L).T
-        return "psd", rows, conic_programs.svec(np.eye(L.shape[1]) + L.T @ information @ L)
+        return "psd", _stored(rows), conic_programs.svec(np.eye(L.shape[1]) + L.T @ information @ L)
 
-    def _node(self, node: int, s: float, width: int, ratio: float) -> tuple[str, Array, Array]:
+    def _node(self, node: int, s: float, width: int, ratio: float) -> Block:
         rows, right, press, E = self._start(node, s, width)
         rows[:, self._place(None, 0)] += ratio * press
         rows[:, -1] = conic_programs.svec(np.eye(E.shape[1]))
-        return "psd", rows, conic_programs.svec(right)
+        return "psd", _stored(rows), conic_programs.svec(right)
 
-    def _node_ratio(self, node: int, s: float, width: int) -> tuple[str, Array, Array]:
+    def _node_ratio(self, node: int, s: float, width: int) -> Block:
         assert self.P2 is not None
         rows, right, press, _ = self._start(node, s, width)
         rows[:, -1] = (1 + self.margin) * press @ conic_programs.svec(self.P2)
-        return "psd", rows, conic_programs.svec(right)
+        return "psd", _stored(rows), conic_programs.svec(right)
 
-    def _node_floor(self, node: int, s: float, width: int) -> tuple[str, Array, Array]:
+    def _node_floor(self, node: int, s: float, width: int) -> Block:
         _, press, E = self._flow(s)
         if node == 0:
             L = E[:, self.dynamics.size :]
             return (
                 "psd",
-                self._column(conic_programs.svec(L.T @ self.unit @ L), width),
+                _stored(self._column(conic_programs.svec(L.T @ self.unit @ L), width)),
                 conic_programs.svec(np.eye(L.shape[1])),
             )
         rows, right, press, _ = self._start(node, s, width)
         rows[:, -1] = press @ conic_programs.svec(self.unit)
-        return "psd", rows, conic_programs.svec(right)
+        return "psd", _stored(rows), conic_programs.svec(right)
 
     @staticmethod
     def _column(values: Array, width: int) -> Array:
@@ -239,7 +241,12 @@ class FamilyProgram:
         return self.margin > before
 
 
-def _solved(cost: Array, blocks: list[tuple[str, Array, Array]], budget: Budget) -> conic_programs.ConeSolution:
+def _stored(rows: Array) -> Array | sparse.csc_matrix:
+    """Rows of one edge or node, without their zeros where many nodes have columns of their own."""
+    return rows if rows.size < SPARSE else sparse.csc_matrix(rows)
+
+
+def _solved(cost: Array, blocks: list[Block], budget: Budget) -> conic_programs.ConeSolution:
     """The solver's answer; where it broke down on the way, that to a coarser tolerance, which the proof judges."""
 
     left = budget.seconds_left(LEAST_TIME)

@@ -23,7 +23,7 @@ from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.records.evidence import SolverRecord
 
 Array = npt.NDArray[np.float64]
-Block = tuple[str, Array | sparse.csc_matrix, Array]
+ConeRows = tuple[str, Array | sparse.csc_matrix, Array]
 
 MARGIN = 2e-4
 """Relative margin of every inequality on the grid at first; room for the proof between the grid points."""
@@ -166,7 +166,7 @@ class FamilyProgram:
             right[:n, :n] = self.P2
         return rows, right, press, E
 
-    def _edge(self, k: int, h: float, width: int, slack: bool = False, infinite: bool = False) -> Block:
+    def _edge(self, k: int, h: float, width: int, slack: bool = False, infinite: bool = False) -> ConeRows:
         edge = self.graph.edges[k]
         if infinite and edge.source == 0:
             return self._from_infinity(
@@ -179,7 +179,7 @@ class FamilyProgram:
             rows[:, -1] = conic_programs.svec(np.eye(E.shape[1]))
         return "psd", _stored(rows), conic_programs.svec(right)
 
-    def _from_infinity(self, h: float, width: int, place: slice, information: Array) -> Block:
+    def _from_infinity(self, h: float, width: int, place: slice, information: Array) -> ConeRows:
         """I - L'ZL >= 0 with Z = (1 + margin) P_v - information."""
         _, _, E = self._flow(h)
         L = E[:, self.dynamics.size :]
@@ -187,19 +187,19 @@ class FamilyProgram:
         rows[:, place] = (1 + self.margin) * conic_programs.svec(L.T @ self.basis @ L).T
         return "psd", _stored(rows), conic_programs.svec(np.eye(L.shape[1]) + L.T @ information @ L)
 
-    def _node(self, node: int, s: float, width: int, ratio: float) -> Block:
+    def _node(self, node: int, s: float, width: int, ratio: float) -> ConeRows:
         rows, right, press, E = self._start(node, s, width)
         rows[:, self._place(None, 0)] += ratio * press
         rows[:, -1] = conic_programs.svec(np.eye(E.shape[1]))
         return "psd", _stored(rows), conic_programs.svec(right)
 
-    def _node_ratio(self, node: int, s: float, width: int) -> Block:
+    def _node_ratio(self, node: int, s: float, width: int) -> ConeRows:
         assert self.P2 is not None
         rows, right, press, _ = self._start(node, s, width)
         rows[:, -1] = (1 + self.margin) * press @ conic_programs.svec(self.P2)
         return "psd", _stored(rows), conic_programs.svec(right)
 
-    def _node_floor(self, node: int, s: float, width: int) -> Block:
+    def _node_floor(self, node: int, s: float, width: int) -> ConeRows:
         _, press, E = self._flow(s)
         if node == 0:
             L = E[:, self.dynamics.size :]
@@ -246,7 +246,7 @@ def _stored(rows: Array) -> Array | sparse.csc_matrix:
     return rows if rows.size < SPARSE else sparse.csc_matrix(rows)
 
 
-def _solved(cost: Array, blocks: list[Block], budget: Budget) -> conic_programs.ConeSolution:
+def _solved(cost: Array, blocks: list[ConeRows], budget: Budget) -> conic_programs.ConeSolution:
     """The solver's answer; where it broke down on the way, that to a coarser tolerance, which the proof judges."""
 
     left = budget.seconds_left(LEAST_TIME)

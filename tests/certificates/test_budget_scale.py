@@ -47,3 +47,20 @@ def test_a_budget_that_every_scale_misses_by_a_hair_is_given_up_soon(hair):
     known = Known(lambda s: s + np.log(3.0) + hair)
     assert RateWindows(known, np.eye(1), np.eye(1)).scaled(np.eye(1), 3.0) is None
     assert known.asked <= 60
+
+
+def test_a_guess_that_is_not_definite_in_doubles_is_left_out():
+    """Seed 696 of the random plants ended in "Matrix is not positive definite"."""
+
+    class Windows:
+        def __init__(self, left):
+            self.left = left
+
+        def long_run(self, start):
+            return self.left[None]
+
+    definite = np.array([[2.0, 0.5], [0.5, 1.0]])
+    (shape,) = RateWindows(Windows(definite), np.eye(2), np.eye(2)).driven(1e-10)
+    least = np.linalg.eigvalsh(np.linalg.inv(definite))[0]
+    np.testing.assert_allclose(shape, np.linalg.inv(definite) + least * np.eye(2), rtol=1e-8)
+    assert RateWindows(Windows(np.diag([1.0, -1.0])), np.eye(2), np.eye(2)).driven(1e-10) == []

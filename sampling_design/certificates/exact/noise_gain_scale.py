@@ -11,6 +11,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import brentq
 
 from sampling_design.certificates.exact.window_gains import WindowConditions
+from sampling_design.numerics.linalg import symmetrise
 
 Array = npt.NDArray[np.float64]
 
@@ -20,6 +21,11 @@ PAST, LEAST_SLOPE = 1.2, 0.02
 """How far past the scale that the slope so far promises the next one is tried, and how small that slope may be."""
 WIDEST = 200.0
 """Scales of a shape are looked for between e^-200 and e^200 times the first guess."""
+
+
+def rounded(Y: Array, share: float) -> Array:
+    """Y with so much more of every state's own variance: of a condition of about n/share at most."""
+    return symmetrise(Y + share * np.diag(np.diagonal(Y)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +40,18 @@ class RateWindows:
         """ln of the least eigenvalue of (P, B)."""
         half = solve_triangular(self.b, np.linalg.cholesky(P), lower=True)
         return 2 * float(np.log(np.linalg.svd(half, compute_uv=False)[-1]))
+
+    def driven(self, roundness: float) -> list[Array]:
+        """The inverse of what the disturbance alone leaves, twice as much where the budget asks for the most.
+
+        None where it is not definite in doubles: it is one guess among others.
+        """
+        left: Array = np.asarray(np.mean(self.windows.long_run(np.zeros_like(self.mean)), axis=0), dtype=float)
+        shape = symmetrise(np.asarray(np.linalg.inv(rounded(left, roundness)), dtype=np.float64))
+        try:
+            return [shape + np.exp(self.least(shape)) * symmetrise(self.b @ self.b.T)]
+        except np.linalg.LinAlgError:
+            return []
 
     def scaled(self, shape: Array, budget: float, width: float = EXACT) -> tuple[Array, float] | None:
         """The shape at the least scale that the budget allows, and ln lam there; None where none does.

@@ -13,7 +13,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import minimize, minimize_scalar
 
 from sampling_design.certificates.exact.canonical import ScaledProblem, slip
-from sampling_design.certificates.exact.noise_gain_scale import COARSE, EXACT, RateWindows
+from sampling_design.certificates.exact.noise_gain_scale import COARSE, EXACT, RateWindows, rounded
 from sampling_design.certificates.exact.window_gains import WindowConditions, WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
@@ -155,14 +155,7 @@ class WeightSearch:
         free = np.linalg.inv(B)
         mixed = [symmetrise(np.linalg.inv(mean + r * size * free)) for r in ROUNDNESS]
         far = float(np.linalg.eigvalsh(setting.b.T @ mean @ setting.b)[0]) < size / FAR
-        return [*([self._driven(setting)] if far else []), *mixed, B]
-
-    def _driven(self, setting: RateWindows) -> Array:
-        """The inverse of what the disturbance alone leaves, twice as much where the budget asks for the most."""
-        left: Array = np.asarray(np.mean(setting.windows.long_run(np.zeros_like(setting.mean)), axis=0), dtype=float)
-        shape = symmetrise(np.asarray(np.linalg.inv(rounded(left, self.roundness)), dtype=np.float64))
-        driven: Array = shape + np.exp(setting.least(shape)) * symmetrise(setting.b @ setting.b.T)
-        return driven
+        return [*(setting.driven(self.roundness) if far else ()), *mixed, B]
 
     def best_guess(self, eta: float, budget: float) -> ChosenWeights | None:
         """The best of the guesses at a rate, None where the windows of that rate cannot be followed."""
@@ -225,11 +218,6 @@ class WeightSearch:
             return start
         T, rate = state.unpack(state.best)
         return ChosenWeights(L @ T @ T.T @ L.T, rate, state.value, steps, status)
-
-
-def rounded(Y: Array, share: float) -> Array:
-    """Y with so much more of every state's own variance: of a condition of about n/share at most."""
-    return symmetrise(Y + share * np.diag(np.diagonal(Y)))
 
 
 def _value(choice: ChosenWeights) -> float:

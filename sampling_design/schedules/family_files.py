@@ -62,7 +62,8 @@ def family_from_dict(data: Mapping[str, Any]) -> SamplingFamily:
     """
     kind = data.get("kind")
     if not isinstance(kind, str) or kind not in SamplingFamily.KINDS:
-        raise ArgumentError(f"`kind` of a family must be one of {', '.join(SamplingFamily.KINDS)}, got {kind!r}.")
+        known = ", ".join(sorted(SamplingFamily.KINDS))
+        raise ArgumentError(f"`kind` of a family must be one of {known}, got {kind!r}.")
     build = SamplingFamily.KINDS[kind]
     given = [field for field in fields(build) if field.init]  # type: ignore[arg-type]  # every kind is a dataclass
     needed = [field.name for field in given if field.default is MISSING]

@@ -50,7 +50,7 @@ def files() -> dict[str, Path]:
     certificate.save(made["certificate.json"])
     sd.estimators.write_measurements(sd.simulate_record(plant, schedule, 6.0).measurements, made["measurements.csv"])
     terms = {"position": {"noise_bound": 0.2}}
-    wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, raster=0.8, w_bound=0.02, sensors=terms)
+    wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, grid=0.8, w_bound=0.02, sensors=terms)
     made["wanted.toml"] = write_plan_requirement(wanted, place / "wanted.toml")
     made["planned.json"] = save_plan(sd.plan_samples(plant, wanted, search_seconds=5.0), place / "planned.json")
     for name, path in list(made.items()):
@@ -86,8 +86,9 @@ def _broken(place: Path, name: str, content: bytes) -> dict[str, Path]:
 
 
 COMMANDS = {
-    "new": ((), {"--rhythm": "24", "--decay": "2,3", "--open": "7-19", "--samples": "3", "--period": "48",
-                  "--within": "0.5", "--noise": "0.1", "--push": "0.01", "--start": "2026-03-02", "--zone": "UTC"}),
+    "new": ((), {"--oscillation": "24", "--decay": "2,3", "--open": "7-19", "--samples": "3", "--period": "48",
+                  "--within": "0.5", "--noise": "0.1", "--disturbance": "0.01", "--start": "2026-03-02",
+                  "--zone": "UTC"}),
     "info": (("plant",), {"--window": "4"}),
     "design": (("plant", "requirement"), {"--samples": "3", "--branches": "1", "--start": "2026-01-01"}),
     "sigma": (("plant", "schedule"), {"--window": "4", "--rigorous": None}),
@@ -130,7 +131,7 @@ ALWAYS = {"thyroid": ["--days", "0.1", "--runs", "1", "--workers", "1"], "valida
           "worst-case": ["--window", "4", "--count", "3", "--spacing", "0.5"], "pareto": ["--counts", "2,3"],
           "survive": ["--longest", "2"], "design": ["--branches", "1"],
           "explore": ["--idle", "0.2", "--no-browser"],
-          "new": [tempfile.mkdtemp(), "--force", "--rhythm", "24"]}  # fmt: skip
+          "new": [tempfile.mkdtemp(), "--force", "--oscillation", "24"]}  # fmt: skip
 
 
 def drawn(count: int, seed: int) -> list[list[str]]:

@@ -77,7 +77,7 @@ def things() -> dict[str, Any]:
         nonlinear, schedule, box, cost=cost, P1=np.eye(2) / 40, duration=3.0, step=0.1, pairs=2
     )
     terms = {"position": {"noise_bound": 0.2}}
-    wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, raster=0.8, w_bound=0.02, sensors=terms)
+    wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, grid=0.8, w_bound=0.02, sensors=terms)
     return {
         "wanted": wanted,
         "plant": plant,
@@ -238,7 +238,7 @@ def special() -> dict[str, dict[str, Any]]:
         "UncertainPlant.read": {"path": _uncertain_file()},
         "largest_box": {"plant": t["uncertain"], "schedule": t["schedule"], "window": 6.0},
         "PlanRequirement": {"accuracy": {"position": 0.6}, "window": None},
-        "PlanRequirement.replace": {"changes": {"raster": 0.8}},
+        "PlanRequirement.replace": {"changes": {"grid": 0.8}},
         "read_plan_requirement": {"path": EXAMPLES / "plans" / "oscillator.toml"},
         "read_requirement": {"path": place / "requirement.toml"},
         "read_certificate": {"path": place / "certificate.json"},

@@ -48,8 +48,8 @@ def accuracy(
     ] = None,
     w_intensity: WhiteDisturbance = None,
     v_deviation: WhiteNoise = None,
-    shadow: Annotated[
-        str, typer.Option("--shadow", help="Two states, FIRST,SECOND: the exact set of their errors, drawn with -o.")
+    projection: Annotated[
+        str, typer.Option("--projection", help="Two states, FIRST,SECOND: the exact set of errors, drawn with -o.")
     ] = "",
     timing_tolerance: Annotated[
         float, typer.Option(help="How early or late each sample may be: the error guaranteed at all such times.")
@@ -65,7 +65,7 @@ def accuracy(
     plant = reading.plant(plant_file)
     schedule = schedule_for(settings, plant, schedule_file)
     names = [name.strip() for name in of.split(",") if name.strip()]
-    pair = _pair(shadow)
+    pair = _pair(projection)
     wanted = _wanted(numbers("--tolerance", tolerance), len(names) or plant.n_states)
     with settings.progress("accuracy") as progress:
         found = sd.guaranteed_accuracy(
@@ -90,12 +90,12 @@ def _told(settings: Settings, found: Accuracy, cast: Projection | None, wanted: 
     """Write, draw and print; the exit code."""
     folder, data = settings.folder(), found.to_dict()
     if cast is not None:
-        data["shadow"] = cast.to_dict()
+        data["projection"] = cast.to_dict()
     if folder is not None:
         settings.write_json(folder / "accuracy.json", data)
         settings.draw(found, folder / "accuracy.png", tolerance=wanted)
         if cast is not None:
-            settings.draw(cast, folder / "shadow.png")
+            settings.draw(cast, folder / "projection.png")
     missed = [] if wanted is None else [k for k, most in enumerate(wanted) if not found.upper[k] <= most]
     text = found.explain() + ("" if cast is None else f" {cast.explain()}")
     for k in missed:
@@ -112,7 +112,7 @@ def _pair(text: str) -> tuple[str, str] | None:
     """Two names."""
     names = [name.strip() for name in text.split(",") if name.strip()]
     if names and len(names) != 2:
-        raise ArgumentError(f"`--shadow` must be two names with a comma between, got {text!r}.")
+        raise ArgumentError(f"`--projection` must be two names with a comma between, got {text!r}.")
     return (names[0], names[1]) if names else None
 
 

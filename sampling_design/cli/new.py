@@ -23,7 +23,7 @@ from sampling_design.records.units import check_time_unit
 
 PLANT = {
     "format": "A plant: x' = A x + B u + G w, y = C x + D u + v. Times are in time_unit, rates in its inverse.",
-    "A": "Each motion has its own rows: a level stays, a rhythm turns, what decays fades.",
+    "A": "Each mode has its own rows: a level stays, an oscillation turns, what decays fades.",
     "C": "One row for each sensor: how much of each state it shows.",
     "[states]": 'Names, and units = ["...", ...] beside them; scales = [...] are typical magnitudes, if you know them.',
 }
@@ -38,7 +38,7 @@ REQUIREMENT = {
 PLAN = {
     "format": 'What a plan must keep at the least cost. Times are numbers in the plant\'s unit, or text as "15 min".',
     "period": "The plan repeats after this; without it, after a week of the calendar.",
-    "raster": "Samples lie on whole multiples of it: a finer one finds cheaper plans and takes longer.",
+    "grid": "Samples lie on whole multiples of it: a finer one finds cheaper plans and takes longer.",
     "spacing": "Least time between two samples.",
     "aim": 'Least cost that keeps every tolerance; "most accurate" needs samples = ... or cost_limit = ...',
     "visit_price": "Of every visit, whatever is measured then.",
@@ -51,49 +51,51 @@ PLAN = {
 
 
 @dataclass(frozen=True)
-class Motions:
+class PlantModes:
     """What moves in a plant, and what shows it, as it was typed."""
 
     name: Annotated[str, typer.Option(help="Name of the plant.")] = ""
     unit: Annotated[str, typer.Option(help="Unit of time: ms, s, min, h, d or wk.")] = "h"
-    rhythm: Annotated[str, typer.Option(help="Periods of what goes round for ever, with commas between.")] = ""
-    decay: Annotated[str, typer.Option(help="Times in which what fades falls to a third, with commas between.")] = ""
+    oscillation: Annotated[str, typer.Option(help="Periods of undamped oscillations, with commas between.")] = ""
+    decay: Annotated[str, typer.Option(help="Times in which a decaying mode falls to a third, commas between.")] = ""
     level: Annotated[bool, typer.Option("--level/--no-level", help="A level that stays, or none.")] = True
-    sensors: Annotated[str, typer.Option(help="Names of the sensors; each shows the sum of all motions.")] = "sensor"
+    sensors: Annotated[str, typer.Option(help="Names of the sensors; each shows the sum of all modes.")] = "sensor"
 
     def plant(self) -> sd.Plant:
-        """The sum of a level, rhythms and decaying motions."""
-        rhythms, decays = positive_numbers("--rhythm", self.rhythm), positive_numbers("--decay", self.decay)
-        if not rhythms and not decays:
-            raise ArgumentError("`new` needs to know what moves: give --rhythm PERIODS, --decay TIMES, or both.")
+        """The sum of a level, oscillations and decaying modes."""
+        oscillations = positive_numbers("--oscillation", self.oscillation)
+        decays = positive_numbers("--decay", self.decay)
+        if not oscillations and not decays:
+            raise ArgumentError("`new` needs to know what moves: give --oscillation PERIODS, --decay TIMES, or both.")
         sensors = [sensor.strip() for sensor in self.sensors.split(",")]
-        return sd.plants.plant_of_motions(
-            rhythms, decays, level=self.level, sensors=sensors, time_unit=self.unit, name=self.name
+        return sd.plants.plant_of_modes(
+            oscillations, decays, level=self.level, sensors=sensors, time_unit=self.unit, name=self.name
         )
 
     def span(self) -> float:
-        """The longest rhythm, or twice the longest decay."""
-        rhythms = positive_numbers("--rhythm", self.rhythm)
-        return max(rhythms) if rhythms else 2.0 * max(positive_numbers("--decay", self.decay))
+        """The longest oscillation, or twice the longest decay."""
+        oscillations = positive_numbers("--oscillation", self.oscillation)
+        return max(oscillations) if oscillations else 2.0 * max(positive_numbers("--decay", self.decay))
 
 
 def new(
     settings: Settings,
     target: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the files.")],
-    motions: Motions,
+    modes: PlantModes,
     asked: AskedFor,
     force: Annotated[bool, typer.Option("--force", help="Write over files that are there.")] = False,
 ) -> None:
     """Write a first plant and requirement, with comments, from flags; at a terminal, what is missing is asked.
 
-    With --within, --noise and --push (and --prices, --start, --zone) also plan.toml, what `plan` makes a calendar of.
+    With --within, --noise and --disturbance (and --prices, --start, --zone) also plan.toml, for
+    `plan`.
 
-    Example: sampling-design new out/mine --rhythm 24 --decay 2 --sensors blood --samples 4 --open 7-22
+    Example: sampling-design new out/mine --oscillation 24 --decay 2 --sensors blood --samples 4 --open 7-22
     """
-    motions = replace(motions, name=motions.name or target.name, unit=check_time_unit(motions.unit))
-    if not motions.rhythm and not motions.decay and sys.stdin.isatty() and not settings.quiet:
-        motions, asked = _asked(motions, asked)
-    plant, span = motions.plant(), motions.span()
+    modes = replace(modes, name=modes.name or target.name, unit=check_time_unit(modes.unit))
+    if not modes.oscillation and not modes.decay and sys.stdin.isatty() and not settings.quiet:
+        modes, asked = _asked(modes, asked)
+    plant, span = modes.plant(), modes.span()
     wanted, planned = requirement(asked, plant.time_unit, span), plan_requirement(asked, plant, span)
     paths = [target / "plant.toml", target / "requirement.toml", *([target / "plan.toml"] if planned else [])]
     there = [str(path) for path in paths if path.exists()]
@@ -120,20 +122,20 @@ def _dated(start: str) -> dict[str, str]:
     return {**REQUIREMENT, "format": REQUIREMENT["format"].replace("midnight, of a Monday", zero)}
 
 
-def _asked(motions: Motions, asked: AskedFor) -> tuple[Motions, AskedFor]:
+def _asked(modes: PlantModes, asked: AskedFor) -> tuple[PlantModes, AskedFor]:
     """Ask at the terminal for what was not said; a slip is told at once, and asked again."""
-    unit = motions.unit
-    rhythm = _ask(f"Periods of what goes round for ever [{unit}], with commas between", "24", _numbers("--rhythm"))
-    motions = replace(motions, rhythm=rhythm)
+    unit = modes.unit
+    oscillation = _ask(f"Periods of undamped oscillations [{unit}], commas between", "24", _numbers("--oscillation"))
+    modes = replace(modes, oscillation=oscillation)
     decay = _ask(
-        f"Times in which what fades falls to a third [{unit}], if anything does", "",
-        lambda text: replace(motions, decay=text).plant(),
+        f"Times in which a decaying mode falls to a third [{unit}], if anything does", "",
+        lambda text: replace(modes, decay=text).plant(),
     )  # fmt: skip
-    motions = replace(motions, decay=decay)
-    if motions.sensors == "sensor":
-        told = _ask("Names of the sensors", "sensor", lambda text: replace(motions, sensors=text).plant())
-        motions = replace(motions, sensors=told)
-    plant = motions.plant()
+    modes = replace(modes, decay=decay)
+    if modes.sensors == "sensor":
+        told = _ask("Names of the sensors", "sensor", lambda text: replace(modes, sensors=text).plant())
+        modes = replace(modes, sensors=told)
+    plant = modes.plant()
     states, outputs = plant.states.names, plant.outputs.names
     if not asked.open_hours:
         hours = _ask('When somebody is there, as 7-19 or "Mon-Fri 8-17" (empty: always)', "", lambda t: week(t, True))
@@ -145,7 +147,7 @@ def _asked(motions: Motions, asked: AskedFor) -> tuple[Motions, AskedFor]:
             lambda t: by_name("--within", t, (*states, *outputs), outputs[:1]),
         ))  # fmt: skip
     if not asked.within.strip():
-        return motions, asked
+        return modes, asked
 
     def named(key: str, told: str, question: str, default: str, names: Sequence[str]) -> str:
         return told or _ask(question, default, lambda text: by_name(f"--{key}", text, names, names))
@@ -154,8 +156,12 @@ def _asked(motions: Motions, asked: AskedFor) -> tuple[Motions, AskedFor]:
     asked = replace(
         asked,
         noise=named("noise", asked.noise, f"No reading errs more than, as 0.1 or {one}=0.1", "0.1", outputs),
-        push=named(
-            "push", asked.push, f"No state is pushed more than, per {unit}, as 0.01 or {state}=0.01", "0.01", states
+        disturbance=named(
+            "disturbance",
+            asked.disturbance,
+            f"Disturbances, per {unit}, of at most 0.01 or {state}=0.01",
+            "0.01",
+            states,
         ),
         prices=named("prices", asked.prices, f"Price of one measurement, as 12 or {one}=12", "1", outputs),
     )
@@ -165,7 +171,7 @@ def _asked(motions: Motions, asked: AskedFor) -> tuple[Motions, AskedFor]:
         asked = replace(asked, start=_ask("First day (local date)", monday, lambda t: OpeningCalendar(t)))
     if not asked.zone:
         asked = replace(asked, zone=_ask("Time zone", "UTC", lambda t: OpeningCalendar(asked.start, t)))
-    return motions, asked
+    return modes, asked
 
 
 def _numbers(flag: str) -> Callable[[str], object]:

@@ -20,7 +20,7 @@ from sampling_design.records.units import SECONDS
 MOST_DAYS = 400
 A_MONDAY = "2001-01-01"
 """Time zero of opening hours where no date is given."""
-RASTER = "1 h"
+GRID = "1 h"
 """Of a plan with a calendar, where none is given: a week is then 168 steps."""
 _HOUR = r"(\d{1,2}(?:\.\d+|:[0-5]\d)?)"
 _SPAN = re.compile(rf"\s*(?:([A-Z][a-z]{{2}}(?:-[A-Z][a-z]{{2}})?)\s+)?{_HOUR}\s*-\s*{_HOUR}\s*", re.ASCII)
@@ -31,7 +31,7 @@ class AskedFor:
     """The flags of `new` that say what is wanted, as they were typed."""
 
     period: Annotated[
-        float | None, typer.Option(help="It repeats after this; default: one rhythm, of a plan with dates a week.")
+        float | None, typer.Option(help="It repeats after this; default: one oscillation, of a plan with dates a week.")
     ] = None
     samples: Annotated[int | None, typer.Option(help="So many samples in a period, for `design`.")] = None
     spacing: Annotated[float | None, typer.Option(help="Least time between two samples.")] = None
@@ -41,20 +41,20 @@ class AskedFor:
     weekend: Annotated[bool, typer.Option("--weekend/--no-weekend", help="Samples on Saturday and Sunday too.")] = True
     within: Annotated[
         str,
-        typer.Option(metavar="ERRORS", help="How well what must be known, for `plan`: 0.5, or level=0.5,rhythm_1=0.8."),
+        typer.Option(metavar="ERRORS", help="How well it must be known, for `plan`: 0.5, or level=0.5,decaying_1=0.8."),
     ] = ""
     noise: Annotated[
         str, typer.Option(metavar="BOUNDS", help="No reading errs more: one number, or blood=0.1,saliva=0.4.")
     ] = ""
     prices: Annotated[str, typer.Option(metavar="PRICES", help="Of one measurement: 12, or blood=12,saliva=3.")] = ""
     visit: Annotated[float, typer.Option(metavar="PRICE", help="Of every visit, whatever is measured.")] = 0.0
-    push: Annotated[
+    disturbance: Annotated[
         str, typer.Option(metavar="BOUNDS", help="No disturbance of a state is stronger: 0.01, or level=0.01.")
     ] = ""
     start: Annotated[str, typer.Option(metavar="DATE", help="Local date of time zero, as 2026-03-02.")] = ""
     zone: Annotated[str, typer.Option(metavar="NAME", help="Time zone, as Europe/Berlin; default UTC.")] = ""
     holidays: Annotated[str, typer.Option(metavar="DATES", help="Closed dates, with commas between.")] = ""
-    raster: Annotated[str, typer.Option(metavar="TIME", help='Samples of a plan lie on multiples of it: "1 h".')] = ""
+    grid: Annotated[str, typer.Option(metavar="TIME", help='Samples of a plan lie on multiples of it: "1 h".')] = ""
 
 
 def positive_numbers(flag: str, text: str) -> list[float]:
@@ -122,7 +122,7 @@ def _clock(text: str) -> int:
 
 
 def requirement(asked: AskedFor, unit: str, span: float) -> sd.Requirement:
-    """Return what a schedule must keep: a window and, unless told, a period of one rhythm, in whole days of opening."""
+    """Return what a schedule must keep: a window and, unless told, a period of one oscillation, in whole days."""
     hours = week(asked.open_hours, asked.weekend)
     period = span if asked.period is None else asked.period
     if hours is not None:
@@ -159,13 +159,13 @@ def whole_days(period: float, unit: str, hours: WeekHours, *, given: bool) -> fl
     return float(np.ceil(count) * repeat)
 
 
-NEEDED = {"noise": "how far a reading may be off", "push": "how strong what disturbs may be"}
+NEEDED = {"noise": "how far a reading may be off", "disturbance": "how strong what disturbs may be"}
 
 
 def plan_requirement(asked: AskedFor, plant: sd.Plant, span: float) -> sd.PlanRequirement | None:
     """Return what a plan must keep; None where nothing was said of accuracy."""
     if not asked.within.strip():
-        for flag in ("noise", "prices", "push", "holidays", "raster"):
+        for flag in ("noise", "prices", "disturbance", "holidays", "grid"):
             if getattr(asked, flag):
                 raise ArgumentError(f"`--{flag}` belongs to a plan. Say how well what must be known: --within.")
         return None
@@ -176,7 +176,7 @@ def plan_requirement(asked: AskedFor, plant: sd.Plant, span: float) -> sd.PlanRe
     goals = by_name("--within", asked.within, (*states, *outputs), outputs[:1])
     noise = by_name("--noise", asked.noise, outputs, outputs)
     prices = by_name("--prices", asked.prices, outputs, outputs)
-    push = by_name("--push", asked.push, states, states)
+    disturbance = by_name("--disturbance", asked.disturbance, states, states)
     hours = week(asked.open_hours, asked.weekend)
     if not asked.start and (hours is not None or asked.zone or asked.holidays):
         raise ArgumentError("`--start` is missing: opening hours and holidays of a plan need a date to count from.")
@@ -192,11 +192,11 @@ def plan_requirement(asked: AskedFor, plant: sd.Plant, span: float) -> sd.PlanRe
         name: {"price": prices.get(name, 0.0), **({"noise_bound": noise[name]} if name in noise else {})}
         for name in outputs
     }
-    bounds = [push.get(name, 0.0) for name in states]
+    bounds = [disturbance.get(name, 0.0) for name in states]
     return sd.PlanRequirement(
         goals,  # numbers are tolerances
         period=asked.period if calendar is not None or asked.period is not None else span,
-        raster=asked.raster or (RASTER if calendar is not None else None),
+        grid=asked.grid or (GRID if calendar is not None else None),
         spacing=asked.spacing,
         visit_price=asked.visit,
         w_bound=bounds,

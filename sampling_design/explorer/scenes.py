@@ -85,7 +85,7 @@ def _plan() -> Bench:
     wanted = PlanRequirement(
         {"position": AccuracyGoal(0.35)},
         period=6.4,
-        raster=0.4,
+        grid=0.4,
         w_bound=0.02,
         sensors={"position": SensorTerms(noise_bound=0.2)},
     )

@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 from sampling_design.accuracy.finite import NO_ERROR
 from sampling_design.accuracy.start import StartSet
-from sampling_design.planning.adversary_program import DisturbedTrajectory, RasterWindow, in_stages, opened
+from sampling_design.planning.adversary_program import DisturbedTrajectory, GridWindow, in_stages, opened
 from sampling_design.planning.discrete_plant import DiscretePlant, UndetectedModes, hidden_at
-from sampling_design.planning.filter_deviation import RasterFilter
+from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory, peaks_of
 from sampling_design.planning.problem import PlanProblem, RowGoal
 from sampling_design.planning.work_prices import FAINT
@@ -62,7 +62,7 @@ class AccuracyOracle:
         self.few = int(problem.allowed.sum()) <= FEW
         """Whether so little may be measured that it can be gone through one by one."""
         spread = any(goal.spread for goal in problem.goals)
-        self.spread = RasterFilter(problem, motion, self.work) if spread else None
+        self.spread = GridFilter(problem, motion, self.work) if spread else None
         self._kept: dict[object, tuple[float, list[HiddenTrajectory]]] = {}
         """What the last choices that were judged came to."""
         self._feared = 0
@@ -224,7 +224,7 @@ class AccuracyOracle:
 
     def looked(
         self,
-        window: RasterWindow,
+        window: GridWindow,
         g: int,
         last: int,
         length: int,
@@ -261,10 +261,10 @@ class AccuracyOracle:
             found[farthest] = self.reach(window, farthest, g)
         return found
 
-    def _window(self, chosen: Mask, last: int, back: int) -> RasterWindow:
+    def _window(self, chosen: Mask, last: int, back: int) -> GridWindow:
         """The window of samples of an endless schedule up to a step."""
         knots = self._knots(chosen, last, back)
-        return RasterWindow(self.motion, knots, chosen[knots % self.problem.steps])
+        return GridWindow(self.motion, knots, chosen[knots % self.problem.steps])
 
     def _knots(self, chosen: Mask, last: int, back: int) -> npt.NDArray[np.intp]:
         """The steps of its samples."""
@@ -305,14 +305,14 @@ class AccuracyOracle:
             known.append((row @ self.motion.F, total + size))
         return known[offset]
 
-    def reach(self, window: RasterWindow, offset: int, g: int) -> float:
+    def reach(self, window: GridWindow, offset: int, g: int) -> float:
         """About how far a goal can be driven so many steps after the last sample, over its tolerance."""
         self.work.add(window.price, window.entries)
         row, added = self._opened(offset, g)
         value = window.reach(row) + added
         return value / self.problem.goals[g].tolerance
 
-    def _attack(self, window: RasterWindow, last: int, offset: int, g: int) -> HiddenTrajectory | None:
+    def _attack(self, window: GridWindow, last: int, offset: int, g: int) -> HiddenTrajectory | None:
         """The strongest attack against a goal, so many steps after the last sample of a window."""
         flight = window.strongest(self._opened(offset, g)[0])
         if flight is None:
@@ -321,7 +321,7 @@ class AccuracyOracle:
         return self.scaled(flight, g, last + offset, offset == 0, window)
 
     def scaled(
-        self, flight: DisturbedTrajectory, g: int, end: int, at_sample: bool, window: RasterWindow | None = None
+        self, flight: DisturbedTrajectory, g: int, end: int, at_sample: bool, window: GridWindow | None = None
     ) -> HiddenTrajectory | None:
         """An attack made admissible, with what would be seen of it."""
         goal: RowGoal = self.problem.goals[g]
@@ -357,7 +357,7 @@ class AccuracyOracle:
         seen[-1] = False
         faint = np.where(seen, 0.0, weights[knots % steps])
         faint[-1] = 0.0
-        window = RasterWindow(self.motion, knots, seen, faint)
+        window = GridWindow(self.motion, knots, seen, faint)
         self.work.add(FAINT, window.entries)
         flight = window.faintest(self.rows[g], level * self.problem.goals[g].tolerance)
         if flight is None:

@@ -1,4 +1,4 @@
-"""The strongest motion that a choice of samples does not show: the adversary's program on the raster.
+"""The strongest motion that a choice of samples does not show: the adversary's program on the grid.
 
     maximise  c'z_e   over |w| <= 1, z_0 = 0, |H_j z_i| <= 1 wherever (i, j) is measured
 
@@ -70,7 +70,7 @@ def in_stages(motion: DiscretePlant, knots: npt.NDArray[np.intp]) -> bool:
     return not motion.ball and many > MANY
 
 
-class RasterWindow:
+class GridWindow:
     """Samples at `knots` (steps, increasing), each measuring `seen` (K, p); the motion starts at rest at knots[0].
 
     Or in the set `start` of z there, which may leave it free: what is then wanted may be unbounded.

@@ -24,7 +24,7 @@ NEAR = 0.998
 """A time is taken if floats say at most this share of the tolerance; the proof afterwards decides."""
 
 TRIES = 12
-"""Times proven, each a step of the raster earlier than the one before, until one is."""
+"""Times proven, each a step of the grid earlier than the one before, until one is."""
 
 SAME = 1e-9
 """Times are the same if they differ by less than this share of a step."""
@@ -59,7 +59,7 @@ class NextChoices:
         return exceeded_since(self.plan, self.history, self.now)
 
     def options(self, sensor: int | None) -> list[Option]:
-        """Allowed times of the raster over a period, the first that keeps the spacing on; with what is read then.
+        """Allowed times of the grid over a period, the first that keeps the spacing on; with what is read then.
 
         One sensor, or those that the plan reads.
         """
@@ -238,7 +238,7 @@ class NextChoices:
         return int(same[0]) if same.size else 0
 
     def answer(self, sensor: int | None, prove: bool) -> NextAnswer:
-        """The latest option, proven if asked: a step of the raster earlier at a time until the proof holds."""
+        """The latest option, proven if asked: a step of the grid earlier at a time until the proof holds."""
         choice = self.latest(sensor)
         ratio, options = self.ratio(choice), self.options(sensor)
         if np.isfinite(choice[0]) and not prove:

@@ -167,7 +167,7 @@ def plan_dates(plan: Plan, periods: int = 1, *, prove: bool = True) -> PlanDates
     periods : int
         How many, from the calendar's start on.
     prove : bool
-        Prove the whole sequence over all real times; else it is judged in floats, on the raster.
+        Prove the whole sequence over all real times; else it is judged in floats, on the grid.
 
     Returns
     -------

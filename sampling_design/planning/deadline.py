@@ -9,7 +9,7 @@ from itertools import chain, groupby, pairwise
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.planning.adversary_program import RasterWindow
+from sampling_design.planning.adversary_program import GridWindow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import WHOLE
 from sampling_design.planning.sequence import steps_skipped, window_after
@@ -28,7 +28,7 @@ class GoalDue:
     time : float
         When it reaches its tolerance, or comes nearest to it [the plant's time unit] since the start of the plan.
     ratio : float
-        Accuracy over tolerance then, attained by a motion on the raster or by the filter: 1 and more where it breaks.
+        Accuracy over tolerance then, attained by a motion on the grid or by the filter: 1 and more where it breaks.
     """
 
     goal: str
@@ -161,7 +161,7 @@ def _in_gap(plan: PlanFigures, sequence: SampleSequence, k: int, level: float) -
         yield GapLooks(k, plan.goals[g].name, (last + offsets) * oracle.problem.step, ratios)
 
 
-def _to_the_step(plan: PlanFigures, window: RasterWindow, g: int, looks: dict[int, float], level: float) -> None:
+def _to_the_step(plan: PlanFigures, window: GridWindow, g: int, looks: dict[int, float], level: float) -> None:
     """Look between neighbours on both sides of a level until they are a step apart."""
     offsets = sorted(looks)
     for low, high in pairwise(offsets):

@@ -1,4 +1,4 @@
-"""The plant on the raster, in coordinates in which a well measured state is of size one, whatever the units."""
+"""The plant on the grid, in coordinates in which a well measured state is of size one, whatever the units."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ STAYS = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class DiscretePlant:
-    """x = T z on the raster: z_{i+1} = F z_i + Gamma w_i, |w_i| <= 1, |H z_i| <= 1 where measured.
+    """x = T z on the grid: z_{i+1} = F z_i + Gamma w_i, |w_i| <= 1, |H z_i| <= 1 where measured.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ def hidden_at(
 ) -> UndetectedModes | None:
     """Return the motions that do not fade and that a choice never sees.
 
-    None if there are none, or if they are hidden at all times, not only at those of the raster, and of no account to
+    None if there are none, or if they are hidden at all times, not only at those of the grid, and of no account to
     the rows of z, at any time to those that are `always` wanted; whether another sensor would show them is nothing
     to these rows. `outputs`: those of z that are read, default H.
     """
@@ -198,12 +198,12 @@ def _even(rows: Array) -> Array:
 
 
 def motion_of(problem: PlanProblem) -> DiscretePlant:
-    """Return the plant of a problem on its raster; coordinates from a spread-out schedule with every sensor.
+    """Return the plant of a problem on its grid; coordinates from a spread-out schedule with every sensor.
 
     Raises
     ------
     ArgumentError
-        If a mode grows so much in a step of the raster that no sample helps.
+        If a mode grows so much in a step of the grid that no sample helps.
     InfeasibleRequirementError
         If a goal depends on what no sensor ever shows.
     """
@@ -211,7 +211,7 @@ def motion_of(problem: PlanProblem) -> DiscretePlant:
     fastest = max(np.linalg.eigvals(plant.A).tolist(), key=lambda value: value.real)
     if fastest.real * problem.step > GROWTH / 2:
         raise ArgumentError(
-            f"`raster` is too coarse: from one of its steps to the next (here {spoken(problem.step, plant.time_unit)}) "
+            f"`grid` is too coarse: from one of its steps to the next (here {spoken(problem.step, plant.time_unit)}) "
             f"the mode {format_eigenvalue(fastest)} grows by e^{fastest.real * problem.step:.3g}, so that a sample "
             f"says nothing of the next step; take at most {short(GROWTH / 8 / fastest.real)} {plant.time_unit}."
         )

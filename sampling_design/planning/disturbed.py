@@ -125,12 +125,12 @@ def _proven_late(plan: PlanFigures, k: int, stride: float, unbroken: int) -> tup
 
 
 def _broken(plan: PlanFigures, sequence: SampleSequence) -> bool:
-    """Whether a motion on the raster breaks a tolerance before the first sample that is another one, or after it."""
+    """Whether a motion on the grid breaks a tolerance before the first sample that is another one, or after it."""
     return worst_ratio(plan, sequence, 1.0, float(sequence.times[sequence.first + 1]), closely=False) > 1
 
 
 def _judged(plan: PlanFigures, sequence: SampleSequence) -> float:
-    """Accuracy over tolerance: proven up to 1, else as a motion on the raster attains it."""
+    """Accuracy over tolerance: proven up to 1, else as a motion on the grid attains it."""
     ratio = np.inf if _broken(plan, sequence) else proven_ratio(plan, sequence)
     if ratio <= 1:
         return ratio

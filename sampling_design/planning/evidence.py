@@ -11,7 +11,7 @@ from sampling_design.planning.adversary_program import fly
 from sampling_design.planning.cost_proof import CostProof, proven_cost
 from sampling_design.planning.covering import CoveringRows
 from sampling_design.planning.discrete_plant import DiscretePlant
-from sampling_design.planning.filter_deviation import RasterFilter
+from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories, HiddenTrajectory, peaks_of
 from sampling_design.planning.problem import PlanProblem
 
@@ -98,7 +98,7 @@ def _filtered(problem: PlanProblem, motion: DiscretePlant, attack: HiddenTraject
     z = np.roll(attack.touches, -((attack.end + 1) % problem.steps), axis=0)[::-1]
     if not problem.goals[attack.goal].spread or np.any(z < 0) or np.any(z > 1):
         return None
-    found = RasterFilter(problem, motion).tangent_at(z, attack.goal, attack.end)
+    found = GridFilter(problem, motion).tangent_at(z, attack.goal, attack.end)
     return None if found is None else replace(found, reach=found.reach * (1 - KEPT), end=attack.end)
 
 

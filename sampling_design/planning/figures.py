@@ -87,7 +87,7 @@ class PlanFigures(Record):
 
     @cached_property
     def chosen(self) -> Mask:
-        """What is measured at each step of the raster (M, p)."""
+        """What is measured at each step of the grid (M, p)."""
         return self.problem.chosen(self.schedule)
 
     @cached_property

@@ -217,7 +217,7 @@ def _bound(problem: PlanProblem, motion: DiscretePlant, tree: Tree) -> PlanBound
             inside = all(a % 1 == b % 1 == 0 and a < problem.steps and b < len(problem.v_bound) for a, b, _ in cells)
             if not inside or any(share > 1 for _, _, share in cells) or not problem.goals[attack["goal"]].spread:
                 raise refuse(
-                    f"attacks[{k}]", "touches beside the raster and its sensors, or is of a goal that is guaranteed"
+                    f"attacks[{k}]", "touches beside the grid and its sensors, or is of a goal that is guaranteed"
                 )
             continue
         knots, steps, q = attack["knots"], len(attack["w"]), motion.G.shape[1]

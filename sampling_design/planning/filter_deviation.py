@@ -1,4 +1,4 @@
-"""Standard deviations of the best filter on the raster, for many choices of samples at once, and tangents of them.
+"""Standard deviations of the best filter on the grid, for many choices of samples at once, and tangents of them.
 
     P <- F P F' + Q from step to step,    P <- (P^-1 + sum over sensors of z_ij h_j h_j')^-1 at step i,  z_ij in [0, 1]
 
@@ -45,8 +45,8 @@ MOST_REACH = 1e9
 """What is known no better than this many tolerances is not known."""
 
 
-class RasterFilter:
-    """Variances of the goals that are standard deviations, on the raster of one problem."""
+class GridFilter:
+    """Variances of the goals that are standard deviations, on the grid of one problem."""
 
     def __init__(self, problem: PlanProblem, motion: DiscretePlant, work: Budget | None = None):
         self.problem, self.motion = problem, motion

@@ -1,4 +1,4 @@
-"""The verb: from a requirement to a plan on the raster, proven, with what no plan can beat."""
+"""The verb: from a requirement to a plan on the grid, proven, with what no plan can beat."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sampling_design.errors import (
 )
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.bounds import out_of_reach, prove_cost
-from sampling_design.planning.coarser_raster import coarser, lifted_attacks, lifted_choices
+from sampling_design.planning.coarser_grid import coarser, lifted_attacks, lifted_choices
 from sampling_design.planning.cost_proof import CostProof
 from sampling_design.planning.covering import CoveringRows, cheapest
 from sampling_design.planning.discrete_plant import motion_of
@@ -37,7 +37,7 @@ from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.search import PlanSearch
 from sampling_design.planning.search_progress import AFTERWARDS, PlanProgress
 from sampling_design.planning.start import plan_start
-from sampling_design.planning.undetected_modes import finer_raster, modes_of
+from sampling_design.planning.undetected_modes import finer_grid, modes_of
 from sampling_design.planning.work_prices import AFTER, CERTIFIED, GAINS
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -63,13 +63,13 @@ IDLE = 2
 MARGINS = (MARGIN, 0.015, 0.04)
 
 NARROW_MARGINS = (5e-4, 0.015, 0.04)
-"""The same for standard deviations, which are only larger between steps of the raster."""
+"""The same for standard deviations, which are only larger between steps of the grid."""
 
 SOUGHT = 0.75
 """Share of the work after which nothing cheaper than what is held is sought: the rest proves it and bounds the cost."""
 
 COARSER = 0.25
-"""Share of the work that searches on coarser rasters may take, all together, the coarsest first."""
+"""Share of the work that searches on coarser grids may take, all together, the coarsest first."""
 
 ROUNDS = 60
 """Choices judged at one level."""
@@ -127,7 +127,7 @@ def plan_samples(
     -----
     *Claim.* `reached` is proven for all real times by `guaranteed_accuracy`, of a plan followed for ever; `start`
     says from when on after its start the tolerances are kept, whatever the error was then or within `initial_error`. No
-    admissible choice on the raster of the same cost is better than `bound.ratio.level` times every tolerance, and none
+    admissible choice on the grid of the same cost is better than `bound.ratio.level` times every tolerance, and none
     keeps them for less than `bound.cost.value`.
     *Method.* Attacks: disturbances that drive a goal to its tolerance while nothing measured shows them. Any plan must
     see every attack; moved by whole steps, an attack is one again. The cheapest choice that sees all attacks so far is
@@ -141,7 +141,7 @@ def plan_samples(
     Examples
     --------
     >>> plant = Plant([[0.0]], [[1.0]], states=["level"])
-    >>> wanted = PlanRequirement({"level": 0.52}, period=8.0, raster=1.0, w_bound=0.1,
+    >>> wanted = PlanRequirement({"level": 0.52}, period=8.0, grid=1.0, w_bound=0.1,
     ...                          sensors={"y1": {"noise_bound": 0.1}})
     >>> found = plan_samples(plant, wanted)
     >>> found.samples, found.bound.cost.value
@@ -214,9 +214,9 @@ class _Planning:
         self.held = FeasibleChoices(problem, self.oracle.work, self._ratios)
 
     def started(self) -> list[Mask]:
-        """What a search on a coarser raster holds: it is as good on this one, which has all of its times.
+        """What a search on a coarser grid holds: it is as good on this one, which has all of its times.
 
-        So a finer raster makes no plan worse, as far as the share of the work that is spent on the coarser one goes.
+        So a finer grid makes no plan worse, as far as the share of the work that is spent on the coarser one goes.
         What it found against other choices joins the attacks here: what is held needs no more of them, its bound does.
         """
         coarse, work = coarser(self.problem), self.oracle.work
@@ -238,7 +238,7 @@ class _Planning:
         return self._lifted(run)
 
     def _lifted(self, run: _Planning) -> list[Mask]:
-        """What a search on a coarser raster holds, the last first, on this one."""
+        """What a search on a coarser grid holds, the last first, on this one."""
         return lifted_choices(self.problem, [chosen for chosen, _ in run.search.held[::-1]])
 
     def sought(self) -> ProvenChoice:
@@ -415,14 +415,14 @@ class _Planning:
         blindness = self.oracle.hidden(self.problem.allowed)
         if blindness is not None:
             unit = self.problem.plant.time_unit
-            finer = finer_raster(self.problem, self.motion, self.oracle.rows)
+            finer = finer_grid(self.problem, self.motion, self.oracle.rows)
             help_ = "Allow other hours or another sensor."
             if finer is not None:
-                help_ = f"The raster hides it: one of {spoken(finer, unit)} shows it."
+                help_ = f"The grid hides it: one of {spoken(finer, unit)} shows it."
             raise InfeasibleRequirementError(
                 "Not even measuring at every allowed time shows all that `guaranteed_accuracy` asks for: "
                 f"{modes_of(self.motion, blindness)} never fades and stays hidden. {help_}",
-                "raster" if finer is not None else "accuracy",
+                "grid" if finer is not None else "accuracy",
             )
 
     def _seeing(self, chosen: Mask) -> Mask:

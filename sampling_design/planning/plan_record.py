@@ -16,7 +16,7 @@ from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.disturbed import bears
 from sampling_design.planning.evidence import attack_to_dict, holds, proof_to_dict
 from sampling_design.planning.figures import PlanFigures
-from sampling_design.planning.filter_deviation import RasterFilter
+from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.problem import PlanProblem
 from sampling_design.planning.start import PlanStart, starts
 from sampling_design.plants.functional import FunctionalPlant, is_about
@@ -47,7 +47,7 @@ LEFT_OUT = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(PlanFigures):
-    """A periodic plan on the raster, with what it guarantees and how far from the best it can be.
+    """A periodic plan on the grid, with what it guarantees and how far from the best it can be.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Plan(PlanFigures):
         What the plan proves for each goal, in the goal's unit, at the times that it asks for.
     bound : PlanBound
     status : str
-        "complete" where nothing better can be found on the raster (to the search's accuracy), "interrupted" where the
+        "complete" where nothing better can be found on the grid (to the search's accuracy), "interrupted" where the
         call was, else "budget".
     certificate : Certificate or None
         That the samples show the whole state, with a rate; None where they do not, or where it was not asked for.
@@ -261,10 +261,10 @@ def reached(
         values[bounded] = _bounded(problem, proof, bounded)
     if deviation is not None:
         spread = [k for k, goal in enumerate(problem.goals) if goal.spread]
-        on_raster = RasterFilter(problem, motion_of(problem)).worst(chosen[None])[0]
+        on_grid = GridFilter(problem, motion_of(problem)).worst(chosen[None])[0]
         for k, worst in zip(spread, deviation.worst.tolist(), strict=True):
             goal = problem.goals[k]
-            values[k] = worst if goal.at == "all times" else float(on_raster[k]) * goal.tolerance
+            values[k] = worst if goal.at == "all times" else float(on_grid[k]) * goal.tolerance
     return values
 
 

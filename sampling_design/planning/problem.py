@@ -1,4 +1,4 @@
-"""A requirement in numbers: steps of the raster, what may be measured at each, prices, and goals as rows."""
+"""A requirement in numbers: steps of the grid, what may be measured at each, prices, and goals as rows."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 WHOLE = 1e-6
-"""A time counts as a whole number of raster steps within this share of a step."""
+"""A time counts as a whole number of grid steps within this share of a step."""
 
 DEFAULT_STEPS = 96
-"""Steps of a period without a raster."""
+"""Steps of a period without a grid."""
 
 MOST_STEPS = 20_000
-"""Steps of a raster: programs have a column for each step and sensor."""
+"""Steps of a grid: programs have a column for each step and sensor."""
 
 SAME_PRICE = 1e-9
 """Two costs count as equal within this share."""
@@ -36,14 +36,14 @@ SAME_PRICE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class RowGoal:
-    """One row with its tolerance, and at which ends of the raster it must hold."""
+    """One row with its tolerance, and at which ends of the grid it must hold."""
 
     name: str
     row: Array
     unit: str
     tolerance: float
     at: str  # "all times", "after each sample" or "given times"
-    steps: Array  # raster times of "given times"
+    steps: Array  # grid times of "given times"
     spread: bool = False
     """Whether it is a standard deviation, else guaranteed."""
 
@@ -54,7 +54,7 @@ class RowGoal:
 
 @dataclass(frozen=True, eq=False)
 class PlanProblem:
-    """Numbers of one plan, all times in steps of the raster.
+    """Numbers of one plan, all times in steps of the grid.
 
     Attributes
     ----------
@@ -170,13 +170,13 @@ class PlanProblem:
         Raises
         ------
         ArgumentError
-            If its period is another, or a time is off the raster.
+            If its period is another, or a time is off the grid.
         """
         at = np.round(schedule.times / self.step).astype(int)
         near = np.abs(schedule.times - at * self.step) <= WHOLE * self.step
         if abs(schedule.period - self.period) > WHOLE * self.step or not near.all() or at.max() >= self.steps:
             raise ArgumentError(
-                f"`schedule` must have the period {self.period!r} and times on the raster of {self.step!r}, got a "
+                f"`schedule` must have the period {self.period!r} and times on the grid of {self.step!r}, got a "
                 f"period of {schedule.period!r}."
             )
         chosen = np.zeros(self.allowed.shape, dtype=bool)
@@ -195,12 +195,12 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
     Raises
     ------
     ArgumentError
-        If a name is unknown, a bound missing, or period and raster do not fit.
+        If a name is unknown, a bound missing, or period and grid do not fit.
     InfeasibleRequirementError
         If nothing may be measured at any time.
     """
     unit = requirement.time_unit or plant.time_unit
-    steps, step = _raster(plant, requirement, unit)
+    steps, step = _grid(plant, requirement, unit)
     for name in requirement.sensors:
         if name not in plant.outputs.names:
             checks.known_keys("`sensors`", [name], plant.outputs.names)
@@ -264,22 +264,22 @@ def _tolerance(requirement: PlanRequirement, unit: str, plant: Plant, period: fl
     return late
 
 
-def _raster(plant: Plant, requirement: PlanRequirement, unit: str) -> tuple[int, float]:
+def _grid(plant: Plant, requirement: PlanRequirement, unit: str) -> tuple[int, float]:
     """Steps of the period, and the length of one."""
     calendar, factor = requirement.calendar, time_factor(unit, plant.time_unit)
     if requirement.period is None and calendar is None:
         raise ArgumentError("`period` is missing: after which time does the plan repeat?")
     week = SECONDS["wk"] / SECONDS[unit]
     period = week if requirement.period is None else duration("period", requirement.period, unit)
-    given = requirement.raster
+    given = requirement.grid
     if given is None:
-        raster = period / DEFAULT_STEPS if calendar is None else SECONDS["min"] * 15 / SECONDS[unit]
+        grid = period / DEFAULT_STEPS if calendar is None else SECONDS["min"] * 15 / SECONDS[unit]
     else:
-        raster = duration("raster", given, unit)
-    steps = round(period / raster)
-    if steps < 1 or abs(period / raster - steps) > WHOLE or steps > MOST_STEPS:
+        grid = duration("grid", given, unit)
+    steps = round(period / grid)
+    if steps < 1 or abs(period / grid - steps) > WHOLE or steps > MOST_STEPS:
         raise ArgumentError(
-            f"`raster` must divide the period {period!r} {unit} into 1 to {MOST_STEPS} whole steps, got {raster!r}."
+            f"`grid` must divide the period {period!r} {unit} into 1 to {MOST_STEPS} whole steps, got {grid!r}."
         )
     if calendar is not None:
         own = [week_hours("hours", t.hours) for t in requirement.sensors.values() if t.hours is not None]
@@ -309,7 +309,7 @@ def _allowed(plant: Plant, requirement: PlanRequirement, terms: list[SensorTerms
 
 
 def _steps(name: str, value: float | str, unit: str, plant: Plant, steps: int, step: float) -> int:
-    """Steps of the raster that hold a least time.
+    """Steps of the grid that hold a least time.
 
     Raises
     ------
@@ -335,9 +335,7 @@ def _goals(plant: Plant, requirement: PlanRequirement, unit: str, step: float) -
             at = "given times"
             steps = np.array([t * time_factor(unit, plant.time_unit) / step for t in goal.at])
             if np.any(np.abs(steps - np.round(steps)) > WHOLE):
-                raise ArgumentError(
-                    f"`accuracy.{name}.at` must name times on the raster of {step!r}, got {goal.when()}."
-                )
+                raise ArgumentError(f"`accuracy.{name}.at` must name times on the grid of {step!r}, got {goal.when()}.")
         found.append(
             RowGoal(name, rows.matrix[0], rows.units[0], goal.tolerance, at, np.round(steps), goal.kind == KINDS[1])
         )

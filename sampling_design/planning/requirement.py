@@ -171,7 +171,7 @@ class PlanRequirement(Record):
         By name of a state or output (or any name, with a `row`); a number is a tolerance.
     period : float or str, optional
         The plan repeats after it. Default: one week with a calendar.
-    raster : float or str, optional
+    grid : float or str, optional
         Samples lie on whole multiples of it. Default: 15 min with a calendar, else the period over 96.
     spacing : float or str, optional
         Least time between two samples.
@@ -220,7 +220,7 @@ class PlanRequirement(Record):
         Mapping[str, AccuracyGoal | Mapping[str, object] | float] | None, Mapping[str, AccuracyGoal]
     ] = None  # type: ignore[assignment]
     period: Duration | None = None
-    raster: Duration | None = None
+    grid: Duration | None = None
     spacing: Duration | None = None
     samples: int | None = None
     cost_limit: float | None = None
@@ -256,7 +256,7 @@ class PlanRequirement(Record):
         own["visit_price"] = checks.nonnegative("visit_price", self.visit_price)
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
-        for key in ("period", "raster", "spacing", "timing_tolerance"):
+        for key in ("period", "grid", "spacing", "timing_tolerance"):
             if getattr(self, key) is not None:
                 duration(key, getattr(self, key), self.time_unit or "h")
         if self.aim is not None:
@@ -286,7 +286,7 @@ class PlanRequirement(Record):
     def to_dict(self) -> dict[str, Plain]:
         """Plain data, the tree of the requirement file; what was not given is left out."""
         data: dict[str, Plain] = {"format": FORMAT}
-        for key in ("period", "raster", "spacing", "timing_tolerance", "samples", "cost_limit", "aim", "time_unit"):
+        for key in ("period", "grid", "spacing", "timing_tolerance", "samples", "cost_limit", "aim", "time_unit"):
             value = getattr(self, key)
             data |= {} if value is None else {key: value}
         data |= {"visit_price": self.visit_price} if self.visit_price else {}
@@ -300,7 +300,7 @@ class PlanRequirement(Record):
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [(f"accuracy of {k}", f"{short(g.tolerance)} ({g.when()})") for k, g in self.accuracy.items()]
-        for key in ("period", "raster", "spacing", "timing_tolerance", "samples", "cost_limit"):
+        for key in ("period", "grid", "spacing", "timing_tolerance", "samples", "cost_limit"):
             value = getattr(self, key)
             rows += [] if value is None else [(key.replace("_", " "), f"{value}")]
         rows += [] if self.initial_error is None else [("initial error", f"{_plain_error(self.initial_error)}")]

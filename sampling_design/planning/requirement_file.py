@@ -84,7 +84,7 @@ _CALENDAR = table(
 _TREE = table(
     {"format": word(FORMAT)},
     {
-        **dict.fromkeys(("period", "raster", "spacing", "timing_tolerance"), _duration),
+        **dict.fromkeys(("period", "grid", "spacing", "timing_tolerance"), _duration),
         "samples": count,
         "cost_limit": positive,
         "visit_price": nonnegative,

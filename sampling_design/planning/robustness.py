@@ -35,7 +35,7 @@ class PlanRobustness(PlainRecord):
     lost : int
         So many samples in a row may be lost, whichever they are, with every tolerance kept; proven.
     lost_ratio : (N,) array
-        Accuracy over tolerance if this sample is lost: up to 1 proven, above 1 attained by a motion on the raster.
+        Accuracy over tolerance if this sample is lost: up to 1 proven, above 1 attained by a motion on the grid.
     """
 
     time_unit: str

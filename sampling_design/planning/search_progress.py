@@ -22,7 +22,7 @@ HALF = 30.0
 
 @dataclass(eq=False)
 class PlanProgress:
-    """The figures so far of one call, its coarser rasters included.
+    """The figures so far of one call, its coarser grids included.
 
     Attributes
     ----------

@@ -14,7 +14,7 @@ from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenS
 from sampling_design.accuracy.sample_chain import SampleChain
 from sampling_design.accuracy.search import ChainSearch
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
-from sampling_design.planning.adversary_program import RasterWindow
+from sampling_design.planning.adversary_program import GridWindow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import WHOLE, RowGoal
 from sampling_design.planning.sequence_chain import phase_of, plan_chain, sequence_chain
@@ -64,7 +64,7 @@ def worst_ratio(
     *,
     closely: bool = True,
 ) -> float:
-    """The largest ratio of accuracy to tolerance from the sample before the first change on, in floats, on the raster.
+    """The largest ratio of accuracy to tolerance from the sample before the first change on, in floats, on the grid.
 
     Stops once a gap is worse than `above`, or begins at or after `until`. Unless `closely`, a gap is looked at where it
     ends, and only the worst of them elsewhere: attained all the same.
@@ -110,7 +110,7 @@ def steps_skipped(oracle: AccuracyOracle, sequence: SampleSequence, k: int) -> i
     return int(np.ceil(sequence.skipped(k) / oracle.problem.step - WHOLE))
 
 
-def window_after(oracle: AccuracyOracle, sequence: SampleSequence, k: int) -> tuple[RasterWindow, int, int]:
+def window_after(oracle: AccuracyOracle, sequence: SampleSequence, k: int) -> tuple[GridWindow, int, int]:
     """The window that ends with a sample, its step, and how many steps it is to the next one.
 
     It reaches as far back as matters to the plan, and over as many samples: where some are late or lost, farther.
@@ -120,7 +120,7 @@ def window_after(oracle: AccuracyOracle, sequence: SampleSequence, k: int) -> tu
     count = max(sequence.first - 1, 0) - planned
     low = min(int(np.searchsorted(knots, knots[k] - oracle.back)), max(k - count, 0))
     start = oracle.opening if sequence.begins and low == 0 else None
-    window = RasterWindow(oracle.motion, knots[low : k + 1], sequence.seen[low : k + 1], start=start)
+    window = GridWindow(oracle.motion, knots[low : k + 1], sequence.seen[low : k + 1], start=start)
     return window, int(knots[k]), int(knots[k + 1] - knots[k])
 
 

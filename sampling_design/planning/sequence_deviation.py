@@ -35,7 +35,7 @@ BETWEEN = 1 + 1e-4
 """Share by which it may be larger between them."""
 
 GRAIN = 1e-9
-"""Lengths are the same if they differ by less than this share of a step of the raster."""
+"""Lengths are the same if they differ by less than this share of a step of the grid."""
 
 FORGOTTEN = 1e-4
 """A filter has forgotten what it was started with where that changes it by no more than this share."""

@@ -1,4 +1,4 @@
-"""What a raster or hours hide for ever, in words: which modes, and which finer raster would show them."""
+"""What a grid or hours hide for ever, in words: which modes, and which finer grid would show them."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def modes_of(motion: DiscretePlant, blindness: UndetectedModes) -> str:
     return f"a motion of the mode{'s' if len(names) > 1 else ''} {', '.join(names)}" if names else "a motion"
 
 
-def finer_raster(problem: PlanProblem, motion: DiscretePlant, rows: Array) -> float | None:
-    """Return a raster that shows all that never fades, in the hours that there are; None if none was found."""
+def finer_grid(problem: PlanProblem, motion: DiscretePlant, rows: Array) -> float | None:
+    """Return a grid that shows all that never fades, in the hours that there are; None if none was found."""
     always = np.array([goal.at == "all times" for goal in problem.goals], dtype=bool)
     for parts in FINER:
         if problem.steps * parts > MOST_STEPS:

@@ -6,7 +6,7 @@ _NAMES = {
     "clusters": ("EigenvalueCluster", "eigenvalue_clusters"),
     "files": ("read_plant", "write_plant"),
     "functional": ("FunctionalPlant",),
-    "library": ("named_plant", "plant_of_motions"),
+    "library": ("named_plant", "plant_of_modes"),
     "modes": ("ModalSplit", "split_modes"),
     "plant": ("Plant", "Signals"),
     "sparse": ("SparsePlant", "split_sparse"),

@@ -6,7 +6,7 @@ from sampling_design.plants.files import read_plant as read_plant
 from sampling_design.plants.files import write_plant as write_plant
 from sampling_design.plants.functional import FunctionalPlant as FunctionalPlant
 from sampling_design.plants.library import named_plant as named_plant
-from sampling_design.plants.library import plant_of_motions as plant_of_motions
+from sampling_design.plants.library import plant_of_modes as plant_of_modes
 from sampling_design.plants.modes import ModalSplit as ModalSplit
 from sampling_design.plants.modes import split_modes as split_modes
 from sampling_design.plants.plant import Plant as Plant

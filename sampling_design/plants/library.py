@@ -332,8 +332,8 @@ def helicopter_he1() -> Plant:
 
 
 @checked
-def plant_of_motions(
-    rhythms: Sequence[float] = (),
+def plant_of_modes(
+    oscillations: Sequence[float] = (),
     decays: Sequence[float] = (),
     *,
     level: bool = True,
@@ -341,14 +341,14 @@ def plant_of_motions(
     time_unit: str = "h",
     name: str = "",
 ) -> Plant:
-    """Return the plant of a level that stays, rhythms and decaying motions; every sensor shows their sum.
+    """Return the plant of a constant level, undamped oscillations and decaying modes; every sensor shows their sum.
 
     Parameters
     ----------
-    rhythms : sequence of float [time]
-        Periods of what goes round for ever.
+    oscillations : sequence of float [time]
+        Periods of undamped oscillations.
     decays : sequence of float [time]
-        Times in which what fades falls to a third.
+        Times in which a decaying mode falls to a third.
     level : bool
         Whether there is a level that stays.
     sensors : sequence of str
@@ -366,17 +366,17 @@ def plant_of_motions(
 
     Examples
     --------
-    >>> plant_of_motions([24.0], [6.0]).states.names
-    ('level', 'rhythm_1', 'rhythm_1_quadrature', 'decaying_1')
+    >>> plant_of_modes([24.0], [6.0]).states.names
+    ('level', 'oscillation_1', 'oscillation_1_quadrature', 'decaying_1')
     """
-    if not len(rhythms) and not len(decays):
-        raise ArgumentError("`rhythms` or `decays` must name a time, or nothing moves.")
-    rates = [2 * np.pi / checks.positive(f"rhythms[{k}]", length) for k, length in enumerate(rhythms)]
+    if not len(oscillations) and not len(decays):
+        raise ArgumentError("`oscillations` or `decays` must name a time, or nothing moves.")
+    rates = [2 * np.pi / checks.positive(f"oscillations[{k}]", length) for k, length in enumerate(oscillations)]
     losses = [np.log(3.0) / checks.positive(f"decays[{k}]", time) for k, time in enumerate(decays)]
     turning = [np.array([[0.0, rate], [-rate, 0.0]]) for rate in rates]
     A = block_diag(*[np.zeros((1, 1))] * level, *turning, *[np.array([[-rate]]) for rate in losses])
     row = np.concatenate([[1.0] * level, [1.0, 0.0] * len(rates), [1.0] * len(losses)])
-    turns = [f"rhythm_{k}{part}" for k in range(1, len(rates) + 1) for part in ("", "_quadrature")]
+    turns = [f"oscillation_{k}{part}" for k in range(1, len(rates) + 1) for part in ("", "_quadrature")]
     states = [*["level"] * level, *turns, *[f"decaying_{k}" for k in range(1, len(losses) + 1)]]
     C = np.tile(row, (len(sensors), 1))
     return Plant(A, C, time_unit=time_unit, states=states, outputs=Signals(sensors), name=name)

@@ -94,7 +94,7 @@ def mark_days(result: PlanFigures, ax: Axes) -> None:
 
 
 def closed(result: PlanFigures, j: int) -> list[tuple[float, float]]:
-    """When a sensor may not be read, by the clock: whatever the raster, the hours are those that were asked for."""
+    """When a sensor may not be read, by the clock: whatever the grid, the hours are those that were asked for."""
     problem, requirement = result.problem, result.requirement
     if not problem.allowed[:, j].any():
         return [(0.0, problem.period)]

@@ -39,7 +39,7 @@ def calendar(
     span: float | None = None,
     *,
     zone: str | None = None,
-    raster: float | None = None,
+    grid: float | None = None,
 ) -> tuple[CalendarEntry, ...]:
     """Return the samples of a schedule as calendar dates.
 
@@ -54,7 +54,7 @@ def calendar(
         a periodic one.
     zone : str, optional
         IANA name of the time zone in which dates are given. Default: the offset of `start`, UTC if it has none.
-    raster : float, optional
+    grid : float, optional
         Dates are rounded to whole multiples of this [s] since midnight of the day of time 0, by the clocks of `zone`:
         900 gives full quarters of an hour. Default: whole seconds, and whole microseconds where samples lie less than
         a second apart.
@@ -87,13 +87,13 @@ def calendar(
     part = _part(schedule, span)
     names = _columns(part)
     mask = part.outputs
-    grain = _grain(schedule, raster)
+    grain = _grain(schedule, grid)
     entries: list[CalendarEntry] = []
     for i, time in enumerate(part.times.tolist()):
         measured = names if mask is None else tuple(n for n, m in zip(names, mask[i], strict=True) if m)
         date = _date(zero.astimezone(place), time * unit, grain).astimezone(place)
         if entries and date.astimezone(UTC) <= entries[-1].date.astimezone(UTC):  # in one zone, clocks are compared
-            raise ArgumentError(f"`raster` = {raster!r} s puts two samples at {date.isoformat()}: give a finer one.")
+            raise ArgumentError(f"`grid` = {grid!r} s puts two samples at {date.isoformat()}: give a finer one.")
         entries.append(CalendarEntry(date, time, measured))
     return tuple(entries)
 
@@ -106,13 +106,13 @@ def write_calendar_csv(
     span: float | None = None,
     *,
     zone: str | None = None,
-    raster: float | None = None,
+    grid: float | None = None,
 ) -> Path:
     """Write `calendar(schedule, start, span, ...)` as CSV: date, time, and per output 1 or 0; return the path.
 
     Parameters
     ----------
-    schedule, start, span, zone, raster
+    schedule, start, span, zone, grid
         As for `calendar`.
     path : path
 
@@ -128,7 +128,7 @@ def write_calendar_csv(
     FileFormatError
         If the file cannot be written.
     """
-    entries = calendar(schedule, start, span, zone=zone, raster=raster)
+    entries = calendar(schedule, start, span, zone=zone, grid=grid)
     names = _columns(schedule)
     lines = [",".join(["date", "time", *(_quoted(n) for n in names)])]
     for entry in entries:
@@ -146,7 +146,7 @@ def write_ics(
     *,
     summary: str = "Sample",
     zone: str | None = None,
-    raster: float | None = None,
+    grid: float | None = None,
 ) -> Path:
     """Write a schedule as an iCalendar file that calendars import; return the path.
 
@@ -161,7 +161,7 @@ def write_ics(
     zone : str, optional
         IANA name of the time zone in which events are written out, its changes of the clocks included. Events that
         repeat by rule without end stay in UTC, as a rule in local time would stretch a gap when clocks change.
-    raster : float, optional
+    grid : float, optional
         As for `calendar`, in whole seconds.
 
     Returns
@@ -172,7 +172,7 @@ def write_ics(
     Raises
     ------
     ArgumentError
-        As `calendar`; `raster` is no whole number of seconds; or the period is none (or none of `raster`) and `span` is
+        As `calendar`; `grid` is no whole number of seconds; or the period is none (or none of `grid`) and `span` is
         missing.
     FileFormatError
         If the file cannot be written.
@@ -186,9 +186,9 @@ def write_ics(
     ----------
     RFC 5545.
     """
-    zero, grain = _start(schedule, start, zone), 1.0 if raster is None else checks.positive("raster", raster)
+    zero, grain = _start(schedule, start, zone), 1.0 if grid is None else checks.positive("grid", grid)
     if grain != int(grain):
-        raise ArgumentError(f"`raster` must be whole seconds in an iCalendar file, got {raster!r}.")
+        raise ArgumentError(f"`grid` must be whole seconds in an iCalendar file, got {grid!r}.")
     rule = None
     if schedule.endless:
         rule = _rule(schedule.period * SECONDS[schedule.time_unit or ""], grain)
@@ -199,7 +199,7 @@ def write_ics(
             )
     out = not rule or (zone is not None and span is not None)
     if out:
-        events = [(e, "") for e in calendar(schedule, zero, span, zone=zone, raster=grain)]
+        events = [(e, "") for e in calendar(schedule, zero, span, zone=zone, grid=grain)]
     else:
         events = _repeating(schedule, zero, span, rule or "", grain)
     stamp = _utc(zero)
@@ -231,10 +231,10 @@ def _start(schedule: AnySchedule, start: str | datetime | None, zone: str | None
     return parse_date("start", date, zone)
 
 
-def _grain(schedule: AnySchedule, raster: float | None) -> int:
+def _grain(schedule: AnySchedule, grid: float | None) -> int:
     """Grid of the dates in microseconds."""
-    if raster is not None:
-        return max(1, round(checks.positive("raster", raster) * 1e6))
+    if grid is not None:
+        return max(1, round(checks.positive("grid", grid) * 1e6))
     gaps = schedule.gaps
     close = gaps.size > 0 and float(gaps.min()) * SECONDS[schedule.time_unit or ""] < 1.0
     return 1 if close else 1_000_000
@@ -323,7 +323,7 @@ def _repeating(
 ) -> list[tuple[CalendarEntry, str]]:
     """Each sample of the period with its rule; with a span, only those that begin in it, repeated until its end."""
     unit = SECONDS[schedule.time_unit or ""]
-    cycle = calendar(schedule, zero, raster=grain)
+    cycle = calendar(schedule, zero, grid=grain)
     if span is None:
         return [(entry, rule) for entry in cycle]
     # UNTIL is inclusive and whole seconds, the span half-open

@@ -1,7 +1,7 @@
 """Most accurate plans of the library's plants, for the proven gaps of `plans`.
 
 Each plant is asked for its slowest known state, in the disturbance and noise of its scales, with so many samples in a
-period of its own time; the gap is what no other choice on the raster of 48 steps can gain, by proof.
+period of its own time; the gap is what no other choice on the grid of 48 steps can gain, by proof.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def posed(name, samples):
     return plant, sd.PlanRequirement(
         {goal: float(states[0])},
         period=period,
-        raster=period / STEPS,
+        grid=period / STEPS,
         samples=samples,
         w_bound=w.tolist(),
         sensors=sensors,

@@ -1,6 +1,6 @@
 """Rivals of a plan: differential evolution and random search with ten times its CPU time.
 
-Both look for times on the raster, judged by the
+Both look for times on the grid, judged by the
 search's own program; their best is then proven by `accuracy`: it must neither lie below what the plan says is out of
 reach, nor below the plan by more than its gap.
 """
@@ -27,7 +27,7 @@ FOUR, TIMES = 4, 10.0
 def wanted(plant, row, period, steps, samples, noise):
     """The most accurate plan of so many samples for one row."""
     bounds = {"w_bound": 0.02, "sensors": {"y": {"noise_bound": noise}}}
-    return plant, sd.PlanRequirement({row: 1.0}, period=period, raster=period / steps, samples=samples, **bounds)
+    return plant, sd.PlanRequirement({row: 1.0}, period=period, grid=period / steps, samples=samples, **bounds)
 
 
 CASES = {
@@ -46,7 +46,7 @@ class Spent(Exception):
 
 
 class Rival:
-    """Times as fractions of the period, judged on the raster; the best is kept."""
+    """Times as fractions of the period, judged on the grid; the best is kept."""
 
     def __init__(self, problem, seconds):
         self.problem, self.seconds = problem, seconds
@@ -79,7 +79,7 @@ RIVALS = {"differential evolution": Rival.evolved, "random search": Rival.drawn}
 
 
 def spaced(problem, samples):
-    """The choice whose samples are evenly spaced, as far as the raster allows."""
+    """The choice whose samples are evenly spaced, as far as the grid allows."""
     chosen = np.zeros(problem.allowed.shape, dtype=bool)
     chosen[np.round(np.arange(samples) * problem.steps / samples).astype(int)] = True
     return chosen

@@ -100,11 +100,11 @@ def updated(plant: sd.Plant, schedule: sd.PeriodicSchedule, box: bool = False) -
 
 
 def planned(plant: sd.Plant, schedule: sd.PeriodicSchedule) -> Prepared:
-    """A calendar on a raster of so many steps as the schedule has samples; the search itself has a second."""
+    """A calendar on a grid of so many steps as the schedule has samples; the search itself has a second."""
     period = schedule.period
     sensors = {name: {"noise_bound": 0.2} for name in plant.outputs.names}
     asked = sd.PlanRequirement(
-        {plant.states.names[0]: 0.7}, period=period, raster=period / len(schedule), w_bound=0.02, sensors=sensors
+        {plant.states.names[0]: 0.7}, period=period, grid=period / len(schedule), w_bound=0.02, sensors=sensors
     )
     return lambda: (lambda: sd.plan_samples(plant, asked, search_seconds=1.0, certificate=False, robustness=False), 1)
 
@@ -264,7 +264,7 @@ TABLES = (
         "samples a period",
         SAMPLES,
         asked(lambda k: (tones(4), uneven(k))),
-        "**Samples**: four states, one output; of a plan the steps of its raster.",
+        "**Samples**: four states, one output; of a plan the steps of its grid.",
     ),
     table(
         "outputs",

@@ -53,15 +53,16 @@ def test_a_schedule_that_ends_has_a_start(shell, tmp_path):
 def test_tolerance_deviation_and_shadow(shell, schedule, tmp_path):
     result = shell(
         *("accuracy", OSCILLATOR, schedule, "--w", "0.02", "--v", "0.4", "--rtol", "0.05", "-o", tmp_path / "out"),
-        *("--tolerance", "0.7,0.1", "--w-intensity", "1e-4", "--v-deviation", "0.2", "--shadow", "position,velocity"),
+        *("--tolerance", "0.7,0.1", "--w-intensity", "1e-4", "--v-deviation", "0.2"),
+        *("--projection", "position,velocity"),
     )
     assert result.code == 1
     assert "velocity cannot keep its tolerance" in result.out
     assert "deviation of position" in result.out
-    assert (tmp_path / "out" / "shadow.png").read_bytes().startswith(b"\x89PNG")
-    one = shell("accuracy", OSCILLATOR, schedule, "--w", "0.02", "--v", "0.4", "--shadow", "position")
+    assert (tmp_path / "out" / "projection.png").read_bytes().startswith(b"\x89PNG")
+    one = shell("accuracy", OSCILLATOR, schedule, "--w", "0.02", "--v", "0.4", "--projection", "position")
     assert one.code == 2
-    assert "`--shadow` must be two names" in one.err
+    assert "`--projection` must be two names" in one.err
     three = shell(
         "accuracy", OSCILLATOR, schedule, "--w", "0.02", "--v", "0.4", "--tolerance", "1,2,3", "--rtol", "0.5"
     )

@@ -67,7 +67,7 @@ def test_a_command_takes_the_flags_that_it_reads(name):
 
 
 def test_a_flag_that_would_do_nothing_is_refused(shell, tmp_path):
-    result = shell("new", tmp_path / "mine", "--rhythm", 24, "--decay-rate", 1)
+    result = shell("new", tmp_path / "mine", "--oscillation", 24, "--decay-rate", 1)
     assert result.code == 2
     assert "--decay-rate" in result.err
     assert not (tmp_path / "mine").exists()

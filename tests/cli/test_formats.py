@@ -50,7 +50,7 @@ def made(tmp_path_factory):
     (made / "readings.csv").write_text("time,position,force_per_mass\n0.5,1.0,0.0\n1.3,0.5,0.0\n2.5,0.1,0.0\n")
     tank = Plant([[0.0]], [[1.0]], states=["level"], outputs=["gauge"])
     read = {"gauge": {"noise_bound": 0.1}}
-    wanted = PlanRequirement({"level": 0.52}, period=8.0, raster=1.0, w_bound=0.1, sensors=read)
+    wanted = PlanRequirement({"level": 0.52}, period=8.0, grid=1.0, w_bound=0.1, sensors=read)
     write_plant(tank, made / "tank.toml")
     write_plan_requirement(wanted, made / "wanted.toml")
     save_plan(plan_samples(tank, wanted, certificate=False, robustness=False), made / "plan.json")

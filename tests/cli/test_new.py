@@ -13,7 +13,9 @@ from sampling_design.planning.requirement_file import read_plan_requirement
 
 
 def test_what_it_writes_is_what_was_said(shell, tmp_path):
-    done = shell("new", tmp_path / "a", "--rhythm", "24,12", "--decay", 2, "--sensors", "blood, urine", "--samples", 6)
+    done = shell(
+        *("new", tmp_path / "a", "--oscillation", "24,12", "--decay", 2, "--sensors", "blood, urine", "--samples", 6)
+    )
     assert done.code == 0
     assert "Next: sampling-design design" in done.out
     plant = sd.read_plant(tmp_path / "a" / "plant.toml")
@@ -29,7 +31,7 @@ def test_what_it_writes_is_what_was_said(shell, tmp_path):
 
 
 def test_nobody_copies_thirty_closed_nights_by_hand(shell, tmp_path):
-    done = shell("new", tmp_path, "--rhythm", "12.42", "--period", 720, "--open", "7-19", "--json")
+    done = shell("new", tmp_path, "--oscillation", "12.42", "--period", 720, "--open", "7-19", "--json")
     assert json.loads(done.out)["requirement"]["forbidden"][:2] == [[0.0, 7.0], [19.0, 31.0]]
     closed = sd.read_requirement(tmp_path / "requirement.toml").forbidden
     example = sd.read_requirement("examples/requirements/tidal_gauge.toml").forbidden
@@ -77,9 +79,9 @@ def test_a_period_holds_whole_days_of_opening():
 
 
 LABORATORY = (
-    "--rhythm", 24, "--decay", 6, "--sensors", "blood,saliva", "--within", "level=0.4, rhythm_1=0.6", "--noise",
-    "blood=0.1,saliva=0.3", "--prices", "blood=12,saliva=3", "--visit", 5, "--push", "level=0.002", "--start",
-    "2026-03-04", "--zone", "Europe/Berlin", "--open", "Mon-Fri 8-17, Sat 9-12", "--holidays", "2026-04-03",
+    "--oscillation", 24, "--decay", 6, "--sensors", "blood,saliva", "--within", "level=0.4, oscillation_1=0.6",
+    "--noise", "blood=0.1,saliva=0.3", "--prices", "blood=12,saliva=3", "--visit", 5, "--disturbance", "level=0.002",
+    "--start", "2026-03-04", "--zone", "Europe/Berlin", "--open", "Mon-Fri 8-17, Sat 9-12", "--holidays", "2026-04-03",
 )  # fmt: skip
 
 
@@ -88,10 +90,10 @@ def test_a_plan_is_asked_for_in_one_command(shell, tmp_path):
     assert done.code == 0
     assert f"Next: sampling-design plan {tmp_path / 'plant.toml'} {tmp_path / 'plan.toml'}" in done.out
     asked = read_plan_requirement(tmp_path / "plan.toml")
-    assert {name: goal.tolerance for name, goal in asked.accuracy.items()} == {"level": 0.4, "rhythm_1": 0.6}
+    assert {name: goal.tolerance for name, goal in asked.accuracy.items()} == {"level": 0.4, "oscillation_1": 0.6}
     assert [(t.price, t.noise_bound) for t in asked.sensors.values()] == [(12.0, 0.1), (3.0, 0.3)]
     assert asked.w_bound == [0.002, 0.0, 0.0, 0.0]
-    assert (asked.visit_price, asked.raster, asked.aim) == (5.0, "1 h", "cheapest")
+    assert (asked.visit_price, asked.grid, asked.aim) == (5.0, "1 h", "cheapest")
     assert (asked.calendar.zone, list(asked.calendar.hours), asked.calendar.holidays) == (
         "Europe/Berlin", ["Mon", "Tue", "Wed", "Thu", "Fri", "Sat"], ("2026-04-03",)
     )  # fmt: skip
@@ -115,12 +117,12 @@ def test_from_flags_to_an_estimate_nobody_edits_a_file_but_the_form(shell, tmp_p
         "level=0.9",
         "--noise",
         0.1,
-        "--push",
+        "--disturbance",
         0.01,
         "--prices",
         2,
     )
-    place = ("--start", "2026-03-02", "--zone", "Europe/Berlin", "--period", 48, "--raster", "4 h", "--open", "8-17")
+    place = ("--start", "2026-03-02", "--zone", "Europe/Berlin", "--period", 48, "--grid", "4 h", "--open", "8-17")
     assert shell("new", "lab", *flags, *place).code == 0
     limits = ("--periods", 2, "--search-seconds", 3)
     assert shell("plan", "lab/plant.toml", "lab/plan.toml", "-o", "lab/out", *limits).code == 0
@@ -143,21 +145,21 @@ def test_from_flags_to_an_estimate_nobody_edits_a_file_but_the_form(shell, tmp_p
 
 def test_a_plan_without_dates_repeats_after_a_rhythm():
     plant = sd.Plant([[0.0]], [[1.0]], time_unit="h", states=["level"], outputs=["probe"])
-    asked = AskedFor(within="0.5", noise="0.1", push="0.01")
+    asked = AskedFor(within="0.5", noise="0.1", disturbance="0.01")
     found = plan_requirement(asked, plant, 24.0)
-    assert (found.period, found.calendar, found.raster) == (24.0, None, None)
+    assert (found.period, found.calendar, found.grid) == (24.0, None, None)
     assert list(found.accuracy) == ["probe"]
     assert plan_requirement(AskedFor(), plant, 24.0) is None
     with pytest.raises(
         ArgumentError, match=r"`--prices` belongs to a plan\. Say how well what must be known: --within\."
     ):
         plan_requirement(AskedFor(prices="3"), plant, 24.0)
-    with pytest.raises(ArgumentError, match="`--within` makes a plan, which needs --push: how strong"):
+    with pytest.raises(ArgumentError, match="`--within` makes a plan, which needs --disturbance: how strong"):
         plan_requirement(AskedFor(within="0.5", noise="0.1"), plant, 24.0)
     with pytest.raises(ArgumentError, match="`--start` is missing: opening hours and holidays of a plan need a date"):
-        plan_requirement(AskedFor(within="0.5", noise="0.1", push="0.01", open_hours="8-17"), plant, 24.0)
+        plan_requirement(AskedFor(within="0.5", noise="0.1", disturbance="0.01", open_hours="8-17"), plant, 24.0)
     with pytest.raises(ArgumentError, match=r"unknown key 'levl' in `--within`\. Did you mean 'level'"):
-        plan_requirement(AskedFor(within="levl=0.5", noise="0.1", push="0.01"), plant, 24.0)
+        plan_requirement(AskedFor(within="levl=0.5", noise="0.1", disturbance="0.01"), plant, 24.0)
 
 
 def test_arrays_stand_on_a_line_each_and_mean_the_same():
@@ -168,7 +170,7 @@ def test_arrays_stand_on_a_line_each_and_mean_the_same():
 
 
 def test_the_files_are_designed_for(shell, tmp_path):
-    shell("new", tmp_path, "--rhythm", 24, "--samples", 4, "--open", "7-22")
+    shell("new", tmp_path, "--oscillation", 24, "--samples", 4, "--open", "7-22")
     done = shell("design", tmp_path / "plant.toml", tmp_path / "requirement.toml", "--branches", 0, "-o", tmp_path)
     assert done.code == 0
     assert np.all(sd.read_schedule(tmp_path / "schedule.csv").times >= 7.0)
@@ -202,26 +204,26 @@ def test_a_terminal_is_asked_again_after_a_slip_and_down_to_the_plan(shell, tmp_
 
 
 def test_nothing_is_written_over_unless_forced(shell, tmp_path):
-    shell("new", tmp_path, "--rhythm", 24)
+    shell("new", tmp_path, "--oscillation", 24)
     before = (tmp_path / "plant.toml").read_text()
-    refused = shell("new", tmp_path, "--rhythm", 12)
+    refused = shell("new", tmp_path, "--oscillation", 12)
     assert refused.code == 2
     assert "already" in refused.err
     assert (tmp_path / "plant.toml").read_text() == before
-    assert shell("new", tmp_path, "--rhythm", 12, "--force").code == 0
+    assert shell("new", tmp_path, "--oscillation", 12, "--force").code == 0
 
 
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
         ((), "`new` needs to know what moves"),
-        (("--rhythm", "daily"), "`--rhythm` must be positive numbers"),
-        (("--rhythm", "24", "--open", "19-7"), "`--open` must be two hours of a day"),
-        (("--rhythm", "24", "--unit", "fortnight"), "time"),
-        (("--rhythm", "24", "--period", "24000", "--open", "7-19"), "at most 400"),
-        (("--rhythm", "24", "--within", "0.5"), "which needs --noise"),
-        (("--rhythm", "24", "--within", "0.5", "--noise", "0.1", "--push", "0", "--start", "soon"), "start"),
-        (("--rhythm", "24", "--sensors", "a,a"), "twice"),
+        (("--oscillation", "daily"), "`--oscillation` must be positive numbers"),
+        (("--oscillation", "24", "--open", "19-7"), "`--open` must be two hours of a day"),
+        (("--oscillation", "24", "--unit", "fortnight"), "time"),
+        (("--oscillation", "24", "--period", "24000", "--open", "7-19"), "at most 400"),
+        (("--oscillation", "24", "--within", "0.5"), "which needs --noise"),
+        (("--oscillation", "24", "--within", "0.5", "--noise", "0.1", "--disturbance", "0", "--start", "no"), "start"),
+        (("--oscillation", "24", "--sensors", "a,a"), "twice"),
     ],
 )
 def test_a_slip_is_one_sentence_and_writes_nothing(shell, tmp_path, flags, said):
@@ -243,15 +245,15 @@ def test_what_the_flags_refuse(tmp_path, monkeypatch):
             by_name("--noise", text, ("blood", "urine"), ("blood",))
     with pytest.raises(ArgumentError, match="closes every day: a period of"):
         requirement(AskedFor(open_hours="7-19"), "h", 24.0 * 500)
-    from sampling_design.cli.new import Motions, new
+    from sampling_design.cli.new import PlantModes, new
     from sampling_design.cli.settings import Settings
 
     monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
     with pytest.raises(ArgumentError, match="needs to know what moves"):
-        new(Settings("new"), tmp_path / "x", Motions(), AskedFor())
+        new(Settings("new"), tmp_path / "x", PlantModes(), AskedFor())
     (tmp_path / "file").write_text("")
     with pytest.raises(ArgumentError, match="cannot be made a folder"):
-        new(Settings("new"), tmp_path / "file" / "x", Motions(rhythm="24"), AskedFor())
+        new(Settings("new"), tmp_path / "file" / "x", PlantModes(oscillation="24"), AskedFor())
     (tmp_path / "plant.toml").write_text("")
     with pytest.raises(ArgumentError, match=r"already\. Take another folder, or --force"):
-        new(Settings("new"), tmp_path, Motions(rhythm="24"), AskedFor())
+        new(Settings("new"), tmp_path, PlantModes(oscillation="24"), AskedFor())

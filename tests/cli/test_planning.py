@@ -16,7 +16,7 @@ from sampling_design.planning.search import PlanSearch
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SMALL = """format = "sampling-design/plan-requirement/1"
 period = 6.4
-raster = 0.8
+grid = 0.8
 w_bound = 0.02
 initial_error = 0.05
 [accuracy]

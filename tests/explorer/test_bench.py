@@ -149,7 +149,7 @@ def test_a_plan_is_made_on_request_and_keeps_the_tolerance():
 def test_a_plan_requirement_brings_its_hours():
     wanted = sd.PlanRequirement(
         {"level": 0.5},
-        raster="1 h",
+        grid="1 h",
         w_bound=0.01,
         sensors={
             "y1": {"noise_bound": 0.1, "price": 2.0},

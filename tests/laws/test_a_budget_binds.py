@@ -150,9 +150,7 @@ def test_a_verb_ends_with_its_budget(name, budget):
 
 
 TANK = sd.Plant([[0.0]], [[1.0]], states=["level"], outputs=["gauge"])
-LEVELS = sd.PlanRequirement(
-    {"level": 0.52}, period=8.0, raster=1.0, w_bound=0.1, sensors={"gauge": {"noise_bound": 0.1}}
-)
+LEVELS = sd.PlanRequirement({"level": 0.52}, period=8.0, grid=1.0, w_bound=0.1, sensors={"gauge": {"noise_bound": 0.1}})
 
 
 TIGHT = ((0.1, 0.0), (0.2, 0.0), (0.5, 0.0))

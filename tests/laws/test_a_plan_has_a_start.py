@@ -37,7 +37,7 @@ def asked(name, error, unit=1.0):
     plant, period, w, v, tolerance = PLANTS[name]
     wanted = {"a": tolerance * unit}
     terms = {"y": {"noise_bound": v * unit}}
-    given = {"period": period, "raster": period / 16, "w_bound": w * unit, "sensors": terms, "initial_error": error}
+    given = {"period": period, "grid": period / 16, "w_bound": w * unit, "sensors": terms, "initial_error": error}
     return plant, sd.PlanRequirement(wanted, **given)
 
 
@@ -105,7 +105,7 @@ HIDDEN = sd.Plant([[0.0, 0.0], [0.0, -0.05]], [[1.0, 0.0]], states=["a", "b"], o
 def fading(error):
     goals = {"a": 0.52, "b": 0.5}
     terms = {"y": {"noise_bound": 0.1}}
-    return sd.PlanRequirement(goals, period=8.0, raster=1.0, w_bound=[0.1, 0.01], sensors=terms, initial_error=error)
+    return sd.PlanRequirement(goals, period=8.0, grid=1.0, w_bound=[0.1, 0.01], sensors=terms, initial_error=error)
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +151,7 @@ def test_dates_begin_with_the_start():
         wanted = sd.PlanRequirement(
             {"a": 3.0},
             period="1 d",
-            raster="2 h",
+            grid="2 h",
             w_bound=[0.02, 0.01],
             sensors={"y": {"noise_bound": 0.5}, "z": {"noise_bound": 0.1}},
             calendar=hours,

@@ -8,7 +8,7 @@ import numpy as np
 import sampling_design as sd
 
 TANK = sd.Plant([[0.0]], [[1.0]], states=["level"], outputs=["y"])
-WANTED = sd.PlanRequirement({"level": 0.52}, period=8.0, raster=0.5, w_bound=0.1, sensors={"y": {"noise_bound": 0.1}})
+WANTED = sd.PlanRequirement({"level": 0.52}, period=8.0, grid=0.5, w_bound=0.1, sensors={"y": {"noise_bound": 0.1}})
 
 
 def planned(seconds):

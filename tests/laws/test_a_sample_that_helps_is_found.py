@@ -20,7 +20,7 @@ DECAY = sd.Plant([[-0.2]], [[1.0]], states=["level"], outputs=["y"])
 BEFORE = 3
 """Periods of the plan before the record."""
 
-# plant, tolerance, period, raster, spacing, bound on w, the plan's steps, those that are lost, and now in steps
+# plant, tolerance, period, grid, spacing, bound on w, the plan's steps, those that are lost, and now in steps
 CASES = {
     "level": (LEVEL, 0.65, 8.0, 1.0, None, 0.1, (0, 4), (4,), 4.0),
     "level, too late": (LEVEL, 0.65, 8.0, 1.0, None, 0.1, (0, 4), (4,), 6.5),
@@ -45,7 +45,7 @@ def planned(plant, tolerance, period, step, spacing, w, at):
     terms = {"sensors": {"y": {"noise_bound": 0.1}}, "w_bound": [w] * plant.n_disturbances}
     problem = pose_plan(
         plant,
-        sd.PlanRequirement({plant.states.names[0]: tolerance}, period=period, raster=step, spacing=spacing, **terms),
+        sd.PlanRequirement({plant.states.names[0]: tolerance}, period=period, grid=step, spacing=spacing, **terms),
     )
     chosen = np.zeros_like(problem.allowed)
     chosen[list(at)] = True

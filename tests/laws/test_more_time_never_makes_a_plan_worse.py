@@ -12,7 +12,7 @@ from sampling_design.planning.search import PlanSearch
 from sampling_design.records.budget import Budget
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])
-GIVEN = {"period": 6.4, "raster": 0.4, "w_bound": 0.02, "sensors": {"y": {"noise_bound": 0.2}}}
+GIVEN = {"period": 6.4, "grid": 0.4, "w_bound": 0.02, "sensors": {"y": {"noise_bound": 0.2}}}
 WANTED = sd.PlanRequirement({"position": 0.33, "velocity": 0.36}, **GIVEN)
 BARE = {"certificate": False, "robustness": False}
 

@@ -38,7 +38,7 @@ def watched(zone, gap, chosen, **more):
     place = {"start": "2028-01-03", "zone": zone, "hours": NIGHTS, "holidays": HOLIDAYS, **more}
     wanted = sd.PlanRequirement(
         {"level": V + W * gap},
-        raster="30 min",
+        grid="30 min",
         w_bound=W,
         sensors={"gauge": {"noise_bound": V}},
         calendar=place,

@@ -39,7 +39,7 @@ BODY = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], G=[[0.0], [1.0]], state
 def platform():
     """A swinging platform, looked at no more often than every 1.2 s, whose place is always known."""
     wanted = sd.PlanRequirement(
-        {"place": 0.477}, period=6.4, raster=0.4, spacing=1.2, w_bound=[0.15], sensors={"y": {"noise_bound": 0.1}}
+        {"place": 0.477}, period=6.4, grid=0.4, spacing=1.2, w_bound=[0.15], sensors={"y": {"noise_bound": 0.1}}
     )
     problem = pose_plan(BODY, wanted)
     chosen = np.zeros_like(problem.allowed)
@@ -51,7 +51,7 @@ def asked():
     """Its place known at given times and its speed after each look."""
     goals = {"place": {"tolerance": 0.45, "at": [1.6, 4.8]}, "speed": {"tolerance": 0.6, "at": "after each sample"}}
     wanted = sd.PlanRequirement(
-        goals, period=6.4, raster=0.4, spacing=0.8, w_bound=[0.02], sensors={"y": {"noise_bound": 0.2}}
+        goals, period=6.4, grid=0.4, spacing=0.8, w_bound=[0.02], sensors={"y": {"noise_bound": 0.2}}
     )
     return sd.plan_samples(BODY, wanted, **BARE)
 
@@ -67,7 +67,7 @@ def tank():
     )
     sensors = {"gauge": {"noise_bound": 0.5, "price": 1.0}, "meter": {"noise_bound": 0.05, "price": 3.0}}
     wanted = sd.PlanRequirement(
-        {"level": 14.0}, raster="2 h", w_bound=[0.02, 0.002], sensors=sensors, visit_price=1.0, calendar=CALENDAR
+        {"level": 14.0}, grid="2 h", w_bound=[0.02, 0.002], sensors=sensors, visit_price=1.0, calendar=CALENDAR
     )
     return sd.plan_samples(plant, wanted, **BARE)
 
@@ -153,7 +153,7 @@ class Watch:
         return found
 
     def allowed(self):
-        """Times of the raster after the last sample at which something may be measured, for a period, and what."""
+        """Times of the grid after the last sample at which something may be measured, for a period, and what."""
         problem = self.plan.problem
         first = round(self.times[-1] / problem.step) + problem.spacing
         for i in range(max(first, round(self.begin / problem.step)), first + problem.steps):

@@ -75,7 +75,7 @@ def hidden(A, C, G, times, seen, c, end, w, v, cells=6, rest=True):
 
 
 def from_now(system, times, seen, rows, now, until, step, w, v):
-    """Times of a raster from `now` until some time, and the worst of the rows there, each over its tolerance.
+    """Times of a grid from `now` until some time, and the worst of the rows there, each over its tolerance.
 
     Twice at a sample: the moment before it, and after it. From rest long ago, so a little less than what is unknown.
     """

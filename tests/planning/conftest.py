@@ -25,7 +25,7 @@ def week(tank):
     """A week's plan across a change of the clocks and a holiday."""
     wanted = sd.PlanRequirement(
         {"level": 3.0},
-        raster="1 h",
+        grid="1 h",
         visit_price=1.0,
         w_bound=[0.02, 0.01],
         sensors={"gauge": {"noise_bound": 0.5, "price": 1.0}, "meter": {"noise_bound": 0.1, "price": 1.0}},

@@ -12,7 +12,7 @@ from sampling_design.plotting.plan_comparison import curve
 def pair(week):
     """The week, and what one sample more would bring."""
     more = sd.PlanRequirement(
-        {"level": 3.0}, raster="1 h", w_bound=[0.02, 0.01], sensors=week.requirement.sensors, visit_price=1.0,
+        {"level": 3.0}, grid="1 h", w_bound=[0.02, 0.01], sensors=week.requirement.sensors, visit_price=1.0,
         cost_limit=6.0, calendar=week.requirement.calendar,
     )  # fmt: skip
     return week, sd.plan_samples(week.plant, more, certificate=False, robustness=False, search_seconds=0.3)
@@ -44,7 +44,7 @@ def test_the_picture_shows_both(pair):
 def test_plans_of_other_states_are_not_compared(week):
     plant = sd.Plant([[0.0]], [[1.0]], states=["level"])
     terms = {"y1": {"noise_bound": 0.1}}
-    wanted = sd.PlanRequirement({"level": 0.9}, period=8.0, raster=4.0, w_bound=0.1, sensors=terms)
+    wanted = sd.PlanRequirement({"level": 0.9}, period=8.0, grid=4.0, w_bound=0.1, sensors=terms)
     other = sd.plan_samples(plant, wanted, certificate=False, robustness=False)
     with pytest.raises(ArgumentError, match="must be a plan for the same states with at least one goal in common"):
         week.compare(other)

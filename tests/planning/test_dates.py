@@ -104,7 +104,7 @@ def test_two_closed_days_with_a_sample_between_them_are_judged_together():
     plant = sd.Plant(np.zeros((2, 2)), np.eye(2), time_unit="h", states=("one", "two"), outputs=("a", "b"))
     wanted = sd.PlanRequirement(
         {"one": 1.35, "two": 3.0},
-        raster="1 h",
+        grid="1 h",
         w_bound=[0.01, 0.01],
         sensors={"a": {"noise_bound": 0.1, "hours": ten}, "b": {"noise_bound": 0.1, "hours": sat}},
         calendar={"start": "2026-03-30", "hours": {**ten, **sat}, "holidays": ["2026-04-03", "2026-04-06"]},
@@ -197,7 +197,7 @@ def test_less_time_passes_between_no_two_samples_than_the_spacing(spacing, own, 
     wanted = sd.PlanRequirement(
         {"level": tolerance},
         period="1 d",
-        raster="1 h",
+        grid="1 h",
         spacing=spacing,
         w_bound=0.05,
         sensors={"gauge": {"noise_bound": 0.1, "spacing": own}},

@@ -16,7 +16,7 @@ SENSOR = {"tank": "float", "well": "rule"}
 def wanted(**more):
     kept = {
         "period": "12 h",
-        "raster": "1 h",
+        "grid": "1 h",
         "w_bound": list(DRIFT.values()),
         "sensors": {name: {"noise_bound": NOISE, "price": 1.0} for name in SENSOR.values()},
     }
@@ -90,7 +90,7 @@ def test_it_is_said_in_words_in_the_table_and_in_json(answers):
 def test_a_sample_that_may_come_at_any_time_has_nothing_due():
     still = sd.Plant([[-1.0]], [[1.0]], states=["x"], outputs=["y"])
     sensors = {"y": {"noise_bound": 0.1}}
-    asked = sd.PlanRequirement({"x": 1.0}, period=4.0, raster=1.0, w_bound=0.1, sensors=sensors)
+    asked = sd.PlanRequirement({"x": 1.0}, period=4.0, grid=1.0, w_bound=0.1, sensors=sensors)
     found = sd.next_sample(sd.plan_samples(still, asked, search_seconds=1, **BARE))
     assert found.due is None
     assert found.alone_due == {}

@@ -20,7 +20,7 @@ LEVEL_AND_RHYTHM = Plant(
 
 
 def wanted(tolerance=2.5, w_bound=(0.01, 0.0, 0.0), **more):
-    given = {"period": 24.0, "raster": 4.0, "sensors": {"reading": {"noise_bound": 0.5, "price": 1.0}}} | more
+    given = {"period": 24.0, "grid": 4.0, "sensors": {"reading": {"noise_bound": 0.5, "price": 1.0}}} | more
     return PlanRequirement({"level": tolerance}, w_bound=list(w_bound), time_unit="h", **given)
 
 
@@ -48,25 +48,25 @@ def test_the_most_accurate_choice_sees_it_too():
 
 def test_what_no_allowed_time_shows_is_refused():
     with pytest.raises(InfeasibleRequirementError, match=r"modes 0, 0\+0.261799i never fades.*one of 8 h shows it"):
-        bare(wanted(raster=24.0))
+        bare(wanted(grid=24.0))
 
 
 @pytest.mark.long
-def test_a_raster_at_half_the_period_of_a_swing_is_refused_with_one_that_shows_it():
+def test_a_grid_at_half_the_period_of_a_swing_is_refused_with_one_that_shows_it():
     swing = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["place", "speed"], outputs=["y"])
     asked = PlanRequirement(
-        {"place": 1.0}, period=4 * np.pi, raster=np.pi, w_bound=0.01, sensors={"y": {"noise_bound": 0.1}}
+        {"place": 1.0}, period=4 * np.pi, grid=np.pi, w_bound=0.01, sensors={"y": {"noise_bound": 0.1}}
     )
     with pytest.raises(
-        InfeasibleRequirementError, match=r"the mode 0\+1i never fades.*raster hides it: one of 1.57\d* s"
+        InfeasibleRequirementError, match=r"the mode 0\+1i never fades.*grid hides it: one of 1.57\d* s"
     ):
         plan_samples(swing, asked, certificate=False, robustness=False)
-    assert plan_samples(swing, asked.replace(raster=np.pi / 2), certificate=False, robustness=False).keeps
+    assert plan_samples(swing, asked.replace(grid=np.pi / 2), certificate=False, robustness=False).keeps
 
 
 def test_an_output_that_no_mode_reaches_is_not_the_rasters_fault():
     blind = Plant([[0.0, 0.0], [0.0, 0.0]], [[1.0, 0.0]], states=["seen", "unseen"], outputs=["y"])
-    asked = PlanRequirement({"unseen": 1.0}, period=4.0, raster=1.0, w_bound=0.01, sensors={"y": {"noise_bound": 0.1}})
+    asked = PlanRequirement({"unseen": 1.0}, period=4.0, grid=1.0, w_bound=0.01, sensors={"y": {"noise_bound": 0.1}})
     with pytest.raises(InfeasibleRequirementError, match="No sensor ever shows 0, on which unseen depends"):
         plan_samples(blind, asked, certificate=False, robustness=False)
     found = plan_samples(
@@ -76,18 +76,18 @@ def test_an_output_that_no_mode_reaches_is_not_the_rasters_fault():
     assert found.verify()
 
 
-def test_hours_that_miss_a_motion_at_every_raster_are_said():
+def test_hours_that_miss_a_motion_at_every_grid_are_said():
     daily = PlanRequirement(
-        {"rhythm": 1.0}, period="1 d", raster="1 h", w_bound=[0.01] * 3, sensors={"reading": {"noise_bound": 0.1}},
+        {"rhythm": 1.0}, period="1 d", grid="1 h", w_bound=[0.01] * 3, sensors={"reading": {"noise_bound": 0.1}},
         calendar={"start": "2026-03-02", "zone": "UTC", "hours": {"Mon-Sun": [["08:00", "09:00"]]}},
     )  # fmt: skip
-    with pytest.raises(InfeasibleRequirementError, match=r"never fades and stays hidden. The raster hides it"):
+    with pytest.raises(InfeasibleRequirementError, match=r"never fades and stays hidden. The grid hides it"):
         plan_samples(LEVEL_AND_RHYTHM, daily)  # one look a day at most, always at the same hour: two in it would do
 
 
 @pytest.mark.long
 def test_a_mode_that_grows_beyond_all_numbers_in_a_period_is_planned_for():
-    asked = PlanRequirement({"x1": 500.0}, period=84.0, raster=4.0, w_bound=0.01, sensors={"y1": {"noise_bound": 1e-6}})
+    asked = PlanRequirement({"x1": 500.0}, period=84.0, grid=4.0, w_bound=0.01, sensors={"y1": {"noise_bound": 1e-6}})
     found = plan_samples(
         Plant([[5.0]], [[1.0]]), asked.replace(accuracy={"x1": 1e7}), certificate=False, robustness=False
     )
@@ -99,9 +99,9 @@ def test_a_mode_that_grows_beyond_all_numbers_in_a_period_is_planned_for():
         plan_samples(Plant([[5.0]], [[1.0]]), asked, certificate=False, robustness=False)
 
 
-def test_a_mode_that_outgrows_a_step_of_the_raster_is_said_at_once():
-    asked = PlanRequirement({"x1": 1.0}, period=168.0, raster=1.0, w_bound=0.01, sensors={"y1": {"noise_bound": 0.1}})
-    with pytest.raises(ArgumentError, match=r"`raster` is too coarse: from one of its steps.*grows by e\^400"):
+def test_a_mode_that_outgrows_a_step_of_the_grid_is_said_at_once():
+    asked = PlanRequirement({"x1": 1.0}, period=168.0, grid=1.0, w_bound=0.01, sensors={"y1": {"noise_bound": 0.1}})
+    with pytest.raises(ArgumentError, match=r"`grid` is too coarse: from one of its steps.*grows by e\^400"):
         plan_samples(Plant([[400.0]], [[1.0]]), asked)
 
 
@@ -146,6 +146,6 @@ def test_no_sensor_is_paid_for_what_no_goal_asks():
         outputs=["gauge", "survey"],
     ).augmented(bias=["gauge"], drift={"gauge_bias": 0.001})
     sensors = {"gauge": {"price": 1.0, "noise_bound": 0.02}, "survey": {"price": 20.0, "noise_bound": 0.02}}
-    wanted = PlanRequirement({"tide": 0.4}, period=12.0, raster="2 h", w_bound=0.01, sensors=sensors)
+    wanted = PlanRequirement({"tide": 0.4}, period=12.0, grid="2 h", w_bound=0.01, sensors=sensors)
     found = plan_samples(gauge, wanted, robustness=False, certificate=False)
     assert (found.cost, found.schedule.outputs[:, 1].any(), found.status) == (3.0, False, "complete")

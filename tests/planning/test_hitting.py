@@ -30,7 +30,7 @@ NO_FLIGHT = DisturbedTrajectory(np.zeros((1, 1)), np.zeros(1, dtype=np.intp), np
 def posed(samples=3, *, closed=(), **more):
     sensors = {"y": {"noise_bound": 0.2}, "z": {"noise_bound": 0.3}}
     asked = PlanRequirement(
-        {"place": 1.0}, period=6.0, raster=0.5, w_bound=0.1, **{"sensors": sensors, "samples": samples, **more}
+        {"place": 1.0}, period=6.0, grid=0.5, w_bound=0.1, **{"sensors": sensors, "samples": samples, **more}
     )
     problem = pose_plan(TWO, asked)
     allowed = problem.allowed.copy()

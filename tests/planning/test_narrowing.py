@@ -25,7 +25,7 @@ def oracle():
     wanted = sd.PlanRequirement(
         {"x1": 0.6, "x3": 0.9},
         period=6.0,
-        raster=0.5,
+        grid=0.5,
         w_bound=[0.1, 0.1],
         sensors={"y1": {"noise_bound": 0.1, "price": 1.0}, "y2": {"noise_bound": 0.2, "price": 1.0}},
     )

@@ -98,7 +98,7 @@ def drifting(tolerance, holidays):
     """A level that drifts, read on Mondays, Wednesdays and Fridays at nine: its accuracy is a line in time."""
     place = {"start": "2026-06-01", "hours": {"Mon-Fri": [["09:00", "17:00"]]}, "holidays": holidays}
     wanted = sd.PlanRequirement(
-        {"level": tolerance}, raster="1 h", w_bound=0.01, sensors={"y": {"noise_bound": 0.1}}, calendar=place
+        {"level": tolerance}, grid="1 h", w_bound=0.01, sensors={"y": {"noise_bound": 0.1}}, calendar=place
     )
     problem = pose_plan(sd.Plant([[0.0]], [[1.0]], states=["level"], outputs=["y"], time_unit="h"), wanted)
     chosen = np.zeros_like(problem.allowed)
@@ -182,7 +182,7 @@ def every_other_day(tolerance):
     wanted = sd.PlanRequirement(
         {"level": tolerance},
         period="2 d",
-        raster="1 h",
+        grid="1 h",
         w_bound=0.01,
         sensors={"gauge": {"noise_bound": 0.1, "price": 1.0}},
         calendar=place,
@@ -209,7 +209,7 @@ def test_a_plan_that_hides_a_mode_for_ever_bounds_no_change():
     plant = sd.Plant([[0.0, 0.0], [0.0, 0.0]], [[1.0, 0.0]], outputs=["y"])
     terms = {"y": {"noise_bound": 0.1}}
     found = sd.plan_samples(
-        plant, sd.PlanRequirement({"x1": 1.0}, period=8.0, raster=2.0, w_bound=[0.1, 0.0], sensors=terms), **BARE
+        plant, sd.PlanRequirement({"x1": 1.0}, period=8.0, grid=2.0, w_bound=[0.1, 0.0], sensors=terms), **BARE
     )
     with pytest.raises(NotDetectableError, match="what a change of its samples does is not bounded"):
         plan_chain(found)

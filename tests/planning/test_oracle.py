@@ -6,7 +6,7 @@ import pytest
 import sampling_design as sd
 from sampling_design.planning import discrete_plant as room
 from sampling_design.planning.accuracy_oracle import QUARTERS, SETTLED, AccuracyOracle
-from sampling_design.planning.adversary_program import RasterWindow
+from sampling_design.planning.adversary_program import GridWindow
 from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import accuracy_of
@@ -16,10 +16,10 @@ BODY = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "ve
 DRIFT = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])
 
 
-def posed(plant, period, raster, at, w_bound=0.02):
+def posed(plant, period, grid, at, w_bound=0.02):
     """The problem of a plant's position, and the choice of these steps."""
     terms = {"w_bound": w_bound, "sensors": {"y": {"noise_bound": 0.2}}}
-    problem = pose_plan(plant, sd.PlanRequirement({"position": 0.5}, period=period, raster=raster, **terms))
+    problem = pose_plan(plant, sd.PlanRequirement({"position": 0.5}, period=period, grid=grid, **terms))
     chosen = np.zeros_like(problem.allowed)
     chosen[at] = True
     return problem, chosen
@@ -51,7 +51,7 @@ def test_a_disturbance_turns_with_the_plant_in_long_gaps(monkeypatch):
 def test_a_window_of_many_cells_is_put_together_without_writing_out_what_is_empty():
     motion = motion_of(posed(BODY, 6.4, 0.1, [0])[0])
     knots = np.arange(0, 12_000, 4)
-    window = RasterWindow(motion, knots, np.zeros((knots.size, 1), dtype=bool), np.ones((knots.size, 1)))
+    window = GridWindow(motion, knots, np.zeros((knots.size, 1), dtype=bool), np.ones((knots.size, 1)))
     assert window.entries < 60 * knots.size
 
 

@@ -17,7 +17,7 @@ from tests.oracles import planning as oracle
 
 BARE = {"certificate": False, "robustness": False}
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["y"])
-GIVEN = {"period": 6.4, "raster": 0.2, "w_bound": 0.02, "sensors": {"y": {"noise_bound": 0.2}}}
+GIVEN = {"period": 6.4, "grid": 0.2, "w_bound": 0.02, "sensors": {"y": {"noise_bound": 0.2}}}
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_what_nobody_can_keep_is_refused_with_what_can_be_kept():
 
 
 def test_spacings_that_leave_no_plan_are_refused_with_what_they_allow():
-    spaced = sd.PlanRequirement({"position": 0.5}, spacing=2.4, **{**GIVEN, "raster": 0.8})
+    spaced = sd.PlanRequirement({"position": 0.5}, spacing=2.4, **{**GIVEN, "grid": 0.8})
     with pytest.raises(InfeasibleRequirementError, match="No plan with these spacings and uses was found") as refused:
         sd.plan_samples(OSCILLATOR, spaced, search_seconds=0.4, **BARE)
     near = refused.value.nearest["position"]
@@ -79,7 +79,7 @@ def test_spacings_that_leave_no_plan_are_refused_with_what_they_allow():
 
 def test_tolerances_that_only_rounding_separates_from_the_least_are_refused_as_such():
     level = sd.Plant([[0.0]], [[1.0]], states=["level"], outputs=["y"])
-    given = {"period": 1.0, "raster": 0.1, "w_bound": 0.1, "sensors": {"y": {"noise_bound": 0.1}}}
+    given = {"period": 1.0, "grid": 0.1, "w_bound": 0.1, "sensors": {"y": {"noise_bound": 0.1}}}
     with pytest.raises(
         InfeasibleRequirementError,
         match=r"close to the least .* for a proof: 1\.0000.* times as large ones can be kept",
@@ -95,7 +95,7 @@ def test_a_spacing_beyond_the_period_is_refused(sensor):
     def wanted(spacing):
         terms = {"noise_bound": 0.1, **({"spacing": spacing} if sensor else {})}
         own = {} if sensor else {"spacing": spacing}
-        return sd.PlanRequirement({"level": 5.0}, period=10.0, raster=1.0, w_bound=0.1, sensors={"y": terms}, **own)
+        return sd.PlanRequirement({"level": 5.0}, period=10.0, grid=1.0, w_bound=0.1, sensors={"y": terms}, **own)
 
     match = r"spacing` must be at most the period, 10 s, since the plan repeats after it: got 20 s"
     with pytest.raises(ArgumentError, match=match):
@@ -109,7 +109,7 @@ def test_a_spacing_beyond_the_period_is_refused(sensor):
                                    [[0.1, 0.0], [1.0, -0.2]]], 0, 2))  # fmt: skip
 def test_a_motion_that_nothing_drives_is_planned_and_proven(A):
     plant = sd.Plant(A, [[1.0, 0.0]], states=["first", "second"], outputs=["y"])
-    given = {**GIVEN, "raster": 0.8, "w_bound": 0.0, "sensors": {"y": {"noise_bound": 0.1}}}
+    given = {**GIVEN, "grid": 0.8, "w_bound": 0.0, "sensors": {"y": {"noise_bound": 0.1}}}
     found = sd.plan_samples(plant, sd.PlanRequirement({"first": 0.5}, **given), search_seconds=1, **BARE)
     assert found.keeps
     assert found.samples == found.bound.cost.value == 1
@@ -125,7 +125,7 @@ CHEAPEST = re.compile(r"cost (\S+), (\d+) samples, (\S+) % of the tolerance(?:, 
 def test_progress_tells_the_cheapest_plan_so_far_and_its_bound_early_and_ever_better():
     """Work is counted, not timed: in the first tenth a plan that keeps the tolerances is told, and at last the plan."""
     told, works, of = [], [], Budget.spend
-    wanted = sd.PlanRequirement({"position": 0.35}, **{**GIVEN, "raster": 0.4})
+    wanted = sd.PlanRequirement({"position": 0.35}, **{**GIVEN, "grid": 0.4})
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Budget, "spend", lambda work, seconds: (works.append(seconds), of(work, seconds))[1])
         found = sd.plan_samples(OSCILLATOR, wanted, progress=lambda *said: told.append((sum(works), *said)))
@@ -148,7 +148,7 @@ def test_an_interrupt_leaves_what_the_search_holds_and_what_is_proven(words, lim
         if words in message:
             raise KeyboardInterrupt
 
-    wanted = sd.PlanRequirement({"position": 0.5}, **{**GIVEN, "raster": 0.4}, **limit)
+    wanted = sd.PlanRequirement({"position": 0.5}, **{**GIVEN, "grid": 0.4}, **limit)
     found = sd.plan_samples(OSCILLATOR, wanted, search_seconds=2, progress=interrupt)
     assert found.status == "interrupted"
     assert found.keeps
@@ -188,7 +188,7 @@ def test_a_plant_that_comes_to_rest_by_itself_has_one_sample_at_least():
     plant = sd.Plant([[-1.0]], [[1.0]], time_unit="h", outputs=["y"], states=["level"])
     hours = {"start": "2026-03-02", "zone": "UTC", "hours": {"Mon-Sun": [["08:00", "10:00"]]}}
     wanted = sd.PlanRequirement(
-        {"level": 0.2}, period="1 d", raster="1 h", w_bound=0.1, sensors={"y": {"noise_bound": 0.5}}, calendar=hours
+        {"level": 0.2}, period="1 d", grid="1 h", w_bound=0.1, sensors={"y": {"noise_bound": 0.5}}, calendar=hours
     )
     found = sd.plan_samples(plant, wanted, **BARE)  # 0.1 is kept whatever is measured
     assert found.keeps

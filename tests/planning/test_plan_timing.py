@@ -12,7 +12,7 @@ from sampling_design.planning.problem import pose_plan
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["fix"])
 WANTED = sd.PlanRequirement(
-    {"position": 0.54}, period=4.0, raster=0.5, w_bound=0.05, sensors={"fix": {"noise_bound": 0.2}}
+    {"position": 0.54}, period=4.0, grid=0.5, w_bound=0.05, sensors={"fix": {"noise_bound": 0.2}}
 )
 
 
@@ -81,7 +81,7 @@ def test_samples_are_so_far_apart_that_they_keep_their_order():
 def test_where_nothing_bounds_what_late_samples_do_no_plan_is_made():
     growing = sd.Plant([[0.0, 1.0], [1.0, 0.0]], [[1.0, 0.0]], outputs=["fix"])
     wanted = sd.PlanRequirement(
-        {"x1": 9.0}, period=4.0, raster=2.0, w_bound=0.05, sensors={"fix": {"noise_bound": 0.2}}, timing_tolerance=0.9
+        {"x1": 9.0}, period=4.0, grid=2.0, w_bound=0.05, sensors={"fix": {"noise_bound": 0.2}}, timing_tolerance=0.9
     )
     with pytest.raises(UndecidedError, match="no plan was proven at all times within `timing_tolerance`"):
         sd.plan_samples(growing, wanted, search_seconds=1.0)

@@ -32,7 +32,7 @@ GIVEN = {"w_bound": 0.1, "sensors": {"p": {"noise_bound": 0.1}}}
         ({"calendar": {}}, "`calendar.start` is missing"),
         ({"sensors": {"p": 3}}, "`sensors.p` must be a table of keys and values"),
         ({"sensors": {"p": {"prize": 3}}}, "Did you mean 'price'"),
-        ({"raster": "15 parsec"}, "`raster` must be a time like 0.25 or"),
+        ({"grid": "15 parsec"}, "`grid` must be a time like 0.25 or"),
         ({"aim": "most accurate"}, "`aim` is most accurate, which needs `samples` or `cost_limit`"),
         (
             {"calendar": {**WEEK, "hours": {"Mo": [["08:00", "17:00"]]}}},
@@ -52,10 +52,10 @@ def test_a_wrong_value_is_refused_in_one_sentence(wrong, words):
     ("wrong", "words"),
     [
         ({"period": None}, "`period` is missing: after which time"),
-        ({"raster": 0.3}, "`raster` must divide the period"),
-        ({"period": 100.0, "raster": 1.0, "calendar": WEEK}, "`period` must be whole weeks"),
+        ({"grid": 0.3}, "`grid` must divide the period"),
+        ({"period": 100.0, "grid": 1.0, "calendar": WEEK}, "`period` must be whole weeks"),
         ({"sensors": {"p": {"noise_bound": 0.1, "hours": {"Mon": [["08:00", "09:00"]]}}}}, "needs a `calendar`"),
-        ({"accuracy": {"x1": {"tolerance": 1.0, "at": [0.3]}}, "raster": 1.0}, "must name times on the raster of"),
+        ({"accuracy": {"x1": {"tolerance": 1.0, "at": [0.3]}}, "grid": 1.0}, "must name times on the grid of"),
         ({"accuracy": {}}, "names no accuracy. Without bounds, `design_schedule`"),
         ({"w_bound": None}, "`w_bound` is missing: accuracy of x1"),
         ({"sensors": {}}, "`sensors` have no `noise_bound`"),
@@ -75,9 +75,9 @@ def test_no_hours_at_all_are_no_plan():
         pose_plan(PLANT, PlanRequirement({"x1": 1.0}, calendar=closed, **GIVEN))
 
 
-def test_a_schedule_off_the_raster_is_refused():
-    problem = pose_plan(PLANT, PlanRequirement({"x1": 1.0}, period=8.0, raster=1.0, **GIVEN))
-    with pytest.raises(ArgumentError, match="times on the raster of"):
+def test_a_schedule_off_the_grid_is_refused():
+    problem = pose_plan(PLANT, PlanRequirement({"x1": 1.0}, period=8.0, grid=1.0, **GIVEN))
+    with pytest.raises(ArgumentError, match="times on the grid of"):
         problem.chosen(sd.PeriodicSchedule([4.5, 3.5], time_unit="h"))
 
 
@@ -149,8 +149,8 @@ def test_time_that_passed_and_what_clocks_show_name_each_other(zone, minutes):
 
 
 def test_durations_have_units():
-    assert duration("raster", "15 min", "h") == 0.25
-    assert duration("raster", 2.0, "h") == 2.0
+    assert duration("grid", "15 min", "h") == 0.25
+    assert duration("grid", 2.0, "h") == 2.0
 
 
 def test_a_file_comes_back_and_may_hold_its_plant(tmp_path):
@@ -159,14 +159,14 @@ def test_a_file_comes_back_and_may_hold_its_plant(tmp_path):
         "both": {"tolerance": 1.0, "row": [1.0, 1.0], "at": "after each sample"},
     }
     sensors = {"p": {"price": 2.0, "noise_bound": 0.1, "longest_use": 3, "spacing": "2 h", "hours": WEEK["hours"]}}
-    wanted = PlanRequirement(goals, raster="15 min", calendar=WEEK, w_bound=[0.1, 0.2], sensors=sensors, cost_limit=9.0)
+    wanted = PlanRequirement(goals, grid="15 min", calendar=WEEK, w_bound=[0.1, 0.2], sensors=sensors, cost_limit=9.0)
     for name in ("r.toml", "r.json"):
         back = sd.read_plan_requirement(write_plan_requirement(wanted, tmp_path / name))
         assert back.to_dict() == wanted.to_dict()
     with pytest.raises(FileFormatError, match=r"ends in \.toml or \.json"):
         write_plan_requirement(wanted, tmp_path / "r.csv")
-    (tmp_path / "bad.toml").write_text('format = "sampling-design/plan-requirement/1"\nraaster = 1\n')
-    with pytest.raises(FileFormatError, match="Did you mean 'raster'"):
+    (tmp_path / "bad.toml").write_text('format = "sampling-design/plan-requirement/1"\ngirds = 1\n')
+    with pytest.raises(FileFormatError, match="Did you mean 'grid'"):
         sd.read_plan_requirement(tmp_path / "bad.toml")
     (tmp_path / "bad.toml").write_text('format = "sampling-design/plan-requirement/1"\naccuracy = 3\n')
     with pytest.raises(FileFormatError, match="`accuracy` must be a table of keys and values"):

@@ -78,7 +78,7 @@ def slow():
     wanted = sd.PlanRequirement(
         {"level": 2.2},
         period=2.0,
-        raster=1.0,
+        grid=1.0,
         w_bound=[0.002, 0.001],
         sensors={"y1": {"noise_bound": 1.0, "price": 1.0}},
     )

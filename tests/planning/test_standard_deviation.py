@@ -14,7 +14,7 @@ from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.disturbed import plan_robustness
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.files import read_plan, save_plan
-from sampling_design.planning.filter_deviation import RasterFilter
+from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.plan_record import deviation_of
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import accuracy_of, proven_plan
@@ -24,7 +24,7 @@ OSCILLATOR = sd.Plant(
     [[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0], [0.0, 1.0]], states=["position", "velocity"], outputs=["y", "rate"]
 )
 TERMS = {"y": {"noise_deviation": 0.2}, "rate": {"noise_deviation": 0.3, "price": 0.0}}
-GIVEN = {"period": 6.4, "raster": 0.8, "w_intensity": [0.01, 0.02]}
+GIVEN = {"period": 6.4, "grid": 0.8, "w_intensity": [0.01, 0.02]}
 ONE = {**GIVEN, "sensors": {"y": TERMS["y"]}}
 
 
@@ -33,7 +33,7 @@ def goal(tolerance, **more):
 
 
 def truth(times, seen, row, period=6.4, just_before=2e-3):
-    """The worst just before each sample and on the raster, by the plain filter."""
+    """The worst just before each sample and on the grid, by the plain filter."""
     at = np.unique(np.concatenate([np.arange(0.0, period, 0.2), np.mod(np.asarray(times) - just_before, period)]))
     plant = OSCILLATOR
     return oracle.deviation(plant.A, plant.C, np.eye(2), times, seen, period, row, at, [0.01, 0.02], [0.2, 0.3]).max()
@@ -111,7 +111,7 @@ def test_a_tangent_lies_below_every_choice_and_touches_where_it_was_laid():
     problem = pose_plan(
         OSCILLATOR, sd.PlanRequirement({"position": goal(1.0), "velocity": goal(1.0)}, sensors=TERMS, **GIVEN)
     )
-    spread = RasterFilter(problem, motion_of(problem))
+    spread = GridFilter(problem, motion_of(problem))
     rng = np.random.default_rng(5)
     for g in (0, 1):
         z = rng.uniform(size=problem.allowed.shape) * (rng.uniform(size=problem.allowed.shape) < 0.5)
@@ -172,7 +172,7 @@ def test_files_hold_tangents_and_are_not_believed(found, tmp_path):
     assert again.bound.cost.value == found.bound.cost.value
     tree = json.loads(path.read_text())
     for change, words in (
-        ({"point": [[99, 0, 0.5]]}, "touches beside the raster"),
+        ({"point": [[99, 0, 0.5]]}, "touches beside the grid"),
         ({"knots": [0]}, "must be a motion .* or a tangent"),
         ({"goal": 7}, "must be a motion .* of a goal"),
     ):
@@ -207,7 +207,7 @@ def test_choices_that_say_nothing_of_a_goal_are_refused():
         with pytest.raises(NotDetectableError, match=f"reads no sensor that has a {words}"):
             judge(problem, np.arange(2) == np.full((8, 1), sensor))
     closed = {"y": {"noise_deviation": 0.2, "hours": {"Mon": [["08:00", "08:01"]]}}}
-    hourly = {"period": 7 * 86400.0, "raster": 3600.0, "w_intensity": 1.0}
+    hourly = {"period": 7 * 86400.0, "grid": 3600.0, "w_intensity": 1.0}
     hours = {"start": "2026-03-03", "hours": {"Tue": [["08:00", "10:00"]]}}
     with pytest.raises(InfeasibleRequirementError, match="No sensor that may be measured has a"):
         pose_plan(OSCILLATOR, sd.PlanRequirement({"position": goal(0.8)}, sensors=closed, calendar=hours, **hourly))

@@ -141,9 +141,9 @@ def test_an_unknown_name_offers_the_nearest():
 
 
 def test_motions_are_summed_and_each_sensor_shows_the_sum():
-    plant = library.plant_of_motions([24.0], [2.0], sensors=["blood", "saliva"], time_unit="h")
-    assert plant.states.names == ("level", "rhythm_1", "rhythm_1_quadrature", "decaying_1")
+    plant = library.plant_of_modes([24.0], [2.0], sensors=["blood", "saliva"], time_unit="h")
+    assert plant.states.names == ("level", "oscillation_1", "oscillation_1_quadrature", "decaying_1")
     np.testing.assert_allclose(plant.C, [[1.0, 1.0, 0.0, 1.0]] * 2)
     np.testing.assert_allclose(np.diag(plant.transition(24.0)), [1.0, 1.0, 1.0, 3.0**-12], atol=1e-12)
-    with pytest.raises(ArgumentError, match="`rhythms` or `decays` must name a time, or nothing moves"):
-        library.plant_of_motions()
+    with pytest.raises(ArgumentError, match="`oscillations` or `decays` must name a time, or nothing moves"):
+        library.plant_of_modes()

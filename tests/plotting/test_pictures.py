@@ -190,7 +190,7 @@ def test_no_legend_lies_on_a_curve():
     times = SCHEDULE.between(0.0, 12.0).times
     log = sd.compare_schedule(OSCILLATOR, SCHEDULE, times[times != times[4]], 4.0)
     family = sd.certify(OSCILLATOR, sd.GapRange(0.5, 1.5), eta=0.2)
-    terms = {"sensors": {"y1": {"noise_bound": 0.1}}, "w_bound": 0.02, "period": 6.4, "raster": 0.8}
+    terms = {"sensors": {"y1": {"noise_bound": 0.1}}, "w_bound": 0.02, "period": 6.4, "grid": 0.8}
     plan = sd.plan_samples(sd.Plant([[-0.02]], [[1.0]]), sd.PlanRequirement({"x1": 0.3}, **terms), search_seconds=1.0)
     others = (sd.robustness(OSCILLATOR, certificate, budget=0.3), front, log, family, plan)
     for record in (design, design.window, certificate, worst, sd.sample_losses(design), known, shadow, *others):
@@ -261,20 +261,20 @@ def test_what_is_closed_is_grey_in_designs_and_in_plans_and_once():
     assert "grey: closed" in line.get_title(loc="left")
     hours = {"Mon-Sun": [("06:00", "12:00")]}
     slow = sd.Plant([[-0.02]], [[1.0]], time_unit="h")
-    terms = {"sensors": {"y1": {"noise_bound": 0.1}}, "w_bound": 0.02, "period": 24.0, "raster": 3.0}
+    terms = {"sensors": {"y1": {"noise_bound": 0.1}}, "w_bound": 0.02, "period": 24.0, "grid": 3.0}
     calendar = {"start": "2026-03-02", "hours": hours}
     wish = sd.PlanRequirement({"x1": 2.0}, **terms, calendar=calendar)
     found = sd.plan_samples(slow, wish, search_seconds=2.0)
     assert grey(found.plot(Figure().subplots())) == [(0, 0.0, 6.0), (0, 12.0, 24.0)]
     odd = sd.PlanRequirement({"x1": 2.0}, **terms, calendar={**calendar, "hours": {"Mon-Sun": [("07:00", "13:30")]}})
-    shown = draw_sensors(replace(found, requirement=odd), Figure().subplots())  # a raster of 3 h: open at 9 and at 12
+    shown = draw_sensors(replace(found, requirement=odd), Figure().subplots())  # a grid of 3 h: open at 9 and at 12
     assert grey(shown) == [(0, 0.0, 7.0), (0, 13.5, 24.0)]
 
 
 @pytest.mark.parametrize("days", [1, 2, 7, 14, 28, 56])
 def test_dates_below_a_plan_do_not_overlap(days):
     wish = sd.PlanRequirement(
-        {"x1": 2.0}, period=f"{days} d", raster="12 h", w_bound=1e-4, sensors={"y1": {"noise_bound": 0.1}},
+        {"x1": 2.0}, period=f"{days} d", grid="12 h", w_bound=1e-4, sensors={"y1": {"noise_bound": 0.1}},
         calendar={"start": "2026-10-12", "zone": "Europe/Berlin"},
     )  # fmt: skip
     problem = pose_plan(sd.Plant([[-0.02]], [[1.0]], time_unit="h"), wish)

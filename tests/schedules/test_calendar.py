@@ -178,19 +178,19 @@ def test_a_zone_keeps_the_gaps_across_a_change_of_its_clocks(tmp_path):
     assert "FREQ=DAILY;INTERVAL=1" in ics
 
 
-def test_dates_lie_on_a_raster():
+def test_dates_lie_on_a_grid():
     schedule = Schedule([1.0 / 3.0, 2.0], time_unit="h")
     assert [e.date.microsecond for e in calendar(schedule, "2026-01-05")] == [0, 0]
-    quarter = calendar(schedule, "2026-01-05", raster=15.0)
+    quarter = calendar(schedule, "2026-01-05", grid=15.0)
     assert [e.date.isoformat() for e in quarter] == ["2026-01-05T00:20:00+00:00", "2026-01-05T02:00:00+00:00"]
     fast = Schedule([0.0, 0.25], time_unit="s")
     assert calendar(fast, "2026-01-05")[1].date.microsecond == 250_000
-    with pytest.raises(ArgumentError, match=r"`raster` = 1\.0 s puts two samples at 2026-01-05T00:00:00"):
-        calendar(fast, "2026-01-05", raster=1.0)
+    with pytest.raises(ArgumentError, match=r"`grid` = 1\.0 s puts two samples at 2026-01-05T00:00:00"):
+        calendar(fast, "2026-01-05", grid=1.0)
 
 
 @pytest.mark.parametrize(
-    ("raster", "zone", "clocks"),
+    ("grid", "zone", "clocks"),
     [
         (900.0, None, ["00:15", "07:30", "23:00", "07:45"]),
         (3600.0, None, ["00:00", "08:00", "23:00", "08:00"]),
@@ -199,17 +199,17 @@ def test_dates_lie_on_a_raster():
         (43200.0, "Europe/Berlin", ["00:00", "12:00", "00:00", "12:00"]),
     ],
 )
-def test_a_raster_of_minutes_and_hours_is_that_of_the_clocks_on_the_wall(raster, zone, clocks):
+def test_a_grid_of_minutes_and_hours_is_that_of_the_clocks_on_the_wall(grid, zone, clocks):
     schedule = Schedule([0.05, 7.4, 22.9, 31.7 + (zone == "Europe/Berlin")], time_unit="h")
-    dates = [e.date for e in calendar(schedule, "2026-03-29T00:10", zone=zone, raster=raster)]
+    dates = [e.date for e in calendar(schedule, "2026-03-29T00:10", zone=zone, grid=grid)]
     assert [f"{d:%H:%M}" for d in dates] == clocks
     exact = [e.date for e in calendar(schedule, "2026-03-29T00:10", zone=zone)]
     moved = [a.astimezone(UTC) - b.astimezone(UTC) for a, b in zip(dates, exact, strict=True)]
-    assert max(abs(m.total_seconds()) for m in moved) <= raster / 2
+    assert max(abs(m.total_seconds()) for m in moved) <= grid / 2
 
 
-def test_events_that_repeat_by_rule_lie_on_a_raster_of_minutes_too(tmp_path):
-    text = write_ics(DAY, tmp_path / "a.ics", "2026-01-05T08:02", raster=900.0).read_text()
+def test_events_that_repeat_by_rule_lie_on_a_grid_of_minutes_too(tmp_path):
+    text = write_ics(DAY, tmp_path / "a.ics", "2026-01-05T08:02", grid=900.0).read_text()
     starts = [line for line in text.splitlines() if line.startswith("DTSTART")]
     assert starts
     assert all(line[-5:-1] in ("0000", "1500", "3000", "4500") for line in starts)
@@ -256,12 +256,12 @@ def test_local_events_are_the_dates_of_the_calendar_across_changes_of_the_clocks
     assert f"TZID:{zone}\r\n" in text
 
 
-def test_an_endless_rule_keeps_its_gaps_and_a_raster_keeps_seconds(tmp_path):
+def test_an_endless_rule_keeps_its_gaps_and_a_grid_keeps_seconds(tmp_path):
     path = tmp_path / "a.ics"
     text = write_ics(DAY, path, "2026-03-28T08:00", zone="Europe/Berlin").read_text()
     assert "DTSTART:20260328T070000Z" in text
     assert "RRULE:FREQ=DAILY;INTERVAL=1" in text
     odd = PeriodicSchedule([90.0], 7.0, time_unit="s", origin="2026-01-05")
-    assert "DTSTART:20260105T000010Z" in write_ics(odd, path, raster=10.0).read_text()
-    with pytest.raises(ArgumentError, match=r"`raster` must be whole seconds in an iCalendar file, got 0\.5"):
-        write_ics(odd, path, raster=0.5)
+    assert "DTSTART:20260105T000010Z" in write_ics(odd, path, grid=10.0).read_text()
+    with pytest.raises(ArgumentError, match=r"`grid` must be whole seconds in an iCalendar file, got 0\.5"):
+        write_ics(odd, path, grid=0.5)

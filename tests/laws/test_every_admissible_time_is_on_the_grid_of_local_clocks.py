@@ -1,4 +1,4 @@
-"""Each sample that a plan allows lies on the raster of the local clock, in opening hours, at changes of the clocks too.
+"""Each sample that a plan allows lies on the grid of the local clock, in opening hours, at changes of the clocks too.
 
 Checked on the days themselves with zoneinfo: both changes of the year, north and south, half an hour and an hour.
 """
@@ -25,11 +25,11 @@ ZONES = {
 TANK = sd.Plant([[-0.01]], [[1.0]], time_unit="h", states=["level"], outputs=["gauge"])
 
 
-def wanted(zone, start, raster, closed=()):
+def wanted(zone, start, grid, closed=()):
     return sd.PlanRequirement(
         {"level": 5.0},
         period="1 wk",
-        raster=raster,
+        grid=grid,
         w_bound=0.01,
         sensors={"gauge": {"noise_bound": 0.1}},
         calendar={"start": start, "zone": zone, "hours": HOURS, "holidays": list(closed)},
@@ -43,11 +43,11 @@ def is_open(local):
 
 
 @pytest.mark.parametrize(("zone", "season"), [(z, s) for z in ZONES for s in (0, 1)])
-@pytest.mark.parametrize("raster", ["15 min", "30 min"])
-def test_all_allowed_times_of_two_weeks(zone, season, raster):
-    requirement = wanted(zone, ZONES[zone][season], raster)
+@pytest.mark.parametrize("grid", ["15 min", "30 min"])
+def test_all_allowed_times_of_two_weeks(zone, season, grid):
+    requirement = wanted(zone, ZONES[zone][season], grid)
     problem, calendar, place = pose_plan(TANK, requirement), requirement.calendar, ZoneInfo(zone)
-    minutes = int(raster.split()[0])
+    minutes = int(grid.split()[0])
     told = set()
     for week in (0, 1):
         for step in np.flatnonzero(problem.allowed[:, 0]):
@@ -75,7 +75,7 @@ def test_all_allowed_times_of_two_weeks(zone, season, raster):
 
 
 @pytest.mark.parametrize("zone", ZONES)
-def test_dates_of_a_plan_stand_on_the_raster_in_opening_hours(zone):
+def test_dates_of_a_plan_stand_on_the_grid_in_opening_hours(zone):
     for start in ZONES[zone]:
         requirement = wanted(zone, start, "30 min")
         problem = pose_plan(TANK, requirement)

@@ -1,6 +1,6 @@
-"""A coarser raster of the same problem, and what a search there says on the finer one.
+"""A coarser grid of the same problem, and what a search there says on the finer one.
 
-All of its times are times of the finer raster: a choice is one there, and so is a disturbance, constant for more steps.
+All of its times are times of the finer grid: a choice is one there, and so is a disturbance, constant for more steps.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from sampling_design.records.units import SECONDS, time_factor
 Mask = npt.NDArray[np.bool_]
 
 COARSE = 168
-"""Steps of a raster, the hours of a week, up to which it is not looked at more coarsely first."""
+"""Steps of a grid, the hours of a week, up to which it is not looked at more coarsely first."""
 
 
 def coarser(problem: PlanProblem) -> PlanProblem | None:
-    """The same on a raster of a third as many steps or fewer, all of them steps of this one; None where it is short.
+    """The same on a grid of a third as many steps or fewer, all of them steps of this one; None where it is short.
 
-    With a calendar its steps make up whole hours, then days: rasters that people use are among those that follow.
+    With a calendar its steps make up whole hours, then days: grids that people use are among those that follow.
     """
     requirement, whole = problem.requirement, np.inf
     if requirement.calendar is not None:
@@ -39,7 +39,7 @@ def coarser(problem: PlanProblem) -> PlanProblem | None:
     step = problem.step * next((k for k in parts if k > 2), 2)
     unit = requirement.time_unit or problem.plant.time_unit
     try:
-        return pose_plan(problem.plant, requirement.replace(raster=step * time_factor(problem.plant.time_unit, unit)))
+        return pose_plan(problem.plant, requirement.replace(grid=step * time_factor(problem.plant.time_unit, unit)))
     except (ArgumentError, InfeasibleRequirementError):  # times that a goal asks for, or hours, fall between its steps
         return None
 
@@ -50,7 +50,7 @@ def _divides(k: int, whole: float) -> bool:
 
 
 def lifted_choices(problem: PlanProblem, coarse: Iterable[Mask]) -> list[Mask]:
-    """The choices of a coarser raster, on this one, as far as they are admissible here."""
+    """The choices of a coarser grid, on this one, as far as they are admissible here."""
     found = []
     for chosen in coarse:
         lifted = np.zeros(problem.allowed.shape, dtype=bool)
@@ -62,7 +62,7 @@ def lifted_choices(problem: PlanProblem, coarse: Iterable[Mask]) -> list[Mask]:
 def lifted_attacks(
     oracle: AccuracyOracle, motion: DiscretePlant, attacks: Iterable[HiddenTrajectory]
 ) -> list[HiddenTrajectory]:
-    """The attacks of a coarser raster, where `motion` is the plant, on the raster of an oracle.
+    """The attacks of a coarser grid, where `motion` is the plant, on the grid of an oracle.
 
     Flown over its steps, with what all of these would show. Of a tangent: the one that touches at the same samples.
     """

@@ -1,11 +1,11 @@
-"""A raster that has all the times of a coarser one, and more, makes no plan dearer and none less accurate."""
+"""A grid that has all the times of a coarser one, and more, makes no plan dearer and none less accurate."""
 
 import numpy as np
 import pytest
 
 import sampling_design as sd
 from sampling_design.planning import plan as room
-from sampling_design.planning.coarser_raster import coarser, lifted_attacks
+from sampling_design.planning.coarser_grid import coarser, lifted_attacks
 from sampling_design.planning.evidence import reflown
 from sampling_design.planning.problem import pose_plan
 from tests.cases import few
@@ -27,15 +27,15 @@ REFINED = [
 @pytest.fixture
 def looked_at(monkeypatch):
     """Rasters of a few steps have coarser ones that are looked at first, as those of many have."""
-    monkeypatch.setattr("sampling_design.planning.coarser_raster.COARSE", 8)
+    monkeypatch.setattr("sampling_design.planning.coarser_grid.COARSE", 8)
 
 
 @pytest.mark.usefixtures("looked_at")
-@pytest.mark.parametrize(("plant", "wanted", "rasters", "seconds"), few(REFINED, 0))
-def test_a_finer_raster_is_never_worse(plant, wanted, rasters, seconds):
+@pytest.mark.parametrize(("plant", "wanted", "grids", "seconds"), few(REFINED, 0))
+def test_a_finer_grid_is_never_worse(plant, wanted, grids, seconds):
     found = [
-        sd.plan_samples(plant, sd.PlanRequirement(raster=raster, **wanted), search_seconds=seconds, **BARE)
-        for raster in rasters
+        sd.plan_samples(plant, sd.PlanRequirement(grid=grid, **wanted), search_seconds=seconds, **BARE)
+        for grid in grids
     ]
     assert all(each.keeps and each.verify() for each in found)
     costs = [each.cost for each in found]
@@ -44,7 +44,7 @@ def test_a_finer_raster_is_never_worse(plant, wanted, rasters, seconds):
 
 @pytest.mark.usefixtures("looked_at")
 def test_the_most_accurate_plan_is_as_good_as_those_it_starts_from():
-    wanted = sd.PlanRequirement({"position": 0.35}, samples=3, raster=0.8 / 3, **GIVEN)
+    wanted = sd.PlanRequirement({"position": 0.35}, samples=3, grid=0.8 / 3, **GIVEN)
     run = room._Planning(pose_plan(OSCILLATOR, wanted), 1.0, None)
     starts = run.started()
     assert starts
@@ -54,11 +54,11 @@ def test_the_most_accurate_plan_is_as_good_as_those_it_starts_from():
 
 
 @pytest.mark.usefixtures("looked_at")
-def test_what_refutes_choices_on_a_coarser_raster_does_on_the_finer_one():
+def test_what_refutes_choices_on_a_coarser_grid_does_on_the_finer_one():
     """Lifted attacks reach what they did, are proven anew by the same bounds, and show no less between the steps."""
     for accuracy in ({"position": 0.35}, {"position": {"tolerance": 0.2, "kind": "standard deviation"}}):
         terms = {"y": {"noise_bound": 0.2, "noise_deviation": 0.2}}
-        wanted = sd.PlanRequirement(accuracy, raster=0.8 / 3, w_intensity=0.01, **{**GIVEN, "sensors": terms})
+        wanted = sd.PlanRequirement(accuracy, grid=0.8 / 3, w_intensity=0.01, **{**GIVEN, "sensors": terms})
         run = room._Planning(pose_plan(OSCILLATOR, wanted), 1.0, None)
         coarse = room._Planning(coarser(run.problem), 1.0, None)
         coarse._cheapest()
@@ -77,19 +77,19 @@ def test_what_refutes_choices_on_a_coarser_raster_does_on_the_finer_one():
 LADDERS = [("1 min", (3360, 840, 168)), ("5 min", (672, 168)), ("1 h", ())]
 
 
-@pytest.mark.parametrize(("raster", "steps"), LADDERS)
-def test_coarser_rasters_are_those_of_whole_hours_and_days(raster, steps):
+@pytest.mark.parametrize(("grid", "steps"), LADDERS)
+def test_coarser_grids_are_those_of_whole_hours_and_days(grid, steps):
     always = {**WEEK, "calendar": {"start": "2026-03-02", "zone": "UTC"}}
-    problem, found = pose_plan(TANK, sd.PlanRequirement(raster=raster, **always)), []
+    problem, found = pose_plan(TANK, sd.PlanRequirement(grid=grid, **always)), []
     while (problem := coarser(problem)) is not None:
         found.append(problem.steps)
         assert problem.period == pytest.approx(168, rel=1e-12)
     assert tuple(found) == steps
 
 
-def test_a_raster_that_times_of_a_goal_fall_between_is_not_looked_at():
+def test_a_grid_that_times_of_a_goal_fall_between_is_not_looked_at():
     goals = {"position": {"tolerance": 0.4, "at": [0.05]}}
-    problem = pose_plan(OSCILLATOR, sd.PlanRequirement(goals, raster=0.025, **GIVEN))
+    problem = pose_plan(OSCILLATOR, sd.PlanRequirement(goals, grid=0.025, **GIVEN))
     assert problem.steps == 256
     assert coarser(problem) is None
     assert np.array_equal(problem.goals[0].steps, [2])

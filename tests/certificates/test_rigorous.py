@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, certify, named_plant
 from sampling_design.certificates.paper.proof_constants import certify_from_proof
 from sampling_design.certificates.rigorous.ball_problem import BallFailure, BallTimes, BallWeights, ScheduleFrame, noise
-from sampling_design.certificates.rigorous.ball_proof import settled
+from sampling_design.certificates.rigorous.ball_proof import long_run, settled
 from sampling_design.certificates.rigorous.decide import (
     _decided,
     assumption_7,
@@ -433,6 +433,14 @@ def test_a_long_run_that_settles_over_thousands_of_periods_is_found():
     unit = made.P1[0, 0] * (1 + made.margin)
     assert balls.floats(found[0])[0, 0] == pytest.approx(Y * unit, rel=1e-9)
     assert worst == pytest.approx((F * Y + W) * unit, rel=1e-9)
+
+
+def test_a_long_run_that_never_comes_near_itself_is_no_family(made):
+    c = content(made("oscillator").to_dict())
+    with balls.precision(), pytest.raises(ArithmeticError, match="the recursion does not settle"):
+        long_run(
+            framed(c, targets(c.weights)[0].target, "never"), 1e-14, lambda before, after: False, lambda maps: None
+        )
 
 
 def test_a_long_run_far_above_what_is_claimed_is_no_family(made):

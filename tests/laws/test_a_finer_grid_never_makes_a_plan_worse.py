@@ -26,7 +26,7 @@ REFINED = [
 
 @pytest.fixture
 def looked_at(monkeypatch):
-    """Rasters of a few steps have coarser ones that are looked at first, as those of many have."""
+    """Grids of a few steps have coarser ones that are looked at first, as those of many have."""
     monkeypatch.setattr("sampling_design.planning.coarser_grid.COARSE", 8)
 
 

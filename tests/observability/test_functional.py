@@ -101,7 +101,9 @@ def test_a_chain_that_the_rank_test_misses_is_refused():
     for s in (0.0, 0.3):  # [sI - A; C; H] and [sI - A; C] have one rank, for H = velocity, and yet nobody knows it
         pencil = np.vstack([s * np.eye(2) - chain.A, chain.C])
         assert np.linalg.matrix_rank(pencil) == np.linalg.matrix_rank(np.vstack([pencil, [0.0, 1.0]]))
-    with pytest.raises(NotDetectableError, match="asks for velocity, into which a mode enters that no output shows"):
+    with pytest.raises(
+        NotDetectableError, match="velocity, into which a mode enters that no output shows and that does not decay"
+    ):
         functional_plant(chain, "velocity")
 
 
@@ -174,6 +176,13 @@ def test_no_file_says_of_another_plant_what_holds_of_its_part(where, change):
     assert verdict(data).verdict == "bad file"
     with pytest.raises((ArgumentError, FileFormatError)):
         certificate_from_dict(data)
+
+
+def test_a_map_of_another_shape_is_no_part():
+    data = certify(THREE, EVERY_SECOND, of="x1").to_dict()
+    part = {**data["plant"]["part_of"], "map": [[1.0, 0.0, 0.0]]}
+    found = verdict(data | {"plant": data["plant"] | {"part_of": part}})
+    assert (found.verdict, "must have a map of shape (2, 3), and 1 to 2 rows" in found.reason) == ("bad file", True)
 
 
 def test_plant_files_hold_the_whole_plant_beside_the_part(tmp_path):

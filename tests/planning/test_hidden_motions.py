@@ -64,7 +64,7 @@ def test_a_grid_at_half_the_period_of_a_swing_is_refused_with_one_that_shows_it(
     assert plan_samples(swing, asked.replace(grid=np.pi / 2), certificate=False, robustness=False).keeps
 
 
-def test_an_output_that_no_mode_reaches_is_not_the_rasters_fault():
+def test_an_output_that_no_mode_reaches_is_not_the_grids_fault():
     blind = Plant([[0.0, 0.0], [0.0, 0.0]], [[1.0, 0.0]], states=["seen", "unseen"], outputs=["y"])
     asked = PlanRequirement({"unseen": 1.0}, period=4.0, grid=1.0, w_bound=0.01, sensors={"y": {"noise_bound": 0.1}})
     with pytest.raises(InfeasibleRequirementError, match="No sensor ever shows 0, on which unseen depends"):

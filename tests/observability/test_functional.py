@@ -181,8 +181,8 @@ def test_no_file_says_of_another_plant_what_holds_of_its_part(where, change):
 def test_a_map_of_another_shape_is_no_part():
     data = certify(THREE, EVERY_SECOND, of="x1").to_dict()
     part = {**data["plant"]["part_of"], "map": [[1.0, 0.0, 0.0]]}
-    found = verdict(data | {"plant": data["plant"] | {"part_of": part}})
-    assert (found.verdict, "must have a map of shape (2, 3), and 1 to 2 rows" in found.reason) == ("bad file", True)
+    with pytest.raises(ArgumentError, match=r"must have a map of shape \(2, 3\), and 1 to 2 rows"):
+        certificate_from_dict(data | {"plant": data["plant"] | {"part_of": part}})
 
 
 def test_plant_files_hold_the_whole_plant_beside_the_part(tmp_path):

@@ -34,6 +34,7 @@ from sampling_design.errors import (
 from sampling_design.observability import functional_plant, unobservable_modes
 from sampling_design.planning.files import save_plan
 from sampling_design.plants import FunctionalPlant, read_plant, write_plant
+from tests.checkers.test_sampled import redigested
 from tests.oracles.hidden import random_hidden
 
 THREE = Plant(np.diag([0.1, 0.2, -1.0]), [[1.0, 0.0, 0.5]], name="three")
@@ -173,8 +174,10 @@ def test_no_file_says_of_another_plant_what_holds_of_its_part(where, change):
     for key in where[:-1]:
         place = place[key]
     place[where[-1]] = change
-    assert verdict(data).verdict == "bad file"
-    with pytest.raises((ArgumentError, FileFormatError)):
+    data = redigested(data)  # the forger seals it
+    found = verdict(data)
+    assert (found.verdict, "part_of" in found.reason) == ("bad file", True)
+    with pytest.raises((ArgumentError, FileFormatError), match="part_of"):
         certificate_from_dict(data)
 
 
@@ -182,7 +185,7 @@ def test_a_map_of_another_shape_is_no_part():
     data = certify(THREE, EVERY_SECOND, of="x1").to_dict()
     part = {**data["plant"]["part_of"], "map": [[1.0, 0.0, 0.0]]}
     with pytest.raises(ArgumentError, match=r"must have a map of shape \(2, 3\), and 1 to 2 rows"):
-        certificate_from_dict(data | {"plant": data["plant"] | {"part_of": part}})
+        certificate_from_dict(redigested(data | {"plant": data["plant"] | {"part_of": part}}))
 
 
 def test_plant_files_hold_the_whole_plant_beside_the_part(tmp_path):

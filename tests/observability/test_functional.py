@@ -30,12 +30,14 @@ from sampling_design.errors import (
     FileFormatError,
     NotDetectableError,
     NotObservableError,
+    UndecidedError,
 )
 from sampling_design.observability import functional_plant, unobservable_modes
 from sampling_design.planning.files import save_plan
 from sampling_design.plants import FunctionalPlant, read_plant, write_plant
+from tests.cases import few
 from tests.checkers.test_sampled import redigested
-from tests.oracles.hidden import random_hidden
+from tests.oracles.hidden import random_hidden, random_rows
 
 THREE = Plant(np.diag([0.1, 0.2, -1.0]), [[1.0, 0.0, 0.5]], name="three")
 EVERY_SECOND = PeriodicSchedule([1.0])
@@ -67,6 +69,35 @@ def test_the_quotient_has_the_size_and_the_rows_of_the_one_by_hand(seed):
         whole, own = expm(plant.A * t), expm(part.A * t) @ part.map
         for rows, mine in ((H, np.eye(part.n_states)[: len(H)]), (plant.C, part.C)):
             np.testing.assert_allclose(mine @ own, rows @ whole, atol=1e-8 * np.abs(rows @ whole).max())
+
+
+@pytest.mark.parametrize("seed", few(range(300), *range(8)))
+def test_rows_are_refused_where_what_is_hidden_does_not_die_out(seed):
+    plant, H, dies = random_rows(np.random.default_rng(seed))
+    if dies:
+        assert functional_plant(plant, H).rows == 1
+    else:
+        with pytest.raises(NotDetectableError, match="into which a mode enters that no output shows"):
+            functional_plant(plant, H)
+
+
+@pytest.mark.parametrize("seed", few(range(300), 0, 1))
+def test_no_pair_of_motions_of_the_whole_plant_breaks_a_certificate_of_rows(seed):
+    """|q - q'|_P1^2 of the whole plant's motions, exact, against what Assumption 7 allows them at each sample."""
+    rng = np.random.default_rng(seed)
+    plant, H, _ = random_hidden(rng)
+    schedule = PeriodicSchedule(rng.uniform(0.3, 1.2, int(rng.integers(1, 4))))
+    try:
+        made = certify(plant, schedule, of=H)
+    except (CertificateError, UndecidedError):  # aliased, or beyond the noise gain
+        return
+    part, e, t = made.plant, rng.normal(size=plant.n_states), 0.0
+    bound = (part.map @ e) @ made.P2 @ (part.map @ e)
+    worth = np.linalg.inv(np.linalg.inv(made.R) + np.linalg.inv(made.Qv))  # of y, whatever part of it is noise
+    for sample in schedule.between(0.0, 8.0).times:
+        e, bound, t = expm(plant.A * (sample - t)) @ e, bound * np.exp(-made.eta * (sample - t)), sample
+        bound += (plant.C @ e) @ worth @ (plant.C @ e)
+        assert (part.map @ e) @ made.P1 @ (part.map @ e) <= bound * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("seed", range(6))

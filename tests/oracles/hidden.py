@@ -1,6 +1,7 @@
 """Plants with modes that no output shows, in random coordinates, and by hand what chosen rows of their state need."""
 
 import numpy as np
+from scipy.linalg import expm
 
 from sampling_design import Plant
 
@@ -38,3 +39,23 @@ def random_hidden(rng: np.random.Generator) -> tuple[Plant, np.ndarray, int]:
     whole = np.hstack([rows, away]) @ back
     plant = Plant(T @ A @ back, whole[: len(C)])
     return plant, whole[len(C) :], int(np.linalg.matrix_rank(observed, 1e-9))
+
+
+def random_rows(rng: np.random.Generator) -> tuple[Plant, np.ndarray, bool]:
+    """A plant, rows that may hold hidden modes, and whether what the outputs never show of them dies out.
+
+    That is asked of a simulation: the hidden part moves by itself, and its rows fall below 1e-3 of what they were by
+    t = 50/0.1, or they do not. No hidden rate lies between -0.1 and 0.05.
+    """
+    shown, hidden = int(rng.integers(1, 4)), int(rng.integers(1, 4))
+    rates = np.where(rng.random(hidden) < 0.5, rng.uniform(0.05, 0.3, hidden), rng.uniform(-0.5, -0.1, hidden))
+    other = np.diag(rates)
+    if hidden > 1 and rng.random() < 0.5:  # a chain: rows of its second vector show what its eigenvector does not
+        other[1, 1], other[0, 1] = other[0, 0], 1.0
+    A = np.block([[block(rng, shown), np.zeros((shown, hidden))], [rng.normal(size=(hidden, shown)), other]])
+    C = np.hstack([rng.normal(size=(1, shown)), np.zeros((1, hidden))])
+    H = np.hstack([rng.normal(size=(1, shown)), rng.normal(size=(1, hidden)) * (rng.random(hidden) < 0.5)])
+    later = np.abs(H[:, shown:] @ expm(other * 50 / 0.1)).max()
+    T = rng.normal(size=(shown + hidden,) * 2)
+    back = np.linalg.inv(T)
+    return Plant(T @ A @ back, C @ back), H @ back, bool(later < 1e-3)

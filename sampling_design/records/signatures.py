@@ -198,6 +198,8 @@ def _for_this_kind(
 ) -> None:
     """Refuse what a verb takes of its own plants and not of a ring's; as it stands by default, it is left out."""
     taken, known = inspect.signature(does).parameters, inspect.signature(verb).parameters
+    if any(each.kind is each.VAR_KEYWORD for each in taken.values()):
+        return
     for key in [key for key in named if key in known and key not in taken]:
         value, default = named.pop(key), known[key].default
         if value is not default and not (isinstance(value, numbers.Real) and value == default):

@@ -384,7 +384,7 @@ def test_who_needs_samples_is_told_that_there_are_none():
         made.lam  # noqa: B018
     with pytest.raises(AttributeError, match="promises nothing about samples and has no `schedule`"):
         made.schedule  # noqa: B018
-    with pytest.raises(ArgumentError, match="`certificate` must be one about samples, got DetectabilityCertificate"):
+    with pytest.raises(ArgumentError, match="or a ScheduleDesign, got DetectabilityCertificate"):
         robustness(OSCILLATOR, made)
     assert copy.deepcopy(made).to_dict() == made.to_dict()
 

@@ -30,7 +30,7 @@ def test_what_survives_is_proven_with_the_same_weights(planned, found):
         assert certificate.lam_proven < found.limit == pytest.approx(np.exp(0.8 * planned.horizon().length))
         for key in ("P2", "Qw", "R", "Qv", "eta"):
             assert np.array_equal(getattr(certificate, key), getattr(planned, key))
-    assert found.jittered.family.radius == found.radius
+    assert found.jittered.family.timing_tolerance == found.radius
     assert found.tolerated
     assert all(d < w for d, w in found.tolerated)
 

@@ -88,6 +88,7 @@ VERBS = {
     "window_sigma": lambda b: sd.window_sigma(HARD, EASY, 300.0, rtol=1e-9, budget=b),
     "worst_case_sigma": lambda b: sd.worst_case_sigma(HARD, sd.SpacedWindows(20.0, 12, 0.5), rtol=1e-9, budget=b),
     "design_schedule": lambda b: sd.design_schedule(HARD, LARGE, branches=10**6, budget=b),
+    "design_and_losses": lambda b: sd.design.design_and_losses(HARD, LARGE, budget=b),
     "pareto_front": lambda b: sd.pareto_front(HARD, LARGE, range(16, 21), budget=b),
     "certify": lambda b: sd.certify(HARD, EASY, budget=b),
     "certify_inclusion": lambda b: sd.uncertain.certify_inclusion(MANY, sd.GapRange(0.4, 0.6), eta=0.1, budget=b),

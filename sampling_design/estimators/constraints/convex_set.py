@@ -223,6 +223,7 @@ class ConvexSet(Record):
         Half-spaces and balls count only where all of a value is seen.
         """
         inside = (values >= self.lower) & (values <= self.upper)
+        seen = None if seen is None else np.asarray(seen, dtype=bool)
         if not (inside if seen is None else inside | ~seen).all():
             return False
         if self.is_box:

@@ -100,7 +100,8 @@ class Evidence:
         outer = None
         if ellipsoid is not None:
             x, covariance, radius = ellipsoid
-            z, reach = rows.matrix @ x, np.sqrt(radius) * _deviations(rows.matrix, covariance)
+            with np.errstate(over="raise", invalid="raise"):  # rows beyond all numbers end in a sentence
+                z, reach = rows.matrix @ x, np.sqrt(radius) * _deviations(rows.matrix, covariance)
             outer = np.array([z - reach, z + reach]).T
         found = prove(program, t, rows, outer)
         last = self.nodes[-1]

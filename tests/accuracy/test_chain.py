@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -70,3 +72,10 @@ def test_an_error_that_is_not_forgotten_is_not_bounded(monkeypatch):
     monkeypatch.setattr(chains, "PERIODS", 1)
     with pytest.raises(UndecidedError, match="its filter forgets no past within 1 periods"):
         _ = made("oscillator", [1.3]).reach
+
+
+def test_a_filter_that_does_not_hold_what_grows_is_told_in_time():
+    found = made("growing", [20.0])
+    deaf = replace(found, samples=tuple(replace(each, K=0 * each.K) for each in found.samples))
+    with pytest.raises(UndecidedError, match="grows so far between the samples of this schedule that no filter's"):
+        deaf._filtered  # noqa: B018

@@ -218,7 +218,7 @@ def test_what_is_of_samples_on_time_alone_is_refused():
     with pytest.raises(ArgumentError, match="`rigorous` is for samples on time"):
         found.verify(rigorous=True)
     box = UncertainPlant(INTEGRATOR, [UncertainParameter("rate", -0.1, 0.0, A=[[1.0]], nominal=0.0)])
-    with pytest.raises(ArgumentError, match="`timing_tolerance` is for exactly known plants"):
+    with pytest.raises(ArgumentError, match="`timing_tolerance` must be left out for accuracy over a box"):
         guaranteed_accuracy(box, EVEN, w_bound=[0.1], v_bound=[0.1], timing_tolerance=0.1)
 
 

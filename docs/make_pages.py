@@ -188,7 +188,8 @@ def room_page(room: str) -> str:
         lines += interface_of(place, thing)
     if room == "plants":
         lines += ["### `plants/library.py`", "", "```{eval-rst}", ".. automodule:: sampling_design.plants.library"]
-        lines += ["   :members:", "", "```", ""]
+        beside = [place.rpartition(".")[2] for place in records if place.startswith("plants.library.")]
+        lines += ["   :members:", *([f"   :exclude-members: {', '.join(beside)}"] if beside else []), "", "```", ""]
     return "\n".join(lines)
 
 

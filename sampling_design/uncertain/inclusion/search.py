@@ -31,6 +31,8 @@ Array = npt.NDArray[np.float64]
 
 NARROWINGS, NARROW_ENOUGH = 12, 0.995
 """Turns in which P(tau) is drawn together; a turn that leaves lambda above this part of the last is the last."""
+HIGHER = 1.0, 1e2, 1e4
+"""Times the floor that the noise gain leaves P1: where the solver fails so near to a singular one, it is raised."""
 ROUNDS = 12
 """How often members that violate a solution may join the program."""
 JOINING = 4
@@ -103,7 +105,10 @@ class InclusionSearch(PosedMembers):
         for _ in range(NARROWINGS):
             if self.budget.over:
                 break
-            x, W, record = search.narrow(best.lam, floor * max(1 / self.noise_gain, SMALLEST))
+            for higher in HIGHER:
+                x, W, record = search.narrow(best.lam, floor * max(1 / self.noise_gain, SMALLEST) * higher)
+                if x is not None:
+                    break
             if x is None:
                 break
             turn, P = np.asarray(np.linalg.cholesky(W)), search.matrices(x)

@@ -8,6 +8,7 @@ from scipy.linalg import qr
 
 from sampling_design.errors import ArgumentError, NotDetectableError
 from sampling_design.numerics.balancing import balance
+from sampling_design.numerics.linalg import positive_or_one
 from sampling_design.observability.count.pbh import RANK_TOLERANCE, UnobservableModes, unobservable_modes
 from sampling_design.plants.functional import FunctionalPlant, replace_matrices, without
 from sampling_design.plants.plant import Plant, Signals
@@ -99,9 +100,11 @@ def _real(hidden: UnobservableModes, weights: Array) -> Array:
 def _rows_first(plant: Plant, part: Plant, onto: Array, H: Array, rows: WantedRows) -> tuple[Plant, Array]:
     """The quotient in coordinates whose first entries are the rows, in the sizes that the user gave."""
     count, weights = len(rows), balance(part.A, np.vstack([part.C, H])).d
-    R, order = qr(H * weights / np.linalg.norm(H * weights, axis=1)[:, None], pivoting=True, mode="r")
+    R, order = qr(H * weights / positive_or_one(np.linalg.norm(H * weights, axis=1))[:, None], pivoting=True, mode="r")
     if count > part.n_states or np.min(np.abs(np.diag(R)[:count])) <= RANK_TOLERANCE:
-        raise ArgumentError(f"`of` must have rows that are independent of each other, got {', '.join(rows.names)}.")
+        raise ArgumentError(
+            f"`of` must have rows that are independent of each other, and none of zeros, got {', '.join(rows.names)}."
+        )
     others = np.sort(order[count:])
     T = np.vstack([H, np.eye(part.n_states)[others]])
     # a row that is one state, or all others: exchanged without rounding

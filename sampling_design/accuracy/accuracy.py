@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.accuracy_profile import AccuracyProfile, GapProof
 from sampling_design.accuracy.accuracy_record import Accuracy, AccuracyBracket
@@ -22,14 +21,13 @@ from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked, open_verb
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-
-Array = npt.NDArray[np.float64]
 
 MARGIN = 5e-5
 """By how much an upper bound is raised, so that balls prove it too, whose derivatives are bounded a little worse."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.accuracy_profile import AccuracyProfile, GapProof
 from sampling_design.accuracy.bounds import SignalBounds
@@ -19,10 +18,9 @@ from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import WantedRows
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import CurveRecord, PlainRecord, Variable, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-
-Array = npt.NDArray[np.float64]
 
 
 class AccuracyBracket(PlainRecord):
@@ -31,7 +29,7 @@ class AccuracyBracket(PlainRecord):
     rows: WantedRows
     lower: Array
     upper: Array
-    closed: npt.NDArray[np.bool_]
+    closed: Mask
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -81,7 +79,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
     worst: Array
     offset: Array
     known_from: Array
-    closed: npt.NDArray[np.bool_]
+    closed: Mask
     at_samples: Array
     profile: AccuracyProfile
     witnesses: tuple[AccuracyWitness | None, ...]

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.gains import ROUNDING, Gains, cleared, evaluated, filter_gains
 from sampling_design.accuracy.sample_chain import SampleChain
@@ -20,15 +19,13 @@ from sampling_design.accuracy.start import StartSet
 from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED, ConeSolver
 from sampling_design.numerics.stage_programs import StageProgram
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 TOLERANCE = 1e-8
 """Asked of the solver; what it leaves open shows in the bracket, never in a bound."""
 
 EXACTLY = 1e-6
 """An exact sensor shows zero within this many of its stand-in units: 1e-12 of what w does to it over a period."""
-
 
 SLIGHT = 1e-5
 """An adversary that is divided by no more than this beyond 1 need not be corrected."""

@@ -10,13 +10,11 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.sample_chain import SampleChain
 from sampling_design.numerics.linalg import expm_batch, forced_flow
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 GRID = (64, 2048)
 """Least and largest number of panels of a gap on which the profile stands."""

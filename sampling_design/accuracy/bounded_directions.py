@@ -11,13 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.gains import Gains
 from sampling_design.accuracy.start import NOTHING
-
-Array = npt.NDArray[np.float64]
-Places = npt.NDArray[np.intp]
+from sampling_design.records.arrays import Array, Index, Mask
 
 SAME = 1e-12
 """Two directions are one if their cosine, in units of the reach, is 1 within this."""
@@ -33,7 +30,7 @@ NEIGHBOURS = (64, -64, 16, -16, 4, -4, 1, -1)
 class DirectionFit:
     """Targets as combinations of two atoms: mu[t] = sum_k share[t, k] atom[place[t, k]] + rest."""
 
-    place: Places
+    place: Index
     share: Array
 
 
@@ -134,7 +131,7 @@ class BoundedDirections:
         best = DirectionFit(best.place, best.share * lengths[0][:, None] / unit[best.place])
         value = self.judged(targets, best)
 
-        def tried(place: Places) -> None:
+        def tried(place: Index) -> None:
             """Take pairs where they bound targets better."""
             nonlocal best, value
             gram = np.einsum("ti,ti->t", U[place[:, 0]], U[place[:, 1]])
@@ -178,7 +175,7 @@ class BoundedDirections:
             return np.asarray(found)
         return np.where(self.determines(rest, targets), found, np.inf)
 
-    def determines(self, rest: Array, targets: Array | None = None) -> npt.NDArray[np.bool_]:
+    def determines(self, rest: Array, targets: Array | None = None) -> Mask:
         """Say whether nothing of the rests of targets (default: of themselves) lies outside the basis."""
         left = np.linalg.norm(rest - (rest @ self.basis) @ self.basis.T, axis=1)
         return np.asarray(left <= NOTHING * np.linalg.norm(rest if targets is None else targets, axis=1))

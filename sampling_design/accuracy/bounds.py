@@ -13,10 +13,9 @@ from sampling_design.accuracy.start import Entry, half_and_centre, named_bounds
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.checks import freeze
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 Given: TypeAlias = npt.ArrayLike | Mapping[str, Entry] | Callable[[float], npt.ArrayLike | tuple[float, float]]
 Bound: TypeAlias = Given | None
 """A number, entries, a mapping from names to numbers or pairs; for noise also rows per sample or functions of time."""
@@ -90,7 +89,7 @@ class SignalBounds:
         )
         return cls(freeze(w), w_ball and w.size > 1, freeze(v), v_ball and plant.n_outputs > 1, *centres)
 
-    def measured(self, sample: int) -> npt.NDArray[np.intp]:
+    def measured(self, sample: int) -> Index:
         """Outputs that a sample measures."""
         return np.flatnonzero(np.isfinite(self.v[sample]))
 

@@ -19,12 +19,12 @@ from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
-Array = npt.NDArray[np.float64]
 Intensity: TypeAlias = npt.ArrayLike | None
 
 POINTS = 64

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.bounds import SignalBounds
@@ -26,15 +25,13 @@ from sampling_design.numerics.filtering import information_update, propagate, up
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 DIFFUSE = 1e6
 """Covariance of what is free at the start, in scaled coordinates: for the choice of coordinates and gains only."""
 
 NO_ERROR = 1e-9
 """Half-width given to an entry that is known exactly at the start, in scaled coordinates."""
-
 
 BLURRED = 1e-7
 """Share of its way to which an unseen direction may shrink: what rounding makes of it is then below `UNSEEN` of it."""

@@ -6,20 +6,17 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.sample_chain import ChainGap, SampleChain, noise_cost
 from sampling_design.accuracy.start import StartSet
 from sampling_design.numerics.linalg import forced_flow
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 CarriedColumns: TypeAlias = dict[int, tuple[ChainGap, list[Array]]]
 """Columns that each gap carries: one integral for all of them, since a chain may hold a gap many times."""
 
 ROUNDING = 1e-11
 """Relative allowance for rounding in every sum that bounds from above."""
-
 
 LEFT = 0.01
 """What may be left of a direction, in units of what a filter knows, where its past counts as bounded already."""

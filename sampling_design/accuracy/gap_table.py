@@ -9,13 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow
 from sampling_design.plants.grouping import balanced_schur
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array, Index
 
 PANEL = 0.03125
 """Length of a panel of the quadrature times |A|: its bound is then loose by less than one in ten thousand."""
@@ -37,7 +35,6 @@ FINER_CELLS = (1, 2, 4, 16)
 
 REMEMBERED = 1024
 """Gaps that are kept."""
-
 
 GROWN = 1e70
 """Growth over a period beyond which sizes are not followed: its square is a number still, in any units."""
@@ -176,7 +173,7 @@ class GapTable:
         for number in np.unique(numbers):
             self._known.update(self._make_alike(lengths[numbers == number], int(number)))
 
-    def _number(self, lengths: Array) -> npt.NDArray[np.intp]:
+    def _number(self, lengths: Array) -> Index:
         """Panels of each gap, a power of two."""
         wanted = np.clip(np.ceil(self._size * lengths / PANEL), *PANELS)
         return np.asarray(np.exp2(np.ceil(np.log2(wanted))), dtype=np.intp)

@@ -26,12 +26,10 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import Plain, PlainRecord, short
 from sampling_design.records.signatures import checked
-
-Array = npt.NDArray[np.float64]
-
 
 MOSTLY = 0.9
 """Share of a contradiction that the samples named with it make."""
@@ -68,13 +66,13 @@ class Disproof(PlainRecord):
         return freeze(self.readings.times[self.strongest])
 
     @property
-    def samples(self) -> npt.NDArray[np.intp]:
+    def samples(self) -> Index:
         """The same samples, counted from 0 among all times at which something was read."""
         sampled = np.cumsum(np.diff(self.readings.offsets) > 0) - 1
         return np.asarray(sampled[self.strongest])
 
     @property
-    def strongest(self) -> npt.NDArray[np.intp]:
+    def strongest(self) -> Index:
         """Places of those times among all of the readings."""
         shares = np.zeros(len(self.readings.times))
         np.add.at(shares, self.readings.nodes, np.abs(self.gains["all"]) * self.readings.size)
@@ -165,7 +163,7 @@ class Interval(PlainRecord):
         return 0.0 if self.disproof is None else self.disproof.factors["all"]
 
     @property
-    def samples(self) -> npt.NDArray[np.intp]:
+    def samples(self) -> Index:
         """Samples that make nine tenths of a contradiction, the strongest first."""
         return np.zeros(0, dtype=np.intp) if self.disproof is None else self.disproof.samples
 

@@ -6,7 +6,6 @@ import os
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design import __version__
 from sampling_design.accuracy.readings import DisturbanceSet, Readings, RowReading, StartError
@@ -19,10 +18,9 @@ from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import WantedRows
 from sampling_design.records import file_io
+from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import Plain
-
-Array = npt.NDArray[np.float64]
 
 CLAIM = "interval"
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.bounds import Bound, SignalBounds
 from sampling_design.accuracy.question import AccuracyQuestion
@@ -20,12 +19,12 @@ from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 
-Array = npt.NDArray[np.float64]
 Zones = Sequence[tuple[float, float]] | None
 
 SETTLING = (0.6, 0.9)
@@ -330,7 +329,7 @@ def _kept(witness: LimitWitness, bounds: SignalBounds, zones: Array | None, peri
     return value, max(excess, _between(witness.attack, bounds, _looked_into(witness, zones, period)))
 
 
-def _looked_into(witness: LimitWitness, zones: Array | None, period: float) -> npt.NDArray[np.bool_]:
+def _looked_into(witness: LimitWitness, zones: Array | None, period: float) -> Mask:
     """Which gaps of a witness hold an allowed time; the last one is what follows its last node."""
     assert witness.attack is not None
     samples = witness.attack.samples
@@ -346,7 +345,7 @@ def _looked_into(witness: LimitWitness, zones: Array | None, period: float) -> n
     return found
 
 
-def _between(witness: AccuracyWitness, bounds: SignalBounds, looked: npt.NDArray[np.bool_]) -> float:
+def _between(witness: AccuracyWitness, bounds: SignalBounds, looked: Mask) -> float:
     """The largest ratio of |C x| to its bound within some gaps, for all real times.
 
     On a cell w is constant: y'' = C A e^{As} q with q = A x + G w, and |y| lies below its chord plus d^2/8 sup|y''|.

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.accuracy_profile import GapProof
 from sampling_design.accuracy.deviation import WALK
@@ -22,11 +21,10 @@ from sampling_design.numerics.filtering import CovarianceMap, information_update
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.plants.rows import WantedRows, wanted_rows
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
-
-Array = npt.NDArray[np.float64]
 
 DISCOUNTS = np.geomspace(1e-3, 10.0, 13)
 """Discounts of an ellipsoid over a mean gap that are tried."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.bounds import Bound, SignalBounds
@@ -16,10 +15,9 @@ from sampling_design.accuracy.undetectable import DetectablePart, known_part
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import freeze
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +144,7 @@ class AccuracyQuestion:
         return self.timing_tolerance + self.result_delay
 
     @property
-    def samples(self) -> npt.NDArray[np.intp]:
+    def samples(self) -> Index:
         """Nodes that are samples."""
         return np.arange(self.nodes.size - len(self.schedule), self.nodes.size)
 

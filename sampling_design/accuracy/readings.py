@@ -22,9 +22,9 @@ from sampling_design.numerics.linalg import forced_flow
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.checks import freeze
 
-Array = npt.NDArray[np.float64]
 Arrived = tuple[float, object, npt.ArrayLike | None]
 
 
@@ -263,12 +263,12 @@ class Readings:
         return stacked
 
     @cached_property
-    def offsets(self) -> npt.NDArray[np.intp]:
+    def offsets(self) -> Index:
         """(K+1,) where the rows of each time begin."""
         return np.concatenate([[0], np.cumsum([len(rows) for rows in self.rows])]).astype(np.intp)
 
     @cached_property
-    def nodes(self) -> npt.NDArray[np.intp]:
+    def nodes(self) -> Index:
         """(R,) the time of each row."""
         return np.repeat(np.arange(len(self.times)), np.diff(self.offsets))
 
@@ -283,7 +283,7 @@ class Readings:
         return np.array([row.size for rows in self.rows for row in rows], dtype=np.float64)
 
     @cached_property
-    def below(self) -> npt.NDArray[np.bool_]:
+    def below(self) -> Mask:
         """(R,) one-sided rows."""
         return np.array([row.below for rows in self.rows for row in rows], dtype=bool)
 

@@ -16,12 +16,10 @@ from sampling_design.accuracy.record_readings import read_record
 from sampling_design.accuracy.witness import KEPT
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
-
-Array = npt.NDArray[np.float64]
-
 
 GROWS = {"both": "all", "w": "w", "v": "v"}
 """What may grow, and what the program calls it."""

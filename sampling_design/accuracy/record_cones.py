@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.readings import Readings
 from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED, ConeSolver
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 
 class RecordCones:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.finite import DIFFUSE
 from sampling_design.accuracy.gains import ROUNDING
@@ -25,16 +24,13 @@ from sampling_design.accuracy.undetectable import told_of_start
 from sampling_design.accuracy.unknown_start import FreeStart
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED
 from sampling_design.numerics.filtering import propagate, update_with_gain
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 TOLERANCE = (1e-6, 3e-8, 3e-8, 1e-9)
 """Asked of the solver at each level of cells; what it leaves open widens an interval, never breaks it."""
 
-
 BEYOND = 1e150
 """A covariance that grows beyond it is as good as infinite: what it is made of would overflow."""
-
 
 HELD = 1e-13
 """Relative error with which nominal states and readings are held."""

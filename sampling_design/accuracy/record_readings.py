@@ -22,9 +22,8 @@ from sampling_design.accuracy.readings import (
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
-
-Array = npt.NDArray[np.float64]
 
 
 def read_record(

@@ -16,12 +16,11 @@ from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import period_of
-
-Array = npt.NDArray[np.float64]
 
 FORGOTTEN = 1e-13
 """Share of a radius below which the start no longer counts: it is added once more, and then left out."""
@@ -59,7 +58,7 @@ class PeriodicEstimate(PlainRecord):
 class _Phase:
     """What one update at one sample of the period needs."""
 
-    seen: npt.NDArray[np.intp]
+    seen: Index
     F: Array  # to this sample from the one before, inputs as further columns
     C: Array  # (p_j, n + m) over the noise, inputs as further columns
     size: Array

@@ -11,12 +11,10 @@ from dataclasses import dataclass, replace
 from functools import reduce
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import UndecidedError
 from sampling_design.numerics.filtering import CovarianceMap, largest_first, root_update, triangle
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 SETTLED = 1e-14
 """Relative change of a doubled covariance at which it counts as the limit."""
@@ -26,7 +24,6 @@ DOUBLINGS = 60
 
 UNSTABLE = 1e-9
 """A filter whose error grows by more than this share over a period from P = 0 has to be started elsewhere."""
-
 
 REPRODUCED = 1e-5
 """Relative change over a period, and growth of an error, below which what doubling found is the limit; above what a

@@ -13,12 +13,12 @@ from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.sample_chain import SampleChain
 from sampling_design.numerics.balls import Ball, Matrix, ball, flint, matrix, precision
+from sampling_design.records.arrays import Array
 
 if TYPE_CHECKING:
     from sampling_design.accuracy.accuracy_profile import GapProof
     from sampling_design.accuracy.witness import AccuracyWitness
 
-Array = npt.NDArray[np.float64]
 
 BITS = 192
 """Working precision: 53 bits of the doubles, the rest against growth."""

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.gap_table import GROWN, GapTable, cell_rate, state_scales
@@ -29,8 +28,7 @@ from sampling_design.numerics.filtering import (
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow, psd_root
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array, Index, Mask
 
 EXACT = 1e-6
 """Size given to an exact sensor, in units of what w does to its output over a period: for scaling only."""
@@ -123,10 +121,10 @@ class ChainGap:
 class ChainSample:
     """One sample: rows in units of the noise bound, which of them are exact, and the filter's gain."""
 
-    outputs: npt.NDArray[np.intp]
+    outputs: Index
     size: Array
     H: Array
-    exact: npt.NDArray[np.bool_]
+    exact: Mask
     K: Array
 
 
@@ -159,7 +157,7 @@ class SampleChain:
     gaps: tuple[ChainGap, ...]
     start: StartSet | None = None
     last: float = 0.0
-    known: npt.NDArray[np.bool_] | None = None
+    known: Mask | None = None
     hidden: int = 0
     late: float = 0.0
 
@@ -239,7 +237,7 @@ class SampleChain:
         return np.hstack([found, np.ones((count, n - r))])
 
     @property
-    def forgetting(self) -> npt.NDArray[np.intp]:
+    def forgetting(self) -> Index:
         """How many samples before each the filter's error is forgotten but for a share `CONTRACTED`; endless."""
         return np.array([steps for steps, _, _ in self._filtered])
 
@@ -301,7 +299,7 @@ def too_far() -> UndecidedError:
     )
 
 
-def noise_cost(gains: Array, exact: npt.NDArray[np.bool_], ball: bool) -> Array:
+def noise_cost(gains: Array, exact: Mask, ball: bool) -> Array:
     """h_V of scaled gains (p, k): exact sensors cost nothing."""
     noisy = gains[~exact]
     return np.asarray(np.linalg.norm(noisy, axis=0) if ball else np.abs(noisy).sum(axis=0))
@@ -367,9 +365,7 @@ def _bases(F: Array, U: Array) -> list[Array]:
     return found
 
 
-def noise_units(
-    C: Array, bounds: SignalBounds, W: Array
-) -> tuple[list[Array], list[Array], list[npt.NDArray[np.bool_]]]:
+def noise_units(C: Array, bounds: SignalBounds, W: Array) -> tuple[list[Array], list[Array], list[Mask]]:
     """Rows of each sample over the size of its noise, those sizes, and which sensors are exact."""
     driven = np.sqrt(np.maximum(np.einsum("pi,kij,pj->p", C, W, C), 0.0))
     stand_in = np.where(driven > 0, EXACT * driven, np.linalg.norm(C, axis=1))

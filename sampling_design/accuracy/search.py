@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.adversary_program import Adversary, ConeWindow, boxed
 from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, open_row
@@ -15,9 +14,8 @@ from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.gains import Gains, centre_offset, evaluated
 from sampling_design.accuracy.sample_chain import CELL_LOSS, SampleChain
 from sampling_design.accuracy.start import StartSet
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
-
-Array = npt.NDArray[np.float64]
 
 FINEST = 1e-5
 """Least share that a disturbance constant on cells may lose by the curvature of e^{As}G."""

@@ -13,9 +13,9 @@ from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
 
-Array = npt.NDArray[np.float64]
 Entry: TypeAlias = float | tuple[float, float]
 InitialError: TypeAlias = npt.ArrayLike | Mapping[str, Entry] | None
 
@@ -81,7 +81,7 @@ class InitialSet:
 
     S: Array
     ball: bool
-    exact: npt.NDArray[np.bool_]
+    exact: Mask
     centre: Array
 
     @property

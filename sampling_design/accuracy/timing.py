@@ -15,7 +15,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.adversary_program import Adversary, ConeWindow
 from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, open_row
@@ -27,11 +26,10 @@ from sampling_design.accuracy.undetectable import DetectablePart
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, physical
 from sampling_design.accuracy.worst_witness import admissible
 from sampling_design.errors import ArgumentError, UndecidedError
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import short
-
-Array = npt.NDArray[np.float64]
 
 ENOUGH = 1.02
 """Noise that is so much more than what a tolerance adds is not sought closer."""

@@ -6,14 +6,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.plants.clusters import eigenvalue_clusters, format_eigenvalue
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant, Signals
-
-Array = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
+from sampling_design.records.arrays import Array, Complex, Index
 
 DECAYS = 1e-9
 """A mode counts as decaying if it loses more than this share over a period."""
@@ -72,7 +69,7 @@ class DetectablePart:
         return bool(np.any(shown > TOUCHED * (np.abs(row) @ np.abs(self.unknown))))
 
 
-def known_part(plant: Plant, times: Array, period: float, outputs: list[npt.NDArray[np.intp]]) -> DetectablePart:
+def known_part(plant: Plant, times: Array, period: float, outputs: list[Index]) -> DetectablePart:
     """Return what an endless schedule lets anybody know of a plant."""
     d = _scales(plant, period)
     A, C = plant.A * d / d[:, None], plant.C * d
@@ -205,7 +202,7 @@ def _hidden(
     value: complex,
     times: Array,
     period: float,
-    outputs: list[npt.NDArray[np.intp]],
+    outputs: list[Index],
 ) -> Complex:
     """Combinations of the columns of X that no sample shows."""
     from scipy.linalg import expm
@@ -222,7 +219,7 @@ def _hidden(
     return np.asarray(right.conj().T[:, sizes < UNSEEN * max(1.0, float(sizes[0]))], dtype=np.complex128)
 
 
-def told_of_start(H: Array, F: Array, offsets: npt.NDArray[np.intp], flow: Array) -> Array:
+def told_of_start(H: Array, F: Array, offsets: Index, flow: Array) -> Array:
     """What rows H (R, n), read at the ends of gaps F (K-1, n, n), say of the start, in the columns of `flow`."""
     told = []
     with np.errstate(over="ignore", invalid="ignore"):  # who asks looks whether it is finite

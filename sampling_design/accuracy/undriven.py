@@ -8,15 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.plants.clusters import eigenvalue_clusters
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
-
-Array = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
+from sampling_design.records.arrays import Array, Complex
 
 LASTS = 1e-12
 """Share of |A| below which a mode does not decay, and within which a direction is an eigenvector: rounding alone."""

@@ -6,11 +6,9 @@ from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.undetectable import unseen
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array, Mask
 
 CHANGED = 1e-11
 """Share of the gains, in units of the noise, that may be changed to take away what they leave: rounding."""
@@ -57,7 +55,7 @@ class FreeStart:
     and a start may be as large in it as in any other.
     """
 
-    def __init__(self, told: Array, below: npt.NDArray[np.bool_], unit: Array):
+    def __init__(self, told: Array, below: Mask, unit: Array):
         self._told, self._below, self._unit = told, below, unit
         self._backs: dict[bytes, tuple[Array, Array]] = {}
 
@@ -81,7 +79,7 @@ class FreeStart:
         back, sizes = self._backs[key]
         return np.asarray(back @ (rest / sizes) / self._unit)
 
-    def _back(self, usable: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
+    def _back(self, usable: Mask) -> tuple[Array, Array]:
         """What takes a rest away, and the sizes (n,) in which the start's entries are told alike."""
         rows = np.where(usable[:, None], self._told, 0.0) / self._unit[:, None]
         with np.errstate(over="ignore", invalid="ignore"):

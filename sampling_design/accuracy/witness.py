@@ -7,7 +7,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.between_samples import RowBetweenSamples
 from sampling_design.accuracy.bounds import SignalBounds
@@ -17,6 +16,7 @@ from sampling_design.accuracy.undriven import UndrivenMotions
 from sampling_design.numerics.linalg import discounted_flow, expm_batch, forced_flow
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import Plain, Record, short
 
@@ -31,8 +31,6 @@ CLOSED = 1e-13
 
 LAST_DIGIT = float(np.finfo(float).eps)
 """So much of what w can move a state by may be left open of it, too: the last digit of w does that."""
-
-Array = npt.NDArray[np.float64]
 
 
 class WitnessRun(NamedTuple):
@@ -77,7 +75,7 @@ class AccuracyWitness(Record):
     samples: Array
     last: int
     states: Array
-    outputs: npt.NDArray[np.bool_]
+    outputs: Mask
     value: float
 
     _table = {"value": "{value}", "samples": "{samples.size}", "duration": "{edges[-1]} {plant.time_unit}"}

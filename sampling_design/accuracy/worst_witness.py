@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.search import ChainSearch, RowSearch
 from sampling_design.accuracy.undetectable import open_modes
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains, physical
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 
 def left_open(question: AccuracyQuestion, finder: ChainSearch | None, upper: Array) -> tuple[str, ...]:

@@ -37,6 +37,7 @@ from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.records.dispatch import OpenPlant, registered
 from sampling_design.records.evidence import SolverRecord
@@ -48,8 +49,6 @@ from sampling_design.schedules.schedule import PeriodicSchedule
 
 if TYPE_CHECKING:  # the families' programs are loaded when one is asked for
     from sampling_design.certificates.families.family_certificate import FamilyCertificate
-
-Array = npt.NDArray[np.float64]
 
 
 def certify_given(

@@ -6,7 +6,6 @@ import sys
 from contextlib import ExitStack
 
 import numpy as np
-import numpy.typing as npt
 from rich.table import Table as RichTable
 
 import sampling_design as sd
@@ -23,10 +22,9 @@ from sampling_design.estimators.online.curve import CurveCollector
 from sampling_design.estimators.online.envelope import EstimateEnvelope
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.tally import EstimateCounts
+from sampling_design.records.arrays import Array
 from sampling_design.records.file_io import AtomicWriter
 from sampling_design.records.record import short
-
-Array = npt.NDArray[np.float64]
 
 
 def followed(

@@ -59,7 +59,6 @@ COMMON_FLAGS: dict[str, tuple[object, object]] = {
     ),
 }
 
-
 ONLY: dict[str, tuple[str, ...]] = {
     "seed": ("design", "pareto", "losses", "validate", "thyroid"),
     "budget": ("design", "losses", "sigma", "worst-case", "certify", "verify", "survive", "log"),

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
 from sampling_design.design.bounds.evidence import UpperBound, first_bound, quick_bound
 from sampling_design.design.bounds.relaxation import Relaxation, relax_placed
 from sampling_design.design.problem.canonical import CanonicalDesign, canonical
@@ -17,11 +14,9 @@ from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.search.costs import relax_costly
 from sampling_design.design.search.fedorov_exchange import even, is_admissible, repaired
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.records.evidence import SolverRecord
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.checkers.strict import Tree
 from sampling_design.design.bounds.branching import narrowed
@@ -32,14 +31,13 @@ from sampling_design.observability.windows.window_sigma import WindowSigma
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed
 from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 Held = TypeVar("Held")
 
 STARTS = 8

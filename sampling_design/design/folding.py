@@ -10,14 +10,11 @@ from __future__ import annotations
 from fractions import Fraction
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.problem.canonical import SAME_RATIO, joined
 from sampling_design.design.problem.feasible import obstacle
 from sampling_design.design.problem.numbers import DesignProblem
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
+from sampling_design.records.arrays import Array, Mask
 
 
 def parts(problem: DesignProblem) -> int:

@@ -15,7 +15,6 @@ from types import TracebackType
 from typing import IO, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.estimators.online.curve import CurveCollector
 from sampling_design.estimators.online.estimate import Estimate, half_widths
@@ -26,11 +25,10 @@ from sampling_design.estimators.records.measurement_table import date_of, dated
 from sampling_design.estimators.records.measurements import Measurements, cell_of
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.file_io import AtomicWriter
 from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked
-
-Array = npt.NDArray[np.float64]
 
 PIECE = 1 << 20
 """Characters that are written at a time."""

@@ -29,9 +29,8 @@ from sampling_design.numerics.filtering import covariance_root, root_update
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
-
-Array = npt.NDArray[np.float64]
 
 NO_CLAIM = "No a-priori claim: a filter, not the estimator of the certificate."
 

@@ -44,11 +44,11 @@ from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.estimators.windowed_estimator import WindowedEstimator, WindowEstimate, WindowStart
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 
 if TYPE_CHECKING:
     from sampling_design.numerics.conic_programs import Problem
 
-Array = npt.NDArray[np.float64]
 
 CLOSED_FORM = ("banded", "square root")
 """Engines that say that no constraint was active."""

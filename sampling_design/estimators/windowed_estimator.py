@@ -10,7 +10,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import lapack
 
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
@@ -26,8 +25,7 @@ from sampling_design.estimators.window.means import IntegralFlows, MeanReading, 
 from sampling_design.estimators.window.sliding import IncomingNode, InitialNode
 from sampling_design.estimators.window.window_problem import EstimationWindow, build_window
 from sampling_design.numerics.filtering import covariance_root
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 LEFT_OUT = "A composite sample began before the window: it counts for the interval alone."
 

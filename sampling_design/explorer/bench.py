@@ -28,12 +28,12 @@ from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.modes import split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.file_io import from_json
 from sampling_design.records.record import Plain, short
 from sampling_design.schedules.files import read_schedule, write_schedule
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
-Array = npt.NDArray[np.float64]
 Reply = dict[str, Plain]
 
 LIVE_BUDGET = 0.5
@@ -161,7 +161,7 @@ class Bench:
         p = self.plant.n_outputs
         if not 1 <= len(marks) <= MOST_MARKS:
             raise ArgumentError(f"`marks` must be 1 to {MOST_MARKS} samples, got {len(marks)}. Add one.")
-        found: dict[float, npt.NDArray[np.bool_]] = {}
+        found: dict[float, Mask] = {}
         placed = [(checks.number("t", mark.get("t")), mark) for mark in marks]
         for at, mark in sorted(placed, key=lambda one: one[0]):
             t = at % self.period

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
@@ -19,6 +18,7 @@ from sampling_design.nonlinear.simulation import Integrator
 from sampling_design.nonlinear.tightest_pairs import SampledTrajectory, TightestPairs
 from sampling_design.nonlinear.weights import NonlinearWeights, scaled_weights
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import Seed
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import YesOrNo, short
@@ -26,8 +26,6 @@ from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.sampling_set import SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-
-Array = npt.NDArray[np.float64]
 
 QUIET_SHARE = 1 / 3
 """Share of the pairs without disturbance and noise: there the right side is smallest."""
@@ -370,7 +368,7 @@ def ratios(
     w: Array,
     v: Array,
     y: Array,
-    measured: npt.NDArray[np.bool_],
+    measured: Mask,
     P1: Array,
     weights: NonlinearWeights,
 ) -> Array:

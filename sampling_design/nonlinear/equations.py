@@ -16,13 +16,13 @@ from sampling_design.nonlinear.functions import PlainFunction, PlantFunctions, T
 from sampling_design.nonlinear.region import StateRegion, own_box
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import Record, counted, short
 from sampling_design.records.units import check_time_unit
 
 if TYPE_CHECKING:
     from casadi import SX, Function
 
-Array = npt.NDArray[np.float64]
 _VECTORS = ("states", "inputs", "disturbances", "outputs", "noises")
 _PREFIX = {"states": "x", "inputs": "u", "disturbances": "w", "outputs": "y", "noises": "v"}
 

@@ -9,7 +9,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError, FileFormatError
@@ -23,6 +22,7 @@ from sampling_design.nonlinear.patient_run import PatientRun
 from sampling_design.nonlinear.report import ThyroidReport
 from sampling_design.nonlinear.simulation import simulate
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.file_io import from_json, read_text, write_text
 from sampling_design.records.signatures import checked
 from sampling_design.records.workers import Workers, check_workers, mapped
@@ -134,10 +134,10 @@ def patient_run(
 
 def _estimates(
     scheme: NonlinearMovingHorizonEstimator,
-    times: npt.NDArray[np.float64],
-    y: npt.NDArray[np.float64],
-    chosen: npt.NDArray[np.bool_],
-) -> tuple[npt.NDArray[np.float64], tuple[SolverRun, ...]]:
+    times: Array,
+    y: Array,
+    chosen: Mask,
+) -> tuple[Array, tuple[SolverRun, ...]]:
     """Run one scheme over the chosen samples and return its estimate at every time, and its solves."""
     scheme.start(model.PRIOR_START)
     estimates = []

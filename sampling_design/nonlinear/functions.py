@@ -7,17 +7,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-import numpy as np
-import numpy.typing as npt
-
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 
 if TYPE_CHECKING:
     from casadi import SX, Function
 
-Array = npt.NDArray[np.float64]
 
 Equation: TypeAlias = "Callable[[SX, SX, SX], SX]"
 

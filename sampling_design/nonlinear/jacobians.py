@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.checkers.inclusion_file import Region
 from sampling_design.checkers.inclusion_file import region as region_of
@@ -18,13 +17,13 @@ from sampling_design.nonlinear.equations import PlantEquations
 from sampling_design.nonlinear.instructions import instructions
 from sampling_design.nonlinear.region import drawn
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import Plain, finite_or_nones, short
 from sampling_design.uncertain.plants.inclusion import InclusionMembers, MemberHull
 
 if TYPE_CHECKING:
     from casadi import SX
 
-Array = npt.NDArray[np.float64]
 
 POINTS = 600
 """Random points of the region whose Jacobians are members, and as many on its faces."""

@@ -29,10 +29,9 @@ from sampling_design.nonlinear.weights import fit_covariance, output_slope, scal
 from sampling_design.nonlinear.window_search import WHOLE, WindowAnswer, WindowSearch
 from sampling_design.numerics.filtering import propagate
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
-
-Array = npt.NDArray[np.float64]
 
 SAME_TIME = 1e-12
 """A window start within this share of the current time of a sample is that sample's time (t - M is rounded)."""

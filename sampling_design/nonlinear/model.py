@@ -6,16 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.nonlinear.equations import PlantEquations
 from sampling_design.nonlinear.functions import linear_model
 from sampling_design.nonlinear.jacobians import hull_of, linearisations_of, members_of, model_of
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import Plain
 from sampling_design.uncertain.plants.inclusion import InclusionMembers, LinearInclusion, MemberHull
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

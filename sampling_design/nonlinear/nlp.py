@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.checkers.strict import Tree
 from sampling_design.estimators.gap_flows.cost_weights import marginal_root
@@ -19,12 +18,12 @@ from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.weights import NonlinearWeights
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import processor_seconds
 
 if TYPE_CHECKING:
     from casadi import SX, Function
 
-Array = npt.NDArray[np.float64]
 
 WARM_PUSH = 1e-9
 """How far a warm start is moved off its bounds: next to nothing, since it came from the interior."""

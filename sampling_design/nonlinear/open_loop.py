@@ -7,7 +7,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import SolverError
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
@@ -15,8 +14,7 @@ from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.promise import InclusionPromise
 from sampling_design.nonlinear.simulation import Integrator, SpreadIntegrator
 from sampling_design.nonlinear.weights import NonlinearWeights
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 EDGE = 1e-6
 """States within this share of their scale of the edge of X are in it: the solver ends there."""

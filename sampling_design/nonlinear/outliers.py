@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import Record, short
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -73,7 +71,7 @@ class Outliers(Record):
         return f"{text[0].upper()}{text[1:]}."
 
 
-def beyond(residual: Array, spread: Array, gate: float) -> npt.NDArray[np.bool_]:
+def beyond(residual: Array, spread: Array, gate: float) -> Mask:
     """Which entries of a residual (p,) exceed `gate` standard deviations, by the diagonal of its covariance."""
     size = np.sqrt(np.diag(spread))
     return np.asarray(np.isfinite(size) & (np.abs(residual) > gate * size))

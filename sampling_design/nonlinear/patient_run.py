@@ -11,9 +11,9 @@ import numpy.typing as npt
 from sampling_design.checkers.strict import Tree
 from sampling_design.nonlinear.mhe import SolverRun
 from sampling_design.nonlinear.thyroid import SCALING
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import Record, short
 
-Array = npt.NDArray[np.float64]
 SCHEMES = ("standard", "sample_based")
 SPANS = {"all": 0.0, "without_start": 1e-9, "after_day_1": 1.0}
 """From when on the grid counts [d]; the first instant alone carries most of the error."""
@@ -45,7 +45,7 @@ class PatientRun(Record):
     times: Array
     truth: Array
     outputs: Array
-    sampled: npt.NDArray[np.bool_]
+    sampled: Mask
     standard: Array
     sample_based: Array
     solves_standard: tuple[SolverRun, ...]

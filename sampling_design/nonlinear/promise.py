@@ -16,17 +16,15 @@ from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.nonlinear.jacobians import model_of
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.region import StateRegion
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import Plain
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
-
-Array = npt.NDArray[np.float64]
 
 ROUNDING = 1e-9
 """Share of itself that is added to every bound, so that rounding and the integrator's own error cannot break it."""
 
 SAME_GAP = 1e-9
 """A gap beyond the certified ones by this share of itself is rounding."""
-
 
 UNCOVERED = "a gap or an output that the certificate does not cover, a state outside its region, or an unbounded start"
 """Why an estimate under a certificate may have none."""
@@ -43,7 +41,7 @@ class WindowTrajectory(NamedTuple):
     x: Array
     w: Array
     misfit: Array
-    counted: npt.NDArray[np.bool_]
+    counted: Mask
     jumps: Array
 
 

@@ -5,16 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.estimators.online.estimate import Estimate, Status
 from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.nonlinear.open_loop import NonlinearLoop
 from sampling_design.nonlinear.promise import UNCOVERED
+from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
-
-Array = npt.NDArray[np.float64]
 
 NOTE = "No radius: no certificate was given."
 

@@ -10,10 +10,10 @@ import numpy.typing as npt
 from sampling_design.checkers.half_spaces import holds_a_point
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import Plain, Record, finite_or_nones, short
 
-Array = npt.NDArray[np.float64]
 Box = tuple[Array, Array]
 
 FAR = 10.0
@@ -64,7 +64,7 @@ class StateRegion(Record):
             raise ArgumentError("`about` must lie between `lower` and `upper` of the region.")
         object.__setattr__(self, "about", _frozen(about))
 
-    def holds(self, x: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+    def holds(self, x: npt.ArrayLike) -> Mask:
         """Whether states (..., n) lie in the region."""
         points = checks.floats("x", x)
         inside = np.all((points >= self.lower) & (points <= self.upper), axis=-1)

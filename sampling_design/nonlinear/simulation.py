@@ -12,11 +12,10 @@ from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.collocation import BETWEEN
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 
-Array = npt.NDArray[np.float64]
 TOLERANCE = 1e-10
 """Relative and absolute tolerance of the integrator, in scaled states."""
-
 
 SPREAD_TOLERANCE = 1e-6
 """Relative tolerance of covariances: a millionth of a variance changes no digit that is printed."""

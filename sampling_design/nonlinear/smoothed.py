@@ -13,10 +13,9 @@ from sampling_design.nonlinear.nlp import WindowData
 from sampling_design.nonlinear.weights import NonlinearWeights
 from sampling_design.nonlinear.window_search import WindowAnswer
 from sampling_design.nonlinear.window_spread import smoothed_covariances
+from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import CurveRecord, TableRecord, Variable, short
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -20,11 +20,11 @@ from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.thyroid import DAY, constants_of, loop
 from sampling_design.plants.plant import Signals
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 
 if TYPE_CHECKING:
     from casadi import SX
 
-Array = npt.NDArray[np.float64]
 
 REST = np.array([7.33e-13, 2.161e-8, 9.583e-10, 2.102e-9, 4.698, 5.017])
 """About the untreated patient's rest: the unit of each logarithm."""

@@ -6,7 +6,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
@@ -14,8 +13,7 @@ from sampling_design.nonlinear.simulation import SpreadIntegrator
 from sampling_design.nonlinear.weights import NonlinearWeights
 from sampling_design.numerics.filtering import measurement_update, whitened
 from sampling_design.numerics.linalg import symmetrise
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array, Mask
 
 FIRST_INSTANTS = 40
 """Times looked at between the start and the first grid time, evenly in their logarithms: fast modes speak there."""
@@ -38,7 +36,7 @@ class SampledTrajectory(NamedTuple):
     w: Array
     v: Array
     u: Array
-    measured: npt.NDArray[np.bool_]
+    measured: Mask
 
 
 class TightestPair(NamedTuple):

@@ -12,10 +12,9 @@ from sampling_design.errors import SolverError
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.signatures import checked
 from sampling_design.uncertain.plants.time_varying import TOLERANCE, IntegrationEffort, MatrixOfTime, TimeVaryingPlant
-
-Array = npt.NDArray[np.float64]
 
 
 @checked

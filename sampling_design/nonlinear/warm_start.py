@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.nonlinear.nlp import ProgramPoint, WindowSolution
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array, Index, Mask
 
 SAME_NODE = 1e-9
 """Two nodes closer than this share of the window are one."""
@@ -69,20 +67,20 @@ def moved(previous: WindowSolution, guess: WindowSolution, points: Array, before
     )
 
 
-def _kept(rows: Array, index: npt.NDArray[np.intp], chosen: npt.NDArray[np.bool_]) -> Array:
+def _kept(rows: Array, index: Index, chosen: Mask) -> Array:
     """Return rows[index] where chosen, else 0."""
     result = np.zeros((index.size, *rows.shape[1:]))
     result[chosen] = rows[index[chosen]]
     return result
 
 
-def _shared_pieces(old: Array, new: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.bool_]]:
+def _shared_pieces(old: Array, new: Array) -> tuple[Index, Mask]:
     """For each new piece the old one that holds its middle, and whether there is one."""
     middle = (new[:-1] + new[1:]) / 2
     return np.searchsorted(old, middle) - 1, (middle > old[0]) & (middle < old[-1])
 
 
-def _same_nodes(old: Array, new: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.bool_]]:
+def _same_nodes(old: Array, new: Array) -> tuple[Index, Mask]:
     """For each new node the nearest old one, and whether it is the same."""
     right = np.clip(np.searchsorted(old, new), 0, old.size - 1)
     left = np.clip(right - 1, 0, old.size - 1)

@@ -13,9 +13,8 @@ from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import ArrivalKind, CostFunction, Form
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.signatures import checked
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

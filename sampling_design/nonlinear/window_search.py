@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.model import NonlinearPlant
@@ -15,8 +14,7 @@ from sampling_design.nonlinear.simulation import Integrator
 from sampling_design.nonlinear.warm_start import moved, open_loop_guess
 from sampling_design.nonlinear.weights import NonlinearWeights
 from sampling_design.nonlinear.window_spread import WindowSpread, spread_of
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 DEGREES = (2, 3, 5, 7, 9)
 """Degrees that are tried in turn where the discretisation costs too much."""

@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import lapack
 
 from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.nonlinear.nlp import WindowSlopes
 from sampling_design.nonlinear.weights import NonlinearWeights
 from sampling_design.numerics.filtering import propagate
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 
 class WindowSpread(NamedTuple):

@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
-Order = npt.NDArray[np.intp]
+from sampling_design.records.arrays import Array, Index, Mask
 
 ROUNDS = 40  # of reweighted least squares: enough for the median of what the couplings ask of the scales
 FARTHEST = 1000.0  # |log2| of a scale: beyond, numbers end
@@ -18,7 +16,7 @@ class Balance(NamedTuple):
     """Scales d, an order of the states, and the norm of diag(d)^-1 A diag(d) without what couples components."""
 
     d: Array
-    order: Order
+    order: Index
     speed: float
 
 
@@ -116,7 +114,7 @@ def _between(size: Array) -> Array:
     return np.clip(s, -FARTHEST, FARTHEST)
 
 
-def _depth(driven: npt.NDArray[np.bool_]) -> Order:
+def _depth(driven: Mask) -> Index:
     """How many couplings lead from a component to the last one that it drives: drivers come after the driven."""
     depth = np.zeros(len(driven), dtype=np.intp)
     for _ in range(len(driven)):

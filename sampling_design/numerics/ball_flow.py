@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.numerics.balls import (
     Ball,
@@ -27,9 +26,8 @@ from sampling_design.numerics.balls import (
     spectral,
 )
 from sampling_design.numerics.branch_and_bound import all_proven
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
-
-Array = npt.NDArray[np.float64]
 
 FLOOR = 1e-6
 """Least share of one part beside the other: what couples them by rounding counts 1/sqrt(this) times."""

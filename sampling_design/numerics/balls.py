@@ -19,14 +19,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import MissingExtraError
+from sampling_design.records.arrays import Array
 
 if TYPE_CHECKING:
     from flint import arb, arb_mat
 
 Ball: TypeAlias = "arb"
 Matrix: TypeAlias = "arb_mat"
-
-Array = npt.NDArray[np.float64]
 
 BITS = 160
 """Working precision: 53 bits of the doubles, and a hundred against cancellation and the growth of radii."""

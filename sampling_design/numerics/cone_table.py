@@ -11,13 +11,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
+
+from sampling_design.records.arrays import Array, Index
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 
 class ConeTable:

@@ -16,9 +16,9 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import SolverError
+from sampling_design.records.arrays import Array, Index
 from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import SolverRecord
 
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from cvxpy import Problem as Problem
     from scipy.sparse import csc_matrix
 
-Array = npt.NDArray[np.float64]
 
 TOLERANCE = 1e-9
 """Gap and feasibility asked of the solver; what comes back may still miss it by some digits."""
@@ -158,7 +157,7 @@ def smat(vectors: Array) -> Array:
 
 
 @cache
-def _triangle(n: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], Array]:
+def _triangle(n: int) -> tuple[Index, Index, Array]:
     """Rows, columns (i <= j, column after column) and scale, 1 on the diagonal and sqrt(2) off it."""
     columns, rows = np.tril_indices(n)
     return rows, columns, np.where(rows == columns, 1.0, np.sqrt(2.0))

@@ -15,12 +15,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import lapack
 
 from sampling_design.numerics.linalg import symmetrise
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 
 def propagate(Y: Array, F: Array, W: Array) -> Array:

@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.numerics.balancing import balance
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 _TAYLOR_DEGREE = 18  # with the radius below, to rounding
 _TAYLOR_RADIUS = 1.0  # |A t / 2^s|_1 at which 18 terms leave a remainder below eps/4

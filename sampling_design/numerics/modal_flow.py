@@ -20,8 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.numerics.linalg import expm_batch
+from sampling_design.records.arrays import Array, Index, Integers, Mask
 
-Array = npt.NDArray[np.float64]
 Entries = npt.NDArray[Any]  # real or complex
 
 CONDITION_LIMIT = 1e3  # of V with orthonormal columns per block: the factor by which rounding may grow
@@ -225,7 +225,7 @@ def _conjugate_pairs(values: Entries) -> Entries:
     return paired
 
 
-def _clusterings(values: Entries, radius: float) -> Iterator[npt.NDArray[np.intp]]:
+def _clusterings(values: Entries, radius: float) -> Iterator[Index]:
     """Labels of single-linkage clusters, from fine to coarse, until everything is one cluster.
 
     Which eigenvalues are one is not asked here (`plants/grouping.py` does): blocks are coarsened until their basis is
@@ -244,7 +244,7 @@ def _clusterings(values: Entries, radius: float) -> Iterator[npt.NDArray[np.intp
         radius = float(between.min()) * (1 + 1e-9)
 
 
-def _block_basis(T: Entries, Q: Entries, labels: npt.NDArray[np.int_]) -> tuple[Entries | None, list[int], list[int]]:
+def _block_basis(T: Entries, Q: Entries, labels: Integers) -> tuple[Entries | None, list[int], list[int]]:
     """Columns V, orthonormal within each block, with A V = V blockdiag: swaps, then Sylvester equations."""
     from scipy.linalg.lapack import ztrexc, ztrsyl
 
@@ -310,7 +310,7 @@ def _refined(
     return kept, condition, ""
 
 
-def _decoupling(T: Entries, off: Entries, values: Entries, parts: list[slice], same: npt.NDArray[np.bool_]) -> Entries:
+def _decoupling(T: Entries, off: Entries, values: Entries, parts: list[slice], same: Mask) -> Entries:
     """X with T X - X T = -off outside the blocks of T, by iteration around the blocks' means."""
     means = np.concatenate([np.full(p.stop - p.start, np.mean(values[p])) for p in parts])
     gap = np.where(same, 1, means[:, None] - means[None, :])

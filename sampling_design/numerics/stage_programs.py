@@ -13,11 +13,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg.lapack import dgbtrf, dgbtrs
 
-Array = npt.NDArray[np.float64]
-Places = npt.NDArray[np.intp]
+from sampling_design.records.arrays import Array, Index
 
 ITERATIONS = 100
 """At most; thirty are usual."""
@@ -108,7 +106,7 @@ class StageProgram:
         inner = np.arange(n)
         self._tall = 3 * self._width + 1
 
-        def flat(row: Places, column: Places) -> Places:
+        def flat(row: Index, column: Index) -> Index:
             i = row[:, None, None] + inner[:, None]
             j = column[:, None, None] + inner
             return np.asarray((2 * self._width + i - j) + j * self._tall)
@@ -234,7 +232,7 @@ class StageProgram:
         w = self._shown(p) - q[: self._many]
         return max(float(np.max(np.abs(rest))), float(np.max(np.abs(w), initial=0.0)))
 
-    def factorised(self, D: Array) -> tuple[Array, Places]:
+    def factorised(self, D: Array) -> tuple[Array, Index]:
         """The banded system for weights D of the bounded entries."""
         band, many = self._fixed.copy(), self._many
         own = self._summed(self._rows[:, :, None] * (self._rows * D[many:, None])[:, None, :])
@@ -246,7 +244,7 @@ class StageProgram:
         return lu, pivots
 
     def direction(
-        self, system: tuple[Array, Places], D: Array, aimed: Array, drift: Array, target: Array
+        self, system: tuple[Array, Index], D: Array, aimed: Array, drift: Array, target: Array
     ) -> tuple[Array, Array, Array]:
         """dz, the new p, and dt, for multipliers aimed + D dt."""
         n, K, many = self.n, self.K, self._many

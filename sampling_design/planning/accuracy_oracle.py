@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.finite import NO_ERROR
 from sampling_design.accuracy.start import StartSet
@@ -15,10 +14,8 @@ from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory, peaks_of
 from sampling_design.planning.problem import PlanProblem, RowGoal
 from sampling_design.planning.work_prices import FAINT
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 SETTLED = 2e-3
 """A longer past is looked at until it adds less than this share."""
@@ -266,7 +263,7 @@ class AccuracyOracle:
         knots = self._knots(chosen, last, back)
         return GridWindow(self.motion, knots, chosen[knots % self.problem.steps])
 
-    def _knots(self, chosen: Mask, last: int, back: int) -> npt.NDArray[np.intp]:
+    def _knots(self, chosen: Mask, last: int, back: int) -> Index:
         """The steps of its samples."""
         steps = self.problem.steps
         at = np.flatnonzero(chosen.any(axis=1))

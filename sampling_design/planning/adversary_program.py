@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.start import StartSet
 from sampling_design.numerics.cone_table import ConeTable
@@ -19,9 +18,7 @@ from sampling_design.numerics.conic_programs import INFEASIBLE, SOLVED, UNBOUNDE
 from sampling_design.numerics.stage_programs import StageProgram
 from sampling_design.planning.discrete_plant import DiscretePlant
 from sampling_design.planning.work_prices import CONE, STAGES
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
+from sampling_design.records.arrays import Array, Index, Mask
 
 TOLERANCE = 1e-7
 """Asked of the solver: attacks are scaled until they are admissible, so it only costs strength."""
@@ -54,7 +51,7 @@ class DisturbedTrajectory:
     """
 
     w: Array
-    knots: npt.NDArray[np.intp]
+    knots: Index
     states: Array
     path: Array
 
@@ -64,7 +61,7 @@ class DisturbedTrajectory:
         return float(np.max(sizes, initial=0.0))
 
 
-def in_stages(motion: DiscretePlant, knots: npt.NDArray[np.intp]) -> bool:
+def in_stages(motion: DiscretePlant, knots: Index) -> bool:
     """Whether a window of samples at `knots` is so large that it is solved stage by stage."""
     many = sum(len(motion.gap(int(d))[2]) for d in np.diff(knots)) * motion.G.shape[1]
     return not motion.ball and many > MANY
@@ -80,7 +77,7 @@ class GridWindow:
     def __init__(
         self,
         motion: DiscretePlant,
-        knots: npt.NDArray[np.intp],
+        knots: Index,
         seen: Mask,
         faint: Array | None = None,
         start: StartSet | None = None,
@@ -219,7 +216,7 @@ class GridWindow:
         return fly(motion, self.knots - self.knots[0], states, steps)
 
 
-def fly(motion: DiscretePlant, knots: npt.NDArray[np.intp], states: Array, w: Array) -> DisturbedTrajectory:
+def fly(motion: DiscretePlant, knots: Index, states: Array, w: Array) -> DisturbedTrajectory:
     """Return the path over every step, flown from each knot to the next."""
     path = np.empty((len(w) + 1, motion.n))
     F, Gamma = motion.F, motion.Gamma

@@ -10,16 +10,14 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.planning.cost_proof import CostBranch, CostLeaf, CostProof, CostTree
 from sampling_design.planning.covering import CoveringRows, CoverModel, Key, relaxed
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
 from sampling_design.planning.hitting_set import hit
 from sampling_design.planning.work_prices import RELAXED
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
-
-Array = npt.NDArray[np.float64]
 
 OPEN_ROW = 1e3
 """Price of a row left open, in units of the dearest variable's: what has no choice becomes this dear."""
@@ -59,7 +57,6 @@ BELOW = 1 - 1e-6
 
 ENDS = 6
 """Ends of one attack that are added at a time."""
-
 
 Finder: TypeAlias = Callable[[Array, float], None]
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.deadline import GoalDue, exceeded_since, first_due, kept_from, reached_at
@@ -15,9 +14,8 @@ from sampling_design.planning.opening import PlanClock
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import proven_ratio, settles, worst_ratio
 from sampling_design.planning.sequence_deviation import SampleSequence, departs_and_returns, is_apart, planned, too_soon
+from sampling_design.records.arrays import Array, Mask
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 Option = tuple[float, Mask]
 
 NEAR = 0.998

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
@@ -16,9 +15,8 @@ from sampling_design.planning.adversary_program import fly
 from sampling_design.planning.discrete_plant import DiscretePlant
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.planning.problem import WHOLE, PlanProblem, pose_plan
+from sampling_design.records.arrays import Mask
 from sampling_design.records.units import SECONDS, time_factor
-
-Mask = npt.NDArray[np.bool_]
 
 COARSE = 168
 """Steps of a grid, the hours of a week, up to which it is not looked at more coarsely first."""

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from typing import TypeAlias, Union
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.planning.covering import CoveringRows, CoverModel, Key, proven
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

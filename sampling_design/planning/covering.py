@@ -14,16 +14,14 @@ from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.planning.problem import PlanProblem
 from sampling_design.planning.work_prices import COVER, NODE
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 Key: TypeAlias = tuple[int, int]
 
 NODES = 400
@@ -137,7 +135,7 @@ class CoveringRows:
     def frame(self) -> tuple[sparse.csr_matrix, Array]:
         """Rows of every admissible choice: A x >= b."""
         problem = self.problem
-        rows: list[tuple[npt.NDArray[np.intp], Array, float]] = []
+        rows: list[tuple[Index, Array, float]] = []
         if not self.whole:
             for i, step in enumerate(self.at.tolist()):
                 mine = self.place[step][problem.allowed[step]]
@@ -166,7 +164,7 @@ class CoveringRows:
         last = int(self.frame[0].shape[0]) - 1
         return list(range(last - count, last))
 
-    def _spaced(self, place: npt.NDArray[np.intp], least: int) -> list[tuple[npt.NDArray[np.intp], Array, float]]:
+    def _spaced(self, place: Index, least: int) -> list[tuple[Index, Array, float]]:
         """At most one in every stretch of so many steps."""
         steps, rows = self.problem.steps, []
         if least <= 1:
@@ -181,7 +179,7 @@ class CoveringRows:
         return rows
 
     @property
-    def places(self) -> npt.NDArray[np.intp]:
+    def places(self) -> Index:
         """The variable of each step and sensor, or of each step's sample (M, 1) where samples are whole; -1: none."""
         return self.place[:, self.used[:1]] if self.whole else self.place
 
@@ -198,13 +196,13 @@ class CoveringRows:
         weights = attack.weights(level)
         return np.minimum(weights[:, self.used].sum(axis=1, keepdims=True), 1.0) if self.whole else weights
 
-    def sizes(self, attack: HiddenTrajectory, ends: npt.NDArray[np.intp], level: float) -> npt.NDArray[np.intp]:
+    def sizes(self, attack: HiddenTrajectory, ends: Index, level: float) -> Index:
         """How many of the measurements that may be taken see an attack turned to each of these ends."""
         seen = self.view(attack, level) > 0
         there = self.places[self.at] >= 0
         return np.asarray(np.sum(seen[(ends[:, None] - self.at) % self.problem.steps] & there, axis=(1, 2)))
 
-    def row(self, attack: HiddenTrajectory, end: int, level: float) -> tuple[npt.NDArray[np.intp], Array, float]:
+    def row(self, attack: HiddenTrajectory, end: int, level: float) -> tuple[Index, Array, float]:
         """The row that asks for an attack, turned to `end` and scaled to `level`, to be seen."""
         weights = self.view(attack, level)
         back, column = np.nonzero(weights)
@@ -315,7 +313,7 @@ def proven(model: CoverModel, y: Array, low: Array, high: Array) -> float:
     return float(model.b @ y + terms.sum()) - ROUNDING * size
 
 
-def _stacked(rows: list[tuple[npt.NDArray[np.intp], Array, float]], columns: int) -> tuple[sparse.csr_matrix, Array]:
+def _stacked(rows: list[tuple[Index, Array, float]], columns: int) -> tuple[sparse.csr_matrix, Array]:
     """Sparse rows and their right sides."""
     if not rows:
         return sparse.csr_matrix((0, columns)), np.zeros(0)

@@ -12,7 +12,6 @@ from datetime import datetime
 from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.plan_record import Plan
@@ -27,13 +26,12 @@ from sampling_design.planning.sequence_deviation import (
 )
 from sampling_design.planning.start import plan_start
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.record import PlainRecord, counted, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken
 from sampling_design.schedules.schedule import Schedule
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 DatedSample: TypeAlias = tuple[float, Mask]
 
 MOST_ADDED = 3
@@ -239,7 +237,7 @@ class _Dating:
         """Whether a clock time is no holiday, and one that the clocks show."""
         return self.calendar.is_open(t * self.clock.minutes, holidays=True)
 
-    def _closed(self, run: npt.NDArray[np.intp]) -> _Closed:
+    def _closed(self, run: Index) -> _Closed:
         times = self.times[run]
         if self.soon[run].all():
             return _Closed(times, "too soon after the sample before by the changed clocks")
@@ -372,7 +370,7 @@ class _Dating:
         )
 
 
-def _runs(mask: Mask) -> list[npt.NDArray[np.intp]]:
+def _runs(mask: Mask) -> list[Index]:
     """Stretches of neighbours that are true."""
     at = np.flatnonzero(mask)
     return [run for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if run.size]

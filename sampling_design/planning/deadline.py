@@ -7,15 +7,13 @@ from dataclasses import dataclass, replace
 from itertools import chain, groupby, pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.planning.adversary_program import GridWindow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import WHOLE
 from sampling_design.planning.sequence import steps_skipped, window_after
 from sampling_design.planning.sequence_deviation import SampleSequence, departs_and_returns, spread_of
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 
 @dataclass(frozen=True)

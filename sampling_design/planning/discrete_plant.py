@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import schur
 
 from sampling_design.accuracy.bounds import SignalBounds
@@ -16,11 +15,9 @@ from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.planning.problem import MOST_STEPS, PlanProblem
 from sampling_design.plants.clusters import format_eigenvalue
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import short
 from sampling_design.records.units import spoken
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 CELLS = 6
 """Cells of constant disturbance in a gap, unless it holds several turns of an oscillation."""
@@ -32,7 +29,6 @@ GOLDEN = (np.sqrt(5.0) - 1) / 2  # section of a search on one variable
 
 SPREAD = (7, 24)
 """Samples of the schedule that chooses the coordinates, at least and at most."""
-
 
 HIDDEN = 1e-9
 """A direction is hidden from rows of norm one that show less than this share of it."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import NotDetectableError
 from sampling_design.planning.figures import PlanFigures
@@ -11,11 +10,9 @@ from sampling_design.planning.robustness import PlanRobustness
 from sampling_design.planning.sequence import proven_ratio, settles, worst_ratio
 from sampling_design.planning.sequence_deviation import SampleSequence, planned
 from sampling_design.planning.start import SAME_ANEW
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 LATES = 8
 """Delays of one sample that are judged, at most, evenly spread up to the next sample, or up to the first of these."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.planning.adversary_program import fly
 from sampling_design.planning.cost_proof import CostProof, proven_cost
@@ -14,12 +13,10 @@ from sampling_design.planning.discrete_plant import DiscretePlant
 from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories, HiddenTrajectory, peaks_of
 from sampling_design.planning.problem import PlanProblem
-
-Mask = npt.NDArray[np.bool_]
+from sampling_design.records.arrays import Mask
 
 KEPT = 1e-7
 """Share by which a motion that is flown anew is scaled down beyond what it exceeds: rounding of its path."""
-
 
 EASED = 1 - 1e-5
 """Levels are stated this much lower than they were proven at, so that what is flown anew proves them, not nearly: the

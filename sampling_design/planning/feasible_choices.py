@@ -10,21 +10,18 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.deviation import StandardDeviation
 from sampling_design.errors import UndecidedError
 from sampling_design.planning.problem import PlanProblem
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 GoalProofs: TypeAlias = tuple[Accuracy | None, StandardDeviation | None]
 
 SPREAD = (np.sqrt(5.0) - 1) / 2
 """Multiples of it, less their whole part, are spread evenly."""
-
 
 TIGHTER, TIGHTEST, ROOM = 2.0, 0.95, 1.004
 """Where samples may be late: how much tighter a search asks at most than the one before, the last margin, and room."""

@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.accuracy import guaranteed_accuracy
 from sampling_design.accuracy.accuracy_record import Accuracy
@@ -22,13 +21,10 @@ from sampling_design.planning.problem import PlanProblem, RowGoal, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.robustness import PlanRobustness
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import Record
 from sampling_design.records.units import SECONDS
 from sampling_design.schedules.schedule import PeriodicSchedule
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
-
 
 RTOL = 0.005
 """Width of the brackets that prove a plan."""

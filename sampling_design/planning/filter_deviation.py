@@ -10,7 +10,6 @@ below it everywhere: it bounds what any choice can reach, and asks every choice 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import discounted_flow, symmetrise
@@ -18,10 +17,8 @@ from sampling_design.planning.discrete_plant import DiscretePlant
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.planning.problem import PlanProblem, RowGoal
 from sampling_design.planning.work_prices import FILTER
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 WIDE = 1e4
 """Covariance at the start of a filter that knows nothing, where a well measured state has size one."""

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import InfeasibleRequirementError
 from sampling_design.planning.plan_record import without_limits
 from sampling_design.planning.problem import SAME_PRICE, PlanProblem
-
-Mask = npt.NDArray[np.bool_]
+from sampling_design.records.arrays import Mask
 
 
 def densest(problem: PlanProblem) -> Mask:

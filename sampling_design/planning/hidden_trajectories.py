@@ -11,12 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.planning.adversary_program import DisturbedTrajectory
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
+from sampling_design.records.arrays import Array, Index, Mask
 
 HIDDEN = 1 - 1e-9
 """An output counts as hidden if its ratio to the bound is below this: rounding never hides anything."""
@@ -114,7 +111,7 @@ class HiddenTrajectories:
                 best, which, where = float(ratios[end]), attack, end
         return best, which, where
 
-    def proven(self, attack: HiddenTrajectory, at: npt.NDArray[np.intp], sensor: npt.NDArray[np.intp]) -> Array:
+    def proven(self, attack: HiddenTrajectory, at: Index, sensor: Index) -> Array:
         """For every end of an attack, the ratio that it proves of samples (at, sensor)."""
         back = (np.arange(self.steps)[:, None] - at[None, :]) % self.steps
         peaks = attack.peaks[back, sensor[None, :]]

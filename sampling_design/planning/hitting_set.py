@@ -19,11 +19,10 @@ from sampling_design.planning.cost_proof import CostBranch, CostLeaf, CostProof,
 from sampling_design.planning.covering import CoveringRows, Key
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
 from sampling_design.planning.work_prices import MEETING
+from sampling_design.records.arrays import Index, Mask
 from sampling_design.records.budget import Budget
 
 Array32 = npt.NDArray[np.float32]
-Mask = npt.NDArray[np.bool_]
-Places = npt.NDArray[np.intp]
 
 MOST_NODES = 10_000
 """Nodes of a tree, beyond which it is given up."""
@@ -33,7 +32,6 @@ DEEPEST = 300
 
 MOST_ENTRIES = 20_000_000
 """Motions, their ends and the steps of a program, beyond which it is not written out."""
-
 
 TIE = 1e-9
 """Costs are equal within this share."""
@@ -109,7 +107,7 @@ class _Search:
         self.given = np.zeros(cover.columns + 1, dtype=bool)
         self.given[-1] = True  # the owner of what is asked for in any case
         self.keys: list[Key] = []
-        steps, shows, owners = cover.problem.steps, list[Array32](), list[Places]()
+        steps, shows, owners = cover.problem.steps, list[Array32](), list[Index]()
         for a in reaching:
             attack = pool.attacks[a]
             seen = cover.view(attack, level)[:, 0] > 0
@@ -133,7 +131,7 @@ class _Search:
             return HittingSet(self.cover.choice(self.given[:-1].astype(float))) if self.found else HittingSet()
         return HittingSet(none=True, proof=self._told(tree))
 
-    def _node(self, unmet: Places, free: Mask, depth: int) -> CostTree | None:
+    def _node(self, unmet: Index, free: Mask, depth: int) -> CostTree | None:
         """The tree below what is given and what is still free; None once a choice is found, or nodes ran out."""
         self.left -= 1
         asked = unmet[self.given[self.owner[unmet]]]
@@ -169,7 +167,7 @@ class _Search:
         """Where a motion is shown by nothing that is left: its row alone proves any cost."""
         return CostLeaf((int(row),), (self.below,))
 
-    def _counted(self, rows: Places) -> CostLeaf:
+    def _counted(self, rows: Index) -> CostLeaf:
         """Where so many motions ask for one sample each: the samples cost too much, or there are too many of them."""
         price, count = float(self.cover.cost[0]), int(self.given[:-1].sum()) + len(rows)
         missing = self.below - price * count
@@ -194,7 +192,7 @@ class _Search:
         return replace(proof, value=min(self.below, proven_cost(self.cover, self.pool, proof)))
 
 
-def _apart(shows: Array32, counts: Array32, enough: int) -> Places:
+def _apart(shows: Array32, counts: Array32, enough: int) -> Index:
     """Rows that share no step, those with few steps first, until there are so many."""
     taken, apart = list[int](), np.where(counts > 0, counts, np.inf)
     while len(taken) < enough and np.isfinite(apart.min()):

@@ -8,12 +8,10 @@ What is left shows every motion that reaches the level and is hidden from the re
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
-
-Mask = npt.NDArray[np.bool_]
+from sampling_design.records.arrays import Mask
 
 MOST_FAILURES = 4
 """Measurements in a row that no motion can do without, after which it is left at that."""

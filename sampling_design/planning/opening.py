@@ -13,10 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import Plain, Record
 from sampling_design.schedules.time_stamps import parse_date, passed, time_zone
-
-Array = npt.NDArray[np.float64]
 
 WeekHours: TypeAlias = dict[str, tuple[tuple[str, str], ...]]
 DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")

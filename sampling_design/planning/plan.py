@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.certificates.certification import certify
 from sampling_design.certificates.exact.certificate import Certificate
@@ -41,14 +40,13 @@ from sampling_design.planning.undetected_modes import finer_grid, modes_of
 from sampling_design.planning.work_prices import AFTER, CERTIFIED, GAINS
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget, BudgetSpentError
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 Made = TypeVar("Made")
 
 MARGIN = 0.004

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.deviation import StandardDeviation, standard_deviation
@@ -20,19 +19,16 @@ from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.problem import PlanProblem
 from sampling_design.planning.start import PlanStart, starts
 from sampling_design.plants.functional import FunctionalPlant, is_about
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.declarations import plain, selected
 from sampling_design.records.record import Plain, counted, short
 from sampling_design.records.units import spoken
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
-
 FORMAT = "sampling-design/plan/1"
 
 SAME = 1e-6
 """Figures worked out anew agree to this share."""
-
 
 UNSTARTED = " This is said of a plan that has been followed for ever; of its start nothing is proven."
 

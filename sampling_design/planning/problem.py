@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.start import InitialSet
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
@@ -15,11 +14,9 @@ from sampling_design.planning.requirement import KINDS, PlanRequirement, SensorT
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import wanted_rows
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.units import SECONDS, spoken, time_factor
 from sampling_design.schedules.schedule import PeriodicSchedule
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 WHOLE = 1e-6
 """A time counts as a whole number of grid steps within this share of a step."""
@@ -86,8 +83,8 @@ class PlanProblem:
     price: Array
     visit: float
     spacing: int
-    sensor_spacing: npt.NDArray[np.intp]
-    longest_use: npt.NDArray[np.intp]
+    sensor_spacing: Index
+    longest_use: Index
     v_bound: Array
     v_deviation: Array
     w_intensity: Array

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import UndecidedError
 from sampling_design.planning.evidence import PlanBound
@@ -11,10 +10,8 @@ from sampling_design.planning.feasible_choices import GoalProofs
 from sampling_design.planning.figures import accuracy_of
 from sampling_design.planning.plan_record import Plan, deviation_of, reached
 from sampling_design.planning.problem import PlanProblem
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 
 def proof_of(problem: PlanProblem, chosen: Mask) -> GoalProofs:

@@ -14,11 +14,11 @@ from sampling_design.accuracy.start import InitialError
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.opening import OpeningCalendar, week_hours
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import Plain, PlainRecord, Record, counted, short
 from sampling_design.records.units import SECONDS, check_time_unit
 
-Array = npt.NDArray[np.float64]
 Duration: TypeAlias = float | str
 DisturbanceBound: TypeAlias = float | Sequence[float] | None
 

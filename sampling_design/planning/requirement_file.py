@@ -64,7 +64,6 @@ def _hours(value: object, place: str) -> object:
 
 _GOAL = table({"tolerance": positive}, {"at": _when, "row": list_of(number), "kind": word(*KINDS)})
 
-
 _goal = by_kind({Mapping: _GOAL}, positive)
 """A tolerance, or a table of all that may be said of a goal."""
 _SENSOR = table(

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.units import spoken
-
-Array = npt.NDArray[np.float64]
 
 LOST = ("none", "any one", "any two in a row")
 """What may be lost, in words."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.planning.accuracy_oracle import SETTLED, AccuracyOracle
 from sampling_design.planning.bounds import BELOW, separated
@@ -23,9 +22,7 @@ from sampling_design.planning.narrowing import narrowed
 from sampling_design.planning.problem import PlanProblem
 from sampling_design.planning.search_progress import PlanProgress
 from sampling_design.planning.work_prices import WEIGHED
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
+from sampling_design.records.arrays import Array, Index, Mask
 
 GRID = 120
 """Steps at which a faint motion is held down, about."""
@@ -471,7 +468,7 @@ class PlanSearch:
                 return
 
 
-def _spread(size: int, count: int) -> npt.NDArray[np.intp]:
+def _spread(size: int, count: int) -> Index:
     """So many places of a list, evenly spread."""
     return np.round(np.linspace(0, size - 1, min(count, size))).astype(np.intp)
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.planning.problem import PlanProblem
+from sampling_design.records.arrays import Mask
 from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
-
-Mask = npt.NDArray[np.bool_]
 
 SEARCHED, PROVEN, AFTERWARDS = 0.6, 0.8, 0.9
 """How far a search comes, that and its bounds, and what else is said of a plan."""

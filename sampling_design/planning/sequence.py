@@ -8,7 +8,6 @@ again no larger than the plan's proof supposes, and as many more as that proof l
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, open_row
 from sampling_design.accuracy.sample_chain import SampleChain
@@ -21,12 +20,10 @@ from sampling_design.planning.sequence_chain import phase_of, plan_chain, sequen
 from sampling_design.planning.sequence_deviation import SampleSequence, asked, departs_and_returns, spread_of
 from sampling_design.planning.transient_bound import settled_factors
 from sampling_design.planning.work_prices import BETWEEN, CHAIN, GAINS, STARTED
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 SHARPER = 40
 """Offsets of a gap that are solved, at most."""
-
 
 HOPELESS, FEW = 10.0, 4
 """A bound so many times what is asked for, after so many solves, is not proven closer."""

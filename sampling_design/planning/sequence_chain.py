@@ -6,7 +6,6 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.finite import NO_ERROR, covariance_root, finite_atoms, opening
@@ -25,10 +24,9 @@ from sampling_design.numerics.filtering import information_update, propagate, up
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.sequence_deviation import SampleSequence
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
 from sampling_design.schedules.schedule import PeriodicSchedule
-
-Array = npt.NDArray[np.float64]
 
 GRAIN = 1e-9
 """Times are the same if they differ by less than this share of the period."""
@@ -144,7 +142,7 @@ def _planned(plan: PlanFigures, own: SampleChain, sequence: SampleSequence, k: i
     return phase if same else None
 
 
-def _fresh(plan: PlanFigures, own: SampleChain, P: Array, seen: npt.NDArray[np.bool_]) -> tuple[Array, ChainSample]:
+def _fresh(plan: PlanFigures, own: SampleChain, P: Array, seen: Mask) -> tuple[Array, ChainSample]:
     """Coordinates after a sample that the plan does not have, and the sample; P is the covariance before it."""
     v = np.where(seen & np.isfinite(plan.problem.v_bound), plan.problem.v_bound, np.inf)
     bounds = replace(own.bounds, v=freeze(v[None]))

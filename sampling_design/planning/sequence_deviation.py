@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.numerics.filtering import measurement_update, propagate
 from sampling_design.numerics.linalg import discounted_flow
@@ -21,9 +20,7 @@ from sampling_design.planning.filter_deviation import PERIODS, SETTLED, WIDE, ow
 from sampling_design.planning.opening import PlanClock
 from sampling_design.planning.problem import WHOLE, PlanProblem, RowGoal
 from sampling_design.planning.work_prices import SEQUENCE
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
+from sampling_design.records.arrays import Array, Mask
 
 DAY = 1440.0
 """Minutes by which clocks are never put forward or back."""

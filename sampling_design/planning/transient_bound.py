@@ -12,15 +12,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.accuracy_profile import GapProof
 from sampling_design.accuracy.gains import ROUNDING
 from sampling_design.accuracy.sample_chain import SampleChain, noise_cost
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.sequence_chain import plan_chain
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.planning.discrete_plant import HIDDEN, STAYS, DiscretePlant, UndetectedModes, hidden_at
 from sampling_design.planning.problem import MOST_STEPS, PlanProblem
 from sampling_design.plants.clusters import eigenvalue_clusters, format_eigenvalue
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 FINER = (2, 3, 4, 5, 6, 7)
 """Parts of a step that are tried."""

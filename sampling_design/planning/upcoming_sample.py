@@ -19,11 +19,9 @@ from sampling_design.planning.sequence import known_at, looks_back
 from sampling_design.planning.sequence_deviation import SampleSequence, planned
 from sampling_design.planning.start import from_start, settled_from_start
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import Plain, Record, short
 from sampling_design.records.signatures import checked
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

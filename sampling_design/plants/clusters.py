@@ -17,10 +17,9 @@ from sampling_design.plants.grouping import (
     radius,
 )
 from sampling_design.records import checks
+from sampling_design.records.arrays import Complex
 from sampling_design.records.record import Record
 from sampling_design.records.signatures import checked
-
-Complex = npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -19,6 +19,7 @@ from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.plant import FORMAT, GROUPS, MATRICES, Plant, Signals
 from sampling_design.records import checks, file_io
+from sampling_design.records.arrays import Array
 from sampling_design.records.dispatch import offered
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import check_time_unit
@@ -296,7 +297,7 @@ def _tree_of(flat: Mapping[str, Any]) -> dict[str, object]:
     return tree
 
 
-def _plain(key: str, value: object) -> npt.NDArray[np.float64]:
+def _plain(key: str, value: object) -> Array:
     """An array of numbers as it is: no records, no cells, no texts, no truth values."""
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "iuf":
         kind = value.dtype if isinstance(value, np.ndarray) else type(value).__name__

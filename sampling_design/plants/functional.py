@@ -16,12 +16,11 @@ from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.plants.rows import WantedRows
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Index
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import Plain, counted, short
 
 PlantClass = TypeVar("PlantClass")
-Array = npt.NDArray[np.float64]
-Order = npt.NDArray[np.intp]
 
 if TYPE_CHECKING:  # a checker would forget there what the fields of Plant are converted to
 
@@ -150,7 +149,7 @@ def weighed_over(split: ModalSplit, window: float) -> ModalSplit:
     return split_modes(plant.beside(window), split.decay_rate)
 
 
-def without(plant: Plant, hidden: Array, weights: Array, cut: float) -> tuple[Plant, Array, Order]:
+def without(plant: Plant, hidden: Array, weights: Array, cut: float) -> tuple[Plant, Array, Index]:
     """Return the quotient of a plant by an invariant subspace that C does not show, the map onto it, and what it keeps.
 
     Parameters

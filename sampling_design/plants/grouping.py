@@ -6,14 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import lapack, rsf2csf, schur
 
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.balancing import balance, balanced
-
-Array = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
+from sampling_design.records.arrays import Array, Complex
 
 CLUSTER_CAP = 1e-2  # a group wider than this times |A| is never one eigenvalue, whatever its sensitivity says
 LINK = 8.0  # two groups are joined within this many times the spread of the wider one: on a ring that an error

@@ -18,13 +18,12 @@ from sampling_design.plants.clusters import (
 from sampling_design.plants.grouping import CLUSTER_CAP, SchurForm, balanced_schur
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Complex
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 
 __all__ = ["EigenvalueCluster", "ModalSplit", "eigenvalue_clusters", "split_modes"]
-
-Array = npt.NDArray[np.float64]
 
 OFFSET = 1e-8  # stability margin in units of |A|: the spread of a double eigenvalue under rounding
 
@@ -75,7 +74,7 @@ class ModalSplit(PlainRecord):
     left_residual: Array
     separation: float
     condition: float
-    near_line: npt.NDArray[np.complex128]
+    near_line: Complex
     offset: float
     clusters: tuple[EigenvalueCluster, ...]
     retained_clusters: tuple[EigenvalueCluster, ...]
@@ -224,7 +223,7 @@ class _Verdict:
     offset: float
     clusters: tuple[EigenvalueCluster, ...]
     kept: tuple[EigenvalueCluster, ...]
-    near_line: npt.NDArray[np.complex128]
+    near_line: Complex
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.numerics.modal_flow import exponential
 from sampling_design.plants.systems import CARRIED, StateSpace, check_system, driven, is_system, parts_of
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import Plain, Record, counted, short
 from sampling_design.records.units import check_time_unit
@@ -20,7 +21,6 @@ from sampling_design.records.units import check_time_unit
 if TYPE_CHECKING:
     import control
 
-Array = npt.NDArray[np.float64]
 FORMAT = "sampling-design/plant/1"
 """Of the tree that `Plant.to_dict` returns and a plant file holds."""
 

@@ -13,9 +13,9 @@ from sampling_design.checkers.strict import likely
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 
-Array = npt.NDArray[np.float64]
 Wanted: TypeAlias = str | Sequence[str] | npt.ArrayLike | None
 
 

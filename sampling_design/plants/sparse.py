@@ -15,12 +15,11 @@ from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.plants.modes import OFFSET
 from sampling_design.plants.plant import ORDER, Plant, Signals
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import check_time_unit
-
-Array = npt.NDArray[np.float64]
 
 EPS = float(np.finfo(float).eps)
 MOST_STATES = 200_000

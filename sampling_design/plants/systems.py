@@ -9,9 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
+from sampling_design.records.arrays import Array
 from sampling_design.records.checks import described
-
-Array = npt.NDArray[np.float64]
 
 LIBRARIES = {"control": "from_control", "scipy": "from_scipy"}
 CARRIED = "sampling_design_plant"

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.projection import Projection
 from sampling_design.plotting import style
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import short
-
-Array = npt.NDArray[np.float64]
 
 
 def draw_accuracy(

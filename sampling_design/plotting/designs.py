@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from sampling_design.design.schedule_design import ScheduleDesign
@@ -13,6 +12,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plotting import style
 from sampling_design.plotting.schedules import draw_schedule
 from sampling_design.plotting.windows import draw_window_sigma
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import short
 from sampling_design.schedules.schedule import PeriodicSchedule
 
@@ -96,7 +96,7 @@ def _joined(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:
     return found
 
 
-def closed(available: npt.NDArray[np.float64], period: float) -> list[tuple[float, float]]:
+def closed(available: Array, period: float) -> list[tuple[float, float]]:
     """What lies between the opening hours of a period."""
     edges = [0.0, *np.ravel(available).tolist(), period]
     return [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from sampling_design.plotting import style
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import counted, short
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -62,9 +62,7 @@ def _rows(schedule: Schedule | PeriodicSchedule) -> int:
     return len(schedule.output_names) if schedule.output_names else 1
 
 
-def _stems(
-    ax: Axes, times: npt.NDArray[np.float64], outputs: npt.NDArray[np.bool_] | None, rows: int, alpha: float
-) -> None:
+def _stems(ax: Axes, times: Array, outputs: Mask | None, rows: int, alpha: float) -> None:
     mask = np.ones((len(times), rows), dtype=bool) if outputs is None else outputs
     for row in range(rows):
         chosen = np.asarray(times)[mask[:, row]]

@@ -17,6 +17,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
 
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import short
 from sampling_design.records.units import SECONDS
 from sampling_design.schedules.time_stamps import parse_date
@@ -154,9 +155,9 @@ STRETCH = 1.5
 
 def not_ruled_by_the_start(
     ax: matplotlib.axes.Axes,
-    t: npt.NDArray[np.float64],
-    low: npt.NDArray[np.float64],
-    high: npt.NDArray[np.float64],
+    t: Array,
+    low: Array,
+    high: Array,
 ) -> None:
     """Limit the y axis by what comes after the start, where the start alone would stretch it by half.
 
@@ -206,9 +207,9 @@ def points(
 
 def filled(
     ax: matplotlib.axes.Axes,
-    edges: npt.NDArray[np.float64],
-    least: npt.NDArray[np.float64],
-    largest: npt.NDArray[np.float64],
+    edges: Array,
+    least: Array,
+    largest: Array,
     colour: str,
     label: str | None,
 ) -> None:
@@ -226,7 +227,7 @@ def filled(
     )
 
 
-def sample_ticks(ax: matplotlib.axes.Axes, times: npt.NDArray[np.float64]) -> None:
+def sample_ticks(ax: matplotlib.axes.Axes, times: Array) -> None:
     """Ticks at the bottom where samples are: of many one for each short stretch of time that has some."""
     if times.size > 2 * COLUMNS:
         edges = np.linspace(times.min(), times.max(), COLUMNS + 1)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from sampling_design.plotting import style
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import short
 from sampling_design.validation.report import ValidationReport
 from sampling_design.validation.schedule_log import ScheduleLog
@@ -116,7 +116,7 @@ def _drawn(log: ScheduleLog) -> tuple[float, float]:
 
 
 def _times(log: ScheduleLog, ax: Axes, low: float, high: float) -> Axes:
-    def seen(times: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def seen(times: Array) -> Array:
         return times[(low <= times) & (times <= high)]
 
     ax.vlines(seen(log.planned.times), 0.6, 1.4, color=style.ALLOWED, linewidth=1.8)

@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from sampling_design.checkers.strict import likely
 from sampling_design.errors import ArgumentError
+from sampling_design.records.arrays import Array, Mask
 
-Array = npt.NDArray[np.float64]
 Instance = TypeVar("Instance")
 Seed: TypeAlias = np.random.Generator | int | None
 """What random numbers are drawn from: a generator, its seed, or None for the seed 0."""
@@ -327,7 +327,7 @@ def known_keys(where: str, found: Iterable[str], known: Iterable[str]) -> None:
             raise ArgumentError(f"unknown key {key!r} in {where}. {likely(str(key), allowed)}")
 
 
-def output_mask(name: str, value: object, samples: int) -> npt.NDArray[np.bool_] | None:
+def output_mask(name: str, value: object, samples: int) -> Mask | None:
     """Return `value` as a frozen boolean (samples, outputs) mask; None means that every output is measured.
 
     Raises

@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.checkers import strict
 from sampling_design.checkers.strict import Reader, Tree
 from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.records.arrays import Array
 
 PIECES = 1 << 14
 """Tokens of JSON that are written at a time."""
@@ -156,7 +156,7 @@ def decimal(cell: str) -> float | None:
         return None
 
 
-def decimals(cells: Sequence[str], commas: bool, blank: bool) -> npt.NDArray[np.float64] | None:
+def decimals(cells: Sequence[str], commas: bool, blank: bool) -> Array | None:
     """Return the numbers of a column of cells, NaN for an empty one where `blank`; None where `decimal` finds none.
 
     With `commas` a cell may hold a decimal comma.
@@ -251,7 +251,7 @@ def json_pieces(data: Mapping[str, object]) -> Iterator[str]:
 
     A vector is written as the list of its numbers, null where one is not finite; no list of them is held for long.
     """
-    arrays: list[npt.NDArray[np.float64]] = []
+    arrays: list[Array] = []
 
     def kept(value: object) -> str:
         if not isinstance(value, np.ndarray):
@@ -279,7 +279,7 @@ def json_pieces(data: Mapping[str, object]) -> Iterator[str]:
 _ARRAY = ""  # what stands for a vector until its numbers are written
 
 
-def _listed(values: npt.NDArray[np.float64], depth: str) -> Iterator[str]:
+def _listed(values: Array, depth: str) -> Iterator[str]:
     """The numbers of a vector as a file holds them, on lines of their own one step in from `depth`."""
     mark = f"{depth}  "
     for low in range(0, values.size, PIECES):

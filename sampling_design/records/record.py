@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError, MissingExtraError, UndecidedError
+from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Plain as Plain
 from sampling_design.records.declarations import said, selected
 from sampling_design.records.declarations import short as short
@@ -219,6 +220,6 @@ def finite_or_none(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def finite_or_nones(values: npt.NDArray[np.float64]) -> list[float | None]:
+def finite_or_nones(values: Array) -> list[float | None]:
     """The same for a row of numbers."""
     return [value if math.isfinite(value) else None for value in values.tolist()]

@@ -9,16 +9,15 @@ from itertools import pairwise
 from typing import ClassVar, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.checks import Seed
 from sampling_design.records.record import PlainRecord
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 AnySchedule = Schedule | PeriodicSchedule
-Array = npt.NDArray[np.float64]
 Word = tuple[float | int | str, ...]
 """What is remembered of a schedule since a window's start."""
 START: Word = ("start",)

@@ -12,6 +12,7 @@ import numpy as np
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.checks import Seed
 from sampling_design.records.record import short
 from sampling_design.schedules.family import (
@@ -19,7 +20,6 @@ from sampling_design.schedules.family import (
     RANDOM_WORDS,
     START,
     AnySchedule,
-    Array,
     FamilyStep,
     FamilyVariation,
     SamplingFamily,

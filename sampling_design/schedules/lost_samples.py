@@ -9,10 +9,10 @@ from itertools import product
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Index, Integers
 from sampling_design.records.checks import Seed
 from sampling_design.schedules.family import (
     START,
@@ -140,7 +140,7 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
         lost[kept] = 0
         return self._few(lost, cyclic)
 
-    def _few(self, lost: npt.NDArray[np.int_], cyclic: bool) -> bool:
+    def _few(self, lost: Integers, cyclic: bool) -> bool:
         if cyclic:
             lost = np.tile(lost, 1 + -(-self.of // lost.size))
         total = np.concatenate([[0], np.cumsum(lost)])
@@ -234,7 +234,7 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
         return f"At most {self.most} of any {self.of} consecutive samples lost. Nominal: {self.schedule.explain()}"
 
 
-def _positions(nominal: npt.NDArray[np.float64], times: npt.NDArray[np.float64]) -> npt.NDArray[np.intp] | None:
+def _positions(nominal: Array, times: Array) -> Index | None:
     """Where in `nominal` each of `times` lies, up to rounding; None if one lies nowhere."""
     if not nominal.size:
         return None

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import Record, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule, ScheduleDetails
-
-Array = npt.NDArray[np.float64]
 
 ROUNDING = 8 * float(np.finfo(float).eps)
 """Two times that differ by less than this fraction of the larger one count as equal.

@@ -11,12 +11,11 @@ import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import Plain, Record, counted, short
 from sampling_design.records.units import check_time_unit, time_factor
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 MOST_TIMES = 20_000_000
 """Samples of an endless schedule that are listed at once, 160 MB of times."""
 _GAPS_SLIP = "Did you pass gaps? Use Schedule.from_gaps."

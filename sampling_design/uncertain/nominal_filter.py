@@ -28,10 +28,9 @@ from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import discounted_flow, forced_flow
 from sampling_design.plants.plant import Signals
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.uncertain.accuracy.accuracy_over_box import RANK
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
-
-Array = npt.NDArray[np.float64]
 
 STEP = 0.25
 """|A| times a step within which the mismatch is bounded at once."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.estimators.online.estimator import Estimator
+from sampling_design.records.arrays import Array
 from sampling_design.records.progress import Progress
 from sampling_design.validation.error_map import ErrorRows
 from sampling_design.validation.monte_carlo import ratio
@@ -15,8 +15,6 @@ from sampling_design.validation.report import ErrorCurve, Finding, ValidationRep
 from sampling_design.validation.scenario import RunInputs, ScenarioBounds, draw_inputs, initial_inputs, resonant_inputs
 from sampling_design.validation.timeline import Timeline
 from sampling_design.validation.trials import EstimatedRun, real_run, true_run
-
-Array = npt.NDArray[np.float64]
 
 GROWTH_LIMIT = {"resonant": 1.5, "initial": 1.0}
 """Largest error of the second half over that of the first: a settled error under a disturbance in step with a mode

@@ -17,11 +17,9 @@ import numpy.typing as npt
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.numerics.filtering import propagate, update_with_gain, whitened
 from sampling_design.numerics.linalg import discounted_flow
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.validation.scenario import RunInputs, ScenarioBounds
 from sampling_design.validation.timeline import Timeline
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 
 class LinearEstimator(Protocol):
@@ -59,7 +57,7 @@ class ErrorRows:
     """Where errors are looked at: every break point, a sample's both before and after it."""
 
     at: Index
-    after: npt.NDArray[np.bool_]
+    after: Mask
     times: Array
 
     @cached_property

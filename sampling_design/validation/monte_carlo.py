@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import FileFormatError
+from sampling_design.records.arrays import Array
 from sampling_design.records.journal import Journal
 from sampling_design.records.workers import Workers, numbered
 from sampling_design.validation.error_map import ErrorMap
 from sampling_design.validation.promise import Promise
 from sampling_design.validation.scenario import RunInputs, ScenarioBounds, draw_inputs
-
-Array = npt.NDArray[np.float64]
 
 BLOCK = 64
 """Runs that are computed together. Fixed, since the rounding of a product may depend on how many share it."""

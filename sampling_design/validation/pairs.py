@@ -5,16 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.estimators.gap_flows.cost_weights import marginal
 from sampling_design.numerics.filtering import measurement_update, propagate, whitened
 from sampling_design.numerics.linalg import symmetrise
+from sampling_design.records.arrays import Array
 from sampling_design.validation.error_map import discounted
 from sampling_design.validation.timeline import Timeline
-
-Array = npt.NDArray[np.float64]
 
 MOST_STARTS = 80
 """Window starts that are tried; they are spread evenly over the break points where there are more."""

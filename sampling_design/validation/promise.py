@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.estimators.gap_flows.cost_weights import marginal
+from sampling_design.records.arrays import Array
 from sampling_design.validation.error_map import ErrorRows, discounted
 from sampling_design.validation.scenario import RunInputs
 from sampling_design.validation.timeline import Timeline
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

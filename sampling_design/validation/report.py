@@ -7,13 +7,11 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Strength
 from sampling_design.records.record import Plain, PlainRecord, YesOrNo, short
-
-Array = npt.NDArray[np.float64]
 
 ROUNDING = 1e-8
 """A promise counts as kept while it is exceeded by no more than this share: the rounding of a long run."""

@@ -13,6 +13,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import Seed
 from sampling_design.records.declarations import selected
 from sampling_design.records.record import Plain, Record, counted, short
@@ -20,14 +21,11 @@ from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.timeline import Timeline, build_timeline, exact_flow
 
-Array = npt.NDArray[np.float64]
-
 KINDS = ("white", "steady", "held", "sine")
 """How a random disturbance moves: anew in each cell, never, once in a while, or at one frequency."""
 
 NOISES = ("independent", "extremal", "constant")
 """How random noise varies: drawn anew within its bound at each sample, anew on it, or once on it for all samples."""
-
 
 UNMOVED = 1e-12
 """Share of what the strongest disturbance does to a mode below which another one does nothing to it."""
@@ -229,7 +227,7 @@ class SimulatedRecord(Record):
     measurements: Measurements
     times: Array
     states: Array
-    at: npt.NDArray[np.intp]
+    at: Index
     w: Array
     v: Array
     noise: str = "independent"

@@ -13,13 +13,12 @@ from sampling_design.observability.windows.pieces import window_pieces
 from sampling_design.observability.windows.window_sigma import RTOL, WindowSigma, sigma_of_pieces
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, Record, finite_or_nones, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-
-Array = npt.NDArray[np.float64]
 
 STRETCH = 4000
 """Samples whose windows are judged at a time: what is held does not grow with the record."""
@@ -53,8 +52,8 @@ class ScheduleLog(Record):
 
     planned: Schedule
     actual: Schedule
-    match: npt.NDArray[np.intp]
-    lacking: npt.NDArray[np.bool_]
+    match: Index
+    lacking: Mask
     planned_sigma: WindowSigma | None
     actual_sigma: WindowSigma | None
     time_unit: str
@@ -295,7 +294,7 @@ def _half_gap(plan: Schedule | PeriodicSchedule) -> float:
     return float(plan.gaps.min()) / 2 if plan.gaps.size else 0.0
 
 
-def _matched(planned: Array, actual: Array) -> npt.NDArray[np.intp]:
+def _matched(planned: Array, actual: Array) -> Index:
     """Pair each planned time with the nearest actual one within half of the gaps around it, none twice.
 
     A stretch at a time. Of several that are nearest to one sample, which are neighbours, the first has it.
@@ -317,7 +316,7 @@ def _matched(planned: Array, actual: Array) -> npt.NDArray[np.intp]:
     return match
 
 
-def _half_before(planned: Array, index: npt.NDArray[np.intp]) -> Array:
+def _half_before(planned: Array, index: Index) -> Array:
     """Half of the gap that ends at each planned sample; the first gap before the first one, the last after the last."""
     if planned.size < 2:
         return np.full(index.size, np.inf)
@@ -325,7 +324,7 @@ def _half_before(planned: Array, index: npt.NDArray[np.intp]) -> Array:
     return np.asarray((planned[end] - planned[end - 1]) / 2)
 
 
-def _lacking(plant: Plant, planned: Schedule, taken: Schedule, match: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+def _lacking(plant: Plant, planned: Schedule, taken: Schedule, match: Index) -> Mask:
     full = np.ones((len(planned), plant.n_outputs), dtype=bool)
     wanted = full if planned.outputs is None else planned.outputs
     if taken.outputs is None:

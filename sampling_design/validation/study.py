@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
@@ -15,6 +14,7 @@ from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.mhe import CLOSED_FORM, MovingHorizonEstimator
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Strength
 from sampling_design.records.journal import Journal
 from sampling_design.records.progress import Progress
@@ -38,7 +38,6 @@ from sampling_design.validation.timeline import Timeline, build_timeline, defaul
 from sampling_design.validation.trials import EstimatedRun, driven, extent, real_run, true_run
 from sampling_design.validation.worst_disturbance import worst_energy, worst_push
 
-Array = npt.NDArray[np.float64]
 Seeds = Sequence[np.random.SeedSequence]
 
 SCENARIOS: tuple[str, ...] = ("pairs", "random", "worst", "resonant", "initial", "estimator", "constraints", "paper")

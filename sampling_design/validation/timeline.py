@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.composed_flow import state_units
@@ -14,11 +13,9 @@ from sampling_design.numerics.linalg import forced_flow
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 CELLS_PER_GAP = 6
 """Cells of a mean gap: a disturbance may change its mind that often between two samples."""
@@ -57,7 +54,7 @@ class Timeline:
     samples: Index
     masks: Array
     starts: Index
-    given: npt.NDArray[np.bool_]
+    given: Mask
     events: Index
 
     @property

@@ -6,16 +6,14 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import Estimator, estimate_from
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array
 from sampling_design.validation.error_map import ErrorRows
 from sampling_design.validation.scenario import RunInputs
 from sampling_design.validation.timeline import Timeline, exact_flow
-
-Array = npt.NDArray[np.float64]
 
 GROWTH = 3.0
 """A truth that would grow by more than e^3 in a run is held near zero by a known input."""

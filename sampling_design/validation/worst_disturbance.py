@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from sampling_design.records.arrays import Array
 from sampling_design.validation.error_map import ErrorMap, SolveWindow, discounted
 from sampling_design.validation.promise import Promise
 from sampling_design.validation.scenario import RunInputs, ScenarioBounds, most_along
-
-Array = npt.NDArray[np.float64]
 
 MOST_TARGETS = 60
 """Rows at which the worst energy is computed; they are spread evenly where there are more."""

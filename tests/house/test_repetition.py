@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.house.sources import PACKAGE, SOURCES, nodes
+from tests.house.sources import PACKAGE, SOURCES, nodes, parsed
 
 pytestmark = pytest.mark.long  # a lint, which the style step of .ci/run runs
 
@@ -53,6 +53,16 @@ def test_no_six_lines_of_code_stand_twice():
     own = [path for path in SOURCES if path.relative_to(PACKAGE).parts[0] != "checkers"]
     sources = {str(path.relative_to(PACKAGE)): spoken(path.read_text(), heads(path)) for path in own}
     assert repeated(sources) == []
+
+
+def test_a_kind_of_array_is_named_once():
+    """`Array` and its like stand in one file, and no other file writes out what they stand for."""
+    named = PACKAGE / "records" / "arrays.py"
+    kinds = {ast.unparse(node.value) for node in parsed(named).body if isinstance(node, ast.Assign)}
+    assert len(kinds) >= 5
+    own = [path for path in SOURCES if path.relative_to(PACKAGE).parts[0] != "checkers" and path != named]
+    texts = {str(path): path.read_text() for path in own}
+    assert [(path, kind) for path, text in texts.items() for kind in kinds if kind in text] == []
 
 
 @pytest.mark.parametrize(("shared", "found"), [(MOST, []), (MOST + 1, ["a:1 and b:2"])])

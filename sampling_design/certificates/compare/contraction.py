@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.exact.window_problem import WindowProblem, window_problem
@@ -11,11 +10,10 @@ from sampling_design.errors import UndecidedError
 from sampling_design.numerics.filtering import joint_update, propagate
 from sampling_design.numerics.linalg import expm_batch
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import period_of
-
-Array = npt.NDArray[np.float64]
 
 FINITE = "`certificate` must be on a periodic schedule: a finite one has no long run."
 MOST_PERIODS = 64

@@ -14,11 +14,10 @@ from sampling_design.certificates.exact.given_weights import met, weights_of
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import TableRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule
-
-Array = npt.NDArray[np.float64]
 
 NOISE_GAINS = (1.5, 2.0, 3.0, 5.0, 10.0, 30.0, 100.0, 1000.0)
 """Default of the curve: dense where horizons change, to a thousand, where they have stopped to."""

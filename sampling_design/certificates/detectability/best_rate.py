@@ -19,10 +19,9 @@ from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
-
-Array = npt.NDArray[np.float64]
 
 MARGIN = 1e-4
 """The inequality is solved at the rate (1 + margin) eta and claimed at eta: strict by far more than rounding."""

@@ -14,11 +14,11 @@ from sampling_design.certificates.rigorous.decide import VerifiableRecord
 from sampling_design.errors import CertificateError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.evidence import Claim, SolverRecord
 from sampling_design.records.record import Plain, short
 
-Array = npt.NDArray[np.float64]
 METHODS = ("riccati", "lmi", "proof", "given")
 
 

@@ -8,9 +8,8 @@ import numpy.typing as npt
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.signatures import checked
-
-Array = npt.NDArray[np.float64]
 
 LARGEST = 1e140
 """Bounds beyond it, or below its inverse, have squares that leave no room in a double for a rate beside them."""

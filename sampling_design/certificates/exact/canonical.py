@@ -14,10 +14,10 @@ import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.plants.plant import Plant, Signals
+from sampling_design.records.arrays import Array
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
-Array = npt.NDArray[np.float64]
 NoiseWeights = tuple[Array, Array, Array]
 
 MOST_GROWTH = 300.0

@@ -25,12 +25,11 @@ from sampling_design.numerics.linalg import generalised_max
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim, SolverRecord
 from sampling_design.records.record import Plain, short
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-
-Array = npt.NDArray[np.float64]
 
 WITHOUT_GAIN = "noise gain is beyond"
 """How the weights are told that keep no noise gain as it was asked for."""

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.schedules.family import AnySchedule
-
-Array = npt.NDArray[np.float64]
-
 
 FREE_DISTURBANCE = (
     "A direction without weight is a free disturbance; one that does not exist is removed through the plant's G."

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.certificates.exact.riccati import located
@@ -14,10 +13,9 @@ from sampling_design.errors import ArgumentError
 from sampling_design.numerics.filtering import measurement_update, propagate
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import Record, short
 from sampling_design.records.signatures import checked
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import solve_triangular
 from scipy.optimize import brentq
 
 from sampling_design.certificates.exact.window_gains import WindowConditions
 from sampling_design.numerics.linalg import symmetrise
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 EXACT, COARSE = 1e-8, 0.05
 """Width to which the scale of a shape is found, at the end and while rates are compared."""

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import solve_continuous_lyapunov
 
 from sampling_design.certificates.exact.canonical import ScaledProblem
@@ -20,8 +19,7 @@ from sampling_design.certificates.exact.window_problem import noise_input
 from sampling_design.checkers.work import Work
 from sampling_design.errors import SolverError
 from sampling_design.numerics.linalg import symmetrise
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 RATES = 7
 """Rates that are tried where none is given, evenly on a logarithmic scale."""

@@ -12,7 +12,6 @@ from dataclasses import replace
 from importlib.util import find_spec
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design import __version__
 from sampling_design.certificates.exact.canonical import NoiseWeights, ScaledProblem
@@ -32,10 +31,9 @@ from sampling_design.errors import SolverError, UndecidedError
 from sampling_design.numerics.balls import Ball, Matrix, ball, cholesky, definite, floats, identity, matrix, precision
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import SolverRecord
 from sampling_design.schedules.family import AnySchedule
-
-Array = npt.NDArray[np.float64]
 
 BITS = 400
 """Binary digits: a hundred decimal ones beside those that conditions of 1e45 lose."""

@@ -8,7 +8,6 @@ from importlib.util import find_spec
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.certificates.exact.canonical import canonical, slip
 from sampling_design.certificates.exact.certificate import Certificate, SampledCertificate, Witness
@@ -23,11 +22,11 @@ from sampling_design.checkers.work import Work
 from sampling_design.errors import ArgumentError, SolverError, UndecidedError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import plain
 from sampling_design.records.evidence import SolverRecord
 from sampling_design.schedules.family import AnySchedule
 
-Array = npt.NDArray[np.float64]
 Provable = TypeVar("Provable", bound=SampledCertificate)
 
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import block_diag, schur, solve_sylvester
 
 from sampling_design.certificates.exact.canonical import NoiseWeights, ScaledProblem, canonical, evened
@@ -29,11 +28,10 @@ from sampling_design.checkers.work import Work
 from sampling_design.errors import SolverError, UndecidedError
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
 from sampling_design.schedules.family import AnySchedule
-
-Array = npt.NDArray[np.float64]
 
 LARGE = 16
 """States from which on a plant is parted; with fewer the search for all of them takes no longer."""

@@ -10,13 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.certificates.exact.window_problem import Index, WindowProblem
+from sampling_design.certificates.exact.window_problem import WindowProblem
 from sampling_design.checkers.work import Work
 from sampling_design.errors import SolverError
 from sampling_design.numerics.filtering import CovarianceMap, measurement_update, propagate
 from sampling_design.numerics.linalg import symmetrise
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array, Index, Mask
 
 STEADY_RTOL = 1e-10
 """Change of Y per doubling, relative in every state, at which the periodic solution counts as found; eps times some
@@ -261,7 +260,7 @@ def sweep(
     ]
 
 
-def _going(problem: WindowProblem, Y: Array, at: Index, steady: Array | None) -> npt.NDArray[np.bool_]:
+def _going(problem: WindowProblem, Y: Array, at: Index, steady: Array | None) -> Mask:
     """Which windows may still bring something: the schedule goes on and the periodic solution is not yet above."""
     if problem.period is None:
         return np.asarray(at + 1 < problem.count)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize, minimize_scalar
 
@@ -21,11 +20,10 @@ from sampling_design.checkers.work import Work
 from sampling_design.errors import SolverError, UndecidedError
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.records.progress import Progress
 from sampling_design.schedules.family import AnySchedule
-
-Array = npt.NDArray[np.float64]
 
 ETA_RANGE = (0.05, 3.0)
 """Rates that are searched, in units of 1/(mean gap) (formats.md, Defaults)."""

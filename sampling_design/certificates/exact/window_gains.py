@@ -10,14 +10,12 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.certificates.exact.riccati import periodic_riccati_solution
-from sampling_design.certificates.exact.window_problem import Index, WindowProblem
+from sampling_design.certificates.exact.window_problem import WindowProblem
 from sampling_design.checkers.work import Work
 from sampling_design.numerics.filtering import joint_update, propagate
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array, Index, Mask
 
 MERGED = 1e-3
 """A window this near the periodic solution, relative to it or to P2^-1, is followed no further."""
@@ -111,7 +109,7 @@ class WindowSet:
         Y, _, valid = self._paths(prior if self.steady is None else np.zeros_like(prior), gains=False)
         return np.concatenate([self.cycle, Y[valid]])
 
-    def _paths(self, X: Array, gains: bool = True) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    def _paths(self, X: Array, gains: bool = True) -> tuple[Array, Array, Mask]:
         """Y and Phi at the noted times, shape (times, windows, n, n), and which of them lie within the schedule.
 
         Without `gains` Phi stays as it is at the first sample.
@@ -172,7 +170,7 @@ class WindowSet:
         return np.append(values, last), np.concatenate([gradients, slope])
 
 
-def _tops(seen: Array, valid: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
+def _tops(seen: Array, valid: Mask) -> tuple[Array, Array]:
     """ln lambda_max of each matrix, times first; -inf where it cannot enter a smooth maximum over times; the matrices.
 
     Bounds from the diagonal and the Frobenius norm spare most of the eigenvalues.
@@ -188,9 +186,7 @@ def _tops(seen: Array, valid: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
     return logs, seen
 
 
-def _smooth_max(
-    L: Array, half: Array, X: Array, Y: Array, Phi: Array, valid: npt.NDArray[np.bool_]
-) -> tuple[Array, Array]:
+def _smooth_max(L: Array, half: Array, X: Array, Y: Array, Phi: Array, valid: Mask) -> tuple[Array, Array]:
     """Smooth maximum over times (first axis) of ln lambda_max(L'YL) per window, and its gradient in P2."""
     logs, seen = _tops(L.T @ Y @ L, valid)
     top = logs.max(axis=0)

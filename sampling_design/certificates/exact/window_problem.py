@@ -15,10 +15,8 @@ from scipy.linalg import solve_triangular
 
 from sampling_design.numerics.linalg import discounted_flow, symmetrise
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.schedules.family import AnySchedule
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 
 def growing_flow(A: Array, noise: Array, eta: float, durations: npt.ArrayLike) -> tuple[Array, Array]:
@@ -98,7 +96,7 @@ def covariance_flow(plant: Plant, Qw: Array, root: Array) -> tuple[Array, Array]
     return np.asarray(A, dtype=np.float64), np.asarray(drive @ drive.T, dtype=np.float64)
 
 
-def whitened_rows(C: Array, R: Array, Qv: Array, mask: npt.NDArray[np.bool_] | None, count: int) -> Array:
+def whitened_rows(C: Array, R: Array, Qv: Array, mask: Mask | None, count: int) -> Array:
     """Return V_i^{-1/2} C_i per sample, V = R^-1 + Qv^-1 restricted to the measured outputs; zero rows pad."""
     V = symmetrise(np.linalg.inv(R) + np.linalg.inv(Qv))
     if mask is None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.certificates.existence.periodic import Existence, judged, stays_bounded, too_dense
 from sampling_design.errors import CertificateError
@@ -16,15 +15,13 @@ from sampling_design.numerics.linalg import expm_batch, positive_or_one
 from sampling_design.observability.count.period_modes import period_modes
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array, Complex
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed, generator, positive, vector
 from sampling_design.records.record import Record, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import LONGEST_WORD, SamplingFamily, period_of
 from sampling_design.schedules.schedule import PeriodicSchedule
-
-Array = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
 
 MOST_PERIODS = 240
 """Periods of aliasing that are tried, of all pairs of eigenvalues together: beyond that, evenly chosen ones."""

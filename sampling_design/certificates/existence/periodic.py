@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import TypedDict
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import CertificateError, UndecidedError
 from sampling_design.numerics.balancing import balance, balanced, balanced_rows
@@ -18,12 +17,11 @@ from sampling_design.observability.count.period_modes import LeastObservedMode, 
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import YesOrNo, short
 from sampling_design.records.signatures import checked, open_verb
 from sampling_design.schedules.family import period_of
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-
-Array = npt.NDArray[np.float64]
 
 UNSEEN_TOLERANCE = 1e-9
 """A scaled pencil [e^{AP} - mu I; O] with a singular value below this misses mu: well above rounding (1e-13 for

@@ -20,7 +20,6 @@ from sampling_design.certificates.families.graphs import graph_of, in_plant_term
 from sampling_design.certificates.families.path_complete import PathCompleteGraph, unrolled
 from sampling_design.certificates.families.program import FamilyProgram
 from sampling_design.certificates.families.step_proof import (
-    Doubles,
     StepDynamics,
     StepOutcome,
     dynamics_of,
@@ -35,14 +34,13 @@ from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.records.evidence import SolverRecord
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily
-
-Array = npt.NDArray[np.float64]
 
 LARGEST_LAM = 1e8
 """Beyond this lambda a certificate is of no use and the conditions are lost in the solver's rounding."""
@@ -370,7 +368,7 @@ def certified(
     plant: Plant, family: SamplingFamily, weights: NoiseWeights, given: Array | None, found: CandidateWeights
 ) -> FamilyCertificate:
     """The certificate of a proposal, judged by the independent checker."""
-    P: Doubles = np.stack([found.dynamics.outside(matrix) for matrix in found.P]).astype(np.float64)
+    P: Array = np.stack([found.dynamics.outside(matrix) for matrix in found.P]).astype(np.float64)
     if given is not None:
         P[0] = given
     lam = max(found.lam, 1.0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.certificates.families.graphs import in_plant_terms
@@ -13,12 +12,11 @@ from sampling_design.certificates.families.path_complete import PathCompleteGrap
 from sampling_design.certificates.form.digest import FAMILY_CLAIM
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import short
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.family_files import family_to_dict
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -15,11 +15,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from sampling_design.records.arrays import Array
 from sampling_design.schedules.family import Word
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

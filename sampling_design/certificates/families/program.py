@@ -12,17 +12,16 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.certificates.families.step_proof import StepDynamics
 from sampling_design.numerics import conic_programs
 from sampling_design.numerics.linalg import psd_root
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.records.evidence import SolverRecord
 
-Array = npt.NDArray[np.float64]
 ConeRows = tuple[str, Array | sparse.csc_matrix, Array]
 
 MARGIN = 2e-4

@@ -17,11 +17,8 @@ from sampling_design.certificates.exact.window_problem import covariance_flow, g
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array, Index
 from sampling_design.records.budget import ENDLESS, Budget
-
-Array = npt.NDArray[np.float64]
-Doubles = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 MOST_STEPS = 300_000
 """Steps of one proof, all intervals together; a proof that needs more is nearly tight and counts as not closed."""
@@ -39,8 +36,8 @@ FIRST_CUT = 16
 class StepDynamics:
     """A plant with its weights in coordinates z = root'x: Y' = AY + YA' + eta Y + noise, samples add `information`."""
 
-    A: Doubles
-    noise: Doubles
+    A: Array
+    noise: Array
     eta: float
     root: Array
     rows: dict[tuple[bool, ...], Array]

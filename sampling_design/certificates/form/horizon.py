@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import CertificateError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.checks import unit_diagonal
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import Record, short
-
-Array = npt.NDArray[np.float64]
 
 _CONTRACTION = 4.0
 """By default a window shrinks the squared error at least by this factor (formats.md, Defaults)."""

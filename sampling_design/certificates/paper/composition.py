@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import solve_continuous_lyapunov
 
 from sampling_design.certificates.form.constants import Constant, ConstantList
@@ -13,8 +12,7 @@ from sampling_design.certificates.paper.observable_case import SAFE, ProofChain,
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 RATE_SHARE = 0.9
 """Part of the residual's rate that the composition may use; at 1 the sum over samples would not converge."""

@@ -8,11 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.numerics.linalg import expm_batch
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 RTOL = 1e-3
 """Room left between the proven bound and the largest value seen: a thousandth of a constant costs no horizon."""

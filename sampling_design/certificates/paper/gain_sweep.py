@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import LinAlgError, solve_continuous_are, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
@@ -12,8 +11,7 @@ from sampling_design.certificates.detectability.dissipation import Detectability
 from sampling_design.errors import SolverError
 from sampling_design.numerics.linalg import expm_batch, symmetrise
 from sampling_design.plants.plant import Plant
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 SHIFTS = np.geomspace(0.02, 4.0, 8)
 """Shifts of the filter's poles in units of |A|."""

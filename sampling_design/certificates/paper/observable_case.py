@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
 from sampling_design.certificates.form.constants import Constant, ConstantList
 from sampling_design.certificates.paper.flow_norm import largest_flow
 from sampling_design.errors import CertificateError
 from sampling_design.numerics.linalg import expm_batch, generalised_max
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import short
-
-Array = npt.NDArray[np.float64]
 
 SAFE = 1 + 1e-9
 """Factor on every constant of the right-hand side: covers the rounding of the few operations behind it."""

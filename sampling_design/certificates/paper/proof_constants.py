@@ -27,12 +27,12 @@ from sampling_design.observability.alignment import meet
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim, SolverRecord
 from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
-Array = npt.NDArray[np.float64]
 RESIDUAL_SHARE = 0.95
 """Part of the residual's slowest decay that the tightened chain claims; closer to 1 its Lyapunov matrix degenerates."""
 

@@ -8,7 +8,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.checkers.outcome import REFUTED, UNDECIDED
 from sampling_design.checkers.parts import Plant, Weights
@@ -26,8 +25,7 @@ from sampling_design.numerics.balls import (
     matrix,
     symmetric,
 )
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array, Mask
 
 
 class StatedInequality(NamedTuple):
@@ -107,7 +105,7 @@ class BallWeights:
         """P2^-1."""
         return self.P2.inv()
 
-    def noise_of(self, seen: npt.NDArray[np.bool_]) -> Matrix:
+    def noise_of(self, seen: Mask) -> Matrix:
         """V restricted to the measured outputs."""
         index = np.flatnonzero(seen)
         made: Matrix = flint().arb_mat([[self.V[int(i), int(j)] for j in index] for i in index])
@@ -175,9 +173,7 @@ class BallFrame:
     `seen` says which outputs each kind of sample measures.
     """
 
-    def __init__(
-        self, weights: BallWeights, seen: Iterable[npt.NDArray[np.bool_]], target: Matrix, inequality: str
-    ) -> None:
+    def __init__(self, weights: BallWeights, seen: Iterable[Mask], target: Matrix, inequality: str) -> None:
         L = cholesky(target)
         if L is None:
             raise BallFailure(UNDECIDED, inequality, f"{inequality}: the left side is not certainly positive definite")

@@ -44,7 +44,6 @@ modes behind few outputs bear 1e-30, with what is known best 1e45 times better t
 POWERS = (0.95, 0.8, 0.5, 0.2, 0.02)
 """How far the family is blown up towards I, as powers of what is left."""
 
-
 Period = tuple[Matrix, Matrix, Matrix]
 """A, H, W of the map Y -> A Y (I + H Y)^-1 A' + W that samples and gaps make; midpoints."""
 

@@ -9,7 +9,6 @@ prove the slack, or evaluate the form along the direction.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.certificates.rigorous.ball_problem import (
     BallDecision,
@@ -21,10 +20,9 @@ from sampling_design.certificates.rigorous.ball_problem import (
 from sampling_design.checkers.detectability import INEQUALITY, Detectability
 from sampling_design.checkers.outcome import REFUTED, UNDECIDED
 from sampling_design.numerics.balls import Ball, Matrix, ball, floats, identity, matrix, symmetric
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 from sampling_design.records.record import short
-
-Array = npt.NDArray[np.float64]
 
 SHARES = (0.999, 0.5, 1e-3)
 """Parts of the guessed least eigenvalue that are tried as a proven slack, the largest first."""

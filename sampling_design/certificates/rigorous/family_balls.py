@@ -41,7 +41,6 @@ Pattern = tuple[bool, ...]
 
 SUBJECT = "every schedule of the family, every real window start and every later t"
 
-
 Stretch = tuple[Matrix, Ball, Ball, int]
 
 

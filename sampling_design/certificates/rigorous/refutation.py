@@ -9,16 +9,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.certificates.rigorous.ball_problem import BallFailure, ScheduleFrame
 from sampling_design.checkers.outcome import REFUTED
 from sampling_design.numerics.balls import ball, definite, floats, lowered, precision
 from sampling_design.numerics.filtering import measurement_update, propagate, whitened
 from sampling_design.numerics.linalg import discounted_flow
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
-
-Array = npt.NDArray[np.float64]
 
 PARTS = 8
 """Parts of a gap in the first grid of starts and of times."""

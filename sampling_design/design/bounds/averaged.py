@@ -10,7 +10,6 @@ g(d_i) + mu_i (d_i - i P/k): exact for even spacing where g is concave enough, w
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.bounds.relaxation import JUST_BESIDE, TOLERANCE, Relaxation, feasible_multipliers, grams_at
 from sampling_design.design.bounds.weak_duality import (
@@ -28,8 +27,7 @@ from sampling_design.design.bounds.weak_duality import (
 from sampling_design.design.bounds.zones import follower_zones, widest_gap
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.numerics import conic_programs
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array, Index
 
 _VARIABLES = 240  # grid points over all followers, about: each follower gets its share
 _STARTS = 24  # window starts after the origin
@@ -100,7 +98,7 @@ def averaged_bound(problem: DesignProblem, starts: Array, Z: Array, tilt: Array,
     return rooted(problem, alone + best_layers(layers, arc, widest_gap(problem, zones)))
 
 
-def _nearest(edges: Array, wanted: Array) -> npt.NDArray[np.intp]:
+def _nearest(edges: Array, wanted: Array) -> Index:
     """Index of the edge nearest to each wanted time."""
     after = np.clip(np.searchsorted(edges, wanted), 1, edges.size - 1)
     return np.asarray(np.where(wanted - edges[after - 1] <= edges[after] - wanted, after - 1, after))

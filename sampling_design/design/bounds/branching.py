@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.bounds.evidence import (
     BoundPart,
@@ -30,9 +29,9 @@ from sampling_design.design.problem.choices import affordable_choices
 from sampling_design.design.problem.feasible import changed
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.stopping import Interrupted
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
 
-Array = npt.NDArray[np.float64]
 ValueProgress = Callable[[float, float], None]
 """Called with the fraction done and the bound."""
 

@@ -10,15 +10,14 @@ from __future__ import annotations
 from math import comb, factorial
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array, Index
 
 _ORDER = 16  # up to which derivatives of a form over the range of a lag are worked out
 _ORDER_OF_BEND, _TOGETHER = 9, 4096  # the same over a piece, which is short; pieces that are worked out at once
 
 
-def remainder_of_bend(A: Array, Y: Array, order: int, node: npt.NDArray[np.intp], width: Array, growth: Array) -> Array:
+def remainder_of_bend(A: Array, Y: Array, order: int, node: Index, width: Array, growth: Array) -> Array:
     """How much g'' may change over a piece by its derivatives from an order q of g on: h^(q-2)/(q-2)! sup |g^(q)|."""
     unit = np.max(np.abs(Y), axis=(1, 2))  # squares of what has grown are no numbers
     Y = Y / np.maximum(unit, np.finfo(float).tiny)[:, None, None]
@@ -29,13 +28,13 @@ def remainder_of_bend(A: Array, Y: Array, order: int, node: npt.NDArray[np.intp]
     return np.asarray(np.where(scaled > 0, growth, 1.0) * scaled)
 
 
-def change_of_bend(A: Array, c: Array, Y: Array, node: npt.NDArray[np.intp], width: Array, growth: Array) -> Array:
+def change_of_bend(A: Array, c: Array, Y: Array, node: Index, width: Array, growth: Array) -> Array:
     """How much g'' = (c e^{At} Y e^{A't} c')'' may change over pieces of that `width` that begin with the rows c."""
     slopes = _slopes_of_bend(A, c, Y, node, width)
     return np.asarray(slopes + remainder_of_bend(A, Y, _ORDER_OF_BEND, node, width, growth))
 
 
-def _slopes_of_bend(A: Array, c: Array, Y: Array, node: npt.NDArray[np.intp], width: Array) -> Array:
+def _slopes_of_bend(A: Array, c: Array, Y: Array, node: Index, width: Array) -> Array:
     """How much g'' may change over a piece by the third and higher derivatives of g at its beginning.
 
     The q-th is the sum of binom(q, i) (c A^i) Y (c A^(q-i))'.

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.bounds.averaged import averaged_bound, relax_averaged
 from sampling_design.design.bounds.local_bound import LocalRelaxation, local_bound, relax_local
@@ -36,11 +35,11 @@ from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import expm_batch, psd_root
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.records.record import Plain
 from sampling_design.records.signatures import checked_methods
 
-Array = npt.NDArray[np.float64]
 Method = Literal["placed", "alone", "averaged", "zones", "local"]
 METHODS: tuple[Method, ...] = ("placed", "alone", "averaged", "zones", "local")
 
@@ -54,11 +53,11 @@ def _none() -> Array:
     return np.zeros((0, 2))
 
 
-def _any() -> npt.NDArray[np.bool_]:
+def _any() -> Mask:
     return np.zeros((0, 0), dtype=bool)
 
 
-def _untied() -> npt.NDArray[np.intp]:
+def _untied() -> Index:
     return np.zeros((0, 4), dtype=np.intp)
 
 
@@ -84,8 +83,8 @@ class BoundPart:
     side: Side = "late"
     value: float = np.inf
     price: float = 0.0
-    tied: npt.NDArray[np.intp] = field(default_factory=_untied)
-    chosen: npt.NDArray[np.bool_] = field(default_factory=_any)
+    tied: Index = field(default_factory=_untied)
+    chosen: Mask = field(default_factory=_any)
 
     def value_for(self, problem: DesignProblem) -> float:
         """The bound that these multipliers prove for `problem`; infinite where they prove nothing."""
@@ -260,7 +259,7 @@ _MOST_TIED = 10**9  # samples, counted on over the periods: more than any design
 _DIMENSIONS = {"starts": 1, "weights": 3, "tilt": 1}
 
 
-def _chosen(value: object) -> npt.NDArray[np.bool_]:
+def _chosen(value: object) -> Mask:
     """What each sample measures: rows of true and false."""
     found = np.array(value, dtype=object)
     if found.ndim != 2 or not all(isinstance(entry, bool) for entry in found.ravel().tolist()):
@@ -311,7 +310,7 @@ def _part(
     return replace(bare, value=bare.value_for(problem))
 
 
-def chosen_in(problem: DesignProblem) -> npt.NDArray[np.bool_]:
+def chosen_in(problem: DesignProblem) -> Mask:
     """What each sample measures where that is decided, as a part says it."""
     return _any() if problem.chosen is None else problem.chosen
 
@@ -463,7 +462,7 @@ def _placed_by_itself(problem: DesignProblem) -> list[tuple[BoundPart, ...]]:
     return found
 
 
-def _least_seen(problem: DesignProblem, method: Method, times: Array, mask: npt.NDArray[np.bool_]) -> BoundPart:
+def _least_seen(problem: DesignProblem, method: Method, times: Array, mask: Mask) -> BoundPart:
     """The part of one window: that in which samples at `times` see some state least."""
     P = problem.period
     beside = (times[:, None] + np.array([-JUST_BESIDE, 0.0, JUST_BESIDE]) * P).ravel()

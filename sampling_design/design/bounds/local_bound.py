@@ -18,7 +18,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.bounds.derivatives import largest_derivatives
 from sampling_design.design.bounds.weak_duality import rooted
@@ -26,9 +25,7 @@ from sampling_design.design.problem.gram import EPS, ROUNDING_MARGIN
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.numerics import conic_programs
 from sampling_design.numerics.linalg import expm_batch
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
+from sampling_design.records.arrays import Array, Index, Mask
 
 _SAME = 1e-11  # of the period: what lies this near to the end of a window lies on it
 _GROWS = 1.0  # exponent of growth over a window from which states are judged at its last sample
@@ -44,12 +41,11 @@ _BLIND = 30.0  # times what is seen: where the norms of states are more, they sa
 _MOST_CHANGE = 0.5  # of a window's own state, relative: more, and its logarithm is not bounded
 
 
-TiedWindows = npt.NDArray[np.intp]
 """Windows that begin at a sample or end there: rows (sample, 0 or 1, whether closed on the right instead of the left,
 anchor). The anchor is the sample, counted on over the periods, at whose instant the state is judged."""
 
 
-def tied_windows(problem: DesignProblem, zones: Array) -> TiedWindows:
+def tied_windows(problem: DesignProblem, zones: Array) -> Index:
     """Windows just before and just after every event."""
     ratio = problem.window / problem.period
     whole = abs(ratio - round(ratio)) <= _SAME * max(ratio, 1.0)
@@ -63,7 +59,7 @@ def tied_windows(problem: DesignProblem, zones: Array) -> TiedWindows:
     return np.array(rows, dtype=np.intp)
 
 
-def _held(problem: DesignProblem, zones: Array, j: int, ends: int, right: int) -> npt.NDArray[np.intp]:
+def _held(problem: DesignProblem, zones: Array, j: int, ends: int, right: int) -> Index:
     """Samples, counted on over the periods, that the window can hold for some schedule in the zones."""
     k, P, T = problem.samples, problem.period, problem.window
     tiny = _SAME * P
@@ -89,9 +85,9 @@ class _Terms:
     """All measurements of all windows: window, sample and anchor (both mod k), the lag at the middle of the box, half
     the range of its change, and which rows count; the term of the window's own state is one of them."""
 
-    window: npt.NDArray[np.intp]
-    first: npt.NDArray[np.intp]
-    second: npt.NDArray[np.intp]
+    window: Index
+    first: Index
+    second: Index
     lag: Array
     reach: Array
     low: Array
@@ -100,7 +96,7 @@ class _Terms:
     own: Mask
 
 
-def _terms(problem: DesignProblem, zones: Array, windows: TiedWindows) -> _Terms:
+def _terms(problem: DesignProblem, zones: Array, windows: Index) -> _Terms:
     k, P = problem.samples, problem.period
     middle, half = zones.mean(axis=1), (zones[:, 1] - zones[:, 0]) / 2
     seen = _can_measure(problem, zones)
@@ -148,7 +144,7 @@ def _terms(problem: DesignProblem, zones: Array, windows: TiedWindows) -> _Terms
 class LocalRelaxation:
     """Windows that matter, roots of their multipliers in the scaled basis, those of the spacing, and where to cut."""
 
-    windows: TiedWindows
+    windows: Index
     roots: Array
     push: Array
     index: int
@@ -342,7 +338,7 @@ def _padded(rows: Array, problem: DesignProblem) -> Array:
     return np.vstack([rows, np.zeros((count - len(rows), rows.shape[1]))])
 
 
-def _expansion(problem: DesignProblem, zones: Array, windows: TiedWindows, roots: Array) -> LogExpansion | None:
+def _expansion(problem: DesignProblem, zones: Array, windows: Index, roots: Array) -> LogExpansion | None:
     """The geometric mean of all windows about the middle of the box, for V_m = F_m F_m' in the scaled basis.
 
     Windows weigh as much as their own state does in the middle. None where too little is known of the logarithms.
@@ -422,7 +418,7 @@ def _extremes(problem: DesignProblem, terms: _Terms, roots: Array) -> tuple[Arra
     return low, high
 
 
-def _wide_expansion(problem: DesignProblem, zones: Array, windows: TiedWindows, roots: Array) -> LogExpansion | None:
+def _wide_expansion(problem: DesignProblem, zones: Array, windows: Index, roots: Array) -> LogExpansion | None:
     """The geometric mean with growth as it is and everything else at its extremes: no Hessian, no remainder."""
     k, M, rate = problem.samples, len(windows), growth_rate(problem)
     half = (zones[:, 1] - zones[:, 0]) / 2
@@ -467,7 +463,7 @@ def _spacing(problem: DesignProblem, zones: Array) -> tuple[Array, Array]:
     return eye - np.roll(eye, 1, axis=1), gaps - problem.spacing * (1 - _SAME)
 
 
-def local_bound(problem: DesignProblem, zones: Array, windows: TiedWindows, roots: Array, push: Array) -> float:
+def local_bound(problem: DesignProblem, zones: Array, windows: Index, roots: Array, push: Array) -> float:
     """Bound sigma of every schedule whose samples lie in `zones`, by psd multipliers F F' and spacing's `push` >= 0."""
     values = [_value(problem, zones, _expansion(problem, zones, windows, roots), push)]
     if growth_rate(problem) > 0:

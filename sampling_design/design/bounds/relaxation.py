@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.bounds.zones import turn
 from sampling_design.design.problem.gram import lags
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.numerics import conic_programs
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import SolverRecord
-
-Array = npt.NDArray[np.float64]
 
 TOLERANCE = 1e-7
 """Asked of the solver: the bound made from its multipliers is as good as they are, and true whatever they are."""
@@ -138,7 +136,7 @@ def unsolved(problem: DesignProblem, times: Array, starts: Array) -> Relaxation:
 
 def relaxation_grid(
     problem: DesignProblem, points: int | None = None
-) -> tuple[Array, npt.NDArray[np.bool_], Array, tuple[Array, Array]]:
+) -> tuple[Array, Mask, Array, tuple[Array, Array]]:
     """Grid times for free samples, what is available there, window starts, and the spacing's rows and limits."""
     N = grid_size(problem) if points is None else points
     P = problem.period
@@ -177,7 +175,7 @@ def _telling_starts(problem: DesignProblem) -> Array:
     return found[:: int(np.ceil(found.size / most))] if found.size else found
 
 
-def grams_at(problem: DesignProblem, times: Array, starts: Array, mask: npt.NDArray[np.bool_]) -> Array:
+def grams_at(problem: DesignProblem, times: Array, starts: Array, mask: Mask) -> Array:
     """(M, N, n, n) scaled Gram matrices of samples at `times` in the windows that `starts` mean."""
     rows = problem.rows
     n, p = problem.plant.n_states, problem.plant.n_outputs

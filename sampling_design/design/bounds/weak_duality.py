@@ -12,15 +12,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.bounds.derivatives import change_of_bend, remainder_of_bend
 from sampling_design.design.problem.feasible import without_hours
 from sampling_design.design.problem.gram import lags
 from sampling_design.design.problem.numbers import ON_AN_END, DesignProblem
 from sampling_design.numerics.linalg import expm_batch, rows_ahead
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array, Mask
 
 CELLS, CELLS_PER_RATE = 1200, 48.0
 """Time cells per period at least, and per |A| P: the remainder of a cell is of second order in |A| times its width."""
@@ -46,7 +44,7 @@ class Profile:
     left: Array
     right: Array
     bend: Array
-    beside: npt.NDArray[np.bool_]
+    beside: Mask
 
 
 def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Profile:
@@ -94,7 +92,7 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Pr
     return Profile(edges, g_left + rounded, g_right + rounded, np.maximum(-bend, 0.0) + sharpness, beside)
 
 
-def _beside(problem: DesignProblem, starts: Array, edges: Array) -> npt.NDArray[np.bool_]:
+def _beside(problem: DesignProblem, starts: Array, edges: Array) -> Mask:
     """Whether what holds just before each piece, and just after it, may hold at its very end.
 
     Not where nothing is allowed there: the closing time itself is not allowed, and the opening time is not seen by
@@ -113,7 +111,7 @@ def peaks(g: Profile) -> Array:
     return np.asarray(np.maximum(np.append(right[-1], right), np.append(left, left[0])))
 
 
-def roofs(g: Profile, mask: npt.NDArray[np.bool_], prices: Array | None = None) -> Array:
+def roofs(g: Profile, mask: Mask, prices: Array | None = None) -> Array:
     """Upper bounds of g on the closed pieces, summed over the outputs measured there; both limits count at an end.
 
     What holds beside a piece counts only where it may hold at its end (`Profile.beside`).
@@ -128,7 +126,7 @@ def roofs(g: Profile, mask: npt.NDArray[np.bool_], prices: Array | None = None) 
     return np.asarray(np.max([*own, *np.where(g.beside, [before, after], -np.inf)], axis=0))
 
 
-def best_choice(values: Array, mask: npt.NDArray[np.bool_], prices: Array | None) -> Array:
+def best_choice(values: Array, mask: Mask, prices: Array | None) -> Array:
     """Most that a sample can bring by the outputs (last axis) that are there, at least one, less their prices."""
     if prices is None:
         return np.asarray(np.sum(values * mask, axis=-1))

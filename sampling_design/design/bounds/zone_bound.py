@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.bounds.relaxation import (
     JUST_BESIDE,
@@ -33,9 +32,8 @@ from sampling_design.design.bounds.weak_duality import (
 )
 from sampling_design.design.bounds.zones import TINY
 from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import ENDLESS, Budget
-
-Array = npt.NDArray[np.float64]
 
 _MOST_POINTS = 480  # however many cycles a window holds: cost grows with its square, and the bound is true with any
 _POINTS = 48  # grid times of one relaxation at least, spread over the zones
@@ -111,11 +109,11 @@ class _Points:
     """
 
     times: Array
-    kind: npt.NDArray[np.intp]
-    owner: npt.NDArray[np.intp]
-    mask: npt.NDArray[np.bool_]
+    kind: Index
+    owner: Index
+    mask: Mask
 
-    def of(self, used: npt.NDArray[np.bool_]) -> _Points:
+    def of(self, used: Mask) -> _Points:
         """Some of them."""
         return _Points(self.times[used], self.kind[used], self.owner[used], self.mask[used])
 

@@ -18,12 +18,10 @@ from math import comb
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.records.arrays import Array, Mask
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 Side = Literal["late", "early", "sorted"]
 SIDES: tuple[Side, ...] = ("late", "early", "sorted")
 

@@ -18,9 +18,7 @@ import numpy.typing as npt
 
 from sampling_design.design.problem.numbers import ON_AN_END, DesignProblem
 from sampling_design.plants.plant import Plant
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
+from sampling_design.records.arrays import Array, Mask
 
 BITS = 40
 """Binary digits that are kept: far above rounding, far below the tolerance of every search."""

@@ -12,11 +12,10 @@ from itertools import combinations_with_replacement, product
 from math import comb, factorial, prod
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.problem.numbers import SLACK, DesignProblem
+from sampling_design.records.arrays import Mask
 
-Mask = npt.NDArray[np.bool_]
 Outputs = tuple[bool, ...]
 
 MOST_CHOICES = 48

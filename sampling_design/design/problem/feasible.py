@@ -6,16 +6,13 @@ from dataclasses import fields
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.problem.numbers import SLACK, DesignProblem
 from sampling_design.errors import InfeasibleRequirementError
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 _REPAIRS = 5  # constraints that may have to give way together
 _SHARE = 1 - 1e-3  # of the room that is just enough: a schedule with no freedom at all is hard to find
-
 
 Change = dict[str, Any]
 """Arguments of a problem and what they become: each has a type of its own."""

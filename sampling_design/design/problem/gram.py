@@ -11,14 +11,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.numerics.linalg import expm_batch, product, product_quotient
 from sampling_design.observability.windows.sampled import observability_matrix
 from sampling_design.plants.plant import Plant
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
+from sampling_design.records.arrays import Array, Mask
 
 _NODES = (
     2049  # positions in the window at which rows are held: the trapezoidal weights are exact to rounding between them
@@ -70,7 +67,7 @@ class ScaledRows:
         return product_quotient(eye, eye, self.R)
 
     @cached_property
-    def A(self) -> npt.NDArray[np.float64]:
+    def A(self) -> Array:
         """R A R^-1."""
         return product_quotient(self.R, self.plant.A, self.R)
 

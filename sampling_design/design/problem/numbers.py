@@ -7,14 +7,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.problem.gram import ScaledRows
 from sampling_design.design.problem.turning import TurningWindows
 from sampling_design.plants.plant import Plant
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
+from sampling_design.records.arrays import Array, Index, Mask
 
 _EXACT = 1e-12  # relative: a period counts as a whole number of spacings where it is one to rounding
 _COUNTED = 10**15  # where there is room for more samples than that, nobody asks how many
@@ -73,7 +70,7 @@ class DesignProblem:
         return self.costs is not None and bool(self.samples * self.costs.sum() > self.cost_limit)
 
     @cached_property
-    def kinds(self) -> tuple[Mask, npt.NDArray[np.intp]]:
+    def kinds(self) -> tuple[Mask, Index]:
         """The different sets of outputs (m, p) that samples measure, and which of them each sample does (k,)."""
         if self.chosen is None:
             return np.ones((1, self.plant.n_outputs), dtype=bool), np.zeros(self.samples, dtype=np.intp)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.problem.feasible import check_feasible
 from sampling_design.design.problem.numbers import SLACK, DesignProblem
@@ -18,11 +17,10 @@ from sampling_design.plants.functional import weighed_over
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import time_factor
-
-Array = npt.NDArray[np.float64]
 
 MOST_DEFAULT_SAMPLES = 24
 """Samples of a period that are taken unasked, at most: more take minutes."""

@@ -9,14 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.sliding import SlidingSums
 from sampling_design.design.problem.turning import BATCH_NUMBERS
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
+from sampling_design.records.arrays import Array, Index, Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +26,8 @@ class WindowPositions:
     """
 
     at: Array
-    first: npt.NDArray[np.intp]
-    second: npt.NDArray[np.intp]
+    first: Index
+    second: Index
     share: Array
     closed: tuple[str, ...]
 

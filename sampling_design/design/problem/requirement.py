@@ -12,11 +12,11 @@ import numpy.typing as npt
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.rows import Wanted, rows_asked
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import Plain, Record, counted, short
 from sampling_design.records.units import check_time_unit
 
-Array = npt.NDArray[np.float64]
 COUNTS = ("exactly", "at_least", "at_most")
 
 

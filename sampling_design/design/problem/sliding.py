@@ -9,14 +9,9 @@ forward in time over at most a window: no digit is lost that the direct sum woul
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.problem.gram import ScaledRows
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
-Index = npt.NDArray[np.intp]
-
+from sampling_design.records.arrays import Array, Index, Mask
 
 _WHOLE = 1e-11  # of the period: what lies this near to each other lies together
 

@@ -8,12 +8,9 @@ rows of a sample, C e^{As}, leave and come back a window later. Search only: not
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.plants.plant import Plant
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
+from sampling_design.records.arrays import Array, Mask
 
 WHOLE = 1e-11  # relative: windows that are a whole number of periods to rounding
 _STRETCH = 1e-11  # exponent by which states may grow over a window, and still count as turned

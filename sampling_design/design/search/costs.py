@@ -8,7 +8,6 @@ gives up, one by one, what costs most for what it brings; then pairs are exchang
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.bounds.relaxation import (
     Relaxation,
@@ -26,10 +25,8 @@ from sampling_design.design.search.local_search import FIRST_STEPS, HOPELESS, Fo
 from sampling_design.design.search.refine import refined
 from sampling_design.errors import InfeasibleRequirementError
 from sampling_design.numerics import conic_programs
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import ENDLESS, Budget
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 _FAINT = 0.1  # of a row: what is left out still counts so much where every choice is blind
 _PAIRS = 400  # exchanges that are looked at in one round

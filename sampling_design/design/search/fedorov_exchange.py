@@ -13,14 +13,12 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.bounds.relaxation import Relaxation
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
-
-Array = npt.NDArray[np.float64]
 
 _LEADS = 6  # turns of a period that repair tries
 

@@ -23,16 +23,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.bounds.relaxation import Relaxation
 from sampling_design.design.bounds.zones import turn
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.turning import TurningWindows
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import ENDLESS, Budget
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 Valued = tuple[float, Array]
 
 _HOURS, _WEIGHS = 12, 0.01  # that samples may move to: the heaviest ones, of a share of the heaviest one at least
@@ -117,7 +115,7 @@ class HeatBath:
         shape = (times.size, -1, every.shape[-1])
         return every[:, :-1].reshape(shape), every[:, 1:].reshape(shape)
 
-    def seen(self, others: Array, early: Array, late: Array, free: npt.NDArray[np.intp]) -> Array:
+    def seen(self, others: Array, early: Array, late: Array, free: Index) -> Array:
         """(m, k) at most the least eigenvalue of each window, one more sample at each of the `free` places.
 
         The windows begin just before each of the `others` (k - 1 of them, sorted, with their rows), and before it.

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.bounds.relaxation import Relaxation, repeating
 from sampling_design.design.bounds.zones import turn
@@ -29,9 +28,9 @@ from sampling_design.design.search.refine import refined
 from sampling_design.design.search.rotations import exchanged_hours, rotated
 from sampling_design.design.search.smooth import smoothed
 from sampling_design.errors import SolverError
+from sampling_design.records.arrays import Array, Index
 from sampling_design.records.budget import ENDLESS, Budget
 
-Array = npt.NDArray[np.float64]
 ValueProgress = Callable[[float, float], None]
 """Called with the fraction done and sigma of the best schedule."""
 
@@ -170,7 +169,7 @@ def _search_from(
         _restart(run, rng)
 
 
-def _ranked(values: Array) -> npt.NDArray[np.intp]:
+def _ranked(values: Array) -> Index:
     """The best first; those that tie with the best one in their own order, and not in that of their rounding."""
     highest = float(np.max(values, initial=0.0))
     return np.argsort(-np.where(values >= highest * (1 - _TIE), highest, values), kind="stable")

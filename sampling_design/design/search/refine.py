@@ -7,16 +7,14 @@ little. Linearising whole Gram matrices, W_m + sum ds_i dW_m/ds_i >= t I, sees a
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.problem.gram import lags
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import WindowPositions, positions, window_grams, worst_sigma2
 from sampling_design.design.search.fedorov_exchange import is_admissible
 from sampling_design.numerics import conic_programs
+from sampling_design.records.arrays import Array, Index
 from sampling_design.records.budget import ENDLESS, Budget
-
-Array = npt.NDArray[np.float64]
 
 _KEPT = 3.0  # windows whose sigma^2 exceeds this times the least one cannot become worst in a trusted step
 _MOST_WINDOWS = 20  # the worst ones; a step that forgets another one is refused by the evaluation after it
@@ -95,9 +93,7 @@ def _step(problem: DesignProblem, times: Array, sigma2: float, trust: float, bud
     return move
 
 
-def _slopes(
-    problem: DesignProblem, times: Array, where: WindowPositions, kept: npt.NDArray[np.intp], V: Array
-) -> Array:
+def _slopes(problem: DesignProblem, times: Array, where: WindowPositions, kept: Index, V: Array) -> Array:
     """Derivatives (m, k, q, q) of the kept windows' Gram matrices, seen in the directions V, by each sample time.
 
     A lag is sample minus window start, and the start moves with the two events beside it.

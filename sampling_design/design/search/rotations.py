@@ -9,16 +9,14 @@ exchange their times of day as long as that sees more.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.bounds.relaxation import Relaxation
 from sampling_design.design.bounds.zones import turn
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.search.fedorov_exchange import is_admissible, repaired
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
-
-Array = npt.NDArray[np.float64]
 
 _OFFSETS = 4  # by which a rotation begins, in quarters of a turn
 _STEPS, _MOST_STEPS = 6000, 200  # steps times samples that are looked at, and steps at most

@@ -8,14 +8,12 @@ tenth of their time: many starts can be led to their best schedules.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.turning import TurningWindows
 from sampling_design.design.search.fedorov_exchange import is_admissible, repaired
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
-
-Array = npt.NDArray[np.float64]
 
 _SHARPNESS = (100.0, 600.0, 3000.0)  # in 1/sigma^2: e^{-sharpness} is what an eigenvalue twice the least one weighs
 _STEPS = (25, 60, 60)  # of each; after the first few it shows what a start is worth

@@ -7,13 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.estimators.constraints.convex_set import ConvexSet
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
-Mask = npt.NDArray[np.bool_]
+from sampling_design.records.arrays import Array, Index, Mask
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,9 +11,8 @@ import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.record import Record
-
-Array = npt.NDArray[np.float64]
 
 EMPTY_MARGIN = 1e-9
 """A set counts as empty if every point violates it by more than this, relative to the sizes it names."""
@@ -176,7 +175,7 @@ class ConvexSet(Record):
         return not self.balls and self.rows.shape[0] == 0
 
     @cached_property
-    def bounded(self) -> npt.NDArray[np.intp]:
+    def bounded(self) -> Index:
         """Indices of the entries that have a bound of their own."""
         return np.flatnonzero(np.isfinite(self.lower) | np.isfinite(self.upper))
 
@@ -217,7 +216,7 @@ class ConvexSet(Record):
             worst = max(worst, float(np.max(distance)) - ball.radius)
         return worst
 
-    def holds(self, values: Array, seen: npt.NDArray[np.bool_] | None = None) -> bool:
+    def holds(self, values: Array, seen: Mask | None = None) -> bool:
         """Whether all (N, k) values lie in the set, of which entries not `seen` are free; nothing is checked.
 
         Half-spaces and balls count only where all of a value is seen.

@@ -11,7 +11,6 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.convex_set import ConvexSet, NormBall, normed
@@ -20,8 +19,7 @@ from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import CACHE_SIZE, FlowTable, GapFlow, discounted_length
 from sampling_design.numerics.linalg import expm_batch
 from sampling_design.plants.plant import Plant
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 CELL = 0.05
 """Cells have |A|_2 times length at most this. The bounds are then loose by less than a thousandth for most plants and

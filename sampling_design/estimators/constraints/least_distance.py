@@ -8,12 +8,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.estimators.constraints.least_distance_problem import LeastDistance
 from sampling_design.numerics import conic_programs
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 ACCEPTED = 1e-9
 """Infeasibility (in posterior standard deviations) and relative duality gap up to which an answer is taken."""

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from sampling_design.estimators.constraints.constrained_signals import ConstrainedSignal, ConstraintRows, Mask, rows_of
+from sampling_design.estimators.constraints.constrained_signals import ConstrainedSignal, ConstraintRows, rows_of
 from sampling_design.estimators.window.solution import SolutionSpread
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array, Mask
 
 
 @dataclass(frozen=True, eq=False)

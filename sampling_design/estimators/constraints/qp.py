@@ -10,13 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from sampling_design.estimators.constraints.constrained_signals import Mask
 from sampling_design.estimators.constraints.least_distance import NearestPoint, active_set, conic
 from sampling_design.estimators.constraints.least_distance_problem import ConstraintDemands
 from sampling_design.estimators.constraints.reference import find_obstacle, solve_reference
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.window_problem import EstimationWindow
+from sampling_design.records.arrays import Mask
 
 FEW = 0.1
 """Share of the rows up to which those that matter are sought one by one; beyond, all are taken at once."""

@@ -8,7 +8,6 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.least_distance import ACCEPTED, SOLVER_TOLERANCE
@@ -18,12 +17,12 @@ from sampling_design.estimators.gap_flows.cost_weights import marginal_root
 from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.numerics import conic_programs
+from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import SolverRecord
 
 if TYPE_CHECKING:
     from sampling_design.numerics.conic_programs import Constraint, Expression, Problem
 
-Array = npt.NDArray[np.float64]
 
 SCALES = (1.0, 1e-3, 1e-6)
 """Units of the steps in which the reference is solved and then refined around its own answer."""

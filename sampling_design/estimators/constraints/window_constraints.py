@@ -6,7 +6,6 @@ from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.estimators.constraints.constrained_signals import ConstrainedSignal
 from sampling_design.estimators.constraints.constraints import Constraints
@@ -18,8 +17,7 @@ from sampling_design.estimators.gap_flows.flows import FlowTable
 from sampling_design.estimators.window.sliding import OptimalTrajectory
 from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.window_problem import EstimationWindow
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 
 class WindowConstraints:

@@ -14,16 +14,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import matrix_balance
 
 from sampling_design.numerics.linalg import SHORT, expm_batch, exponential_terms, gramian_terms
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array, Index
 
 BASE = 64
 """Pieces of one size that are remembered: one level of them covers |A| h up to 8 at least, three up to 3e4."""
-
 
 FEW = 4
 """Gaps up to which each is a product of its own with the polynomial around its piece."""
@@ -143,7 +140,7 @@ class ComposedFlow:
         flow[..., n:] += late[..., n:]
         return flow
 
-    def _pieces(self, level: int, digits: npt.NDArray[np.intp]) -> Array:
+    def _pieces(self, level: int, digits: Index) -> Array:
         """Flows over `digits` units of 64^level h_0; the table grows until it holds them all."""
         if level == len(self._levels):
             self._levels.append(self._first(level))

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal, get_args
 
-import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import Record, short
 
-Array = npt.NDArray[np.float64]
 Form = Literal["certificate", "paper"]
 ArrivalKind = Literal["fixed", "filtered"]
 Beginning = Literal["horizon", "sample"]

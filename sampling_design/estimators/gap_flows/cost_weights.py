@@ -22,9 +22,7 @@ from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.records import checks
-
-Array = npt.NDArray[np.float64]
-
+from sampling_design.records.arrays import Array, Mask
 
 INVERTED = 1e-15
 """Relative error of a weight in units of its diagonal: its inverse is off by as much times its condition."""
@@ -133,7 +131,7 @@ class CostWeights:
             found = self._kinds[key] = self._made(mask > 0)
         return found
 
-    def _made(self, seen: npt.NDArray[np.bool_]) -> tuple[SampleWeights, tuple[float, float]]:
+    def _made(self, seen: Mask) -> tuple[SampleWeights, tuple[float, float]]:
         root, R, v = marginal_root(self.y, seen), marginal(self.R, seen), marginal(self.v, seen)
         both = np.linalg.cholesky(R + v + np.diag(np.where(seen, 0.0, 1.0)))
         half = np.linalg.solve(both, np.diag(seen.astype(np.float64)))
@@ -176,7 +174,7 @@ class CostWeights:
         return np.repeat(np.array(found), lengths)
 
 
-def marginal_root(weight: Array, seen: npt.NDArray[np.bool_]) -> Array:
+def marginal_root(weight: Array, seen: Mask) -> Array:
     """Return U with |U r|^2 = min |z|^2_weight over all z that agree with r where `seen`; zero columns elsewhere.
 
     The last block of the Cholesky factor of the weight with what is not seen put first.
@@ -189,7 +187,7 @@ def marginal_root(weight: Array, seen: npt.NDArray[np.bool_]) -> Array:
     return root
 
 
-def marginal(weight: Array, seen: npt.NDArray[np.bool_]) -> Array:
+def marginal(weight: Array, seen: Mask) -> Array:
     """Return the weight of the entries that are `seen`, the others being free: zero rows and columns for those."""
     if seen.all():
         return weight

@@ -15,8 +15,7 @@ from scipy.linalg import lapack
 from sampling_design.estimators.gap_flows.composed_flow import SMALL, ComposedFlow
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.numerics.filtering import propagate
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array, Index, Mask
 
 CONDITION_LIMIT = 1e6
 """W_h is inverted only while its correlation matrix's inverse has a trace below this: six digits lost of sixteen."""
@@ -159,7 +158,7 @@ class GapFlow:
 
 
 @lru_cache(maxsize=64)
-def _band_places(width: int, n: int) -> npt.NDArray[np.intp]:
+def _band_places(width: int, n: int) -> Index:
     """Where the entries of a lower band stand in a symmetric matrix with a zero after its end."""
     column, below = np.meshgrid(np.arange(width), np.arange(2 * n), indexing="ij")
     row = column + below
@@ -308,7 +307,7 @@ def _half(M: Array) -> tuple[Array, float] | None:
     return (half, condition) if condition <= CONDITION_LIMIT else None  # neither where something overflowed
 
 
-def _halves(M: Array) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+def _halves(M: Array) -> tuple[Array, Array, Mask]:
     """L^-1 and the condition as `_half` finds them, of many matrices, and which of them keep their digits."""
     n = M.shape[1]
     try:

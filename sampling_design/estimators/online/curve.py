@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import EstimateRecord
@@ -13,11 +12,10 @@ from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.estimators.online.state_tube import StateTube, joined
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import Record, counted
 from sampling_design.records.signatures import checked
-
-Array = npt.NDArray[np.float64]
 
 POINTS_PER_GAP = 12
 """Points of the open loop between two samples."""

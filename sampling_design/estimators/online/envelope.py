@@ -8,11 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import Record, short
-
-Array = npt.NDArray[np.float64]
-
-Truths = npt.NDArray[np.bool_]
 
 STRETCHES = 600
 """Stretches of a record that has more times than that: about one for each column of dots of a picture."""
@@ -44,7 +41,7 @@ class EstimateEnvelope(Record):
     highest: Array
     lower: Array
     upper: Array
-    failed: Truths
+    failed: Mask
 
     @classmethod
     def over(cls, plant: Plant, times: npt.ArrayLike, stretches: int = STRETCHES) -> EstimateEnvelope:
@@ -61,7 +58,7 @@ class EstimateEnvelope(Record):
         """Where stretches begin, and where the last one ends (K + 1,)."""
         return np.append(self.times - self.length / 2, self.times[-1:] + self.length / 2)
 
-    def add(self, times: Array, x: Array, radii: Array, certified: Truths, failed: Truths) -> None:
+    def add(self, times: Array, x: Array, radii: Array, certified: Mask, failed: Mask) -> None:
         """Take in estimates x (N, n) at some of the times, with their radii (N, n) and whether proven or failed."""
         begin = self.times if self.length == 0 else self.edges[:-1]
         at = np.maximum(np.searchsorted(begin, times, side="right") - 1, 0)

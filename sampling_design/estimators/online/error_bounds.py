@@ -10,8 +10,7 @@ import numpy.typing as npt
 from sampling_design.accuracy.readings import DisturbanceSet, StartError
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights, noise_bound
 from sampling_design.estimators.online.evidence import Assumptions, SetBounds
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 
 class ErrorBounds:

@@ -14,10 +14,9 @@ from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.state_tube import StateTube
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import Plain, PlainRecord, finite_or_none, short
-
-Array = npt.NDArray[np.float64]
 
 Status = Literal["prior", "ok", "predicted", "infeasible", "solver failed", "bounds disproved"]
 """How an estimate came about.

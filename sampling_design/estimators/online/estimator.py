@@ -16,10 +16,9 @@ from sampling_design.estimators.online.estimate import Contradiction, Estimate, 
 from sampling_design.estimators.online.tally import EstimateCounts
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import CurveRecord, PlainRecord, TableRecord, Variable
-
-Array = npt.NDArray[np.float64]
 
 
 class GuaranteeWarning(UserWarning):
@@ -74,8 +73,8 @@ class EstimateRecord(TableRecord, CurveRecord, PlainRecord):
     radius: Array
     cost: Array
     status: tuple[Status, ...]
-    certified: npt.NDArray[np.bool_]
-    on_schedule: npt.NDArray[np.bool_]
+    certified: Mask
+    on_schedule: Mask
     notes: tuple[str, ...] = field(default=())
     contradictions: tuple[Contradiction | None, ...] = field(default=())
     estimates: tuple[Estimate, ...] = field(default=(), repr=False)

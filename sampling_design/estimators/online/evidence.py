@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.interval import Disproof, Interval, prove
@@ -16,8 +15,7 @@ from sampling_design.estimators.online.history import HistoryNode, InputHistory
 from sampling_design.estimators.online.state_tube import StateTube, open_tube
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted, wanted_rows
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 SUSPECTS = 5
 """Samples that are left out in turn to find the one that contradicts the bounds."""

@@ -10,15 +10,12 @@ from operator import attrgetter, itemgetter
 from typing import NamedTuple, overload
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.estimate import Contradiction, Estimate
 from sampling_design.estimators.online.estimator import CheckedSample
+from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
-
-Array = npt.NDArray[np.float64]
-
 
 DEEPEST = 32
 """Branches of a history one within the other."""

@@ -20,11 +20,9 @@ from sampling_design.estimators.records.measurement_table import MeasuredPlant
 from sampling_design.estimators.records.measurements import DataFrame, read_measurements
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked_methods
-
-Array = npt.NDArray[np.float64]
-
 
 AHEAD = 512
 """Samples of a record whose gaps are made at once."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.composed_flow import ComposedFlow
@@ -16,8 +15,7 @@ from sampling_design.estimators.online.rounding import faded
 from sampling_design.estimators.online.verdict import LARGEST_RESIDUAL, ROUNDING
 from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import symmetrise
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 
 class OpenLoop:

@@ -6,7 +6,6 @@ import math
 from typing import NamedTuple, TypedDict, Unpack
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimate import Contradiction, Estimate, Status, estimate_of, with_proof
@@ -18,9 +17,8 @@ from sampling_design.estimators.online.rounding import CovariancePrecision, in_u
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import SolveVerdict
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
-
-Array = npt.NDArray[np.float64]
 
 FLOWN = 4e-15
 """Relative error of a covariance that was flown over a gap, in units of its diagonal: times its condition it is that of

@@ -6,13 +6,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import lapack
 
 from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.history import HistoryNode
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 ROUNDED = 1e-14
 """Relative error of what is computed with data and states: it moves a centre, and adds to the root of a bound. (Found:

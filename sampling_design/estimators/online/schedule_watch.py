@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.schedules.family import AnySchedule, SamplingFamily, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-
-Array = npt.NDArray[np.float64]
 
 ROUNDINGS = 4.0
 """Units in the last place of a time stamp within which it may have been rounded: stamp, period and their product."""

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.record_program import RecordProgram
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 KNOTS = 5
 """Times of a gap at which programs are solved; gains in between are mixed from theirs, which proves no less."""

@@ -6,15 +6,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.online.estimate import Contradiction, Status
 from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.online.history import HistoryNode
 from sampling_design.estimators.online.rounding import moved, rounding
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 CONTRADICTION = 1e-9
 """The bound must fall below zero by this share of its terms before the noise bounds count as disproved."""

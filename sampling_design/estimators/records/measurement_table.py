@@ -9,16 +9,15 @@ from itertools import islice
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.readings import CensoredReading
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.plant import Signals
 from sampling_design.records import checks, file_io
+from sampling_design.records.arrays import Array, Index
 from sampling_design.records.units import SECONDS
 from sampling_design.schedules.time_stamps import time_zone
 
-Array = npt.NDArray[np.float64]
 Numbered = tuple[int, str]
 
 SINCE = "_since"
@@ -119,7 +118,7 @@ class MeasurementTable:
         self.clock, self.stamp = clock, stamp
         self.read = clock.date if stamp == "date" else clock.time
         self.told: list[tuple[CensoredReading, ...]] = []
-        self._blocks: list[tuple[Array, Array, Array, npt.NDArray[np.intp]]] = []
+        self._blocks: list[tuple[Array, Array, Array, Index]] = []
         self._latest, self._held = -np.inf, np.full(plant.n_inputs, np.nan)
         self._rows = _Rows()
         self._seen: dict[float, tuple[int, tuple[float, ...]]] | None = None
@@ -286,7 +285,7 @@ class _Rows:
         self.u.append(inputs)
         self.lines.append(line)
 
-    def arrays(self, p: int, m: int) -> tuple[Array, Array, Array, npt.NDArray[np.intp]]:
+    def arrays(self, p: int, m: int) -> tuple[Array, Array, Array, Index]:
         count = len(self.times)
         y, u = np.reshape(self.y, (count, p)), np.reshape(self.u, (count, m))
         return np.array(self.times), y, u, np.array(self.lines)

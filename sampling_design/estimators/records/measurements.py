@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.readings import CensoredReading, as_typed
 from sampling_design.errors import ArgumentError
@@ -26,11 +25,10 @@ from sampling_design.estimators.records.measurement_table import (
 )
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks, file_io
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import Record, counted, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import SECONDS
-
-Array = npt.NDArray[np.float64]
 
 
 @runtime_checkable
@@ -119,7 +117,7 @@ class Measurements(Record):
         return self.times.size
 
     @property
-    def measured(self) -> npt.NDArray[np.bool_]:
+    def measured(self) -> Mask:
         """(N, p) where something was read: a number, a limit or a mean."""
         found = np.isfinite(self.y)
         for k, row in enumerate(self.told):
@@ -127,7 +125,7 @@ class Measurements(Record):
                 found[k, [each.output for each in row]] = True
         return found
 
-    def samples(self, numbers: bool = False) -> tuple[Array, npt.NDArray[np.bool_]]:
+    def samples(self, numbers: bool = False) -> tuple[Array, Mask]:
         """Times (K,) at which something was measured, in order, and (K, p) which outputs were.
 
         With `numbers` limits and means do not count: of them no certificate of a schedule speaks.

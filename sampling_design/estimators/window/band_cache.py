@@ -5,14 +5,10 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable
 
-import numpy as np
-import numpy.typing as npt
-
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.online.history import HistoryNode
 from sampling_design.estimators.window.sliding import ROOM, IncomingNode, SlidingBand
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 HISTORIES = 64
 """Histories of one estimator that are remembered side by side."""

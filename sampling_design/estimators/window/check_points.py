@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.estimators.gap_flows.flows import CACHE_SIZE, FlowTable, GapFlow
 from sampling_design.estimators.online.history import EstimatorState, InputDrift
 from sampling_design.estimators.window.sliding import OptimalTrajectory
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 SAME_TIME_ULPS = 4.0
 """A window start within so many units in the last place of the times of a sample is that sample's time."""

@@ -18,7 +18,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import block_diag
 
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
@@ -28,8 +27,7 @@ from sampling_design.estimators.online.history import EstimatorState, InputDrift
 from sampling_design.estimators.window.solution import DUAL_MARGIN, Solution, SolutionSpread
 from sampling_design.numerics.filtering import propagate
 from sampling_design.plants.plant import Plant
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 
 class MeanReading(NamedTuple):

@@ -15,7 +15,6 @@ from operator import is_
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import lapack
 
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
@@ -26,8 +25,7 @@ from sampling_design.estimators.online.verdict import LARGEST_RESIDUAL
 from sampling_design.estimators.window.smoother import PIVOT_LIMIT
 from sampling_design.estimators.window.solution import DUAL_MARGIN
 from sampling_design.numerics.filtering import covariance_root, root_update
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 FAR = 60.0
 """Exponent up to which discounts may grow before they count from a new time."""
@@ -40,7 +38,6 @@ ROOM = 64
 
 CANCELLED = 1e-4
 """Share of the reference's cost below which the least cost is not found as a difference from it."""
-
 
 SETTLED = 1.0
 """Share of what the optimum gains on its reference below which the least cost is found with fewer digits, so that nodes

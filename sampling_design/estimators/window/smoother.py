@@ -16,15 +16,13 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import lapack
 
 from sampling_design.estimators.window.means import with_means
 from sampling_design.estimators.window.solution import DUAL_MARGIN, SmootherKernel, Solution
 from sampling_design.estimators.window.square_root import solve_square_root
 from sampling_design.estimators.window.window_problem import EstimationWindow
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array, Index
 
 PIVOT_LIMIT = 1e-5
 """A Cholesky pivot below this share of its diagonal entry has lost five digits: the other route is taken."""
@@ -98,7 +96,7 @@ def solve_banded(window: EstimationWindow) -> Solution | None:
 
 
 @lru_cache(maxsize=64)
-def _block_places(n: int, width: int) -> npt.NDArray[np.intp]:
+def _block_places(n: int, width: int) -> Index:
     """Where entry (i, j) of the last diagonal block stands in its n columns of a lower band, one after the other."""
     i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
     return np.where(i >= j, j * width + np.maximum(i - j, 0), width * n - 1)

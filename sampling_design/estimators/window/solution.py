@@ -7,12 +7,10 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.estimators.online.estimate import Status
 from sampling_design.numerics.linalg import symmetrise
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 DUAL_MARGIN = 1e-11
 """Share of the reference trajectory's cost by which a computed optimum may exceed the exact one (see `smooth`)."""

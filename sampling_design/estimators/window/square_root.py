@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import lapack
 
 from sampling_design.estimators.window.solution import DUAL_MARGIN, SmootherKernel, Solution
 from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.numerics.filtering import root_update
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 
 def solve_square_root(window: EstimationWindow) -> Solution:

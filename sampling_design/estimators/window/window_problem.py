@@ -14,13 +14,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import CONDITION_LIMIT, GapFlow
 from sampling_design.estimators.window.means import MeanRows
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array, Index
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +112,7 @@ class EstimationWindow:
         return float(np.dot(self.discount, energies)) if np.isfinite(energies).all() else np.inf
 
     @property
-    def samples(self) -> npt.NDArray[np.intp]:
+    def samples(self) -> Index:
         """Indices of the nodes at which something is measured."""
         return np.flatnonzero(self.masks.any(axis=1))
 

@@ -13,11 +13,9 @@ from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.pbh import require_observable, spectrum
 from sampling_design.plants.clusters import eigenvalue_clusters
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array, Complex
 from sampling_design.records.checks import described
 from sampling_design.records.signatures import checked
-
-Array = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
 
 LARGEST_ORDER = 12  # the k-th compound has C(n, k) rows: 924 at n = 12, k = 6
 TERMS = 26  # of the Taylor series over one step; with REACH = 2 the remainder is 2^26/26! = 2e-19

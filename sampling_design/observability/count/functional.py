@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import qr
 
 from sampling_design.errors import ArgumentError, NotDetectableError
@@ -14,9 +13,8 @@ from sampling_design.plants.functional import FunctionalPlant, replace_matrices,
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.signatures import checked
-
-Array = npt.NDArray[np.float64]
 
 
 @checked

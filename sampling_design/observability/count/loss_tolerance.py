@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.numerics.linalg import positive_or_one
 from sampling_design.numerics.modal_flow import exponential
@@ -14,12 +13,11 @@ from sampling_design.observability.count.pbh import require_observable
 from sampling_design.plants.clusters import eigenvalue_clusters
 from sampling_design.plants.modes import split_modes
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
-
-Array = npt.NDArray[np.float64]
 
 NEARLY_HIDDEN = 1e-9
 """A row that shows less of a direction than this share of its own length counts as blind to it."""

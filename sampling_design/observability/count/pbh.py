@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import NotObservableError
 from sampling_design.numerics.balancing import balanced, balanced_rows
@@ -14,11 +13,9 @@ from sampling_design.plants.clusters import EigenvalueCluster, clusters_of, form
 from sampling_design.plants.grouping import CLUSTER_CAP, SPREAD, SchurForm, balanced_schur, invariant_subspace
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Complex
 from sampling_design.records.record import Record, short
 from sampling_design.records.signatures import checked
-
-Array = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
 
 EPS = float(np.finfo(float).eps)
 RANK_TOLERANCE = 1e-10

@@ -21,9 +21,9 @@ from sampling_design.observability.count.pbh import RANK_TOLERANCE
 from sampling_design.plants.clusters import EigenvalueCluster, clusters_of
 from sampling_design.plants.grouping import CLUSTER_CAP, SPREAD, SchurForm, balanced_schur, invariant_subspace
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array
 from sampling_design.schedules.schedule import PeriodicSchedule
 
-Array = npt.NDArray[np.float64]
 Entries = npt.NDArray[Any]  # real or complex
 
 EPS = float(np.finfo(float).eps)

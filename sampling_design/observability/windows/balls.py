@@ -12,13 +12,13 @@ from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.numerics.ball_flow import BallFlow, highest
 from sampling_design.numerics.balls import Matrix, ball, flint, floats, matrix, precision, rational
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget, BudgetSpentError
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -127,7 +127,7 @@ class BallSigma(NamedTuple):
     piece: int
     start: float
     sigma: float
-    direction: npt.NDArray[np.float64]
+    direction: Array
 
 
 def see_in_balls(
@@ -228,7 +228,7 @@ class BallRows:
         self.C = plant.C
         self._kept: dict[bytes, Matrix] = {}
 
-    def of(self, seen: npt.NDArray[np.bool_]) -> Matrix:
+    def of(self, seen: Mask) -> Matrix:
         """C'C of the outputs that a sample measures."""
         key = seen.tobytes()
         if key not in self._kept:
@@ -236,9 +236,7 @@ class BallRows:
             self._kept[key] = C.transpose() * C
         return self._kept[key]
 
-    def gramian(
-        self, flow: BallFlow, times: list[Fraction], start: Fraction, mask: npt.NDArray[np.bool_] | None
-    ) -> Matrix:
+    def gramian(self, flow: BallFlow, times: list[Fraction], start: Fraction, mask: Mask | None) -> Matrix:
         """Sum of e^{A'(tau - start)} C'C e^{A (tau - start)}, from the last sample back to the first."""
         n = self.C.shape[1]
         G, whole = matrix(np.zeros((n, n))), np.ones(self.C.shape[0], dtype=bool)

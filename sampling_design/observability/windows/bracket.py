@@ -10,17 +10,14 @@ from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.observability.windows.timing import rows_of_any_time
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array, Integers, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int_]
 
 # relative error granted to C e^{A tau}, of |C||e^{A tau}|, for tau |A| up to 200 and in proportion beyond;
 # the tests of the exponentials hold them to it against 50-digit arithmetic
@@ -46,7 +43,7 @@ class WindowBracket:
     pieces: Pieces
     nodes: Array
     sigma: Array
-    owner: Indices
+    owner: Integers
     piece_lower: Array
     growth: float = 1.0
 
@@ -128,7 +125,7 @@ class _Pieced:
             size[part] = np.sqrt(np.sum(squares * np.sum(flow**2, axis=(-1, -2)), axis=-1))
         return singular, right, size, growth
 
-    def at(self, owner: Indices, start: Array) -> tuple[Array, Array]:
+    def at(self, owner: Integers, start: Array) -> tuple[Array, Array]:
         """|F| = 1/sigma, and an upper bound on |A^2 F|, at window starts on the pieces `owner`."""
         value, second = np.empty(start.size), np.empty(start.size)
         step = max(1, _CHUNK // self.plant.n_states**2)
@@ -142,7 +139,7 @@ class _Pieced:
                 second[part] = np.where(sound, np.linalg.norm(self.A2 @ F, axis=(1, 2)), np.inf)
         return value, second
 
-    def unseen(self, owner: Indices, start: Array, value: Array) -> npt.NDArray[np.bool_]:
+    def unseen(self, owner: Integers, start: Array, value: Array) -> Mask:
         """Where sigma = 1/value lies below n eps |O(s)|."""
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             back = self.G[owner] @ self.plant.transition(self.pieces.right[owner] - start)

@@ -11,15 +11,11 @@ from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
+from sampling_design.records.arrays import Array, Integers, Mask
 from sampling_design.records.record import short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int_]
-Mask = npt.NDArray[np.bool_]
 
 # events closer than this, relative to the largest time, are one event: sums of gaps and differences
 # with the window length round in the last bits, and a sample that leaves as another arrives is common
@@ -36,8 +32,8 @@ class Pieces:
 
     left: Array
     right: Array
-    first: Indices
-    stop: Indices
+    first: Integers
+    stop: Integers
     _: KW_ONLY
     times: Array
     mask: Mask | None

@@ -15,12 +15,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.plants.plant import Plant
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
+from sampling_design.records.arrays import Array, Mask
 
 MOST_TRIED = 24
 """Windows in which late and early samples are tried for the attained bound: those that see least without them."""

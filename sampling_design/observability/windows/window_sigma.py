@@ -19,15 +19,13 @@ from sampling_design.observability.windows.timing import MOST_TRIED, moved_windo
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Integers
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import CurveRecord, Record, TableRecord, Variable, short
 from sampling_design.records.signatures import open_verb
 from sampling_design.schedules.sampling_set import SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-
-Array = npt.NDArray[np.float64]
-
 
 RTOL = 0.001
 """Default width of the bracket, relative."""
@@ -99,7 +97,7 @@ class WindowProfile:
 
     t: Array
     sigma: Array
-    piece: npt.NDArray[np.int_]
+    piece: Integers
     start: Array
     stop: Array
     lower: Array

@@ -21,17 +21,15 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.numerics.ball_flow import BallFlow
 from sampling_design.numerics.balls import Ball, ball, definite, flint, matrix, rational
 from sampling_design.observability.windows.balls import SHAVES, ProvenSigma, nearest_proven
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array, Integers, Mask
 from sampling_design.records.budget import Budget, BudgetSpentError
 from sampling_design.schedules.spaced_windows import SpacedWindows
-
-Array = npt.NDArray[np.float64]
 
 FIRST_GRID, LAST_GRID = 32, 8192
 """BoxCells of the time grid at first and at most."""
@@ -55,11 +53,11 @@ class BallCells(NamedTuple):
     """Boxes of directions on the faces z_face = 1 of a cube: centre, halvings of each side, halvings of time."""
 
     centre: Array  # (m, n)
-    depth: npt.NDArray[np.int_]  # (m, n)
-    face: npt.NDArray[np.int_]  # (m,)
-    grid: npt.NDArray[np.int_]  # (m,)
+    depth: Integers  # (m, n)
+    face: Integers  # (m,)
+    grid: Integers  # (m,)
 
-    def take(self, index: npt.NDArray[np.bool_] | npt.NDArray[np.int_]) -> BallCells:
+    def take(self, index: Mask | Integers) -> BallCells:
         """The cells at `index`."""
         return BallCells._make(part[index] for part in self)
 

@@ -8,15 +8,13 @@ order-preserving path through k rows of costs is a running minimum per row.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int_]
+from sampling_design.records.arrays import Array, Integers
 
 _FEW = 128  # numbers below which a step of one's own costs more than numpy's accumulation of them
 
 
-def least_path(cost: Array) -> Indices:
+def least_path(cost: Array) -> Integers:
     """Return for each of B problems the non-decreasing path (B, k) of least sum through `cost` (B, k, N)."""
     length = cost.shape[2]
     total, choices = cost[:, 0], []
@@ -30,7 +28,7 @@ def least_path(cost: Array) -> Indices:
     return np.stack(path[::-1], axis=1)
 
 
-def sums_so_far(cost: Array, start: Indices) -> Array:
+def sums_so_far(cost: Array, start: Integers) -> Array:
     """Return the least sum of a path that ends at each point, its own cost included.
 
     Parameters
@@ -52,7 +50,7 @@ def sums_so_far(cost: Array, start: Indices) -> Array:
     return total
 
 
-def sums_to_go(cost: Array, start: Indices, end: Array | float = 0.0) -> Array:
+def sums_to_go(cost: Array, start: Integers, end: Array | float = 0.0) -> Array:
     """Return the least sum of a path that begins at each point, its own cost left out; shapes as for `sums_so_far`.
 
     `end` (W, B, c) is what ending at each point of the last row costs besides.
@@ -76,7 +74,7 @@ def so_far(values: Array, take: np.ufunc) -> Array:
     return found
 
 
-def _shifted(values: Array, shift: Indices) -> Array:
+def _shifted(values: Array, shift: Integers) -> Array:
     """`values` (W, B, c) read at w + shift[b], held constant beyond the ends (a running minimum is constant there)."""
     if not shift.any():
         return values

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.windows.bracket import ALLOWANCE
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array
 
-Array = npt.NDArray[np.float64]
 _EPS = float(np.finfo(float).eps)
 _SURVEY = 128  # times at which the plant is looked at to choose coordinates; no bound rests on them
 _GOLDEN = (np.sqrt(5.0) - 1) / 2  # spreads those times evenly and in step with no oscillation

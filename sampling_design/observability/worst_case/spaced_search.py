@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.observability.worst_case.spaced_paths import least_path
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
-
-Array = npt.NDArray[np.float64]
 
 _STARTS = 32  # random directions that are descended from, beside those of the basis
 _TURNS = 30  # turns of schedule and direction: most end after five

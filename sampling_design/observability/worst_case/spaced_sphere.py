@@ -22,17 +22,14 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.observability.worst_case.spaced_paths import so_far, sums_so_far, sums_to_go
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.observability.worst_case.spaced_search import AttainedSchedule, search_from
 from sampling_design.observability.worst_case.spaced_tables import MOST_CELLS, CurveTable, SphereTables, StartTable
+from sampling_design.records.arrays import Array, Integers, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int_]
 
 MOST_STATES = 12
 """A cell has 2^{n-1} corners: beyond this many states a proof by cells of directions is not tried."""
@@ -47,7 +44,6 @@ _FAR = 0.1  # below this part of the wanted lambda a cell is cut in four at once
 _FOLLOWED = 4096  # cells at most of the grid on which a better schedule is followed
 _TEAR = 16  # least points of a stretch at which a window is torn
 _TIME_SHARE = 0.5  # the grid is refined where time costs more than this part of what else is missing
-
 
 _PER_CELL = {  # of what a batch holds, and which axis counts the cells
     "sides": 0,
@@ -73,13 +69,13 @@ class SphereCells(NamedTuple):
 
     centre: Array  # (m, n)
     half: Array  # (m, n), 0 at the face
-    face: Indices  # (m,)
-    grid: Indices  # (m,) cells of the time grid
-    first: Indices  # (m, k) first and last grid point of each sample that can still matter
-    last: Indices  # (m, k)
+    face: Integers  # (m,)
+    grid: Integers  # (m,) cells of the time grid
+    first: Integers  # (m, k) first and last grid point of each sample that can still matter
+    last: Integers  # (m, k)
     bound: Array  # (m,) proven lambda
 
-    def take(self, index: Indices | npt.NDArray[np.bool_]) -> SphereCells:
+    def take(self, index: Integers | Mask) -> SphereCells:
         """The cells at `index`."""
         return SphereCells._make(a[index] for a in self)
 
@@ -226,7 +222,7 @@ class _SphereSearch:
         cut = self._cut(cells.take(left), by_time[left], by_direction[left], loss[left])
         return joined([cut, *torn.parts(cells, ~hopeless & (torn.gap > 0))])
 
-    def _flat(self, cells: SphereCells) -> npt.NDArray[np.bool_]:
+    def _flat(self, cells: SphereCells) -> Mask:
         """Cells far from settled and so thin along what the first sample sees that these sides need no corners.
 
         What such sides can take is then taken off at every corner: less work, and nearer to the end too coarse.
@@ -310,12 +306,12 @@ class _WideStretch(NamedTuple):
     sample, after : (B,) whose window, and the first point that matters after the stretch.
     """
 
-    gap: Indices
-    sample: Indices
-    after: Indices
+    gap: Integers
+    sample: Integers
+    after: Integers
 
     @classmethod
-    def of(cls, alive: npt.NDArray[np.bool_], start: Indices, width: Indices) -> _WideStretch:
+    def of(cls, alive: Mask, start: Integers, width: Integers) -> _WideStretch:
         """The widest stretch of each cell, if it is most of its window."""
         at = np.arange(alive.shape[2])
         before = np.maximum.accumulate(np.where(alive, at, -1), axis=2)
@@ -327,7 +323,7 @@ class _WideStretch(NamedTuple):
         sample = np.argmax(gap, axis=1)
         return cls(gap[row, sample], sample, end[row, sample] + start[row, sample])
 
-    def parts(self, cells: SphereCells, which: npt.NDArray[np.bool_]) -> list[SphereCells]:
+    def parts(self, cells: SphereCells, which: Mask) -> list[SphereCells]:
         """The cells of `which` with either part of the window, a cell of the grid wider towards the stretch."""
         row, cells = np.arange(int(which.sum())), cells.take(which)
         sample, after, gap = self.sample[which], self.after[which], self.gap[which]
@@ -391,7 +387,7 @@ class _Batch:
         self.most = np.maximum(found[0].max(axis=1), 0.0)
         return so_far(found, np.maximum)
 
-    def _samples(self, table: CurveTable, blur: Array, at: Indices) -> None:
+    def _samples(self, table: CurveTable, blur: Array, at: Integers) -> None:
         """What each sample adds at each corner, lowered by all that bends and rounds, and the least sums."""
         z, half, reach = self.cells.centre, self.cells.half, self.reach[:, None, None]
         along, bent, of_z = table.against(z, at)
@@ -420,7 +416,7 @@ class _Batch:
         found += centre[..., None]
         return np.asarray(found)
 
-    def take(self, index: npt.NDArray[np.bool_]) -> _Batch:
+    def take(self, index: Mask) -> _Batch:
         """The same for some of the cells."""
         part = object.__new__(_Batch)
         part.__dict__.update(self.__dict__)
@@ -440,7 +436,7 @@ class _Batch:
         cells = cells._replace(first=np.maximum(first - 1, cells.first), last=np.minimum(last + 1, cells.last))
         return cells, _WideStretch.of(alive, self.start, cells.last - cells.first)
 
-    def losses(self, wanted: float) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    def losses(self, wanted: float) -> tuple[Array, Array, Mask]:
         """What time costs at the weakest corner, what else is missing, and where rounding costs more than both."""
         needed = wanted * np.maximum(self.norm, 0.0)
         missing = np.max(needed - self.so_far[-1], axis=0)
@@ -453,7 +449,7 @@ class _Batch:
         by_direction = np.maximum(left[:, 0], 0.0)
         return by_time, by_direction, by_time + by_direction < by_rounding
 
-    def centre(self) -> tuple[Array, Indices]:
+    def centre(self) -> tuple[Array, Integers]:
         """The least lambda of the centre over the grid's schedules, and the start that gives it."""
         cost = np.where(self.outside, np.inf, self.own_cost).transpose(1, 2, 0)[..., None]
         total = sums_so_far(cost, self.start)[-1, :, :, 0].T

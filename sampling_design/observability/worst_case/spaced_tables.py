@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
+from sampling_design.records.arrays import Array, Integers
 
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int_]
 _EPS = float(np.finfo(float).eps)
 _TINY = float(np.finfo(float).tiny)
 _NUMBERS = 6_000_000  # most numbers in a table of all points of a grid; of finer ones those that are asked for are made
@@ -52,7 +50,7 @@ class CurveTable(NamedTuple):
     swing: Array
     astray: Array
 
-    def against(self, y: Array, at: Indices) -> tuple[Array, Array, Array]:
+    def against(self, y: Array, at: Integers) -> tuple[Array, Array, Array]:
         """Gy and G''y, (B, k, n, W), and |Ry| (B, k, W), at the knots `at` (B, k, W), for y (B, n)."""
         seen, turning, bending = self.seen[at], self.turning[at], self.bending[at]
         of_y, turned, bent = (np.einsum("bkwpn,bn->bkwp", part, y) for part in (seen, turning, bending))
@@ -61,7 +59,7 @@ class CurveTable(NamedTuple):
         second += 2 * np.einsum("bkwpn,bkwp->bknw", turning, turned)
         return value, second, np.linalg.norm(of_y, axis=3)
 
-    def least_seen(self, centre: Array, half: Array, at: Indices) -> Array:
+    def least_seen(self, centre: Array, half: Array, at: Integers) -> Array:
         """At most |R(t)z| for all z in the boxes centre +- half and t in the cells next to the knots `at` (B, k, W)."""
         seen, turning = self.seen[at], self.turning[at]
         value, slope = (np.abs(np.einsum("bkwpn,bn->bkwp", part, centre)) for part in (seen, turning))
@@ -71,7 +69,7 @@ class CurveTable(NamedTuple):
         least = value - wide - step * (slope + steep) - (step**2 / 2 * self.swing[at][..., None]) * away
         return np.asarray(least.max(axis=3) - self.astray[at] * away[..., 0])
 
-    def rounded(self, y: Array, half: Array, of_y: Array, at: Indices) -> Array:
+    def rounded(self, y: Array, half: Array, of_y: Array, at: Integers) -> Array:
         """What rounding can take from y'Gc at the corners c of the cell y +- half, (B, k, W), where |Ry| is `of_y`.
 
         Products with Ry as it was rounded lose a part of |Ry| |R| |c|; Ry itself is off by a part of |R| |y|, times
@@ -204,11 +202,11 @@ class SphereTables:
         """Cells of the first grid; every finer one has a power of two times as many."""
         return len(self._first) - 1
 
-    def knot(self, cells: int, point: Indices) -> Array:
+    def knot(self, cells: int, point: Integers) -> Array:
         """The slacks of points of a grid of `cells` cells."""
         return np.interp(point / (cells // self.least_cells), np.arange(self.least_cells + 1), self._first)
 
-    def at(self, cells: int, point: Indices) -> tuple[CurveTable, Array, Indices]:
+    def at(self, cells: int, point: Integers) -> tuple[CurveTable, Array, Integers]:
         """Rows C e^{At} L, their blur, and where in these tables the points (B, k, W) of a grid stand.
 
         `blur` is what rounding in the exponentials can take from x'Gx, |x| = 1, beyond the part `forgiven`.
@@ -221,7 +219,7 @@ class SphereTables:
         places, at = np.unique(place, return_inverse=True)
         return *self._sampled(cells, places), at.reshape(place.shape)
 
-    def _sampled(self, cells: int, places: Indices) -> tuple[CurveTable, Array]:
+    def _sampled(self, cells: int, places: Integers) -> tuple[CurveTable, Array]:
         """Table and blur of sample places // (cells + 1) at point places % (cells + 1)."""
         sample, point = np.divmod(places, cells + 1)
         slack = self.knot(cells, point)
@@ -238,7 +236,7 @@ class SphereTables:
             self._starts[cells] = self._started(cells)
         return self._starts[cells]
 
-    def room(self, cells: int, point: Indices) -> Array:
+    def room(self, cells: int, point: Integers) -> Array:
         """How far along the grid of starts the latest one is that leaves room for a last slack at `point`."""
         most = len(self.starts(cells).flow) - 1
         return np.asarray(np.clip((1 - self.knot(cells, point) / self.rows.slack) * most, 0, most))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.functional import part_for
@@ -19,6 +18,7 @@ from sampling_design.observability.worst_case.spaced_sphere import MOST_STATES, 
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed
 from sampling_design.records.dispatch import OpenPlant
@@ -27,8 +27,6 @@ from sampling_design.records.progress import Progress
 from sampling_design.records.record import counted, short
 from sampling_design.records.signatures import open_verb
 from sampling_design.schedules.spaced_windows import SpacedWindows
-
-Array = npt.NDArray[np.float64]
 
 MOST_MEMORY = 2.0
 """GiB that a search over the times of all samples may take."""

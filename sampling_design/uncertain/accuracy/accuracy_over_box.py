@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.accuracy import guaranteed_accuracy
 from sampling_design.accuracy.accuracy_record import AccuracyBracket
@@ -18,6 +17,7 @@ from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
@@ -30,9 +30,6 @@ from sampling_design.uncertain.box.model import require_constant_box
 from sampling_design.uncertain.box.question import at_parameters
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
-Index = npt.NDArray[np.intp]
 Both = tuple[Array, Array]
 OnePlant = Callable[[Plant, Array, Array, Array, float], Both]
 """Lower and upper bounds of one plant: bounds on w and v, wanted rows, and a tolerance."""
@@ -72,7 +69,7 @@ class AccuracyOverBox(AccuracyBracket):
     lower: Array
     upper: Array
     worst: tuple[Mapping[str, float], ...]
-    closed: npt.NDArray[np.bool_]
+    closed: Mask
     cells: int
     plant: UncertainPlant
     schedule: PeriodicSchedule

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.accuracy import RTOL
 from sampling_design.accuracy.accuracy_record import AccuracyBracket
@@ -17,6 +16,7 @@ from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
 from sampling_design.records.evidence import Claim
@@ -25,8 +25,6 @@ from sampling_design.records.record import short
 from sampling_design.schedules.schedule import Schedule
 from sampling_design.uncertain.accuracy.accuracy_over_box import refuse_others
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
-
-Array = npt.NDArray[np.float64]
 
 LOOKED = 4
 """Times of each gap at which the error is bracketed: just after its sample, in between, and just before the next."""
@@ -66,7 +64,7 @@ class AccuracyAlong(AccuracyBracket):
     upper: Array
     worst: Array
     known_from: Array
-    closed: npt.NDArray[np.bool_]
+    closed: Mask
     error: float
     proven: bool
 
@@ -114,7 +112,7 @@ class AccuracyAlong(AccuracyBracket):
         )
 
 
-def _worst(upper: Array) -> npt.NDArray[np.intp]:
+def _worst(upper: Array) -> Index:
     """Where each row is largest among the times at which it is known."""
     return np.asarray(np.where(np.isfinite(upper), upper, -1.0).argmax(axis=1))
 

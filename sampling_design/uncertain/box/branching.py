@@ -6,16 +6,14 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import optimize
 
 from sampling_design.numerics.branch_and_bound import LeastOverCells, within
+from sampling_design.records.arrays import Array, Index
 from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
 from sampling_design.uncertain.box.expansion import BoxCells
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 Judge = Callable[[BoxCells], tuple[Array, Array, Array]]
 Value = Callable[[Array, float, int], float]
 Unseen = Callable[[Array, float, int], bool]

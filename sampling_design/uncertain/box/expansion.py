@@ -11,16 +11,12 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import linalg
 
 from sampling_design.observability.windows.bracket import ALLOWANCE
+from sampling_design.records.arrays import Array, Complex, Integers, Mask
 from sampling_design.uncertain.box.model import BoxModel
 from sampling_design.uncertain.box.norms import FLOATS, CellNorms
-
-Array = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
-Mask = npt.NDArray[np.bool_]
 
 WORST_BASIS = 1e5
 """A basis of a larger condition is none to bound anything in: its inverse is rounded by this times n eps."""
@@ -38,9 +34,9 @@ class BoxCells(NamedTuple):
     half: Array  # (K, m)
     s: Array  # (K,)
     h: Array  # (K,)
-    piece: npt.NDArray[np.int_]  # (K,)
+    piece: Integers  # (K,)
 
-    def take(self, index: npt.NDArray[np.int_] | Mask) -> BoxCells:
+    def take(self, index: Integers | Mask) -> BoxCells:
         """The cells at `index`."""
         return BoxCells._make(part[index] for part in self)
 

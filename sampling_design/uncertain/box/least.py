@@ -13,14 +13,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from sampling_design.records.arrays import Array, Complex, Mask
 from sampling_design.uncertain.box.expansion import BoxCells, Expansion, expanded, signs
 from sampling_design.uncertain.box.model import BoxModel
-
-Array = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
-Mask = npt.NDArray[np.bool_]
 
 MOST_CORNERS = 6
 """Directions of a cell up to which all its corners are tried; beyond it every direction counts with its size."""

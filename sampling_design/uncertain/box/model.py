@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.balancing import balance
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array, Integers
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +46,7 @@ class BoxModel:
     unit: Array
     states: Array
     outputs: Array
-    place: npt.NDArray[np.int_]
+    place: Integers
 
     @classmethod
     def of(cls, plant: UncertainPlant, name: str) -> BoxModel:

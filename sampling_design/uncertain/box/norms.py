@@ -15,11 +15,10 @@ from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.numerics.balls import Ball
+from sampling_design.records.arrays import Array
 
-Array = npt.NDArray[np.float64]
 Number = TypeVar("Number", Ball, Array)
 
 

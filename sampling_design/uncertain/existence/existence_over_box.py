@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy import optimize
 
 from sampling_design.certificates.existence.periodic import ExistenceAnswer, certificate_exists, judged
@@ -17,6 +16,7 @@ from sampling_design.numerics.linalg import positive_or_one
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 from sampling_design.records.record import short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -26,7 +26,6 @@ from sampling_design.uncertain.box.model import BoxModel
 from sampling_design.uncertain.box.question import at_parameters
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
-Array = npt.NDArray[np.float64]
 Margin = Callable[[Plant], tuple[bool, float, str]]
 """Of a plant: whether a certificate exists, how clearly, and why."""
 

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.branch_and_bound import LeastOverCells, within
 from sampling_design.observability.alignment import meet
 from sampling_design.observability.windows.pieces import window_pieces
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import PlainRecord, short
@@ -28,9 +28,7 @@ from sampling_design.uncertain.existence.existence_over_box import GainedGaps, d
 from sampling_design.uncertain.observability.windows_over_box import WindowsOverBox
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
-Judged = tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_], Array]
+Judged = tuple[Mask, Mask, Array]
 SAME = 1e-9
 """BoxCells below this share of the ranges are not halved further."""
 LOOKS = 6

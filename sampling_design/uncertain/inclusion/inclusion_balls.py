@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.certificates.form.digest import RESOLUTION
 from sampling_design.certificates.rigorous.ball_problem import (
@@ -28,11 +27,10 @@ from sampling_design.checkers.inclusion_file import Box, Inclusion, Region, Vert
 from sampling_design.checkers.jumps import JUMP
 from sampling_design.checkers.outcome import REFUTED, UNDECIDED, Refused
 from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, matrix, symmetric
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.uncertain.inclusion.region_balls import JacobianCells, mid, parted
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 Jumps = list[tuple[Matrix, Matrix, float]]
 SHARES = (0.9,)
 """Parts of the guessed least eigenvalue that are tried as a proven slack."""

@@ -13,6 +13,7 @@ from sampling_design.certificates.form.digest import INCLUSION_CLAIM
 from sampling_design.certificates.form.horizon import Horizon, horizon_of
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import Plain, short
 from sampling_design.schedules.family import SamplingFamily
@@ -21,8 +22,6 @@ from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule
 from sampling_design.uncertain.inclusion.layout import Schedules, graph_for
 from sampling_design.uncertain.plants.inclusion import LinearInclusion
-
-Array = npt.NDArray[np.float64]
 
 _TWO_TRAJECTORIES = 4.0
 """V(t) <= 4 J(truth): estimate and truth each differ from the data's centre by at most the cost (Theorem G)."""

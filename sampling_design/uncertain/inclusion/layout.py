@@ -11,16 +11,14 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.certificates.families.graphs import graph_of
 from sampling_design.certificates.families.path_complete import Edge, PathCompleteGraph
+from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.jitter import Jitter
 from sampling_design.schedules.schedule import PeriodicSchedule
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 Schedules = SamplingFamily | PeriodicSchedule
 
 LEAST_PIECES = 2
@@ -35,7 +33,7 @@ class Layout(NamedTuple):
     nodes: Array
     later: Index
     base: Index
-    seen: npt.NDArray[np.bool_]
+    seen: Mask
 
     @property
     def pieces(self) -> Index:

@@ -6,7 +6,6 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 
 from sampling_design.certificates.exact.riccati import periodic_riccati_solution
@@ -15,14 +14,13 @@ from sampling_design.certificates.families.path_complete import PathCompleteGrap
 from sampling_design.certificates.form.horizon import output_information
 from sampling_design.errors import SamplingDesignError
 from sampling_design.numerics.balancing import balance
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.jitter import Jitter
 from sampling_design.uncertain.inclusion.layout import Layout, Schedules, layout_of
 from sampling_design.uncertain.inclusion.program import PosedProgram
 from sampling_design.uncertain.plants.inclusion import InclusionMembers, LinearInclusion, MemberHull
-
-Array = npt.NDArray[np.float64]
 
 INFLATED = (0.002, 0.02, 0.1)
 """Share by which sampled members are pushed outwards, so that cells of the region need not be tiny."""
@@ -115,7 +113,7 @@ class PosedMembers:
         """Nodes and jumps with so many pieces."""
         return layout_of(self.graph, pieces)
 
-    def shares(self, seen: npt.NDArray[np.bool_]) -> Array:
+    def shares(self, seen: Mask) -> Array:
         """S with S'S the information of the outputs that are seen: (V restricted to them)^-1, V = R^-1 + Qv^-1."""
         found = np.zeros((len(seen), len(seen)))
         if seen.any():

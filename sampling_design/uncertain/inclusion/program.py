@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 
 from sampling_design.numerics import conic_programs
+from sampling_design.records.arrays import Array, Index
 from sampling_design.records.evidence import SolverRecord
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 Block = tuple[str, sparse.csc_matrix, Array]
 
 MARGIN = 1e-5

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Mapping
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.certificates.rigorous.ball_problem import BallFailure
 from sampling_design.checkers.inclusion_file import Inclusion, Region
@@ -14,9 +13,9 @@ from sampling_design.checkers.outcome import REFUTED, UNDECIDED
 from sampling_design.checkers.programs import Instruction
 from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, matrix
 from sampling_design.numerics.branch_and_bound import all_proven
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 
-Array = npt.NDArray[np.float64]
 Slopes = dict[tuple[str, int], Ball]
 Forms = Callable[[Matrix, Matrix], Iterator[Matrix]]
 """What must be positive for a Jacobian of a cell whose middle is the second matrix."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.certificates.exact.proof import as_proven
 from sampling_design.certificates.families.certify_family import LONGEST_PROOF
@@ -13,6 +12,7 @@ from sampling_design.certificates.form.digest import INCLUSION_CLAIM
 from sampling_design.certificates.form.verdict import Verification
 from sampling_design.certificates.rigorous.decide import judged_while_sought
 from sampling_design.errors import ArgumentError
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import SolverRecord
 from sampling_design.records.record import Plain
@@ -26,8 +26,6 @@ from sampling_design.uncertain.inclusion.program import (
     jump_slacks,
 )
 from sampling_design.uncertain.inclusion.stiff import solve_stiff
-
-Array = npt.NDArray[np.float64]
 
 NARROWINGS, NARROW_ENOUGH = 12, 0.995
 """Turns in which P(tau) is drawn together; a turn that leaves lambda above this part of the last is the last."""

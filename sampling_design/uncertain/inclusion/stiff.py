@@ -14,8 +14,8 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import SolverRecord
 from sampling_design.uncertain.inclusion.members import PosedMembers
 from sampling_design.uncertain.inclusion.program import (
@@ -26,7 +26,6 @@ from sampling_design.uncertain.inclusion.program import (
     jump_slacks,
 )
 
-Array = npt.NDArray[np.float64]
 Posing = Callable[[Array], tuple[PosedProgram, Array]]
 Solver = Callable[[InclusionProgram], tuple[Array | None, float, SolverRecord]]
 

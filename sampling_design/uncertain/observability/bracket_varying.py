@@ -14,15 +14,13 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.observability.windows.bracket import WindowBracket
 from sampling_design.observability.windows.pieces import Pieces
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 from sampling_design.uncertain.plants.time_table import MatrixTable, length_of
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
-
-Array = npt.NDArray[np.float64]
 
 FIRST = 5
 """Positions of a piece at first, its ends included."""

@@ -16,7 +16,6 @@ from fractions import Fraction
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, rational
 from sampling_design.numerics.branch_and_bound import all_proven
@@ -28,6 +27,7 @@ from sampling_design.observability.windows.balls import (
     needed_slack,
     piece_ends,
 )
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.balls import BallBox, BallCell
@@ -35,8 +35,6 @@ from sampling_design.uncertain.box.branching import TOGETHER, halved
 from sampling_design.uncertain.box.expansion import BoxCells
 from sampling_design.uncertain.box.norms import CellNorms
 from sampling_design.uncertain.observability.windows_over_box import WindowsOverBox
-
-Array = npt.NDArray[np.float64]
 
 FALSE = 1e-9
 """A plant this far below the claim, relative, ends the attempt."""
@@ -124,7 +122,7 @@ class WindowCells:
         return _hold(corners, starts, (metric.W, rest, beyond), ball(mu))
 
     def _gram(
-        self, cell: BallCell, times: list[Fraction], middle: Fraction, mask: npt.NDArray[np.bool_] | None
+        self, cell: BallCell, times: list[Fraction], middle: Fraction, mask: Mask | None
     ) -> tuple[Matrix, list[Matrix]]:
         """O_0'O_0 and O_0'O_k + O_k'O_0: rows [C, C_1, ..] e^{block r}, the block A with the A_k beside it."""
         n, m = self.box.n, self.box.m

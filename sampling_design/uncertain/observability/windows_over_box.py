@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.uncertain.box.branching import UNSEEN
 from sampling_design.uncertain.box.expansion import BoxCells
 from sampling_design.uncertain.box.least import least_sigma
 from sampling_design.uncertain.box.model import BoxModel
-
-Array = npt.NDArray[np.float64]
 
 
 class WindowsOverBox:
@@ -56,7 +54,7 @@ class WindowsOverBox:
         return np.asarray((C[0] @ Plant(A[0], C[0]).transition(at))[self.measured[piece][: at.size]])
 
 
-def _padded(pieces: Pieces, outputs: int) -> tuple[Array, npt.NDArray[np.bool_]]:
+def _padded(pieces: Pieces, outputs: int) -> tuple[Array, Mask]:
     """Sample times (P, N) of every piece and what is measured (P, N, p), filled up with what is not."""
     count = pieces.stop - pieces.first
     most = max(1, int(count.max(initial=0)))

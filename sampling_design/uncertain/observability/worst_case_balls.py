@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.numerics.balls import (
     Ball,
@@ -26,14 +25,13 @@ from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.observability.windows.balls import SHAVES, ProvenSigma, nearest_proven
 from sampling_design.observability.worst_case.balls import prove_worst_sigma
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 from sampling_design.schedules.spaced_windows import SpacedWindows
 from sampling_design.uncertain.box.balls import BallBox, CellMetric, largest_over
 from sampling_design.uncertain.box.expansion import BoxCells
 from sampling_design.uncertain.box.model import BoxModel
 from sampling_design.uncertain.observability.worst_case_cells import SigmaOfOne, parts_of, points_of
-
-Array = npt.NDArray[np.float64]
 
 SMALLEST = 2.0**-20
 """Cells below this share of the box are not halved further."""

@@ -21,15 +21,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array
 from sampling_design.schedules.spaced_windows import SpacedWindows
 from sampling_design.uncertain.box.branching import halved
 from sampling_design.uncertain.box.expansion import UP, BoxCells, bases, norms_in, signs
 from sampling_design.uncertain.box.model import BoxModel
 
-Array = npt.NDArray[np.float64]
 SigmaOfOne = Callable[[Plant, float, float], tuple[float, float, Array]]
 """Of a plant, a tolerance and seconds: proven lower bound, attained upper one and its times."""
 

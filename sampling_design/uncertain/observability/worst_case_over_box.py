@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.numerics.branch_and_bound import LeastOverCells, within
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
 from sampling_design.observability.worst_case.worst_case_sigma import LEAST_SEARCH, asked, worst_case_sigma
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array, Index
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed
 from sampling_design.records.evidence import Claim
@@ -32,8 +32,6 @@ from sampling_design.uncertain.observability.worst_case_cells import (
 )
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 RTOL = 0.1
 """Default width of the bracket, relative."""
 

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import NotObservableError, UndecidedError
 from sampling_design.observability.count.zero_count import SampleCount, samples_above
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import short
 from sampling_design.uncertain.box.branching import BoxBounds, branch
@@ -20,8 +20,6 @@ from sampling_design.uncertain.box.least import least_sigma
 from sampling_design.uncertain.box.model import BoxModel
 from sampling_design.uncertain.box.question import at_parameters
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
-
-Array = npt.NDArray[np.float64]
 
 SLOWEST = 1e-3
 """Frequencies below this share of |A| are not told from none: the count is taken with this much more."""

@@ -7,13 +7,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import Plain
 from sampling_design.records.signatures import checked_methods
-
-Array = npt.NDArray[np.float64]
 
 
 class InclusionMembers(NamedTuple):

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import field
 
-import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import PlainRecord, short
 
-Array = npt.NDArray[np.float64]
 _MOVED = ("A", "C", "G")
 
 

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.checkers.parts import PLANT_TREE
 from sampling_design.checkers.strict import (
@@ -26,10 +25,10 @@ from sampling_design.checkers.strict import (
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import FORMAT as PLANT_FORMAT
 from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import Plain
 from sampling_design.uncertain.plants.parameter import UncertainParameter
 
-Array = npt.NDArray[np.float64]
 Ends: TypeAlias = tuple[float, float]
 FORMAT = "sampling-design/uncertain-plant/1"
 _DECIMAL = r"[+-]?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][+-]?\d++)?"  # possessive: long texts are read once

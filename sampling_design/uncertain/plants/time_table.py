@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import SolverError
 from sampling_design.numerics.filtering import propagate
-
-Array = npt.NDArray[np.float64]
+from sampling_design.records.arrays import Array
 
 TERMS = 22
 """Of each Taylor series."""

@@ -16,11 +16,11 @@ from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import Record, counted, short
 from sampling_design.records.units import check_time_unit
 from sampling_design.uncertain.plants.time_table import MatrixTable, table_flow
 
-Array = npt.NDArray[np.float64]
 MatrixOfTime = Callable[[float], npt.ArrayLike]
 
 TOLERANCE = 1e-9
@@ -28,7 +28,6 @@ TOLERANCE = 1e-9
 
 CLOSER = 1e-2
 """The same transitions at this share of the tolerance say how far off they are."""
-
 
 MOST_EVALUATIONS = 20000
 """Of the right side over one stretch; where an integrator needs more, the solution escapes or is not smooth."""

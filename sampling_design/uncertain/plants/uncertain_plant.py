@@ -14,6 +14,7 @@ import numpy.typing as npt
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 from sampling_design.records.checks import Seed
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.file_io import read_tree, usable, write_tree
@@ -26,7 +27,6 @@ from sampling_design.uncertain.plants.plant_files import (
     tree_of,
 )
 
-Array = npt.NDArray[np.float64]
 _MOVED = ("A", "C", "G")
 MOST_CORNERS = 10
 """Parameters of a box up to which all its corners are listed; beyond it random ones."""

@@ -25,8 +25,9 @@ from sampling_design.design.search.costs import affordable, relax_costly
 from sampling_design.design.search.fedorov_exchange import even, is_admissible
 from sampling_design.design.search.local_search import search
 from sampling_design.design.sizes import check_size
-from sampling_design.errors import ArgumentError, InfeasibleRequirementError, SolverError
+from sampling_design.errors import InfeasibleRequirementError, SolverError
 from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
+from sampling_design.observability.sigma_bracket import rtol_and_seconds
 from sampling_design.observability.windows.window_sigma import WindowSigma
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
@@ -140,9 +141,7 @@ def design_schedule(
     wanted = Requirement() if requirement is None else requirement
     starts = checks.whole("starts", min(starts, _MOST_STARTS), 1)
     cuts = None if branches is None else checks.whole("branches", min(branches, _MOST_STARTS))
-    given = Budget(None if budget is None else checks.nonnegative("budget", budget))
-    if checks.positive("rtol", rtol) >= 1:
-        raise ArgumentError(f"`rtol` must be less than 1, got {rtol!r}.")
+    given = Budget(rtol_and_seconds(rtol, budget)[1])
     split = split_for(plant, wanted)
     plant = split.plant
     if split.retained.n_states == 0:

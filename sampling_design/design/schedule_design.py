@@ -97,7 +97,7 @@ class ScheduleDesign(PlainRecord):
     @property
     def coordinates(self) -> str:
         """Which coordinates sigma, the bound and the gap refer to."""
-        return coordinates_of(self.split.retained)
+        return coordinates_of(self.split.retained.has_scales)
 
     @property
     def cost(self) -> float:

@@ -10,7 +10,8 @@ _NAMES = {
     "count.zero_count": ("ZeroCountBound", "zero_count_bound"),
     "count.functional": ("functional_plant",),
     "windows.sampled": ("observability_gramian", "observability_matrix", "sigma_min"),
-    "windows.window_sigma": ("WindowProfile", "WindowSigma", "WindowWitness", "window_sigma"),
+    "windows.pieces": ("WindowWitness",),
+    "windows.window_sigma": ("WindowProfile", "WindowSigma", "window_sigma"),
     "worst_case.worst_case_sigma": ("WorstCaseProfile", "WorstCaseSigma", "worst_case_sigma"),
 }
 __getattr__, __dir__, __all__ = lazy(__name__, _NAMES, modules=("count", "windows", "worst_case"))

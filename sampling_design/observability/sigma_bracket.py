@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Protocol, TypeVar
+from typing import NamedTuple, TypeVar
 
+import numpy as np
+
+from sampling_design.errors import ArgumentError
+from sampling_design.records import checks
 from sampling_design.records.record import PlainRecord, short
 
 UNSETTLED = ("budget", "interrupted", "rounding", "timing", "too many states", "sampled")
@@ -12,16 +16,12 @@ UNSETTLED = ("budget", "interrupted", "rounding", "timing", "too many states", "
 Bracket = TypeVar("Bracket", bound="SigmaBracket")
 
 
-class ProvenBound(Protocol):
-    """A lower bound that balls proved, and why it is no nearer to what floats believed."""
+class ProvenSigma(NamedTuple):
+    """What balls proved: sigma >= lower over every window, its ends moved outward by `slack`; "closed" or why not."""
 
-    @property
-    def lower(self) -> float:
-        """The bound."""
-
-    @property
-    def status(self) -> str:
-        """ "closed" where it is as near as can be, "interrupted" where it did not come to an end."""
+    lower: float
+    slack: float
+    status: str
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -71,7 +71,7 @@ class SigmaBracket(PlainRecord):
         return f"{claim}; {short(self.upper)} is attained, and {reasons[self.status]}. {where}."
 
 
-def in_balls(found: Bracket, proof: ProvenBound, room: float = 1.0) -> Bracket:
+def in_balls(found: Bracket, proof: ProvenSigma, room: float = 1.0) -> Bracket:
     """Return a bracket with the lower bound that ball arithmetic proves; `room`: how much wider it may stay."""
     status = found.status
     if proof.status == "interrupted":  # what floats have proven stands
@@ -81,17 +81,23 @@ def in_balls(found: Bracket, proof: ProvenBound, room: float = 1.0) -> Bracket:
     return replace(found, lower=proof.lower, status=status, rigorous=True)
 
 
-class HasScales(Protocol):
-    """A plant of any kind that says whether its states have scales."""
-
-    @property
-    def has_scales(self) -> bool:
-        """Whether they have."""
-
-
-def coordinates_of(plant: HasScales) -> str:
+def coordinates_of(has_scales: bool) -> str:
     """Which coordinates sigma of a plant refers to: those of its scales, where it has any."""
-    return "scaled" if plant.has_scales else "physical"
+    return "scaled" if has_scales else "physical"
+
+
+def rtol_and_seconds(rtol: float, budget: float | None) -> tuple[float, float]:
+    """Return the width of a bracket and the seconds for it, checked; no budget is no limit.
+
+    Raises
+    ------
+    ArgumentError
+        If a number is out of range.
+    """
+    width = checks.positive("rtol", rtol)
+    if width >= 1:
+        raise ArgumentError(f"`rtol` must be less than 1, got {width!r}.")
+    return width, np.inf if budget is None else checks.nonnegative("budget", budget)
 
 
 NO_STATES = "The plant has no states: there is nothing to see, and sigma is infinite."

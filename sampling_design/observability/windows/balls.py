@@ -9,16 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from fractions import Fraction
-from typing import NamedTuple
 
 import numpy as np
 
 from sampling_design.numerics.ball_flow import BallFlow, highest
 from sampling_design.numerics.balls import Matrix, ball, flint, floats, matrix, precision, rational
 from sampling_design.numerics.linalg import symmetrise
-from sampling_design.observability.windows.pieces import Pieces
+from sampling_design.observability.sigma_bracket import ProvenSigma
+from sampling_design.observability.windows.pieces import Pieces, WindowWitness
 from sampling_design.plants.plant import Plant
-from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.arrays import Mask
 from sampling_design.records.budget import Budget, BudgetSpentError
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -30,14 +30,6 @@ ZOOMS = 3
 """Nearer looks around the least of them, each `PLACES`/2 times as near."""
 PRECISIONS = (160, 400, 1200)
 """Precisions: the inverse of an ill-conditioned Gramian may need the second, growth beyond e^100 the third."""
-
-
-class ProvenSigma(NamedTuple):
-    """What balls proved: sigma >= lower over every window, its ends moved outward by `slack`; "closed" or "budget"."""
-
-    lower: float
-    slack: float
-    status: str
 
 
 def nearest_proven(
@@ -121,18 +113,9 @@ def prove_window_sigma(
     return nearest_proven(guess, seconds, begin, slack=needed_slack(schedule, pieces, exact), precisions=PRECISIONS)
 
 
-class BallSigma(NamedTuple):
-    """Sigma of one window in high precision: its piece, its start, sigma and the state that it sees least."""
-
-    piece: int
-    start: float
-    sigma: float
-    direction: Array
-
-
 def see_in_balls(
     plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, seconds: float = 60.0
-) -> BallSigma | None:
+) -> WindowWitness | None:
     """The least sigma among some windows of every piece, where growth hides it from floats; None where it is zero.
 
     A sigma below n eps |C| counts as zero: rounding in the plant and the times alone can hide it.
@@ -153,13 +136,13 @@ def see_in_balls(
 
 def _seen(
     plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, exact: list[Fraction], clock: Budget
-) -> BallSigma:
+) -> WindowWitness:
     """The least of the windows that are looked at, at the precision that is set: all over, then around the least."""
     flow, rows = BallFlow(matrix(plant.A), matrix(np.zeros_like(plant.A))), BallRows(plant)
-    best = BallSigma(0, float(pieces.left[0]), np.inf, np.zeros(plant.n_states))
+    at, best = (0, float(pieces.left[0])), pieces.witness(0, float(pieces.left[0]), np.zeros(plant.n_states), np.inf)
 
     def look(g: int, left: Fraction, right: Fraction) -> None:
-        nonlocal best
+        nonlocal at, best
         span = slice(int(pieces.first[g]), int(pieces.stop[g]))
         Y, step = rows.gramian(flow, exact[span], left, pieces.measured(g)).inv(), (right - left) / (PLACES - 1)
         E = flow.over(rational(step))[0]
@@ -167,18 +150,19 @@ def _seen(
             values, vectors = np.linalg.eigh(symmetrise(floats(Y)))
             sigma = float(1 / np.sqrt(values[-1])) if values[-1] > 0 else 0.0
             if sigma < best.sigma:
-                best = BallSigma(g, float(left + k * step), sigma, vectors[:, -1])
+                at = g, float(left + k * step)
+                best = pieces.witness(*at, vectors[:, -1], sigma)
             Y = E * Y * E.transpose()
             clock.check()
 
     for g in range(len(pieces)):
         look(g, *piece_ends(schedule, pieces, g))
-    left, right = piece_ends(schedule, pieces, best.piece)
+    left, right = piece_ends(schedule, pieces, at[0])
     near = right - left
     for _ in range(ZOOMS):
         near = near * 2 / (PLACES - 1)
-        at = min(max(Fraction(best.start), left), right)
-        look(best.piece, max(left, at - near / 2), min(right, at + near / 2))
+        middle = min(max(Fraction(at[1]), left), right)
+        look(at[0], max(left, middle - near / 2), min(right, middle + near / 2))
     return best
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sampling_design.errors import ArgumentError
-from sampling_design.observability.windows.pieces import Pieces
+from sampling_design.observability.windows.pieces import Pieces, WindowWitness
 from sampling_design.observability.windows.timing import rows_of_any_time
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Integers, Mask
@@ -34,12 +34,8 @@ class WindowBracket:
     """What the search found, in window starts; `status` as in `WindowSigma`, `growth` of a state by itself."""
 
     lower: float
-    upper: float
     status: str
-    start: float
-    side: str
-    samples: Array
-    direction: Array
+    witness: WindowWitness
     pieces: Pieces
     nodes: Array
     sigma: Array
@@ -287,12 +283,8 @@ def _bracket(plant: Plant, search: _BracketSearch, status: str, g: int, start: f
         sigma = 1 / np.concatenate(search.values)
     return WindowBracket(
         lower=lower,
-        upper=upper,
         status=status,
-        start=start,
-        side=pieces.side(g, start),
-        samples=pieces.samples(g),
-        direction=right[-1],
+        witness=pieces.witness(g, start, right[-1], upper),
         pieces=pieces,
         nodes=nodes[order],
         sigma=sigma[order],
@@ -322,17 +314,12 @@ def _too_few(plant: Plant, pieces: Pieces) -> int | None:
 
 def _nothing_to_see(pieces: Pieces) -> WindowBracket:
     """A plant without states: sigma is the least over no direction, infinity."""
-    nothing, start = np.zeros(0), float(pieces.left[0])
     infinite = np.full(len(pieces), np.inf)
     owner = np.arange(len(pieces))
     return WindowBracket(
         lower=np.inf,
-        upper=np.inf,
         status="no states",
-        start=start,
-        side="at",
-        samples=pieces.samples(0),
-        direction=nothing,
+        witness=pieces.witness(0, float(pieces.left[0]), np.zeros(0), np.inf),
         pieces=pieces,
         nodes=pieces.left,
         sigma=infinite,

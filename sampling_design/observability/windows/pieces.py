@@ -14,12 +14,57 @@ import numpy as np
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records.arrays import Array, Integers, Mask
-from sampling_design.records.record import short
+from sampling_design.records.record import Record, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 # events closer than this, relative to the largest time, are one event: sums of gaps and differences
 # with the window length round in the last bits, and a sample that leaves as another arrives is common
 SAME_TIME = 32 * float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WindowWitness(Record):
+    """The window at which the attained sigma was found.
+
+    Attributes
+    ----------
+    t : float
+        End of the window [t - T, t].
+    side : str
+        "at" t; "after", the limit from above, just after a sample has left; "before", the limit from
+        below, just before a sample arrives.
+    samples : (k,) array
+        Times of the samples that it holds.
+    direction : (n,) array
+        Unit state at the window's start that is seen least.
+    sigma : float
+        |O x| for that direction.
+    """
+
+    t: float
+    side: str
+    samples: Array
+    direction: Array
+    sigma: float
+
+    _table = {
+        "window end": "{position}",
+        "samples": "{samples}",
+        "direction": "{direction}",
+        "sigma": "{sigma}",
+    }
+
+    @property
+    def position(self) -> str:
+        """The end of the window in words, such as 'just after 3'."""
+        return {"at": "", "after": "just after ", "before": "just before "}[self.side] + short(self.t)
+
+    def explain(self) -> str:
+        """Say which window it is and what it sees least."""
+        return (
+            f"The window that ends {self.position} holds {self.samples.size} samples and sees the initial "
+            f"state {short(self.direction)} least."
+        )
 
 
 @dataclass(frozen=True)
@@ -62,6 +107,10 @@ class Pieces:
         if stop - first == self.stop[g] - self.first[g]:
             return "at"
         return "after" if start - self.left[g] < self.right[g] - start else "before"
+
+    def witness(self, g: int, start: float, direction: Array, sigma: float) -> WindowWitness:
+        """The window that starts there on piece g, which sees a state so well."""
+        return WindowWitness(start + self.window, self.side(g, start), self.samples(g), direction, sigma)
 
     def measured(self, g: int) -> Mask | None:
         """Mask of the samples on piece g."""

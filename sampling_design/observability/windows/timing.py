@@ -12,10 +12,9 @@ the window sees no less than the rows L' with LL' = M. They move with the window
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from sampling_design.observability.windows.pieces import Pieces, WindowWitness
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Mask
 
@@ -49,19 +48,10 @@ def rows_of_any_time(rows: Array, A: Array, tolerance: float) -> Array:
     return result
 
 
-@dataclass(frozen=True, eq=False)
-class MovedWindow:
-    """A window along real times that see little: its start, the times of its samples, the state seen least, sigma."""
-
-    start: float
-    samples: Array
-    direction: Array
-    sigma: float
-
-
-def moved_window(plant: Plant, planned: Array, mask: Mask | None, start: float, tolerance: float) -> MovedWindow:
-    """Return real times of a window's samples at which it sees little: they and a state are sought in turn."""
-    places = np.array([-tolerance, 0.0, tolerance])
+def moved_window(plant: Plant, pieces: Pieces, g: int, start: float) -> WindowWitness:
+    """Return a window along real times of its samples at which it sees little: they and a state are sought in turn."""
+    planned, mask = pieces.samples(g), pieces.measured(g)
+    places = np.array([-1.0, 0.0, 1.0]) * pieces.timing_tolerance
     times, kept = planned, None
     for _ in range(_TURNS):
         rows = _rows(plant, times - start, mask)
@@ -69,7 +59,7 @@ def moved_window(plant: Plant, planned: Array, mask: Mask | None, start: float, 
         _, singular, right = np.linalg.svd(full)
         if kept is not None and not singular[-1] < kept.sigma * (1 - _GAIN):
             break
-        kept = MovedWindow(start, times, right[-1], float(singular[-1]))
+        kept = WindowWitness(start + pieces.window, "at", times, right[-1], float(singular[-1]))
         shown = [_rows(plant, planned + e - start, mask) @ right[-1] for e in places]
         sizes = np.linalg.norm(np.reshape(shown, (places.size, planned.size, plant.n_outputs)), axis=2)
         times = planned + places[np.argmin(sizes, axis=0)]

@@ -12,9 +12,15 @@ import numpy.typing as npt
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import meet
 from sampling_design.observability.count.functional import part_for
-from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
+from sampling_design.observability.sigma_bracket import (
+    NO_STATES,
+    SigmaBracket,
+    coordinates_of,
+    in_balls,
+    rtol_and_seconds,
+)
 from sampling_design.observability.windows.bracket import WindowBracket, bracket_sigma
-from sampling_design.observability.windows.pieces import Pieces, window_pieces
+from sampling_design.observability.windows.pieces import Pieces, WindowWitness, window_pieces
 from sampling_design.observability.windows.timing import MOST_TRIED, moved_window
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
@@ -22,7 +28,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Integers
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import CurveRecord, Record, TableRecord, Variable, short
+from sampling_design.records.record import CurveRecord, TableRecord, Variable, short
 from sampling_design.records.signatures import open_verb
 from sampling_design.schedules.sampling_set import SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -40,51 +46,6 @@ _REASONS = {
     "rounding": "rounding in the exponentials keeps the bracket open; scale the plant",
     "timing": "what late and early samples may take away is bounded no better",
 }
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class WindowWitness(Record):
-    """The window at which the attained sigma was found.
-
-    Attributes
-    ----------
-    t : float
-        End of the window [t - T, t].
-    side : str
-        "at" t; "after", the limit from above, just after a sample has left; "before", the limit from
-        below, just before a sample arrives.
-    samples : (k,) array
-        Times of the samples that it holds.
-    direction : (n,) array
-        Unit state at the window's start that is seen least.
-    sigma : float
-        |O x| for that direction.
-    """
-
-    t: float
-    side: str
-    samples: Array
-    direction: Array
-    sigma: float
-
-    _table = {
-        "window end": "{position}",
-        "samples": "{samples}",
-        "direction": "{direction}",
-        "sigma": "{sigma}",
-    }
-
-    @property
-    def position(self) -> str:
-        """The end of the window in words, such as 'just after 3'."""
-        return {"at": "", "after": "just after ", "before": "just before "}[self.side] + short(self.t)
-
-    def explain(self) -> str:
-        """Say which window it is and what it sees least."""
-        return (
-            f"The window that ends {self.position} holds {self.samples.size} samples and sees the initial "
-            f"state {short(self.direction)} least."
-        )
 
 
 @dataclass(frozen=True)
@@ -354,12 +315,8 @@ def asked(
     ArgumentError
         If the window does not fit, or a number is out of range.
     """
-    length, tolerance = checks.positive("window", window), checks.positive("rtol", rtol)
-    if tolerance >= 1:
-        raise ArgumentError(f"`rtol` must be less than 1, got {tolerance!r}.")
-    seconds = np.inf if budget is None else checks.nonnegative("budget", budget)
-    first = None if start is None else checks.nonnegative("start", start)
-    return window_pieces(schedule, length, first, late), tolerance, seconds
+    length, first = checks.positive("window", window), None if start is None else checks.nonnegative("start", start)
+    return window_pieces(schedule, length, first, late), *rtol_and_seconds(rtol, budget)
 
 
 def sigma_of_pieces(
@@ -379,7 +336,7 @@ def sigma_of_pieces(
     """
     own = plant.scaled() if plant.has_scales else plant
     found = bracket_sigma(own, pieces, rtol, seconds, progress, np.inf if reached is None else reached.upper)
-    result = record_of(found, rtol, plant.time_unit, coordinates_of(plant))
+    result = record_of(found, rtol, plant.time_unit, coordinates_of(plant.has_scales))
     if pieces.timing_tolerance:
         return _with_tolerance(result, own, found)
     if rigorous:
@@ -397,14 +354,13 @@ def _with_tolerance(record: WindowSigma, plant: Plant, found: WindowBracket) -> 
     for g in np.argsort(least, kind="stable")[:MOST_TRIED].tolist():
         at, own = found.nodes[found.owner == g], found.sigma[found.owner == g]
         start = float(at[np.argmin(own)])
-        tried.append(moved_window(plant, pieces.samples(g), pieces.measured(g), start, pieces.timing_tolerance))
+        tried.append(moved_window(plant, pieces, g, start))
     worst = min(tried, key=lambda one: one.sigma)
-    witness = WindowWitness(worst.start + pieces.window, "at", worst.samples, worst.direction, worst.sigma)
     status, lower = found.status, min(found.lower, worst.sigma)
     if status in ("closed", "rounding", "below rounding") and worst.sigma > 0:  # of rows that stand for all times
         status = "closed" if lower >= (1 - record.rtol) * worst.sigma else "timing"
     tolerance = pieces.timing_tolerance
-    return replace(record, lower=lower, upper=worst.sigma, witness=witness, status=status, timing_tolerance=tolerance)
+    return replace(record, lower=lower, upper=worst.sigma, witness=worst, status=status, timing_tolerance=tolerance)
 
 
 def _hidden(found: WindowBracket) -> bool:
@@ -421,9 +377,7 @@ def _in_balls(
     if result.status in ("below rounding", "rounding"):
         seen = see_in_balls(plant, schedule, pieces, seconds)
         if seen is not None:
-            end, side = seen.start + result.window, pieces.side(seen.piece, seen.start)
-            witness = WindowWitness(end, side, pieces.samples(seen.piece), seen.direction, seen.sigma)
-            result = replace(result, lower=seen.sigma, upper=seen.sigma, witness=witness, status="closed")
+            result = replace(result, lower=seen.sigma, upper=seen.sigma, witness=seen, status="closed")
     proof = prove_window_sigma(plant, schedule, pieces, result.lower, seconds)
     result = in_balls(result, proof)
     return replace(result, slack=proof.slack) if result.rigorous else result
@@ -432,10 +386,9 @@ def _in_balls(
 def record_of(found: WindowBracket, rtol: float, time_unit: str, coordinates: str) -> WindowSigma:
     """The public record: window starts become window ends."""
     window = found.pieces.window
-    witness = WindowWitness(found.start + window, found.side, found.samples, found.direction, found.upper)
     left, right = found.pieces.left + window, found.pieces.right + window
     profile = WindowProfile(found.nodes + window, found.sigma, found.owner, left, right, found.piece_lower)
     return WindowSigma(
-        witness, window, profile, lower=found.lower, upper=found.upper, status=found.status, rtol=rtol,
+        found.witness, window, profile, lower=found.lower, upper=found.witness.sigma, status=found.status, rtol=rtol,
         from_time=found.pieces.start, coordinates=coordinates, time_unit=time_unit,
     )  # fmt: skip

@@ -24,7 +24,8 @@ import numpy as np
 
 from sampling_design.numerics.ball_flow import BallFlow
 from sampling_design.numerics.balls import Ball, ball, definite, flint, matrix, rational
-from sampling_design.observability.windows.balls import SHAVES, ProvenSigma, nearest_proven
+from sampling_design.observability.sigma_bracket import ProvenSigma
+from sampling_design.observability.windows.balls import SHAVES, nearest_proven
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Integers, Mask

@@ -8,7 +8,13 @@ import numpy as np
 
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.functional import part_for
-from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
+from sampling_design.observability.sigma_bracket import (
+    NO_STATES,
+    SigmaBracket,
+    coordinates_of,
+    in_balls,
+    rtol_and_seconds,
+)
 from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.sampled import sigma_min
 from sampling_design.observability.worst_case.periodicity import within_periods
@@ -243,7 +249,7 @@ def worst_case_sigma(
 
         proof = prove_worst_sigma(own, result.family, result.lower, result.witness, seconds)
         result = in_balls(result, proof)
-    return replace(result, family=family, coordinates=coordinates_of(plant))
+    return replace(result, family=family, coordinates=coordinates_of(plant.has_scales))
 
 
 def asked(plant: OpenPlant, family: SpacedWindows, rtol: float, budget: float | None) -> tuple[float, float]:
@@ -258,10 +264,7 @@ def asked(plant: OpenPlant, family: SpacedWindows, rtol: float, budget: float | 
         raise ArgumentError(
             f"`family` is in {family.time_unit} and the plant in {plant.time_unit}. Give both in one unit of time."
         )
-    tolerance = checks.positive("rtol", rtol)
-    if tolerance >= 1:
-        raise ArgumentError(f"`rtol` must be less than 1, got {tolerance!r}.")
-    return tolerance, np.inf if budget is None else checks.nonnegative("budget", budget)
+    return rtol_and_seconds(rtol, budget)
 
 
 def _require_memory(plant: Plant, family: SpacedWindows) -> None:

@@ -171,14 +171,11 @@ def _bracket(
     """What was found, as the search of a plant that does not vary tells it."""
     pieces, n = search.pieces, best.rows.shape[1]
     every = [sorted(own, key=lambda node: node.at) for own in nodes]
+    direction = np.linalg.svd(best.rows)[2][-1] if len(best.rows) else np.eye(n)[0]
     return WindowBracket(
         lower=min(float(floors.min()), best.sigma),
-        upper=best.sigma,
         status=status,
-        start=best.at,
-        side=pieces.side(g, best.at),
-        samples=pieces.samples(g),
-        direction=np.linalg.svd(best.rows)[2][-1] if len(best.rows) else np.eye(n)[0],
+        witness=pieces.witness(g, best.at, direction, best.sigma),
         pieces=pieces,
         nodes=np.array([node.at for own in every for node in own]),
         sigma=np.array([node.sigma for own in every for node in own]),

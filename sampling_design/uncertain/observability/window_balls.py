@@ -20,13 +20,8 @@ import numpy as np
 from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, identity, matrix, rational
 from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.numerics.linalg import symmetrise
-from sampling_design.observability.windows.balls import (
-    ProvenSigma,
-    exact_times,
-    nearest_proven,
-    needed_slack,
-    piece_ends,
-)
+from sampling_design.observability.sigma_bracket import ProvenSigma
+from sampling_design.observability.windows.balls import exact_times, nearest_proven, needed_slack, piece_ends
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule

@@ -144,7 +144,7 @@ def _record(found: BoxBounds, model: BoxModel, pieces: Pieces, rtol: float) -> W
     return WindowSigmaOverBox(
         lower=found.lower, upper=found.upper, worst=model.values(found.u), window_start=found.s,
         samples=pieces.samples(found.piece), status=found.status, window=pieces.window, rtol=rtol, cells=found.cells,
-        plant=model.plant, from_time=pieces.start, coordinates=coordinates_of(model.plant.nominal),
+        plant=model.plant, from_time=pieces.start, coordinates=coordinates_of(model.plant.nominal.has_scales),
     )  # fmt: skip
 
 

@@ -47,4 +47,4 @@ def window_sigma_varying(
         )
     pieces, tolerance, seconds = asked(aligned, window, start, RTOL if rtol is None else rtol, budget)
     bracket = bracket_varying(plant, pieces, tolerance, seconds)
-    return record_of(bracket, tolerance, plant.time_unit, coordinates_of(plant))
+    return record_of(bracket, tolerance, plant.time_unit, coordinates_of(plant.has_scales))

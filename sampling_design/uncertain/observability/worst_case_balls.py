@@ -22,7 +22,8 @@ from sampling_design.numerics.balls import (
     positive_part,
 )
 from sampling_design.numerics.branch_and_bound import all_proven
-from sampling_design.observability.windows.balls import SHAVES, ProvenSigma, nearest_proven
+from sampling_design.observability.sigma_bracket import ProvenSigma
+from sampling_design.observability.windows.balls import SHAVES, nearest_proven
 from sampling_design.observability.worst_case.balls import prove_worst_sigma
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array

@@ -188,5 +188,6 @@ def _record(
 ) -> WorstCaseOverBox:
     return WorstCaseOverBox(
         lower=min(lower, best[0]), upper=best[0], worst=model.values(best[1]), witness=best[2], status=status,
-        family=family, rtol=rtol, plants=judged, plant=model.plant, coordinates=coordinates_of(model.plant.nominal),
+        family=family, rtol=rtol, plants=judged, plant=model.plant,
+        coordinates=coordinates_of(model.plant.nominal.has_scales),
     )  # fmt: skip

@@ -24,7 +24,6 @@ ROOTS = {
     "checkers.outcome": "Refused",
     "explorer.socket_frames": "ConnectionOver",
     "records.budget": "BudgetSpentError",
-    "certificates.rigorous.ball_problem": "BallFailure",
     "certificates.exact.weight_choice": "_WorkExhausted",
     "records.signatures": "_Unchecked",
     "design.problem.stopping": "Interrupted",

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
+from operator import itemgetter
 
 import numpy as np
 import numpy.typing as npt
@@ -121,12 +122,15 @@ class MismatchLoop(OpenLoop):
         """The radius after a gap, the mismatch bounded step by step."""
         A = self.plant.A
         start, end = node.t, node.t + gap
-        first, last = bisect_right(self._inputs, start, key=_time), bisect_left(self._inputs, end, key=_time)
+        first, last = (
+            bisect_right(self._inputs, start, key=itemgetter(0)),
+            bisect_left(self._inputs, end, key=itemgetter(0)),
+        )
         cuts = [start, *(t for t, _ in self._inputs[first:last]), end]
         x, Y, beta = np.asarray(node.x), np.asarray(node.Y), float(node.beta)
         speed = float(np.linalg.norm(A * self.weights.units / self.weights.units[:, None], 2))
         for a, b in pairwise(cuts):
-            k = bisect_right(self._inputs, a, key=_time) - 1
+            k = bisect_right(self._inputs, a, key=itemgetter(0)) - 1
             push = self.plant.B @ self._inputs[k][1] if k >= 0 else np.zeros(len(x))
             count = int(np.clip(np.ceil(speed * (b - a) / STEP), FEWEST, MOST))
             done, step = 0.0, (b - a) / count
@@ -299,7 +303,3 @@ def _outputs(plant: UncertainPlant) -> Array:
         if each.C is not None and each.C.any()
     ]
     return np.array(found).reshape(len(found), *shape)
-
-
-def _time(item: tuple[float, Array]) -> float:
-    return item[0]

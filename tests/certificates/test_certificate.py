@@ -413,7 +413,7 @@ def test_a_certificate_is_sealed_and_read_once_however_often_it_is_tried(tries, 
         return dataclasses.replace(found, passed=False, verdict="refuted", time=1.5, start=0.5)
 
     counted(record, "sealed")
-    counted(record, "horizon_of")
+    counted(record, "Horizon")
     counted(proof, "certificate")
     monkeypatch.setattr(proof, "verdict_on_schedule", doubted)
     made = given()

@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 
 from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, certify, named_plant
 from sampling_design.certificates.paper.proof_constants import certify_from_proof
-from sampling_design.certificates.rigorous.ball_problem import BallFailure, BallTimes, BallWeights, ScheduleFrame, noise
+from sampling_design.certificates.rigorous.ball_problem import BallTimes, BallWeights, ScheduleFrame, noise
 from sampling_design.certificates.rigorous.ball_proof import long_run, settled
 from sampling_design.certificates.rigorous.decide import (
-    _decided,
     assumption_7,
     attained,
     replays_in_balls,
@@ -25,6 +24,7 @@ from sampling_design.certificates.rigorous.decide import (
 )
 from sampling_design.certificates.rigorous.refutation import RefutationSearch, fails_at, refute
 from sampling_design.checkers.claims import certificate as content
+from sampling_design.checkers.outcome import Refused
 from sampling_design.errors import CertificateError, MissingExtraError
 from sampling_design.numerics import balls
 from sampling_design.numerics.filtering import propagate
@@ -296,10 +296,10 @@ def test_a_channel_that_does_not_drive_may_be_without_weight():
     with balls.precision():
         assert np.allclose(balls.floats(noise(np.array([[1.0, 1.0], [3.0, 3.0]]), Qw)), [[0.5, 1.5], [1.5, 4.5]])
         assert np.allclose(balls.floats(noise(np.array([[1.0, 0.0]]), np.diag([2.0, 0.0]))), [[0.5]])
-        with pytest.raises(BallFailure, match="Qw is singular in a direction that drives the plant"):
+        with pytest.raises(Refused, match="Qw is singular in a direction that drives the plant"):
             noise(np.array([[1.0, 1.0 + 2.0**-50]]), Qw)
         for indefinite in ([[0.0, 1.0], [1.0, 0.0]], [[1.0, 2.0], [2.0, 1.0]]):
-            with pytest.raises(BallFailure, match="Qw is not positive definite, not even semidefinite"):
+            with pytest.raises(Refused, match="Qw is not positive definite, not even semidefinite"):
                 noise(np.zeros((1, 2)), np.array(indefinite))
 
 
@@ -320,7 +320,7 @@ def test_chosen_weights_are_proven():
     ],
 )
 def test_what_stops_a_proof_says_why(run, message, made):
-    with balls.precision(), pytest.raises(BallFailure, match=message):
+    with balls.precision(), pytest.raises(Refused, match=message):
         run(content(made("oscillator").to_dict()))
 
 
@@ -337,7 +337,7 @@ def test_an_inequality_that_is_exactly_tight_is_undecided():
         eta=0.1,
     ).to_dict()
     assert verify_rigorously(held).verdict == "undecided"
-    with balls.precision(), pytest.raises(BallFailure, match="could not be decided: it is tight or nearly so"):
+    with balls.precision(), pytest.raises(Refused, match="could not be decided: it is tight or nearly so"):
         assumption_7(content(held), Budget(60.0))
 
 
@@ -351,8 +351,9 @@ def test_an_inequality_that_is_exactly_tight_is_undecided():
 def test_files_that_are_not_understood_stop_the_proof(change, message, made):
     data = made("oscillator").to_dict() | change
     data = data if "digest" in change else redigested(data)
-    with balls.precision(), pytest.raises(BallFailure, match=message):
-        _decided(data, Budget(60.0))
+    found = verify_rigorously(data)
+    assert found.verdict == "bad file"
+    assert message in found.reason
 
 
 def test_a_recursion_that_grows_has_no_family():
@@ -383,7 +384,7 @@ def test_the_search_for_a_counterexample_keeps_to_the_budget(made):
 
         with pytest.raises(BudgetSpentError, match="the budget ran out"):
             refute(make, Budget(-1.0))
-        with pytest.raises(BallFailure, match="out of reach fails by"):
+        with pytest.raises(Refused, match="out of reach fails by"):
             refute(make, Budget(60.0))
 
 
@@ -404,7 +405,7 @@ def test_fewer_digits_never_refute_what_is_proven(name, made):
 def test_a_witness_that_few_digits_lose_is_neither_reached_nor_refuted(made):
     c = content(made("double integrator").to_dict())
     assert replays_in_balls(c)
-    with balls.precision(5), pytest.raises(BallFailure, match="the window of the witness is lost in rounding") as lost:
+    with balls.precision(5), pytest.raises(Refused, match="the window of the witness is lost in rounding") as lost:
         attained(c, Budget(60.0))
     assert lost.value.verdict == "undecided"
 

@@ -12,10 +12,10 @@ from sampling_design import Plant, named_plant, read_certificate
 from sampling_design.certificates.detectability.best_rate import certify_detectability, detectability_from_proof
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
 from sampling_design.certificates.form.digest import digest
-from sampling_design.certificates.rigorous.ball_problem import BallFailure
 from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.certificates.rigorous.dissipation_balls import INEQUALITY, decided, detectability, downhill
 from sampling_design.checkers.claims import certificate
+from sampling_design.checkers.outcome import Refused
 from sampling_design.numerics import balls as balls
 from sampling_design.records.budget import Budget
 from tests.cases import few
@@ -135,7 +135,7 @@ def test_the_symmetric_part_is_what_counts_of_a_matrix_that_is_symmetric_but_for
     ],
 )
 def test_what_stops_a_proof_says_why(change, message):
-    with balls.precision(), pytest.raises(BallFailure, match=message):
+    with balls.precision(), pytest.raises(Refused, match=message):
         detectability(certificate(redigested({**stated(), **change})), Budget(60.0))
 
 
@@ -147,10 +147,10 @@ def test_elimination_finds_a_direction_where_floats_see_none():
         value, z = downhill(form)
         assert -1.0 < float(value) < 0
         assert z == pytest.approx([-1.0, 1.0])
-        with pytest.raises(BallFailure, match="an eigenvalue relative to the size of its terms") as stop:
+        with pytest.raises(Refused, match="an eigenvalue relative to the size of its terms") as stop:
             decided("form > 0", form, [form[0, 0], form[0, 0]])
-    assert stop.value.where["amount"] < 0
-    assert np.abs(stop.value.where["direction"]) == pytest.approx([np.sqrt(0.5)] * 2)
+    assert stop.value.amount < 0
+    assert np.abs(stop.value.direction) == pytest.approx([np.sqrt(0.5)] * 2)
     with balls.precision():
         assert downhill(balls.identity(3)) is None
 

@@ -19,11 +19,12 @@ from sampling_design import (
     certify,
 )
 from sampling_design.certificates.families.certify_family import certify_family
-from sampling_design.certificates.rigorous.ball_problem import BallFailure, BallWeights
+from sampling_design.certificates.rigorous.ball_problem import BallWeights
 from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.certificates.rigorous.family_balls import BallIntervals
 from sampling_design.checkers.claims import certificate
 from sampling_design.checkers.cover import covers
+from sampling_design.checkers.outcome import Refused
 from sampling_design.numerics import balls as balls
 from sampling_design.records.budget import Budget
 from tests.checkers.test_sampled import redigested
@@ -207,5 +208,5 @@ def test_an_interval_that_is_exactly_tight_is_undecided(made):
         c = certificate(data)
         weights = BallWeights(c.plant, c.weights)
         tight = BallIntervals(weights, weights.P2, [], "P2 <= P2", Budget(60.0))
-        with pytest.raises(BallFailure, match="could not be decided: it is tight or nearly so"):
+        with pytest.raises(Refused, match="could not be decided: it is tight or nearly so"):
             tight.prove(weights.P2, None, Fraction(0), Fraction(0))

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from sampling_design import PeriodicSchedule, Plant, certify, read_certificate
-from sampling_design.certificates.rigorous.ball_problem import BallFailure
-from sampling_design.certificates.rigorous.decide import _decided
+from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.checkers import check, claims, parts, sampled, strict
 from sampling_design.checkers.cover import need
 from sampling_design.checkers.frame import Frame
@@ -87,9 +86,9 @@ def test_what_is_not_exactly_right_is_refused_with_its_place(change, words, tmp_
     assert check(data)["verdict"] == "bad file"
     with pytest.raises((ArgumentError, FileFormatError), match=re.escape(words)):
         raise_as_a_file(data, tmp_path)
-    with pytest.raises(BallFailure, match="the data are no certificate: ") as stopped:
-        _decided(data, None)
-    assert stopped.value.verdict == "bad file"
+    found = verify_rigorously(data)
+    assert found.verdict == "bad file"
+    assert found.reason.startswith("the data are no certificate: ")
 
 
 def raise_as_a_file(data, folder):

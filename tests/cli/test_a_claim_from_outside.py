@@ -7,7 +7,6 @@ import json
 import sys
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,12 +15,11 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.certificates import files
-from sampling_design.certificates.form.digest import sealed, write_certificate
+from sampling_design.certificates.form.digest import sealed
 from sampling_design.certificates.rigorous import decide
-from sampling_design.certificates.rigorous.ball_problem import BallDecision, BallFailure
 from sampling_design.checkers import check, claims, outcome, parts, strict
 from sampling_design.checkers.detectability import downhill
-from sampling_design.checkers.outcome import Refused
+from sampling_design.checkers.outcome import Proven, Refused, holds
 from sampling_design.numerics.balls import ball, definite, matrix, symmetric
 
 INEQUALITY = "P > 0 and A'P + PA + eta P < 0"
@@ -69,7 +67,7 @@ CLAIM = parts.Claim(TABLE, record, prove)
 
 
 @dataclass(frozen=True)
-class DecayCertificate:
+class DecayCertificate(decide.VerifiableRecord):
     """The state shrinks at this rate."""
 
     plant: sd.Plant
@@ -79,12 +77,6 @@ class DecayCertificate:
     def to_dict(self) -> dict[str, Any]:
         return sealed(self.plant, {"claim": "decay", "P": np.asarray(self.P).tolist(), "eta": self.eta}, None)
 
-    def save(self, path: Path) -> Path:
-        return write_certificate(self, path)
-
-    def verify(self, rigorous: bool = False, budget: float = 60.0) -> Any:
-        return decide.judged(self.to_dict(), rigorous, budget)
-
 
 def read(data: Any, plant: sd.Plant, found: Decay) -> DecayCertificate:
     return DecayCertificate(plant, found.P, found.eta)
@@ -93,12 +85,12 @@ def read(data: Any, plant: sd.Plant, found: Decay) -> DecayCertificate:
 # 4. its decision in ball arithmetic
 
 
-def in_balls(c: Decay, clock: Any) -> BallDecision:
+def in_balls(c: Decay, clock: Any) -> Proven:
     A, P, eta = matrix(c.plant.A), symmetric(c.P), ball(c.eta)
     drift = A.transpose() * P
     if not definite(P) or not definite(-(drift + drift.transpose() + P * eta)):
-        raise BallFailure(outcome.REFUTED, INEQUALITY, f"{INEQUALITY} fails")
-    return BallDecision(INEQUALITY, "every state", 0.0)
+        raise Refused(INEQUALITY, f"{INEQUALITY} fails")
+    return holds(INEQUALITY, 0.0, "every state")
 
 
 # 5. where each of them is looked up

@@ -13,7 +13,6 @@ import sampling_design
 from sampling_design import GapRange, PeriodicSchedule, certificate_exists
 from sampling_design.certificates.compare.robustness import FamilyTrial, LossTrial, TimingTrial
 from sampling_design.certificates.form.verdict import Verification
-from sampling_design.certificates.rigorous.decide import RigorousVerification
 from sampling_design.checkers.outcome import Undecided, Verdict
 from sampling_design.errors import UndecidedError
 from sampling_design.nonlinear.detectability import DetectabilityEvidence
@@ -70,8 +69,8 @@ DECIDED = {
     "proven": (verification(Verification, "proven"), True),
     "refuted": (verification(Verification, "refuted"), False),
     "a bad file": (verification(Verification, "bad file"), False),
-    "proven in balls": (verification(RigorousVerification, "proven"), True),
-    "refuted in balls": (verification(RigorousVerification, "refuted"), False),
+    "proven in balls": (verification(Verification, "proven", bits=160), True),
+    "refuted in balls": (verification(Verification, "refuted", bits=160), False),
     "proven by the checker": (Verdict("proven", "an inequality", "because"), True),
     "refuted by the checker": (Verdict("refuted", "an inequality", "because"), False),
     "evidence": (evidence(1.0), True),
@@ -98,7 +97,7 @@ def test_an_answer_is_what_it_says(name):
     ("answer", "ask"),
     [
         (verification(Verification, "undecided"), "verdict"),
-        (verification(RigorousVerification, "undecided"), "verdict"),
+        (verification(Verification, "undecided", bits=160), "verdict"),
         (OPEN, "verdict"),
         (report(HELD, OPEN), "findings"),
         (report(), "findings"),

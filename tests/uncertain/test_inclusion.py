@@ -11,10 +11,9 @@ import pytest
 from sampling_design import GapRange, PeriodicSchedule, Plant, Schedule, certify, read_certificate
 from sampling_design.certificates.exact import certificate as record
 from sampling_design.certificates.exact import proof
-from sampling_design.certificates.rigorous.ball_problem import BallFailure
 from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.checkers import check, claims, inclusion, jumps
-from sampling_design.checkers.outcome import Undecided
+from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.parts import digest
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, UndecidedError
 from sampling_design.numerics import balls
@@ -624,9 +623,9 @@ def test_sets_of_outputs_that_no_halving_decides_are_undecided(monkeypatch):
         inclusion.prove(tight)
     monkeypatch.setattr(inclusion_balls, "MOST_SETS", 0)
     with balls.precision():
-        with pytest.raises(BallFailure, match="could not be decided: it is tight or nearly so"):
+        with pytest.raises(Refused, match="could not be decided: it is tight or nearly so"):
             inclusion_balls.inclusion(tight, Budget(60.0))
-        with pytest.raises(BallFailure, match="x > 0 could not be decided: it is tight or nearly so"):
+        with pytest.raises(Refused, match="x > 0 could not be decided: it is tight or nearly so"):
             inclusion_balls.positive("x > 0", balls.matrix([[1.0, 1.0], [1.0, 1.0]]), [balls.ball(1.0)] * 2)
 
 

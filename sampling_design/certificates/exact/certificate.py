@@ -11,16 +11,21 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.certificates.exact.given_weights import FREE_DISTURBANCE
-from sampling_design.certificates.form.constants import ConstantList
+from sampling_design.certificates.form.constants import Constant, ConstantList
 from sampling_design.certificates.form.digest import CLAIM, RESOLUTION, sealed
-from sampling_design.certificates.form.export import constants_of
-from sampling_design.certificates.form.horizon import Horizon, horizon_of, output_information
+from sampling_design.certificates.form.horizon import (
+    CONTRACTION,
+    Horizon,
+    largest_eigenvalue,
+    least_eigenvalue,
+    output_information,
+)
 from sampling_design.certificates.rigorous.decide import VerifiableRecord
 from sampling_design.checkers.claims import claim_of
 from sampling_design.checkers.parts import FORMAT
 from sampling_design.checkers.parts import Plant as FilePlant
 from sampling_design.checkers.schedule_file import Sampled
-from sampling_design.errors import ArgumentError
+from sampling_design.errors import ArgumentError, CertificateError
 from sampling_design.numerics.linalg import generalised_max
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
@@ -86,6 +91,8 @@ class SampledCertificate(VerifiableRecord, ABC):
 
     _slip: ClassVar[str] = "Weights go by name: P2=, Qw=, R=, Qv=, eta=."
     _reader: ClassVar[str] = "load_certificate"
+    _apart: ClassVar[float] = 1.0
+    """V(t) <= this times J(truth): 4 where estimate and truth differ from the centre of the data each by itself."""
     plant: Plant
     P1: Array = field(kw_only=True)
     P2: Array = field(kw_only=True)
@@ -163,8 +170,61 @@ class SampledCertificate(VerifiableRecord, ABC):
         return checks.freeze(output_information(self.R, self.Qv))
 
     def horizon(self, theorem: str = "sharp", length: float | None = None) -> Horizon:
-        """Return the estimation horizon and its error bound; see `horizon_of`."""
-        return horizon_of(self, theorem, length)
+        """Return a horizon and its error bound, by the sharper theorem or by Thm 9 of the paper.
+
+            "sharp":  M > ln(lam)/eta,             eta_tilde = eta - ln(lam)/M
+            "paper":  M > 2 ln(2 lam_samples)/eta, eta_tilde = eta - ln(4 lam_samples^2)/M, M >= d_max
+
+        Where estimate and truth differ from the centre of the data each by itself (an inclusion, Theorem G) a factor of
+        4 stands on lam and on every gain of "sharp", and there is a third:
+
+            "arrival": M > ln(4)/eta whatever lam is, with the arrival weight P(tau)
+
+        Parameters
+        ----------
+        theorem : "sharp", "paper" or "arrival"
+        length : float, optional [time]
+            Default max(d_max, ln(4 lam)/eta) and max(d_max, 2 ln(4 lam_samples)/eta): each window shrinks the
+            squared error to a quarter.
+
+        Returns
+        -------
+        Horizon
+
+        Raises
+        ------
+        ArgumentError
+            If the theorem is unknown.
+        CertificateError
+            If `length` is too short for the theorem.
+        """
+        apart = self._apart
+        checks.word("theorem", theorem, ("sharp", "paper") if apart == 1 else ("sharp", "arrival", "paper"))
+        eta, paper, d_max = self.eta, theorem == "paper", self.d_max
+        lam = self.lam_samples_proven if paper else self.lam_proven
+        factor, lost = (2.0, 2.0 * lam) if paper else (1.0, apart * (1.0 if theorem == "arrival" else lam))
+        minimum = factor * np.log(lost) / eta
+        with np.errstate(over="ignore"):
+            default = max(d_max, float((factor * np.log(lost) + np.log(CONTRACTION)) / eta))
+        if not np.isfinite(default):
+            raise CertificateError(
+                f"The rate {eta:.3g} is so slow that the horizon is no number: ask for a larger `eta`.", minimum=minimum
+            )
+        M = default if length is None else checks.positive("length", length)
+        least = max(minimum, d_max) if paper else minimum
+        if not (minimum < M and least <= M):
+            which = "this theorem" if apart == 1 or paper else "Theorem G"
+            raise CertificateError(
+                f"`length` = {M:.6g} is too short: {which} needs M > {least:.6g}.", minimum=least, length=M
+            )
+        low = least_eigenvalue(self.P2 / lam if paper else self.P1)
+        gain = 4.0 * lam if paper else apart
+        noise = 2.0 * self.Qv if paper else self.Rtilde
+        C_x, C_w, C_v = (gain * largest_eigenvalue(W) / low for W in (self.P2, self.Qw, noise))
+        return Horizon(
+            theorem=theorem, minimum=float(minimum), length=float(M), eta_tilde=float(eta - factor * np.log(lost) / M),
+            C_x=C_x, C_w=C_w, C_v=C_v, lam=float(lam), time_unit=self.plant.time_unit,
+        )  # fmt: skip
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data as in the file, digest included."""
@@ -185,8 +245,17 @@ class SampledCertificate(VerifiableRecord, ABC):
 
     @property
     def constants(self) -> ConstantList:
-        """Every constant with its formula and source; see `constants_of`."""
-        return constants_of(self)
+        """Rate, lambdas, margin and both horizons with their gains, each with its formula and source."""
+        first = [
+            Constant("eta", self.eta, r"\eta", "Assumption 7", r"\eta"),
+            Constant("lam", self.lam, r"\sup_{s, t} \lambda_{\max}(P_2, \Pi_s(t))", "all real starts", r"\lambda"),
+            Constant(
+                "lam_samples", self.lam_samples, r"\sup_{i, t} \lambda_{\max}(P_2, \Pi_i(t))", "sample starts",
+                r"\lambda_K",
+            ),
+            Constant("margin", self.margin, r"\Pi \succeq (1 + m) P_1", "verified", "m"),
+        ]  # fmt: skip
+        return ConstantList([*first, *self.horizon("sharp").constants(), *self.horizon("paper").constants()])
 
     def to_markdown(self) -> str:
         """Return all constants as a markdown table."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cached_property
 from importlib.util import find_spec
+from operator import attrgetter
 from typing import TypeVar
 
 import numpy as np
@@ -114,8 +115,8 @@ class ScheduleProof:
                 if finer == 1 and not work.over:  # the grids may have missed a peak by a hair
                     finer, before = FINER, (anywhere.value, at_samples.value)
                     others = self.found(finer)
-                    at_samples = max(at_samples, others[1], key=_value)
-                    anywhere = max(anywhere, others[0], at_samples, key=_value)
+                    at_samples = max(at_samples, others[1], key=attrgetter("value"))
+                    anywhere = max(anywhere, others[0], at_samples, key=attrgetter("value"))
                     if anywhere.value > before[0] * HIGHER or at_samples.value > before[1] * HIGHER:
                         continue
                 if other := wider(rooms, work, room):
@@ -124,10 +125,10 @@ class ScheduleProof:
                 break
             missed = located(self.problem, verdict.start / self.canon.time, verdict.time / self.canon.time)
             if "samples" in verdict.inequality or starts_at_sample(self.problem, missed):
-                at_samples = max(refine(self.problem, missed, 0.0), at_samples, key=_value)
+                at_samples = max(refine(self.problem, missed, 0.0), at_samples, key=attrgetter("value"))
             else:
                 missed = refine(self.problem, missed, self.problem.reach[missed.index] / 16)
-            anywhere = max(anywhere, missed, at_samples, key=_value)
+            anywhere = max(anywhere, missed, at_samples, key=attrgetter("value"))
         reason = f"undecided: the proof of the certificate did not close: {verdict.reason}.{slip(self.canon)}"
         self.peaks, error = (anywhere, at_samples), UndecidedError(reason, verification=verdict, certificate=made)
         self.left_open = work, room, error
@@ -167,7 +168,3 @@ def _made(
         proof.plant, proof.schedule, P1=P1, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=proof.eta, lam=lam, lam_samples=lam_samples,
         margin=STATED_MARGIN, witness=seen, solver=solver,
     )  # fmt: skip
-
-
-def _value(peak: RiccatiPeak) -> float:
-    return peak.value

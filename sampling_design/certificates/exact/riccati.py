@@ -6,6 +6,7 @@ Windows run side by side in one batch: each step is one sample update and one ga
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 import numpy.typing as npt
@@ -308,15 +309,11 @@ def supremum(problem: WindowProblem, finer: int = 1, work: Work | None = None) -
     found = sweep(problem, np.append(index, more), np.append(remaining, starts), parts, steady, work=work)
     own, others = found[: index.size], found[index.size :]
     if steady is not None:
-        own.append(long_run(problem, steady, max(own, key=_value), work))
-    at_sample = refine(problem, max(own, key=_value), 0.0, 1 / parts.size, work)
-    anywhere = max([*others, at_sample], key=_value)
+        own.append(long_run(problem, steady, max(own, key=attrgetter("value")), work))
+    at_sample = refine(problem, max(own, key=attrgetter("value")), 0.0, 1 / parts.size, work)
+    anywhere = max([*others, at_sample], key=attrgetter("value"))
     anywhere = refine(problem, anywhere, problem.reach[anywhere.index] / (inner.size + 1), 1 / parts.size, work)
-    return max(anywhere, at_sample, key=_value), at_sample
-
-
-def _value(peak: RiccatiPeak) -> float:
-    return peak.value
+    return max(anywhere, at_sample, key=attrgetter("value")), at_sample
 
 
 def long_run(problem: WindowProblem, steady: Array, best: RiccatiPeak, work: Work | None = None) -> RiccatiPeak:
@@ -335,7 +332,7 @@ def long_run(problem: WindowProblem, steady: Array, best: RiccatiPeak, work: Wor
         found = sweep(problem, index[:1], remaining[:1], last_step=periods * problem.count, work=work)[0]
         if work is not None and work.over:
             break
-    return max(found, best, key=_value)
+    return max(found, best, key=attrgetter("value"))
 
 
 def refine(
@@ -350,7 +347,7 @@ def refine(
         starts = np.linspace(lowest, highest, 7) if width else np.array([peak.remaining])
         parts = np.linspace(max(peak.fraction - time_width, 0.0), min(peak.fraction + time_width, 1.0), 5)
         found = sweep(problem, np.full(starts.size, peak.index), starts, parts, last_step=max(peak.step, 0), work=work)
-        peak = max([peak, *found], key=_value)
+        peak = max([peak, *found], key=attrgetter("value"))
         width, time_width = width / 3, time_width / 2
     return peak
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -161,7 +162,7 @@ class WeightSearch:
             found = [self.judged(shape, eta, budget, width=COARSE) for shape in self.guesses(eta)]
         except (SolverError, np.linalg.LinAlgError):
             return None
-        return min((choice for choice in found if choice is not None), key=_value, default=None)
+        return min((choice for choice in found if choice is not None), key=attrgetter("value"), default=None)
 
     def judged(
         self, shape: Array, eta: float, budget: float, like: ChosenWeights | None = None, width: float = EXACT
@@ -185,7 +186,7 @@ class WeightSearch:
             found = self._descent(best, budget, bounds)
             steps = best.iterations + found.iterations
             gained = found.value < best.value * (1 - WORTHWHILE)
-            best = replace(min(found, best, key=_value), iterations=steps)
+            best = replace(min(found, best, key=attrgetter("value")), iterations=steps)
             if not gained:
                 break
         return best
@@ -216,10 +217,6 @@ class WeightSearch:
             return start
         T, rate = state.unpack(state.best)
         return ChosenWeights(L @ T @ T.T @ L.T, rate, state.value, steps, status)
-
-
-def _value(choice: ChosenWeights) -> float:
-    return choice.value
 
 
 class _WorkExhausted(Exception):
@@ -367,7 +364,7 @@ def choose_weights(
             "undecided: at no rate that was tried could the information on this schedule be followed in doubles; the "
             f"schedule is on the edge of what can be certified.{slip(canon)}"
         )
-    guesses.sort(key=_value)
+    guesses.sort(key=attrgetter("value"))
     found: list[ChosenWeights] = []
     for k, guess in enumerate(guesses[: search.starts]):
         if found and search.late:
@@ -375,11 +372,11 @@ def choose_weights(
         with search.kept(guesses):
             report(0.3 + 0.13 * k, f"descent at rate {guess.eta:.3g}")
             found.append(search.descend(guess, REFERENCE, (guess.eta, guess.eta)))
-    best = min(found or guesses, key=_value)
+    best = min(found or guesses, key=attrgetter("value"))
     if free and not search.late:
         with search.kept(guesses):
             report(0.7, "descent on shape and rate")
-            best = min(best, search.descend(best, REFERENCE, bounds), key=_value)
+            best = min(best, search.descend(best, REFERENCE, bounds), key=attrgetter("value"))
     with search.kept(guesses):
         report(0.8, "descents at other budgets")
     shapes = [(0.0, best), (0.0, guesses[0])]
@@ -438,7 +435,7 @@ def _ordered(search: WeightSearch, shapes: list[tuple[float, ChosenWeights]], bu
     """The shapes of references up to the budget, each scaled to it, the best first, and none twice."""
     found = [search.judged(choice.P2, choice.eta, budget, choice) for least, choice in shapes if least <= budget]
     kept: list[ChosenWeights] = []
-    for choice in sorted((choice for choice in found if choice is not None), key=_value):
+    for choice in sorted((choice for choice in found if choice is not None), key=attrgetter("value")):
         kept += [] if any(_alike(choice, other) for other in kept) else [choice]
     return kept
 

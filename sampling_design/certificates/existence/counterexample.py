@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -211,13 +212,13 @@ def find_counterexample(
         if made is not None:
             return made, NearestFailure(margin, schedule, "; ".join(searched))
         tried.append((margin, schedule))
-        least = min(least, tried[-1], key=_first)
+        least = min(least, tried[-1], key=itemgetter(0))
         if given.over:
             searched.append(f"the search ended after {budget:g} s and {len(tried)} schedules")
             break
     if quick:
         return None, NearestFailure(*least, "; ".join(searched))
-    for margin, schedule in sorted(tried, key=_first)[:DESCENTS]:
+    for margin, schedule in sorted(tried, key=itemgetter(0))[:DESCENTS]:
         if given.over:
             break
         better = _descend(plant, family, eta, schedule)
@@ -227,10 +228,6 @@ def find_counterexample(
         if reached < min(margin, least[0]):
             least = (reached, better)
     return None, NearestFailure(*least, "; ".join(searched))
-
-
-def _first(pair: tuple[float, PeriodicSchedule]) -> float:
-    return pair[0]
 
 
 def refute(

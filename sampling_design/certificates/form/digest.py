@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Protocol
 
 from sampling_design import __version__
 from sampling_design.checkers.parts import FORMAT, digest
 from sampling_design.checkers.strict import Tree
-from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
-from sampling_design.records import file_io
 from sampling_design.records.declarations import plain
 from sampling_design.records.evidence import SolverRecord
-from sampling_design.records.record import Plain
 
 CLAIM = "assumption-7"
 FAMILY_CLAIM = "family"
@@ -26,13 +20,6 @@ RESOLUTION = 1e-3
 """`lam` is the supremum to within this fraction: (1 - RESOLUTION) P2/lam is proven to stay below Pi."""
 STATED_MARGIN = 1e-4
 """Margin that a certificate states, Pi >= (1 + this) P1; what is left of `RESOLUTION` is for the proof."""
-
-
-class HasPlainData(Protocol):
-    """A record that has plain data."""
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data."""
 
 
 def sealed(plant: Plant, parts: Mapping[str, object], solver: SolverRecord | None) -> Tree:
@@ -46,19 +33,3 @@ def sealed(plant: Plant, parts: Mapping[str, object], solver: SolverRecord | Non
     }
     data["digest"] = digest(data)
     return data
-
-
-def write_certificate(certificate: HasPlainData, path: str | os.PathLike[str]) -> Path:
-    """Write a certificate as JSON, whole or not at all; return the path.
-
-    Raises
-    ------
-    ArgumentError
-        If the ending is not .json.
-    """
-    if Path(path).suffix.lower() != ".json":
-        raise ArgumentError(
-            f"`path` of a certificate must end in .json, got {os.fspath(path)!r}. For tables of its constants write "
-            "the text of to_latex() or to_markdown()."
-        )
-    return file_io.write_text(path, file_io.to_json(certificate.to_dict()))

@@ -3,45 +3,37 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
-from sampling_design.errors import CertificateError
-from sampling_design.plants.plant import Plant
-from sampling_design.records import checks
+from sampling_design.certificates.form.constants import Constant
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import unit_diagonal
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import Record, short
 
-_CONTRACTION = 4.0
+CONTRACTION = 4.0
 """By default a window shrinks the squared error at least by this factor (formats.md, Defaults)."""
-
-
-class HasWeights(Protocol):
-    """What a horizon needs of a certificate."""
-
-    @property
-    def plant(self) -> Plant: ...
-    @property
-    def P1(self) -> Array: ...
-    @property
-    def P2(self) -> Array: ...
-    @property
-    def Qw(self) -> Array: ...
-    @property
-    def R(self) -> Array: ...
-    @property
-    def Qv(self) -> Array: ...
-    @property
-    def eta(self) -> float: ...
-    @property
-    def lam_proven(self) -> float: ...
-    @property
-    def lam_samples_proven(self) -> float: ...
-    @property
-    def d_max(self) -> float: ...
+_LOW, _PAPER_LOW = r"\lambda_{\min}(P_1)", r"\lambda_{\min}(P_2/\lambda_K)"
+_FORMULAS = {
+    "sharp": {
+        "minimum": r"M > \ln(\lambda)/\eta",
+        "length": r"\max(d_{\max}, \ln(4\lambda)/\eta)",
+        "eta_tilde": r"\eta - \ln(\lambda)/M",
+        "C_x": rf"\lambda_{{\max}}(P_2)/{_LOW}",
+        "C_w": rf"\lambda_{{\max}}(Q_w)/{_LOW}",
+        "C_v": rf"\lambda_{{\max}}(\tilde R)/{_LOW}",
+    },
+    "paper": {
+        "minimum": r"M > 2\ln(2\lambda_K)/\eta",
+        "length": r"\max(d_{\max}, 2\ln(4\lambda_K)/\eta)",
+        "eta_tilde": r"\eta - \ln(4\lambda_K^2)/M",
+        "C_x": rf"4\lambda_K\lambda_{{\max}}(P_2)/{_PAPER_LOW}",
+        "C_w": rf"4\lambda_K\lambda_{{\max}}(Q_w)/{_PAPER_LOW}",
+        "C_v": rf"8\lambda_K\lambda_{{\max}}(Q_v)/{_PAPER_LOW}",
+    },
+}
+_SYMBOLS = {"minimum": "M", "length": "M", "eta_tilde": r"\tilde\eta", "C_x": "C_x", "C_w": "C_w", "C_v": "C_v"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,6 +94,14 @@ class Horizon(Record):
         convex = ("convex constraints that hold the truth", "half-open windows (t-M, t]", "every real window start")
         return Claim("RGES of the estimator with the certificate's cost", "sharper horizon theorem", (*given, *convex))
 
+    def constants(self) -> list[Constant]:
+        """Length, rate and gains with their formulas and sources, of the theorems "sharp" and "paper"."""
+        source, found = "Theorem 9" if self.theorem == "paper" else "sharper horizon theorem", []
+        for key, formula in _FORMULAS[self.theorem].items():
+            name, said = f"{self.theorem}_{key}", "default" if key == "length" else source
+            found.append(Constant(name, getattr(self, key), formula, said, _SYMBOLS[key]))
+        return found
+
     def explain(self) -> str:
         """Say what the horizon promises."""
         return (
@@ -109,64 +109,6 @@ class Horizon(Record):
             f"squared error decays at rate {short(self.eta_tilde)} per {self.time_unit}; disturbances enter with "
             f"C_w = {short(self.C_w)}, measurement noise with C_v = {short(self.C_v)}."
         )
-
-
-def horizon_of(
-    certificate: HasWeights, theorem: str = "sharp", length: float | None = None, *, apart: float | None = None
-) -> Horizon:
-    """Return the horizon of a certificate by the sharper theorem or by Thm 9 of the paper.
-
-        sharp:  M > ln(lam)/eta,             eta_tilde = eta - ln(lam)/M
-        paper:  M > 2 ln(2 lam_samples)/eta, eta_tilde = eta - ln(4 lam_samples^2)/M, M >= d_max
-
-    Parameters
-    ----------
-    certificate : SampledCertificate
-    theorem : "sharp", "paper", or "arrival": "sharp" with an arrival weight that lambda does not enter
-    length : float, optional [time]
-        Default max(d_max, ln(4 lam)/eta) and max(d_max, 2 ln(4 lam_samples)/eta): each window shrinks the
-        squared error to a quarter.
-    apart : float, optional
-        V(t) <= this times J(truth), where estimate and truth differ from the centre of the data each by itself
-        (Theorem G): a factor on lam and on every gain. Default 1, without "arrival".
-
-    Returns
-    -------
-    Horizon
-
-    Raises
-    ------
-    ArgumentError
-        If the theorem is unknown.
-    CertificateError
-        If `length` is too short for the theorem.
-    """
-    checks.word("theorem", theorem, ("sharp", "paper") if apart is None else ("sharp", "arrival", "paper"))
-    eta, paper, share = certificate.eta, theorem == "paper", 1.0 if apart is None else apart
-    lam = certificate.lam_samples_proven if paper else certificate.lam_proven
-    factor, lost = (2.0, 2.0 * lam) if paper else (1.0, share * (1.0 if theorem == "arrival" else lam))
-    minimum = factor * np.log(lost) / eta
-    with np.errstate(over="ignore"):
-        default = max(certificate.d_max, float((factor * np.log(lost) + np.log(_CONTRACTION)) / eta))
-    if not np.isfinite(default):
-        raise CertificateError(
-            f"The rate {eta:.3g} is so slow that the horizon is no number: ask for a larger `eta`.", minimum=minimum
-        )
-    M = default if length is None else checks.positive("length", length)
-    least = max(minimum, certificate.d_max) if paper else minimum
-    if not (minimum < M and least <= M):
-        which = "this theorem" if apart is None or paper else "Theorem G"
-        raise CertificateError(
-            f"`length` = {M:.6g} is too short: {which} needs M > {least:.6g}.", minimum=least, length=M
-        )
-    low = least_eigenvalue(certificate.P2 / lam if paper else certificate.P1)
-    gain = 4.0 * lam if paper else share
-    noise = 2.0 * certificate.Qv if paper else output_information(certificate.R, certificate.Qv)
-    C_x, C_w, C_v = (gain * largest_eigenvalue(W) / low for W in (certificate.P2, certificate.Qw, noise))
-    return Horizon(
-        theorem=theorem, minimum=float(minimum), length=float(M), eta_tilde=float(eta - factor * np.log(lost) / M),
-        C_x=C_x, C_w=C_w, C_v=C_v, lam=float(lam), time_unit=certificate.plant.time_unit,
-    )  # fmt: skip
 
 
 def output_information(R: Array, Qv: Array) -> Array:

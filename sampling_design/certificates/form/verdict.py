@@ -10,7 +10,7 @@ import numpy as np
 
 from sampling_design.checkers import verdict
 from sampling_design.checkers.check import verdict_on
-from sampling_design.checkers.outcome import UNDECIDED, Proven, Refused
+from sampling_design.checkers.outcome import UNDECIDED, Proven, Refused, Verdict
 from sampling_design.checkers.sampled import proven, replay
 from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.checkers.work import Work
@@ -39,6 +39,11 @@ class Verification(YesOrNo, PlainRecord):
     verdict : str
         "proven"; "refuted": some inequality fails; "undecided": neither, it is tight or as near to failing as rounding;
         "bad file": the data are no certificate.
+    bits : int
+        Precision of the ball arithmetic that gave the verdict, then a theorem about the doubles in the file, or none
+        within the budget; 0: the floats of the checker gave it.
+    seconds : float
+        That the balls took.
     """
 
     passed: bool
@@ -49,6 +54,8 @@ class Verification(YesOrNo, PlainRecord):
     reason: str
     direction: list[float] | None = None
     verdict: str = "undecided"
+    bits: int = 0
+    seconds: float = 0.0
 
     _asked: ClassVar[str] = "verdict"
 
@@ -65,9 +72,12 @@ class Verification(YesOrNo, PlainRecord):
     def _answer(self) -> bool | None:
         return None if self.verdict == UNDECIDED else self.passed
 
+    def _rows(self) -> list[tuple[str, str]]:
+        return [("verdict", self.verdict)] * bool(self.bits) + super()._rows()
+
     def explain(self) -> str:
         """Say the verdict."""
-        return f"{self.verdict.capitalize()}: {self.reason}"
+        return f"{self.verdict.capitalize()}{' in ball arithmetic' if self.bits else ''}: {self.reason.rstrip('.')}."
 
 
 def replays(content: Sampled) -> bool:
@@ -82,14 +92,17 @@ def replays(content: Sampled) -> bool:
 
 def verdict_of(data: Mapping[str, object], work: Work | None = None) -> Verification:
     """Return the verdict of the independent checker on the plain data of a certificate; it does at most this work."""
-    found = verdict(data, work)
-    return Verification(passed=found.passed, **vars(found))
+    return verification(verdict(data, work))
 
 
 def verdict_on_content(content: object, prove: Callable[..., Proven], work: Work | None = None) -> Verification:
     """The same of what a file would hold, while it is sought, as its claim proves it."""
-    found = verdict_on(content, prove, work)
-    return Verification(passed=found.passed, **vars(found))
+    return verification(verdict_on(content, prove, work))
+
+
+def verification(found: Verdict, bits: int = 0, seconds: float = 0.0) -> Verification:
+    """A verdict as a record, of balls of so many bits or of the checker's floats."""
+    return Verification(passed=found.passed, **vars(found), bits=bits, seconds=seconds)
 
 
 def verdict_on_schedule(content: Sampled, work: Work) -> Verification:

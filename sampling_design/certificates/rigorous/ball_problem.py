@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sampling_design.checkers.outcome import REFUTED, UNDECIDED
+from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.parts import Plant, Weights
 from sampling_design.checkers.schedule_file import Times
 from sampling_design.numerics.ball_flow import BallFlow
@@ -36,28 +36,12 @@ class StatedInequality(NamedTuple):
     samples_only: bool
 
 
-class BallDecision(NamedTuple):
-    """What was proven: the inequalities, for what, and the slack."""
-
-    inequality: str
-    subject: str
-    slack: float
-
-
-class BallFailure(Exception):
-    """What stops a proof: verdict, inequality, reason; what is known of where and how much."""
-
-    def __init__(self, verdict: str, inequality: str, reason: str, **where: object) -> None:
-        super().__init__(reason)
-        self.verdict, self.inequality, self.reason, self.where = verdict, inequality, reason, where
-
-
 def positive_definite(name: str, M: Matrix) -> None:
-    """Raise BallFailure unless M is certainly positive definite."""
+    """Raise Refused unless M is certainly positive definite."""
     found = definite(M)
     if not found:
-        verdict, word = (REFUTED, "is not") if found is False else (UNDECIDED, "is not certainly")
-        raise BallFailure(verdict, f"{name} > 0", f"{name} {word} positive definite")
+        kind, word = (Refused, "is not") if found is False else (Undecided, "is not certainly")
+        raise kind(f"{name} > 0", f"{name} {word} positive definite")
 
 
 def in_units(form: Matrix, sizes: list[Ball]) -> Matrix:
@@ -126,11 +110,11 @@ def noise(G: Array, Qw: Array) -> Matrix:
     for k in range(q):
         pivot = form[k][k]
         if pivot < 0 or (pivot == 0 and any(x != 0 for x in form[k][k + 1 :])):
-            raise BallFailure(REFUTED, "Qw > 0", "Qw is not positive definite, not even semidefinite")
+            raise Refused("Qw > 0", "Qw is not positive definite, not even semidefinite")
         reached = [b for b in range(n) if drive[k][b] != 0]
         if pivot == 0:
             if reached:
-                raise BallFailure(REFUTED, "Qw > 0", "Qw is singular in a direction that drives the plant")
+                raise Refused("Qw > 0", "Qw is singular in a direction that drives the plant")
             continue
         for a in reached:
             for b in reached:
@@ -176,7 +160,7 @@ class BallFrame:
     def __init__(self, weights: BallWeights, seen: Iterable[Mask], target: Matrix, inequality: str) -> None:
         L = cholesky(target)
         if L is None:
-            raise BallFailure(UNDECIDED, inequality, f"{inequality}: the left side is not certainly positive definite")
+            raise Undecided(inequality, f"{inequality}: the left side is not certainly positive definite")
         self.weights, self.n, self.inequality = weights, weights.n, inequality
         self.L, Lt = L, L.transpose()
         A = Lt * L.solve(weights.A.transpose()).transpose() + ball(weights.eta) * identity(self.n) / 2

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -16,12 +15,9 @@ from sampling_design.certificates.form.digest import (
     DETECTABILITY_CLAIM,
     FAMILY_CLAIM,
     RESOLUTION,
-    write_certificate,
 )
-from sampling_design.certificates.form.verdict import Verification, verdict_of, verdict_on_content
+from sampling_design.certificates.form.verdict import Verification, verdict_of, verdict_on_content, verification
 from sampling_design.certificates.rigorous.ball_problem import (
-    BallDecision,
-    BallFailure,
     BallTimes,
     BallWeights,
     ScheduleFrame,
@@ -33,12 +29,22 @@ from sampling_design.certificates.rigorous.dissipation_balls import detectabilit
 from sampling_design.certificates.rigorous.family_balls import family
 from sampling_design.certificates.rigorous.refutation import refute
 from sampling_design.checkers.claims import certificate, claim_of
-from sampling_design.checkers.family_file import OfFamily
-from sampling_design.checkers.outcome import BAD_FILE, PROVEN, REFUTED, UNDECIDED
+from sampling_design.checkers.outcome import (
+    BAD_FILE,
+    PROVEN,
+    UNDECIDED,
+    Proven,
+    Refused,
+    Undecided,
+    Verdict,
+    holds,
+    refused,
+)
 from sampling_design.checkers.parts import FORMAT, Weights
 from sampling_design.checkers.schedule_file import Sampled
-from sampling_design.checkers.strict import BadFile, Tree
+from sampling_design.checkers.strict import BadFile
 from sampling_design.checkers.work import Work
+from sampling_design.errors import ArgumentError
 from sampling_design.numerics.balls import (
     BITS,
     Matrix,
@@ -51,6 +57,7 @@ from sampling_design.numerics.balls import (
     raised,
     symmetric,
 )
+from sampling_design.records import file_io
 from sampling_design.records.budget import ENDLESS, Budget, BudgetSpentError
 from sampling_design.records.dispatch import offered
 from sampling_design.records.record import Plain, Record
@@ -64,32 +71,6 @@ HANDED_OVER = 1e7
 ever."""
 PATIENCE = 6
 """Halvings of a cell of window starts after which a counterexample is looked for."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class RigorousVerification(Verification):
-    """The verdict of `verify(rigorous=True)`: a theorem about the doubles in the file, or no verdict.
-
-    Attributes
-    ----------
-    verdict : str
-        "proven"; "refuted": some inequality certainly fails, at `time` in the window from `start` where it is one of
-        those; "undecided": neither was proven within the budget, or the inequality is too nearly tight;
-        "bad file": the data are no certificate.
-    bits : int
-        Precision of the balls.
-    seconds : float
-    """
-
-    bits: int = BITS
-    seconds: float = 0.0
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return [("verdict", self.verdict), *super()._rows()]
-
-    def explain(self) -> str:
-        """Say the verdict."""
-        return f"{self.verdict.capitalize()} in ball arithmetic: {self.reason}."
 
 
 class VerifiableRecord(Record):
@@ -114,7 +95,7 @@ class VerifiableRecord(Record):
         Returns
         -------
         Verification
-            Its `verdict` is "proven", "refuted" or "undecided"; a `RigorousVerification` where balls gave it.
+            Its `verdict` is "proven", "refuted" or "undecided"; with its `bits` where balls gave it.
 
         Raises
         ------
@@ -124,8 +105,19 @@ class VerifiableRecord(Record):
         return judged(self.to_dict(), rigorous, budget)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the certificate as JSON, whole or not at all; return the path."""
-        return write_certificate(self, path)
+        """Write the certificate as JSON, whole or not at all; return the path.
+
+        Raises
+        ------
+        ArgumentError
+            If the ending is not .json.
+        """
+        if Path(path).suffix.lower() != ".json":
+            raise ArgumentError(
+                f"`path` of a certificate must end in .json, got {os.fspath(path)!r}. "
+                "For tables of its constants write the text of to_latex() or to_markdown()."
+            )
+        return file_io.write_text(path, file_io.to_json(self.to_dict()))
 
 
 def judged(data: Mapping[str, object], rigorous: bool, budget: float) -> Verification:
@@ -148,9 +140,7 @@ def judged_while_sought(content: object, claim: str, budget: float) -> Verificat
     return _verified(lambda clock: _decided_as(claim, content, clock), budget, Work(HANDED_OVER))
 
 
-def verify_rigorously(
-    data: Mapping[str, object], budget: float = 60.0, work: Work | None = None
-) -> RigorousVerification:
+def verify_rigorously(data: Mapping[str, object], budget: float = 60.0, work: Work | None = None) -> Verification:
     """Decide in ball arithmetic whether what a certificate file states is true.
 
         Pi(t) >= (1 + margin) P1,   lam Pi(t) >= (1 - 1e-3) P2    for all real window starts and all t
@@ -166,7 +156,7 @@ def verify_rigorously(
 
     Returns
     -------
-    RigorousVerification
+    Verification
 
     Raises
     ------
@@ -182,54 +172,45 @@ def verify_rigorously(
     family is found; eigenvalues are guessed in floats, gains and families in midpoints, and proven by the pivots of
     L D L' in balls.
     """
-    return _verified(lambda clock: _decided(dict(data), clock), budget, work)
+
+    def decide(clock: Budget) -> Proven:
+        return _decided_as(str(data["claim"]), content, clock)
+
+    try:
+        content = certificate(dict(data))
+    except BadFile as error:
+        flint()
+        return verification(Verdict(BAD_FILE, error.broken, f"the data are no certificate: {error}"), BITS)
+    return _verified(decide, budget, work)
 
 
-def decided_on_schedule(content: Sampled, work: Work) -> RigorousVerification:
+def decided_on_schedule(content: Sampled, work: Work) -> Verification:
     """The same of what a file on one schedule would hold, while it is sought."""
-    return _verified(lambda clock: _proven(assumption_7(content, clock)), np.inf, work)
+    return _verified(lambda clock: assumption_7(content, clock), np.inf, work)
 
 
-def _verified(decide: Callable[[Budget], dict[str, object]], budget: float, work: Work | None) -> RigorousVerification:
+def _verified(decide: Callable[[Budget], Proven], budget: float, work: Work | None) -> Verification:
     """The verdict that `decide` finds, or is stopped with."""
     flint()
     clock = Budget(budget, work=work)
-    found: Tree = {"passed": False, "inequality": "form", "time": None, "start": None, "amount": 0.0}
     try:
         with precision(), np.errstate(all="ignore"):  # floats only guess: what is not finite proves nothing
-            found |= decide(clock)
-    except BallFailure as stop:
-        found |= {"verdict": stop.verdict, "inequality": stop.inequality, "reason": stop.reason, **stop.where}
+            proven = decide(clock)
+        found = Verdict(PROVEN, proven.inequality, proven.reason, proven.slack)
+    except Refused as stop:
+        found = refused(stop)
     except BudgetSpentError:
         reason = "it takes more work than was handed over" if work and work.over else f"{budget:g} s were not enough"
-        found |= {"verdict": UNDECIDED, "inequality": "budget", "reason": reason}
+        found = Verdict(UNDECIDED, "budget", reason)
     except np.linalg.LinAlgError as error:
-        found |= {
-            "verdict": UNDECIDED,
-            "inequality": "guess",
-            "reason": f"the guesses in floats broke down ({error})",
-        }
-    return RigorousVerification(**found, seconds=clock.spent)
+        found = Verdict(UNDECIDED, "guess", f"the guesses in floats broke down ({error})")
+    return verification(found, BITS, clock.spent)
 
 
-def _decided(data: Tree, clock: Budget) -> dict[str, object]:
-    try:
-        content = certificate(data)
-    except BadFile as error:
-        raise BallFailure(BAD_FILE, error.broken, f"the data are no certificate: {error}") from None
-    return _decided_as(data["claim"], content, clock)
-
-
-def _decided_as(claim: str, content: object, clock: Budget) -> dict[str, object]:
-    decides = CLAIMS.get(claim) or offered("verify_rigorously", claim, BallDecision)
+def _decided_as(claim: str, content: object, clock: Budget) -> Proven:
+    decides = CLAIMS.get(claim) or offered("verify_rigorously", claim, Proven)
     assert decides is not None, "a claim that the auditor reads and nobody decides"
-    return _proven(decides(content, clock))
-
-
-def _proven(decision: BallDecision) -> dict[str, object]:
-    inequality, subject, slack = decision
-    reason = f"{inequality} for {subject}, slack {slack:.3g}"
-    return {"verdict": PROVEN, "passed": True, "inequality": inequality, "amount": slack, "reason": reason}
+    return decides(content, clock)
 
 
 def targets(weights: Weights) -> list[StatedInequality]:
@@ -252,7 +233,7 @@ def targets(weights: Weights) -> list[StatedInequality]:
     return kept if implied else [*kept, third]
 
 
-def assumption_7(c: Sampled, clock: Budget) -> BallDecision:
+def assumption_7(c: Sampled, clock: Budget) -> Proven:
     """Prove P1 and lam over all real starts, lam_samples over sample starts; the inequalities, for what, the slack."""
     stated, slack = targets(c.weights), 1.0
     for k, (_, inequality, samples_only) in enumerate(stated):
@@ -265,7 +246,7 @@ def assumption_7(c: Sampled, clock: Budget) -> BallDecision:
     if stated:
         attained(c, clock)
     names = " and ".join(name for _, name, _ in stated) or "(1 + margin) P1 <= Pi(t)"
-    return BallDecision(names, "every real window start and every later t", slack)
+    return holds(names, slack, "every real window start and every later t")
 
 
 def replays_in_balls(content: Sampled) -> bool:
@@ -273,13 +254,13 @@ def replays_in_balls(content: Sampled) -> bool:
     try:
         with precision(), np.errstate(all="ignore"):
             attained(content, ENDLESS)
-    except (BallFailure, np.linalg.LinAlgError):
+    except (Refused, np.linalg.LinAlgError):
         return False
     return True
 
 
 def attained(c: Sampled, clock: Budget) -> None:
-    """Raise BallFailure unless the witness, if there is one, reaches its ratio x'P2x / x'Pi(t)x, to `REPLAY` of it."""
+    """Raise Refused unless the witness, if there is one, reaches its ratio x'P2x / x'Pi(t)x, to `REPLAY` of it."""
     if c.witness is None:
         return
     weights = BallWeights(c.plant, c.weights)
@@ -289,13 +270,13 @@ def attained(c: Sampled, clock: Budget) -> None:
     for bound in (lowered, raised):
         Y = flown(frame, start, t, clock, bound)
         if Y is None or not definite(Y):
-            raise BallFailure(UNDECIDED, frame.inequality, "the window of the witness is lost in rounding")
+            raise Undecided(frame.inequality, "the window of the witness is lost in rounding")
         ratio = (x.transpose() * x)[0, 0] / (x.transpose() * Y.solve(x))[0, 0]
         if ratio >= least and bound is lowered:
             return
-    verdict = REFUTED if ratio < least else UNDECIDED
     reason = f"the witness reaches {float(ratio):.6g}, not {stated:.6g}"
-    raise BallFailure(verdict, frame.inequality, reason, amount=float(ratio) / stated - 1, time=t, start=start)
+    kind = Refused if ratio < least else Undecided
+    raise kind(frame.inequality, reason, float(ratio) / stated - 1, t, start)
 
 
 def flown(
@@ -346,16 +327,11 @@ def prove(make: Callable[[], ScheduleFrame], samples_only: bool, clock: Budget) 
         refute(make, clock, samples_only)
     name, why = windows.frame.inequality, "it is tight or nearly so"
     why = why if catches else "no bound that holds over all periods was found"
-    raise BallFailure(UNDECIDED, name, f"{name} could not be decided: {why}")
+    raise Undecided(name, f"{name} could not be decided: {why}")
 
 
-def of_family(c: OfFamily, clock: Budget) -> BallDecision:
-    """Prove a family certificate; the inequalities, for what, and the slack."""
-    return family(c, targets(c.weights), clock)
-
-
-CLAIMS: dict[str, Callable[..., BallDecision]] = {
+CLAIMS: dict[str, Callable[..., Proven]] = {
     CLAIM: assumption_7,
-    FAMILY_CLAIM: of_family,
+    FAMILY_CLAIM: lambda c, clock: family(c, targets(c.weights), clock),
     DETECTABILITY_CLAIM: detectability,
 }

@@ -10,15 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from sampling_design.certificates.rigorous.ball_problem import (
-    BallDecision,
-    BallFailure,
-    dissipation,
-    in_units,
-    proven_slack,
-)
+from sampling_design.certificates.rigorous.ball_problem import dissipation, in_units, proven_slack
 from sampling_design.checkers.detectability import INEQUALITY, Detectability
-from sampling_design.checkers.outcome import REFUTED, UNDECIDED
+from sampling_design.checkers.outcome import Proven, Refused, Undecided, holds
 from sampling_design.numerics.balls import Ball, Matrix, ball, floats, identity, matrix, symmetric
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
@@ -28,23 +22,23 @@ SHARES = (0.999, 0.5, 1e-3)
 """Parts of the guessed least eigenvalue that are tried as a proven slack, the largest first."""
 
 
-def detectability(c: Detectability, clock: Budget) -> BallDecision:
+def detectability(c: Detectability, clock: Budget) -> Proven:
     """Prove P > 0 and the dissipation inequality; return the inequality, for what, and its slack relative to its terms.
 
     Raises
     ------
-    BallFailure
+    Refused
         If one of them certainly fails (with amount and direction), or nothing is certain at this precision.
     """
     clock.check()
     if not c.plant.n:
-        return BallDecision(INEQUALITY, "a plant without states", 1.0)
+        return holds(INEQUALITY, 1.0, "a plant without states")
     P = symmetric(c.P)
     A, C = matrix(c.plant.A), matrix(c.plant.C)
     seen, bound = C.transpose() * C * ball(c.c_y), identity(c.plant.G.shape[1]) * ball(c.c_w)
     form, sizes = dissipation(P, -seen, A, matrix(c.plant.G), bound, (1 + ball(c.margin)) * ball(c.eta))
     decided("P > 0", P, [abs(P[i, i]) for i in range(c.plant.n)])
-    return BallDecision(INEQUALITY, "every state and disturbance", decided(INEQUALITY, form, sizes))
+    return holds(INEQUALITY, decided(INEQUALITY, form, sizes), "every state and disturbance")
 
 
 def decided(name: str, form: Matrix, sizes: list[Ball]) -> float:
@@ -56,7 +50,7 @@ def decided(name: str, form: Matrix, sizes: list[Ball]) -> float:
     vectors = np.linalg.eigh(floats(M))[1]
     found = downhill(M)
     if found is None:
-        raise BallFailure(UNDECIDED, name, f"{name} could not be decided: it is tight or nearly so")
+        raise Undecided(name, f"{name} could not be decided: it is tight or nearly so")
     value, z = found
     guess = matrix(vectors[:, :1])
     quotient = (guess.transpose() * M * guess)[0, 0] / (guess.transpose() * guess)[0, 0]
@@ -65,7 +59,7 @@ def decided(name: str, form: Matrix, sizes: list[Ball]) -> float:
     along = z / np.array([np.sqrt(float(size)) if size > 0 else 1.0 for size in sizes])
     amount, along = float(value.upper()), (along / np.linalg.norm(along)).tolist()
     reason = f"{name} fails by {-amount:.3g}, an eigenvalue relative to the size of its terms, along {short(along, 3)}"
-    raise BallFailure(REFUTED, name, reason, amount=amount, direction=along)
+    raise Refused(name, reason, amount=amount, direction=along)
 
 
 def downhill(M: Matrix) -> tuple[Ball, Array] | None:

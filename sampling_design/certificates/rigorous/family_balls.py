@@ -11,8 +11,6 @@ from fractions import Fraction
 import numpy as np
 
 from sampling_design.certificates.rigorous.ball_problem import (
-    BallDecision,
-    BallFailure,
     BallFrame,
     BallWeights,
     StatedInequality,
@@ -20,7 +18,7 @@ from sampling_design.certificates.rigorous.ball_problem import (
 )
 from sampling_design.checkers.cover import judge
 from sampling_design.checkers.family_file import OfFamily
-from sampling_design.checkers.outcome import REFUTED, UNDECIDED, Refused
+from sampling_design.checkers.outcome import Proven, Refused, Undecided, holds
 from sampling_design.numerics.ball_flow import HALVINGS
 from sampling_design.numerics.balls import (
     Ball,
@@ -55,7 +53,7 @@ class BallIntervals:
         self.patterns, self.name, self.clock, self.reached = patterns, name, clock, 0.0
 
     def prove(self, P: Matrix, pattern: Pattern | None, low: Fraction, high: Fraction) -> None:
-        """Raise BallFailure unless it holds from information P for all times in [low, high]."""
+        """Raise Refused unless it holds from information P for all times in [low, high]."""
         frame, flow = self.frame, self.frame.flow
         which = None if pattern is None or not any(pattern) else self.patterns.index(pattern)
         start = frame.L.transpose() * P.solve(frame.L)
@@ -71,7 +69,7 @@ class BallIntervals:
             self._refute(Y, at, which)
             self._refute(middle, at + length / 2, which)
             if depth >= HALVINGS or not length > 0:
-                raise BallFailure(UNDECIDED, self.name, f"{self.name} could not be decided: it is tight or nearly so")
+                raise Undecided(self.name, f"{self.name} could not be decided: it is tight or nearly so")
             return [(middle, at + length / 2, length / 2, depth + 1), (Y, at, length / 2, depth + 1)]
 
         all_proven([(flow.step(start, first), first, length, 0)], parts_of, self.clock, 150 + frame.n**3)
@@ -89,21 +87,18 @@ class BallIntervals:
         return (largest(ends[0]).max(largest(ends[1])) + slope * bulge).upper()
 
     def _refute(self, Y: Matrix, at: Ball, which: int | None) -> None:
-        """Raise BallFailure(REFUTED) if it certainly fails at one time."""
+        """Raise Refused if it certainly fails at one time."""
         left = Y if which is None else self.frame.sampled(Y, which)
         if left is not None and definite(self.frame.identity - left) is False:
             amount = 1 / float(np.linalg.eigvalsh(floats(left))[-1]) - 1
             reason = f"{self.name} fails by {-amount:.3g} at gap {float(at):.6g}"
-            raise BallFailure(REFUTED, self.name, reason, amount=amount, time=float(at))
+            raise Refused(self.name, reason, amount=amount, time=float(at))
 
 
-def family(c: OfFamily, stated: list[StatedInequality], clock: Budget) -> BallDecision:
+def family(c: OfFamily, stated: list[StatedInequality], clock: Budget) -> Proven:
     """Prove that the graph holds the family, and every edge and node; the inequalities, for what, and the slack."""
     graph = c.graph
-    try:
-        judge(c.family, graph)
-    except Refused as error:
-        raise BallFailure(REFUTED, error.inequality, error.reason) from None
+    judge(c.family, graph)
     weights = BallWeights(c.plant, c.weights)
     P = [weights.P2, *(symmetric(node) for node in graph.P[1:])]
     for u, node in enumerate(P):
@@ -122,4 +117,4 @@ def family(c: OfFamily, stated: list[StatedInequality], clock: Budget) -> BallDe
             along.prove(node, None, Fraction(0), Fraction(graph.top(u)))
         slack = min(slack, 1.0 - along.reached)
     names = " and ".join(each.name for each in stated) or "(1 + margin) P1 <= Pi(t)"
-    return BallDecision(names, SUBJECT, slack)
+    return holds(names, slack, SUBJECT)

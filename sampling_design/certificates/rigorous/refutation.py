@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sampling_design.certificates.rigorous.ball_problem import BallFailure, ScheduleFrame
-from sampling_design.checkers.outcome import REFUTED
+from sampling_design.certificates.rigorous.ball_problem import ScheduleFrame
+from sampling_design.checkers.outcome import Refused
 from sampling_design.numerics.balls import ball, definite, floats, lowered, precision
 from sampling_design.numerics.filtering import measurement_update, propagate, whitened
 from sampling_design.numerics.linalg import discounted_flow
@@ -162,7 +162,7 @@ def fails_at(frame: ScheduleFrame, point: WindowPoint) -> bool:
 
 
 def refute(make: Callable[[], ScheduleFrame], clock: Budget, samples_only: bool = False) -> None:
-    """Raise BallFailure(REFUTED) if some window is found in which Y <= I certainly fails; `make()` makes the frame."""
+    """Raise Refused if some window is found in which Y <= I certainly fails; `make()` makes the frame."""
     frame = make()
     search = RefutationSearch(frame, samples_only, clock)
     for found in search.grid()[:POLISHES]:
@@ -174,7 +174,7 @@ def refute(make: Callable[[], ScheduleFrame], clock: Budget, samples_only: bool 
                 raise _refutation(frame, point)
 
 
-def _refutation(frame: ScheduleFrame, point: WindowPoint) -> BallFailure:
+def _refutation(frame: ScheduleFrame, point: WindowPoint) -> Refused:
     """The exception that names the window, the time and by how much."""
     schedule = frame.schedule
     times, gaps = [float(t) for t in schedule.times], [float(gap) for gap in schedule.gaps]
@@ -183,4 +183,4 @@ def _refutation(frame: ScheduleFrame, point: WindowPoint) -> BallFailure:
     late = point.r + point.s + sum(gaps[(point.i + j) % schedule.N] for j in range(1, point.k))
     amount = 1 / point.value - 1
     reason = f"{frame.inequality} fails by {-amount:.3g} at time {start + late:.6g} in the window from {start:.6g}"
-    return BallFailure(REFUTED, frame.inequality, reason, amount=amount, time=start + late, start=start)
+    return Refused(frame.inequality, reason, amount=amount, time=start + late, start=start)

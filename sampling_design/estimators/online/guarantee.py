@@ -4,29 +4,18 @@ from __future__ import annotations
 
 import math
 import warnings
-from typing import Protocol
 
 import numpy as np
 
-from sampling_design.certificates.form.horizon import Horizon
+from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.online.estimator import GuaranteeWarning
 from sampling_design.records import checks
 
 
-class HasHorizon(Protocol):
-    """A certificate of any kind, with its weights and rate under the names of a cost function."""
-
-    @property
-    def lam_proven(self) -> float: ...
-    @property
-    def eta(self) -> float: ...
-    def horizon(self, theorem: str = ...) -> Horizon: ...
-
-
 def choose_horizon(
-    certificate: HasHorizon | None, horizon: float | None, cost: CostFunction, theorem: str
+    certificate: SampledCertificate | None, horizon: float | None, cost: CostFunction, theorem: str
 ) -> tuple[float, str]:
     """Return the horizon and, in words, why there is no a-priori claim ("" if there is one).
 

@@ -13,19 +13,12 @@ from itertools import product
 import numpy as np
 
 from sampling_design.certificates.form.digest import RESOLUTION
-from sampling_design.certificates.rigorous.ball_problem import (
-    BallDecision,
-    BallFailure,
-    dissipation,
-    in_units,
-    positive_definite,
-    proven_slack,
-)
+from sampling_design.certificates.rigorous.ball_problem import dissipation, in_units, positive_definite, proven_slack
 from sampling_design.checkers.cover import judge
 from sampling_design.checkers.inclusion import FLOW, SUBJECT, broken, pieces
 from sampling_design.checkers.inclusion_file import Box, Inclusion, Region, Vertices, moved
 from sampling_design.checkers.jumps import JUMP
-from sampling_design.checkers.outcome import REFUTED, UNDECIDED, Refused
+from sampling_design.checkers.outcome import Proven, Refused, Undecided, holds
 from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, matrix, symmetric
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
@@ -40,21 +33,18 @@ MOST_SETS = 2000
 """Sets of C that are tried for one sample."""
 
 
-def inclusion(c: Inclusion, clock: Budget) -> BallDecision:
+def inclusion(c: Inclusion, clock: Budget) -> Proven:
     """Prove all inequalities of a certificate for an inclusion; what was proven, for what, and the least slack.
 
     Raises
     ------
-    BallFailure
+    Refused
         If one of them certainly fails, or nothing is certain at this precision.
     """
-    try:
-        judge(c.family, c.graph)
-    except Refused as error:
-        raise BallFailure(error.verdict, error.inequality, error.reason) from None
+    judge(c.family, c.graph)
     name = f"{FLOW}, {JUMP}"
     if not c.plant.n:
-        return BallDecision(name, SUBJECT, 1.0)
+        return holds(name, 1.0, SUBJECT)
     w, P = c.weights, [symmetric(M) for M in c.P]
     P1, P2, Qw, R, Qv = (symmetric(M) for M in (w.P1, w.P2, w.Qw, w.R, w.Qv))
     for key, M in (("P1", P1), ("Qw", Qw), ("R", R), ("Qv", Qv)):
@@ -67,21 +57,19 @@ def inclusion(c: Inclusion, clock: Budget) -> BallDecision:
     Rt = R * (R + Qv).solve(Qv)
     slacks.append(jumps(c, P, Rt, clock))
     slacks.append(flows(c, P, Qw, clock))
-    return BallDecision(name, SUBJECT, min(slacks))
+    return holds(name, min(slacks), SUBJECT)
 
 
 def positive(name: str, form: Matrix, sizes: list[Ball], when: float | None = None) -> float:
-    """A proven slack of form > 0 relative to `sizes`; BallFailure where there is none."""
+    """A proven slack of form > 0 relative to `sizes`; Refused where there is none."""
     M = in_units(form, sizes)
     slack = proven_slack(M, SHARES)
     if slack is not None:
         return slack
     guess = float(np.linalg.eigvalsh(floats(M))[0])
     if definite(M) is False:
-        raise BallFailure(REFUTED, name, f"{name} certainly fails by {-guess:.3g}", amount=guess, time=when)
-    raise BallFailure(
-        UNDECIDED, name, f"{name} could not be decided: it is tight or nearly so", amount=guess, time=when
-    )
+        raise Refused(name, f"{name} certainly fails by {-guess:.3g}", amount=guess, time=when)
+    raise Undecided(name, f"{name} could not be decided: it is tight or nearly so", amount=guess, time=when)
 
 
 def diagonal(M: Matrix) -> list[Ball]:
@@ -164,21 +152,19 @@ def multiplied(c: Inclusion, every: list[tuple[Matrix, Matrix, float]], Qw: Matr
             rows.append([*(-side[i] if i < n else ball(0.0) for i in range(n + q)), *own])
         try:
             slack = min(slack, positive(FLOW, flint().arb_mat(rows), [*sizes, *map(ball, weights)], tau))
-        except BallFailure as error:
+        except Refused as error:
             raise multipliers_fail(c, error) from None
     return slack
 
 
-def multipliers_fail(c: Inclusion, error: BallFailure) -> BallFailure:
+def multipliers_fail(c: Inclusion, error: Refused) -> Refused:
     """What it says of the claim that multipliers do not prove it: refuted only with a corner that breaks it."""
     both, slope, size, taus = pieces(c, (c.P + np.swapaxes(c.P, 1, 2)) / 2)
     try:
         broken(c, both, slope, size, taus, (c.weights.Qw + c.weights.Qw.T) / 2)
     except Refused as found:
-        return BallFailure(REFUTED, FLOW, found.reason.replace(" fails by", " certainly fails by"), amount=found.amount)
-    return BallFailure(
-        UNDECIDED, FLOW, f"{FLOW} could not be decided: these multipliers do not prove it", **error.where
-    )
+        return Refused(FLOW, found.reason.replace(" fails by", " certainly fails by"), amount=found.amount)
+    return Undecided(FLOW, f"{FLOW} could not be decided: these multipliers do not prove it", error.amount, error.time)
 
 
 def jumps(c: Inclusion, P: list[Matrix], Rt: Matrix, clock: Budget) -> float:
@@ -293,9 +279,7 @@ class OutputSets:
             least = [float(np.linalg.eigvalsh(floats(M))[0]) for M in exact]
             weakest = int(np.argmin(least))
             if definite(exact[weakest]) is False:
-                raise BallFailure(
-                    REFUTED, JUMP, f"{JUMP} certainly fails by {-least[weakest]:.3g}", amount=least[weakest], time=tau
-                )
+                raise Refused(JUMP, f"{JUMP} certainly fails by {-least[weakest]:.3g}", amount=least[weakest], time=tau)
             found = np.array([floats(C) for C in Cs])
             for B in (mid(Cs[weakest]), matrix(found.mean(axis=0))):
                 if all(definite(gained + tangent(C, B, Y)) is True for C in Cs):
@@ -303,8 +287,6 @@ class OutputSets:
                     break
             else:
                 if spent > MOST_SETS:
-                    raise BallFailure(
-                        UNDECIDED, JUMP, f"{JUMP} could not be decided: it is tight or nearly so", time=tau
-                    )
+                    raise Undecided(JUMP, f"{JUMP} could not be decided: it is tight or nearly so", time=tau)
                 every += self.halves(points, found)
         return slack

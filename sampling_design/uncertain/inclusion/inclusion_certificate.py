@@ -10,7 +10,6 @@ import numpy.typing as npt
 from sampling_design.certificates.exact.certificate import SampledCertificate, times_to_dict
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.certificates.form.digest import INCLUSION_CLAIM
-from sampling_design.certificates.form.horizon import Horizon, horizon_of
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -22,9 +21,6 @@ from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule
 from sampling_design.uncertain.inclusion.layout import Schedules, graph_for
 from sampling_design.uncertain.plants.inclusion import LinearInclusion
-
-_TWO_TRAJECTORIES = 4.0
-"""V(t) <= 4 J(truth): estimate and truth each differ from the data's centre by at most the cost (Theorem G)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,6 +63,8 @@ class InclusionCertificate(SampledCertificate):
     ----------
     The paper, Assumption 7; Boyd et al. 1994.
     """
+
+    _apart = 4.0  # V(t) <= 4 J(truth): each differs from the data's centre by at most the cost (Theorem G)
 
     family: Schedules
     graph: PathCompleteGraph | None = field(default=None, kw_only=True)
@@ -161,28 +159,6 @@ class InclusionCertificate(SampledCertificate):
         share = np.clip((times - nodes[k]) / np.diff(nodes)[k], 0.0, 1.0)[:, None, None]
         found = (1 - share) * P[k] + share * P[k + 1]
         return np.asarray(found[0] if np.ndim(tau) == 0 else found)
-
-    def horizon(self, theorem: str = "sharp", length: float | None = None) -> Horizon:
-        """Return a horizon and its error bound.
-
-            "sharp":   M > ln(4 lam)/eta, arrival weight P2             (Theorem G)
-            "arrival": M > ln(4)/eta whatever lam is, arrival weight P(tau)  (Theorem G)
-            "paper":   M > 2 ln(2 lam)/eta, cost (15)                   (Theorem 9)
-
-        Parameters
-        ----------
-        theorem : str
-        length : float, optional [time]
-            Default: each window shrinks the squared error to a quarter.
-
-        Raises
-        ------
-        ArgumentError
-            If the theorem is unknown.
-        CertificateError
-            If `length` is too short for the theorem.
-        """
-        return horizon_of(self, theorem, length, apart=_TWO_TRAJECTORIES)
 
     def _samples_until(self, end: float) -> Array:
         # the i-th last sample of any schedule lies at least i least gaps before `end`

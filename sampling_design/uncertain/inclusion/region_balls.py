@@ -7,9 +7,8 @@ from itertools import product
 
 import numpy as np
 
-from sampling_design.certificates.rigorous.ball_problem import BallFailure
 from sampling_design.checkers.inclusion_file import Inclusion, Region
-from sampling_design.checkers.outcome import REFUTED, UNDECIDED
+from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.programs import Instruction
 from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, matrix
 from sampling_design.numerics.branch_and_bound import all_proven
@@ -56,7 +55,7 @@ class JacobianCells:
         self.root = root
 
     def prove(self, name: str, forms: Forms, of_f: bool) -> float:
-        """Raise BallFailure unless every form is positive; the slack is not measured: 0 stands for "some"."""
+        """Raise Refused unless every form is positive; the slack is not measured: 0 stands for "some"."""
         low = np.concatenate([self.region.low[key] for key in ("x", "u", "w")])
         high = np.concatenate([self.region.high[key] for key in ("x", "u", "w")])
 
@@ -70,7 +69,7 @@ class JacobianCells:
             self.refute(name, a, b, forms, of_f)
             side = self.side(a, b, of_f)
             if side is None or depth >= DEPTH:
-                raise BallFailure(UNDECIDED, name, f"{name} could not be decided: it is tight or nearly so")
+                raise Undecided(name, f"{name} could not be decided: it is tight or nearly so")
             middle = a[side] / 2 + b[side] / 2
             left, right = b.copy(), a.copy()
             left[side] = right[side] = middle
@@ -101,7 +100,7 @@ class JacobianCells:
         return True
 
     def refute(self, name: str, a: Array, b: Array, forms: Forms, of_f: bool) -> None:
-        """Raise BallFailure(REFUTED) if a form certainly fails in the middle of a cell that lies in the region."""
+        """Raise Refused if a form certainly fails in the middle of a cell that lies in the region."""
         with np.errstate(invalid="ignore"):
             at = np.where(np.isfinite(a) & np.isfinite(b), a / 2 + b / 2, np.clip(0.0, a, b))
         n = self.c.plant.n
@@ -110,7 +109,7 @@ class JacobianCells:
         M = self.jacobian(at, at, of_f)
         if M is not None and any(definite(form) is False for form in forms(M, M)):
             where = ", ".join(f"{x:.6g}" for x in at[:n])
-            raise BallFailure(REFUTED, name, f"{name} fails at x = [{where}]")
+            raise Refused(name, f"{name} fails at x = [{where}]")
 
     def outside(self, a: Array, b: Array) -> bool:
         """Whether a cell certainly lies outside of a half-space."""

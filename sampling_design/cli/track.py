@@ -67,6 +67,10 @@ def estimate(
             help="With -o: prove and draw what holds each state between the samples, too; a tenth of a second a row.",
         ),
     ] = False,
+    leave_out: Annotated[
+        str | None,
+        typer.Option(help="Samples to leave out, by the numbers that a contradiction names, with commas between."),
+    ] = None,
 ) -> None:
     """Estimate the state from measurements, with a radius that holds the truth if noise keeps its bounds.
 
@@ -85,7 +89,7 @@ def estimate(
         _check_origins(record, schedule)
     if not record.measured.any():
         raise ArgumentError(f"`MEASUREMENTS` {measurement_file} holds no measurement.")
-    record = record.in_order()
+    record = record.in_order() if leave_out is None else record.without(*_numbered(leave_out))
     certificate = None if certificate_file is None else sampling_certificate(certificate_file, plant)
     first = numbers("--prior", prior, plant.states.names)
     with settings.progress("certificate") as progress:
@@ -100,6 +104,14 @@ def estimate(
     tally = followed(settings, chosen.estimator, record, radii, words, tube)
     if tally.contradictions or tally.status["bounds disproved"]:
         raise typer.Exit(1)
+
+
+def _numbered(text: str) -> list[int]:
+    """Numbers of samples as typed."""
+    try:
+        return [int(word) for word in text.split(",")]
+    except ValueError:
+        raise ArgumentError(f"`--leave-out` must hold numbers of samples, 3 or 3,17, got {text!r}.") from None
 
 
 def _bounds(

@@ -91,6 +91,8 @@ class MovingHorizonEstimator(WindowedEstimator):
         What the clock of the samples [time] shows at time 0 of the certificate's schedule. Default 0.
     input_side : "right" or "left"
         Which input enters y at a sample where u jumps: the one that holds from then on, or the one before.
+    maximum_delay : float, optional
+        How far back a late sample, a correction or a withdrawal may lie [time]. Default: the horizon.
 
     Raises
     ------
@@ -151,6 +153,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         timing_tolerance: float = 0.0,
         schedule_zero: float = 0.0,
         input_side: str = "right",
+        maximum_delay: float | None = None,
     ):
         cost = CostFunction() if cost is None else cost
         self.certificate, self.arrival_cost, self.begins = certificate, cost.arrival, cost.begins
@@ -163,7 +166,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         self.constraints = sets = WindowConstraints(table, given)
         self.engine = _engine(given.engine, sets)
         self.check_spacing = given.check_spacing
-        self.memory, self.maximum_delay = 2 * self.horizon, self.horizon
+        self.keep_for_late(maximum_delay)
         w, v = _from_set(sets.w) if w_bound is None else w_bound, _from_set(sets.v) if v_bound is None else v_bound
         bounds = ErrorBounds(weights, w, v, initial_error)
         if table.constant_w:

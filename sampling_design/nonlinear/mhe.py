@@ -109,6 +109,8 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         Tolerance, iterations, and other starts where the cost is out of line with the noise.
     outliers : Outliers, optional
         A robust loss, or a gate for samples that fit nothing else.
+    maximum_delay : float, optional
+        How far back a late sample, a correction or a withdrawal may lie [time]. Default: the horizon.
 
     Raises
     ------
@@ -174,6 +176,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         collocation: Collocation | None = None,
         solver: WindowSolver | None = None,
         outliers: Outliers | None = None,
+        maximum_delay: float | None = None,
     ):
         self.plant = plant
         self.promise = None if certificate is None else InclusionPromise(certificate, plant, initial_error)
@@ -182,7 +185,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         self.filtered, self.begins = cost.arrival == "filtered", cost.begins
         self.closed = cost.form == "paper" and not self.filtered
         self.scaled = scaled_weights(plant, cost)
-        self.memory, self.maximum_delay = 2 * self.horizon, self.horizon
+        self.keep_for_late(maximum_delay)
         self._scale = plant.signals["states"].scales
         self.outliers = Outliers() if outliers is None else outliers
         self._region = StateRegion(*plant.bounds["states"]) if self.promise is None else self.promise.region

@@ -354,3 +354,18 @@ def test_of_many_states_fewer_rows_are_looked_at_closely(shell, tmp_path, monkey
     narrow, wide = (np.array(json.loads(found.out)["radii"]) for found in (before, after))
     assert np.all(narrow <= wide * (1 + 1e-12))
     assert np.any(narrow < wide)
+
+
+def test_a_sample_that_contradicts_the_bounds_is_left_out_by_its_number(tmp_path, shell):
+    path = write_readings(tmp_path / "wild.csv", value=lambda t: np.cos(t) + 3.0 * (t == 4.3))
+    bounds = ["--w", "0.05", "--v", "0.1", "--initial-error", "2", "--json"]
+    wild = shell("estimate", OSCILLATOR, path, *bounds)
+    assert wild.code == 1
+    named = json.loads(wild.out)["contradictions"]
+    assert [each["number"] for each in named] == [4]
+    mended = shell("estimate", OSCILLATOR, path, *bounds, "--leave-out", "4")
+    assert mended.code == 0
+    assert all(json.loads(mended.out)["certified"])
+    assert len(json.loads(mended.out)["times"]) == len(TIMES)
+    refused = shell("estimate", OSCILLATOR, path, *bounds, "--leave-out", "4;5")
+    assert "`--leave-out` must hold numbers of samples, 3 or 3,17, got '4;5'" in refused.err

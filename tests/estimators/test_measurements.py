@@ -226,3 +226,19 @@ def test_a_record_is_gone_through_in_order_of_time():
 def test_text_is_no_measurement(y):
     with pytest.raises(ArgumentError, match="`y` must hold numbers, got"):
         MovingHorizonEstimator(BLIND, horizon=5.0).update(1.0, y)
+
+
+def test_samples_are_left_out_by_the_numbers_that_a_contradiction_names(tmp_path):
+    text = "time,gauge,flow,pump\n0,,,1\n1,0.5,<2,1\n3,7,,2\n2,0.4,,\n"
+    found = read_measurements(written(tmp_path, text), PLANT)
+    rest = found.without(1, 3)  # the second row is the first sample, the latest one the third
+    assert rest.times.tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert rest.measured.any(axis=1).tolist() == [False, False, True, False]
+    assert rest.u.tolist() == [[1.0], [1.0], [2.0], [2.0]]
+    assert rest.told == ((), (), (), ())
+    assert len(found.without()) == 4
+    blind = Measurements(BLIND, [1.0, 2.0], [[1.0], [2.0]])
+    assert blind.without(2).times.tolist() == [1.0]
+    for number in (3, 0):
+        with pytest.raises(ArgumentError, match="`numbers` must be of the 2 samples, counted from 1, got"):
+            blind.without(number)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design import Constraints, KalmanFilter, Plant
+from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 
@@ -100,3 +101,75 @@ def test_step_is_pure():
         check_same(estimate, estimates[k])
         assert len(again.nodes) == len(states[k + 1].nodes)
     assert mhe.state.last.t == 0.0
+
+
+@pytest.mark.parametrize(
+    ("make", "origin"), [(make, 1.7e9 * (k == 1)) for k, make in enumerate(estimators())], ids=NAMES
+)
+def test_what_is_corrected_or_withdrawn_is_as_if_it_had_come_so_at_first(make, origin):
+    """Against the record from the start: a value, an input, one output, a whole sample, and the last one."""
+    rows = [(origin + t, y, u) for t, y, u in record(3, 14)]
+    wrong, right = make(), make()
+    for estimator in (wrong, right):
+        estimator.start([0.0, 0.0], origin)
+    moved = next(k for k in range(len(rows) - 5, len(rows)) if rows[k][2] is not None)
+    one = next(k for k in range(len(rows) - 5, len(rows)) if np.isfinite(rows[k][1]).all())
+    gone = next(k for k in range(len(rows) - 5, len(rows)) if k not in (one, moved))
+    for k, (t, y, u) in enumerate(rows):
+        wrong.update(t, [*(y + 0.3 * (k == one))], u if u is None or k != moved else u + 1.0)
+    before = [(e.x.copy(), e.radius) for e in [wrong.predict(rows[-1][0])]]
+    wrong.correct(rows[moved][0], u=rows[moved][2])
+    wrong.correct(rows[one][0], [rows[one][1][0], np.nan])
+    wrong.withdraw(rows[one][0], "y2")
+    last = wrong.withdraw(rows[gone][0])
+    assert not np.array_equal(last.x, before[0][0])
+    for k, (t, y, u) in enumerate(rows):
+        said = None if k == gone else [y[0], np.nan] if k == one else y
+        if said is not None or u is not None:
+            found = right.update(t, said, u)
+    check_same(wrong.predict(rows[-1][0]), right.predict(rows[-1][0]))
+    check_same(wrong.withdraw(rows[-1][0]), right.withdraw(rows[-1][0]))
+    assert found.t == rows[-1][0]
+
+
+def test_a_maximum_delay_of_ones_own_takes_older_results_and_refuses_what_is_older_still():
+    """More than a window back the estimate is that of the samples in order, too; the default is a window."""
+    rows, bounds = [(t, y, None) for t, y, _ in record(11)], {"w_bound": 0.5, "v_bound": 2.0, "initial_error": 1.0}
+    make = [
+        lambda **more: MovingHorizonEstimator(PLANT, horizon=2.0, cost=CostFunction(eta=0.3), **bounds, **more),
+        lambda **more: KalmanFilter(PLANT, cost=CostFunction(eta=0.3), **bounds, **more),
+    ]
+    late, after = rows[4], [row for row in rows[:18] if row is not rows[4]]
+    age = after[-1][0] - late[0]
+    for new in make:
+        patient, straight, hasty = new(maximum_delay=age), new(), new(maximum_delay=0.9 * age)
+        for row in after:
+            patient.update(*row)
+            hasty.update(*row)
+        found = patient.update(*late)
+        wanted = [straight.update(*row) for row in rows[:18]][-1]
+        check_same(found, wanted)
+        for refused, given in ((hasty.update, late), (hasty.correct, late), (hasty.withdraw, late[:1])):
+            with pytest.raises(ArgumentError, match="goes back beyond the window that is kept for late samples"):
+                refused(*given)
+    with pytest.raises(ArgumentError, match="`maximum_delay` must not be negative"):
+        make[0](maximum_delay=-1.0)
+
+
+def test_what_cannot_be_corrected_is_refused_and_changes_nothing():
+    mhe = MovingHorizonEstimator(PLANT, horizon=4.0, cost=CostFunction(eta=0.3))
+    for t, y in ((1.0, [1.0, np.nan]), (2.0, [0.5, 0.2])):
+        mhe.update(t, y)
+    state = mhe.state
+    for refused, words in (
+        (lambda: mhe.correct(1.5, [1.0, 1.0]), "must be the time of a sample that is kept, got 1.5. A new one is for"),
+        (lambda: mhe.withdraw(0.0), "must be the time of a sample that is kept, got 0.0"),
+        (lambda: mhe.correct(1.0, [1.0, 1.0]), "corrects output 2 at t = 1.0, where it was not read"),
+        (lambda: mhe.correct(1.0, u=[1.0]), "`u` corrects an input at t = 1.0, where none was given"),
+        (lambda: mhe.withdraw(1.0, "y2"), "`output` = 'y2' was not read at t = 1.0"),
+        (lambda: mhe.withdraw(1.0, "z"), "`output` must be"),
+        (lambda: mhe.correct(1.0), "`y` and `u` are both missing"),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            refused()
+        assert mhe.state is state

@@ -161,3 +161,25 @@ def test_the_factor_of_one_output_of_several_is_the_least_that_serves(kind, boun
     share = np.array([found.factor, 1.0]) if np.ndim(bound) else found.factor
     assert followed(np.multiply(bound, share * (1 + 1e-6))).contradiction is None
     assert followed(np.multiply(bound, 0.99 * share)).contradiction is not None
+
+
+@pytest.mark.parametrize(("maker", "rows"), few(product(MAKERS, [ROWS, FAR]), 0, 3, 4))
+def test_without_the_sample_that_a_contradiction_names_everything_stands_again(maker, rows):
+    """As the batch without it, and a correction does the same; a sample more mends nothing."""
+    estimator, batch, corrected, other = (MAKERS[maker]() for _ in range(4))
+    first = rows[:3]
+    for each in (estimator, corrected, other):
+        for row in first:
+            wrong = each.update(*row)
+            assert wrong.radii.shape == (1,)  # asked for, so that intervals have their say
+    assert not stands(wrong)
+    named = wrong.contradiction
+    found = estimator.withdraw(named.t, named.output)
+    assert stands(found)
+    for row in first:
+        if row[0] != named.t:
+            wanted = batch.update(*row)
+    assert (found.t, found.radii.round(9).tolist()) == (wanted.t, wanted.radii.round(9).tolist())
+    assert stands(corrected.correct(named.t, [1.0 if rows is FAR else 0.6]))
+    assert not stands(other.update(first[-1][0] + 0.1, [first[-1][1][0]]))
+    assert other.state.last.number == len(first) + 1

@@ -71,7 +71,8 @@ class Contradiction(NamedTuple):
 
 @lru_cache(maxsize=8)
 def _told(contradiction: Contradiction) -> str:
-    return f"The data contradict the bounds: {contradiction}. To start again: start(prior, prior_time)."
+    again = "To leave it out: withdraw(t, output). To start again: start(prior, prior_time)."
+    return f"The data contradict the bounds: {contradiction}. {again}"
 
 
 class ProvesIntervals(Protocol):

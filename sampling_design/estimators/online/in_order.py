@@ -10,12 +10,13 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.readings import CensoredReading, as_typed, told
+from sampling_design.accuracy.readings import CensoredReading, told
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import CheckedSample, EstimateRecord, Sample
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
+from sampling_design.estimators.online.same_time import corrected, corrected_inputs, merge, with_input, without
 from sampling_design.estimators.records.measurement_table import MeasuredPlant
 from sampling_design.estimators.records.measurements import DataFrame, read_measurements
 from sampling_design.plants.plant import Plant
@@ -36,6 +37,7 @@ class OnlineEstimator(ABC):
 
     plant: Plant
     weights: CostWeights
+    horizon: float
     memory: float
     maximum_delay: float
     input_side: str
@@ -54,6 +56,13 @@ class OnlineEstimator(ABC):
     @abstractmethod
     def _predict(self, state: EstimatorState, t: float) -> Estimate:
         """Return the estimate at t, at or after the first node of `state`."""
+
+    def keep_for_late(self, maximum_delay: float | None) -> None:
+        """Keep what late samples need, as far back as asked (default: a horizon), of an estimator with a `horizon`."""
+        self.maximum_delay = (
+            self.horizon if maximum_delay is None else checks.nonnegative("maximum_delay", maximum_delay)
+        )
+        self.memory = self.horizon + self.maximum_delay
 
     def step(self, state: EstimatorState, sample: Sample | tuple[object, ...]) -> tuple[EstimatorState, Estimate]:
         """Return the state after `sample` and the estimate at the latest sample; `state` itself stays as it was.
@@ -81,7 +90,7 @@ class OnlineEstimator(ABC):
     def _taken_in(self, state: EstimatorState, sample: Sample) -> tuple[EstimatorState, Estimate]:
         checked = self._check(sample, state)
         if checked.u is not None:
-            state = _with_input(state, checked)
+            state = with_input(state, checked)
         if checked.t > state.last.t:
             if checked.y is None:
                 state = self._after_input(state, checked.t)
@@ -104,17 +113,18 @@ class OnlineEstimator(ABC):
         at = state.node_before(sample.t)
         first = [sample]
         if state.nodes[at].t == sample.t and state.nodes[at].sample.y is not None:
-            merged = _merge(state.nodes[at].sample, sample)
+            merged = merge(state.nodes[at].sample, sample)
             if merged is None:
                 return state, self._handed_out(state, len(state.nodes) - 1)
             first, at = [merged], at - 1
         elif sample.y is None:
             first = []
-        return self._replay(state, at, first, sample.t)
+        return self._replay(state, at, first, sample.t, disproved=sample.u is None)
 
     def _replay(
-        self, state: EstimatorState, at: int, first: list[CheckedSample], t: float
+        self, state: EstimatorState, at: int, first: list[CheckedSample], t: float, *, disproved: bool
     ) -> tuple[EstimatorState, Estimate]:
+        """Go on from the node `at` with other samples at t; `disproved`: what contradicted the bounds still does."""
         if at < 0:
             raise ArgumentError(f"`t` = {t!r} is the oldest snapshot kept: there is nothing before it to replay from.")
         later = [node.sample for node in state.nodes[at + 1 :] if node.t > t]
@@ -123,18 +133,18 @@ class OnlineEstimator(ABC):
             replayed = EstimatorState((*replayed.nodes, self._advance(replayed, item)), state.inputs)
         replayed = replayed.trimmed(self.memory, self.remembered)
         old, new = state.last.branch, replayed.last.branch
-        if old is not None and new is not None and (proven := old.contradiction(state.last.number)) is not None:
+        if (
+            disproved
+            and old is not None
+            and new is not None
+            and (proven := old.contradiction(state.last.number)) is not None
+        ):
             new.tell(replayed.last.number, proven)  # a sample more does not make the others agree
         return replayed, self._handed_out(replayed, len(replayed.nodes) - 1)
 
     def _check(self, sample: Sample, state: EstimatorState) -> CheckedSample:
         t = sample.t if type(sample.t) is float and math.isfinite(sample.t) else checks.number("t", sample.t)
-        oldest = max(state.nodes[0].t, state.last.t - self.maximum_delay)
-        if t < oldest:
-            raise ArgumentError(
-                f"`t` must be at least {oldest!r}, got {t!r}: it goes back beyond the window that is kept for late "
-                f"samples (latest sample at {state.last.t!r})."
-            )
+        self._refuse_too_late(t, state)
         y, limits = (sample.y, ()) if type(sample.y) is np.ndarray else told(sample.y, self.plant.n_outputs)
         y = None if y is None else self._check_y(y, t, bool(limits))
         if limits:
@@ -152,6 +162,14 @@ class OnlineEstimator(ABC):
         if np.isnan(u).any():
             raise ArgumentError(f"`u` must not hold NaN, got {u.tolist()} at t = {t!r}: a known input has a value.")
         return CheckedSample(t, y, checks.vector("u", u, self.plant.n_inputs), limits)
+
+    def _refuse_too_late(self, t: float, state: EstimatorState) -> None:
+        oldest = max(state.nodes[0].t, state.last.t - self.maximum_delay)
+        if t < oldest:
+            raise ArgumentError(
+                f"`t` must be at least {oldest!r}, got {t!r}: it goes back beyond the window that is kept for late "
+                f"samples (latest sample at {state.last.t!r})."
+            )
 
     def _check_told(self, state: EstimatorState, t: float, limits: tuple[CensoredReading, ...]) -> None:
         """Refuse limits and means that say nothing here."""
@@ -183,6 +201,83 @@ class OnlineEstimator(ABC):
         """Take in a sample and return the estimate at the latest sample; see `step`. On an error nothing changes."""
         self.state, estimate = self._taken_in(self.state, Sample(t, y, u))
         return estimate
+
+    def correct(self, t: float, y: object = None, u: object = None) -> Estimate:
+        """Replace what was said of a time, and return the estimate at the latest sample: as if it had come so at first.
+
+        Parameters
+        ----------
+        t : float
+            Of a sample (of an input, where u is corrected), not further back than late samples are kept.
+        y : (p,) array, optional
+            Right readings (numbers, limits or means); NaN where what was read stands.
+        u : (m,) array, optional
+            Right inputs from t on.
+
+        Raises
+        ------
+        ArgumentError
+            As `step`, or if that output or input was not given at t.
+
+        Notes
+        -----
+        On an error nothing changes. What contradicted the bounds only together with a corrected reading or input, no
+        longer does.
+        """
+        state, sample = self.state, self._check(Sample(t, y, u), self.state)
+        at = state.node_before(sample.t)
+        if sample.u is not None:
+            state = state._replace(inputs=corrected_inputs(state.inputs, sample), reached=None)
+        if sample.y is None:
+            first: list[CheckedSample] = []
+            if self._is_sample(state, at, sample.t):
+                first, at = [state.nodes[at].sample], at - 1
+        else:
+            first, at = [corrected(self._sample_at(state, at, sample.t), sample)], at - 1
+        self.state, estimate = self._replay(state, at, first, sample.t, disproved=False)
+        return estimate
+
+    def withdraw(self, t: float, output: str | None = None) -> Estimate:
+        """Take back a sample, and return the estimate at the latest one: as if it had never come.
+
+        Parameters
+        ----------
+        t : float
+            Of the sample, not further back than late samples are kept; inputs from t on stand.
+        output : str, optional
+            Of its readings the only one that is taken back. Default: all.
+
+        Raises
+        ------
+        ArgumentError
+            If there is no such sample or reading, or it lies too far back.
+
+        Notes
+        -----
+        On an error nothing changes. What contradicted the bounds only together with this sample, no longer does:
+        `withdraw(found.t, found.output)` leaves out what a `Contradiction` names.
+        """
+        when = checks.number("t", t)
+        self._refuse_too_late(when, self.state)
+        at = self.state.node_before(when)
+        rest = self._sample_at(self.state, at, when)
+        if output is None:
+            first: list[CheckedSample] = []
+        else:
+            names = self.plant.outputs.names
+            first = without(rest, names.index(checks.word("output", output, names)), output)
+        self.state, estimate = self._replay(self.state, at - 1, first, when, disproved=False)
+        return estimate
+
+    @staticmethod
+    def _is_sample(state: EstimatorState, at: int, t: float) -> bool:
+        return at >= 0 and state.nodes[at].t == t and state.nodes[at].sample.y is not None
+
+    def _sample_at(self, state: EstimatorState, at: int, t: float) -> CheckedSample:
+        """The sample of a node that is that of t."""
+        if not self._is_sample(state, at, t):
+            raise ArgumentError(f"`t` must be the time of a sample that is kept, got {t!r}. A new one is for update.")
+        return state.nodes[at].sample
 
     def predict(self, t: float) -> Estimate:
         """Return the online estimate at t, open loop from the last sample at or before t.
@@ -293,49 +388,3 @@ def triple(item: object) -> Sample:
     if not isinstance(item, (tuple, list)) or not 1 <= len(item) <= 3:
         raise ArgumentError(f"`sample` must be (t, y) or (t, y, u), got {checks.described(item)}.")
     return Sample(*item)
-
-
-def _with_input(state: EstimatorState, sample: CheckedSample) -> EstimatorState:
-    """Return the state that also knows the input from `sample.t` on."""
-    at = state.inputs.before(sample.t)
-    if at < len(state.inputs) and state.inputs[at][0] == sample.t:
-        t, u = state.inputs[at]
-        if not np.array_equal(u, sample.u):
-            raise ArgumentError(
-                f"`u` at t = {t!r} was already given as {u.tolist()}, got {sample.u.tolist()}: duplicates must agree."
-            )
-        return state
-    reached = state.reached if at == len(state.inputs) else None
-    return EstimatorState(state.nodes, state.inputs.added(at, sample.t, sample.u), reached)
-
-
-def _merge(old: CheckedSample, new: CheckedSample) -> CheckedSample | None:
-    """Join two samples at one time; None if the new one adds nothing. Of one output both must say the same."""
-    if new.y is None:
-        return old
-    before, now = _said(old), _said(new)
-    for output in before.keys() & now.keys():
-        if before[output] != now[output]:
-            raise ArgumentError(
-                f"`y` at t = {old.t!r} was already given as {_as_given(old)}, got {_as_given(new)}: duplicates must "
-                "agree, and an output has one reading at a time."
-            )
-    if new.u is None and now.keys() <= before.keys():
-        return None
-    y = np.where(np.isnan(old.y), new.y, old.y)
-    y.flags.writeable = False
-    return CheckedSample(old.t, y, None, tuple(dict.fromkeys((*old.told, *new.told))))
-
-
-def _said(sample: CheckedSample) -> dict[int, float | CensoredReading]:
-    """What a sample says of each output that it reads."""
-    y = {output: float(sample.y[output]) for output in np.flatnonzero(np.isfinite(sample.y)).tolist()}
-    return y | {each.output: each for each in sample.told}
-
-
-def _as_given(sample: CheckedSample) -> list[object]:
-    """What a sample says of each output, as a user gives it."""
-    values: list[object] = sample.y.tolist()
-    for each in sample.told:
-        values[each.output] = as_typed(each)
-    return values

@@ -190,6 +190,31 @@ class Measurements(Record):
         rows = within[says]
         return replace(ordered, times=ordered.times[rows], y=ordered.y[rows], u=u[says], told=some)
 
+    def without(self, *numbers: int) -> Measurements:
+        """Return the rows in order of time without some samples, numbered from 1 as a `Contradiction` numbers them.
+
+        Parameters
+        ----------
+        numbers : int
+            Inputs of their rows stay.
+
+        Raises
+        ------
+        ArgumentError
+            If there is no sample of that number.
+        """
+        ordered = self.in_order()
+        times, _ = ordered.samples()
+        for number in numbers:
+            if checks.whole("numbers", number) > times.size or number < 1:
+                raise ArgumentError(f"`numbers` must be of the {times.size} samples, counted from 1, got {number}.")
+        out = np.isin(ordered.times, times[np.array(numbers, dtype=int) - 1])
+        y = np.where(out[:, None], np.nan, ordered.y)
+        told = tuple(() if gone else row for row, gone in zip(ordered.told, out.tolist(), strict=True))
+        kept = ~out | np.isfinite(ordered.u).any(axis=1)
+        some = tuple(row for row, stays in zip(told, kept.tolist(), strict=True) if stays)
+        return replace(ordered, times=ordered.times[kept], y=y[kept], u=ordered.u[kept], told=some)
+
     def in_order(self) -> Measurements:
         """Return the rows in order of time; those of one time in the order in which they came."""
         if np.all(self.times[1:] >= self.times[:-1]):

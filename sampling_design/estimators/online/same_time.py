@@ -1,0 +1,90 @@
+"""What is said of one time: joined where it comes in parts, corrected, or taken back."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sampling_design.accuracy.readings import CensoredReading, as_typed
+from sampling_design.errors import ArgumentError
+from sampling_design.estimators.online.estimator import CheckedSample
+from sampling_design.estimators.online.history import EstimatorState, InputHistory
+
+
+def with_input(state: EstimatorState, sample: CheckedSample) -> EstimatorState:
+    """Return the state that also knows the input from `sample.t` on."""
+    at = state.inputs.before(sample.t)
+    if at < len(state.inputs) and state.inputs[at][0] == sample.t:
+        t, u = state.inputs[at]
+        if not np.array_equal(u, sample.u):
+            raise ArgumentError(
+                f"`u` at t = {t!r} was already given as {u.tolist()}, got {sample.u.tolist()}: duplicates must agree."
+            )
+        return state
+    reached = state.reached if at == len(state.inputs) else None
+    return EstimatorState(state.nodes, state.inputs.added(at, sample.t, sample.u), reached)
+
+
+def merge(old: CheckedSample, new: CheckedSample) -> CheckedSample | None:
+    """Join two samples at one time; None if the new one adds nothing. Of one output both must say the same."""
+    if new.y is None:
+        return old
+    before, now = said(old), said(new)
+    for output in before.keys() & now.keys():
+        if before[output] != now[output]:
+            raise ArgumentError(
+                f"`y` at t = {old.t!r} was already given as {as_given(old)}, got {as_given(new)}: duplicates must "
+                "agree, and an output has one reading at a time."
+            )
+    if new.u is None and now.keys() <= before.keys():
+        return None
+    y = np.where(np.isnan(old.y), new.y, old.y)
+    y.flags.writeable = False
+    return CheckedSample(old.t, y, None, tuple(dict.fromkeys((*old.told, *new.told))))
+
+
+def corrected(old: CheckedSample, new: CheckedSample) -> CheckedSample:
+    """The old sample with the readings of the new one in place of its own."""
+    now = said(new)
+    for output in now.keys() - said(old).keys():
+        raise ArgumentError(
+            f"`y` corrects output {output + 1} at t = {old.t!r}, where it was not read. A new reading is for update."
+        )
+    y = np.where([output in now for output in range(len(old.y))], new.y, old.y)
+    y.flags.writeable = False
+    told = (*(each for each in old.told if each.output not in now), *new.told)
+    return CheckedSample(old.t, y, None, tuple(sorted(told, key=lambda each: each.output)))
+
+
+def without(old: CheckedSample, output: int, name: str) -> list[CheckedSample]:
+    """The sample without one reading; none where it has no other."""
+    read = said(old)
+    if output not in read:
+        raise ArgumentError(f"`output` = {name!r} was not read at t = {old.t!r}.")
+    if len(read) == 1:
+        return []
+    y = old.y.copy()
+    y[output] = np.nan
+    y.flags.writeable = False
+    return [CheckedSample(old.t, y, None, tuple(each for each in old.told if each.output != output))]
+
+
+def corrected_inputs(inputs: InputHistory, sample: CheckedSample) -> InputHistory:
+    """Inputs with another value at a time at which there is one."""
+    at = inputs.before(sample.t)
+    if at == len(inputs) or inputs[at][0] != sample.t:
+        raise ArgumentError(f"`u` corrects an input at t = {sample.t!r}, where none was given. It is for update.")
+    return InputHistory((*inputs[:at], (sample.t, sample.u), *inputs[at + 1 :]))
+
+
+def said(sample: CheckedSample) -> dict[int, float | CensoredReading]:
+    """What a sample says of each output that it reads."""
+    y = {output: float(sample.y[output]) for output in np.flatnonzero(np.isfinite(sample.y)).tolist()}
+    return y | {each.output: each for each in sample.told}
+
+
+def as_given(sample: CheckedSample) -> list[object]:
+    """What a sample says of each output, as a user gives it."""
+    values: list[object] = sample.y.tolist()
+    for each in sample.told:
+        values[each.output] = as_typed(each)
+    return values

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import lapack
 
+from sampling_design.estimators.constraints.convex_set import all_inside
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimator import CheckedSample
@@ -183,7 +184,7 @@ class WindowedEstimator(LinearPlantEstimator):
                 return None
             if self._between is not None and self.constraints.x is not None:
                 points = self._between.states(state, [s, *(node.t for node in nodes[first:])], optimum.path)
-                if points is None or not self.constraints.x.holds(points):
+                if points is None or not all_inside(self.constraints.x, points):
                     return None
         terms = faded(start.energy, math.exp(self.weights.eta * (s - t))) + self.bounds.over(t - s)
         terms += rounding(optimum.read, optimum.held) + optimum.energy

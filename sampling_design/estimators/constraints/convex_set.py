@@ -216,20 +216,6 @@ class ConvexSet(Record):
             worst = max(worst, float(np.max(distance)) - ball.radius)
         return worst
 
-    def holds(self, values: Array, seen: Mask | None = None) -> bool:
-        """Whether all (N, k) values lie in the set, of which entries not `seen` are free; nothing is checked.
-
-        Half-spaces and balls count only where all of a value is seen.
-        """
-        inside = (values >= self.lower) & (values <= self.upper)
-        seen = None if seen is None else np.asarray(seen, dtype=bool)
-        if not (inside if seen is None else inside | ~seen).all():
-            return False
-        if self.is_box:
-            return True
-        whole = values if seen is None else values[seen.all(axis=1)]
-        return not len(whole) or self.excess(whole) <= 0
-
     def contains(self, value: npt.ArrayLike, tolerance: float = 0.0) -> bool:
         """Whether `value` lies in the set, up to `tolerance` in each inequality."""
         return self.excess(value) <= tolerance
@@ -302,6 +288,21 @@ def convex_set(name: str, value: object, dimension: int) -> ConvexSet | None:
     if found.dimension != dimension:
         raise ArgumentError(f"`{name}` must have dimension {dimension}, got {found.dimension}.")
     return found
+
+
+def all_inside(chosen: ConvexSet, values: Array, seen: Mask | None = None) -> bool:
+    """Whether all (N, k) values lie in a set, of which entries not `seen` are free; nothing is checked.
+
+    Half-spaces and balls count only where all of a value is seen.
+    """
+    inside = (values >= chosen.lower) & (values <= chosen.upper)
+    seen = None if seen is None else np.asarray(seen, dtype=bool)
+    if not (inside if seen is None else inside | ~seen).all():
+        return False
+    if chosen.is_box:
+        return True
+    whole = values if seen is None else values[seen.all(axis=1)]
+    return not len(whole) or chosen.excess(whole) <= 0
 
 
 def _bounds(name: str, value: object) -> Array:

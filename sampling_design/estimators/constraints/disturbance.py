@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.constraints.convex_set import ConvexSet, NormBall, normed
+from sampling_design.estimators.constraints.convex_set import ConvexSet, NormBall, all_inside, normed
 from sampling_design.estimators.gap_flows.composed_flow import state_units
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import CACHE_SIZE, FlowTable, GapFlow, discounted_length
@@ -86,7 +86,7 @@ class DisturbanceReach:
             inside = np.abs(omega - through @ middle) <= least
             if inside.all() and (np.vecdot(omega, omega) <= self._radius**2 * length).all():
                 return True
-        return all(chosen.holds(own[None]) for chosen, own in zip(self.over(flows), omega, strict=True))
+        return all(all_inside(chosen, own[None]) for chosen, own in zip(self.over(flows), omega, strict=True))
 
     def _response(self, flow: GapFlow) -> Array:
         """Return omega over a gap for the state after it, the state before it, and a constant disturbance, together."""

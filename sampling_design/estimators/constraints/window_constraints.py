@@ -9,7 +9,7 @@ import numpy as np
 
 from sampling_design.estimators.constraints.constrained_signals import ConstrainedSignal
 from sampling_design.estimators.constraints.constraints import Constraints
-from sampling_design.estimators.constraints.convex_set import ConvexSet, convex_set
+from sampling_design.estimators.constraints.convex_set import ConvexSet, all_inside, convex_set
 from sampling_design.estimators.constraints.disturbance import DisturbanceReach
 from sampling_design.estimators.constraints.least_distance_problem import ConstraintDemands
 from sampling_design.estimators.gap_flows.cost_weights import stretches
@@ -56,7 +56,7 @@ class WindowConstraints:
 
     def hold(self, path: OptimalTrajectory, samples: Callable[[], tuple[Array, Array, Array]]) -> bool:
         """Whether a trajectory keeps all sets, none by rounding alone. `samples` gives y - D u, the masks, and D u."""
-        if self.x is not None and not self.x.holds(path.nodes):
+        if self.x is not None and not all_inside(self.x, path.nodes):
             return False
         if self.reach is not None and not self.reach.holds(path.flows, path.deviation, path.defect):
             return False
@@ -65,9 +65,9 @@ class WindowConstraints:
         y, masks, feedthrough = samples()
         nodes, seen = path.nodes[-len(y) :], masks > 0
         v = self.noise(y, masks, nodes)
-        if self.v is not None and not self.v.holds(v, seen):
+        if self.v is not None and not all_inside(self.v, v, seen):
             return False
-        return self.y is None or self.y.holds(nodes @ self.plant.C.T + feedthrough + v, seen)
+        return self.y is None or all_inside(self.y, nodes @ self.plant.C.T + feedthrough + v, seen)
 
     def demands(self, window: EstimationWindow, free: Solution) -> ConstraintDemands:
         """Return what the constraints ask of all trajectories around the minimiser without them."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib import ticker
 from matplotlib.axes import Axes
@@ -31,10 +33,20 @@ def draw_robustness(result: Robustness, ax: Axes | None = None) -> Axes | style.
 def _radii(result: Robustness, ax: Axes) -> Axes:
     good = [t for t in result.trials if t.survives]
     bad = [t for t in result.trials if not t.survives]
-    ax.plot([t.amount for t in good], [t.lam for t in good], "o-", color=style.PROVEN, label="survives, proven")
+    ax.plot(
+        [t.family.timing_tolerance for t in good],
+        [t.lam for t in good],
+        "o-",
+        color=style.PROVEN,
+        label="survives, proven",
+    )
     if bad:
         ax.plot(
-            [t.amount for t in bad], _shown(result, [t.lam for t in bad]), "x", color=style.FAILED, label="not proven"
+            [t.family.timing_tolerance for t in bad],
+            _shown(result, [t.lam for t in bad]),
+            "x",
+            color=style.FAILED,
+            label="not proven",
         )
     _limit(result, ax)
     ax.axvline(result.radius, color=style.PROVEN, linewidth=1.0)
@@ -44,21 +56,23 @@ def _radii(result: Robustness, ax: Axes) -> Axes:
 
 
 def _losses(result: Robustness, ax: Axes) -> Axes:
-    for d in sorted({loss.most for loss in result.losses}):
-        mine = [loss for loss in result.losses if loss.most == d]
+    for d in sorted({loss.family.most for loss in result.losses}):
+        mine = [loss for loss in result.losses if loss.family.most == d]
         heights = _shown(result, [loss.lam for loss in mine])
         for loss, height in zip(mine, heights, strict=True):
             colour = style.PROVEN if loss.survives else style.FAILED
-            ax.plot([loss.of], [height], "o" if loss.survives else "x", color=colour)
-            ax.annotate(f"{d} lost", (loss.of, height), xytext=(5, 3), textcoords="offset points", fontsize="small")
+            ax.plot([loss.family.of], [height], "o" if loss.survives else "x", color=colour)
+            ax.annotate(
+                f"{d} lost", (loss.family.of, height), xytext=(5, 3), textcoords="offset points", fontsize="small"
+            )
     _limit(result, ax)
-    ax.set_xlim(1, max((loss.of for loss in result.losses), default=2) + 1)
+    ax.set_xlim(1, max((loss.family.of for loss in result.losses), default=2) + 1)
     ax.xaxis.set_major_locator(ticker.MaxNLocator(integer=True))
     ax.set_xlabel("consecutive samples among which they are counted")
     return ax
 
 
-def _shown(result: Robustness, lams: list[float]) -> list[float]:
+def _shown(result: Robustness, lams: Sequence[float]) -> list[float]:
     """Lambdas to draw; where none was found, a mark above the limit."""
     return [lam if np.isfinite(lam) else 1.5 * result.limit for lam in lams]
 

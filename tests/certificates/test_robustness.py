@@ -5,8 +5,9 @@ import pytest
 
 import sampling_design as sd
 from sampling_design import PeriodicSchedule, Plant, plotting
-from sampling_design.certificates.compare.robustness import _tried
+from sampling_design.certificates.compare.robustness import RobustnessSearch
 from sampling_design.errors import ArgumentError
+from sampling_design.records.budget import Budget
 from tests.oracles.families import largest_lambda
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -62,7 +63,7 @@ def test_losses_agree_with_brute_force(planned, found):
         top = 0.0
         for code in range(1 << 7):
             lost = [(code >> i) & 1 for i in range(7)]
-            if all(sum(lost[i : i + loss.of]) <= loss.most for i in range(7)):
+            if all(sum(lost[i : i + loss.family.of]) <= loss.family.most for i in range(7)):
                 times = np.array([i + 1.0 for i in range(7) if not lost[i]])
                 top = max(top, largest_lambda(OSCILLATOR, weights, 0.8, planned.P2, times, starts=1, parts=1))
         worst[loss] = top
@@ -80,9 +81,9 @@ def test_a_longer_horizon_survives_more(planned, found):
 
 
 def test_what_was_tried_is_in_order_and_drawn(found, tmp_path):
-    assert [t.amount for t in found.trials] == sorted(t.amount for t in found.trials)
-    assert {t.survives for t in found.trials if t.amount <= found.radius} == {True}
-    assert {t.survives for t in found.trials if t.amount >= found.broken} == {False}
+    assert [t.family.timing_tolerance for t in found.trials] == sorted(t.family.timing_tolerance for t in found.trials)
+    assert {t.survives for t in found.trials if t.family.timing_tolerance <= found.radius} == {True}
+    assert {t.survives for t in found.trials if t.family.timing_tolerance >= found.broken} == {False}
     top, bottom = plotting.draw(found)
     assert top.lines[0].get_xdata()[-1] == found.radius
     assert len([line for line in bottom.lines if len(line.get_xdata()) == 1]) == len(found.losses)
@@ -126,6 +127,6 @@ def test_what_cannot_be_asked_is_refused(planned):
         sd.robustness(OSCILLATOR, planned, length=0.5)
 
 
-def test_what_is_no_family_is_refused():
+def test_what_is_no_family_is_refused(planned):
     with pytest.raises(ArgumentError, match="`families` must hold families of schedules, got int 0"):
-        _tried(None, 0)
+        RobustnessSearch(planned, 1e9, Budget(), print).tried(0)

@@ -11,12 +11,13 @@ from typer.testing import CliRunner
 
 import sampling_design as sd
 from sampling_design import PeriodicSchedule, Plant, Schedule
-from sampling_design.certificates.compare.robustness import _Breaker, _tried
+from sampling_design.certificates.compare.robustness import RobustnessSearch
 from sampling_design.certificates.families.graphs import graph_of
 from sampling_design.checkers import check, cover, family_file, parts, strict
 from sampling_design.cli.app import app
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.schedule_watch import ScheduleWatch
+from sampling_design.records.budget import Budget
 from sampling_design.records.checks import generator
 from sampling_design.schedules.family import OUTWARD, START, FamilyStep, SamplingFamily, TimingTolerance
 from sampling_design.schedules.family_files import family_from_dict
@@ -241,8 +242,8 @@ def test_a_planned_certificate_is_asked_whether_it_survives_on_it():
 def test_no_planned_certificate_survives_where_the_nominal_member_is_blind():
     # half turns: the oscillator's schedule shows one combination of its states for ever
     planned = sd.certify(OSCILLATOR, PeriodicSchedule([0.7, 1.6]), eta=0.2, P2=np.eye(2))
-    breaker = _Breaker(planned, 1e9, np.inf)
-    assert not _tried(breaker, DayAndNight(np.pi, np.pi, 0.2)).survives
+    search = RobustnessSearch(planned, 1e9, Budget(), print)
+    assert not search.tried(DayAndNight(np.pi, np.pi, 0.2)).survives
 
 
 def test_a_kind_is_taken_once():

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from math import comb
+from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -38,46 +39,21 @@ MOST_UNKNOWNS = 1200
 """Unknowns of one semidefinite program; a graph with more is taken with less memory."""
 
 
-@dataclass(frozen=True)
-class TimingTrial:
-    """One timing error: its lambda with the unchanged weights, and whether it survives.
+Family = TypeVar("Family", bound=SamplingFamily)
 
-    Where it does not, lambda is that of the semidefinite program on its grid of gaps (infinite: none).
+
+@dataclass(frozen=True)
+class FamilyTrial(Generic[Family]):
+    """A family that was tried with the unchanged weights: its lambda, and whether the certificate survives on it.
+
+    Where it does not, lambda is that of the semidefinite program on its grid of gaps (infinite: none). `certificate` is
+    that of a family that was asked about by name.
     """
 
-    amount: float
+    family: Family
     lam: float
     survives: bool
-
-    def __bool__(self) -> bool:
-        return self.survives
-
-
-@dataclass(frozen=True)
-class LossTrial:
-    """At most `most` of any `of` consecutive samples lost: lambda and verdict as for `TimingTrial`."""
-
-    most: int
-    of: int
-    lam: float
-    survives: bool
-
-    def __bool__(self) -> bool:
-        return self.survives
-
-
-@dataclass(frozen=True)
-class FamilyTrial:
-    """A family that was asked about: its lambda as for `TimingTrial`, and its certificate where it survives."""
-
-    family: SamplingFamily
-    lam: float
-    certificate: FamilyCertificate | None
-
-    @property
-    def survives(self) -> bool:
-        """Whether the certificate survives on every schedule of the family."""
-        return self.certificate is not None
+    certificate: FamilyCertificate | None = None
 
     def __bool__(self) -> bool:
         return self.survives
@@ -102,10 +78,10 @@ class Robustness(PlainRecord):
         Proven: every sample may be this much early or late.
     broken : float [time]
         The least radius that was tried without success, or where samples could change places.
-    trials : tuple of TimingTrial
-        Radii in order, with their lambda.
-    losses : tuple of Losses
-        All counts that were tried.
+    trials : tuple of FamilyTrial of Jitter
+        In the order of their `family.timing_tolerance`.
+    losses : tuple of FamilyTrial of LostSamples
+        All that were tried, `family.most` of any `family.of` samples lost.
     jittered : FamilyCertificate or None
         The certificate at `radius`, `verify()` passed; None if radius = 0.
     thinned : tuple of FamilyCertificate
@@ -121,14 +97,17 @@ class Robustness(PlainRecord):
     limit: float
     radius: float
     broken: float
-    trials: tuple[TimingTrial, ...]
-    losses: tuple[LossTrial, ...]
+    trials: tuple[FamilyTrial[Jitter], ...]
+    losses: tuple[FamilyTrial[LostSamples], ...]
     jittered: FamilyCertificate | None
     thinned: tuple[FamilyCertificate, ...]
-    others: tuple[FamilyTrial, ...]
+    others: tuple[FamilyTrial[SamplingFamily], ...]
     closed: bool
 
-    _plain = "horizon:length limit radius broken tolerated trials losses families:others{family lam survives} closed"
+    _plain = (
+        "horizon:length limit radius broken tolerated trials{amount:family.timing_tolerance lam survives} "
+        "losses{most:family.most of:family.of lam survives} families:others{family lam survives} closed"
+    )
 
     @property
     def tolerated(self) -> tuple[tuple[int, int], ...]:
@@ -176,16 +155,15 @@ class HasSchedule(Protocol):
         """The schedule."""
 
 
-class _Breaker:
+class RobustnessSearch:
     """Families around one schedule, judged with the weights of its certificate."""
 
-    def __init__(self, certificate: Certificate, limit: float, budget: Budget) -> None:
-        self.certificate, self.limit, self.budget = certificate, limit, budget
-        c = certificate
-        self.plant, self.weights = c.plant, (c.Qw, c.R, c.Qv)
+    def __init__(self, certificate: Certificate, limit: float, budget: Budget, report: Progress) -> None:
+        self.certificate, self.limit, self.budget, self.report = certificate, limit, budget, report
+        self.plant, self.weights = certificate.plant, (certificate.Qw, certificate.R, certificate.Qv)
         self.late = False
 
-    def judge(self, family: SamplingFamily, levels: list[int]) -> tuple[float, CandidateWeights | None]:
+    def judge(self, family: SamplingFamily, levels: Iterable[int]) -> tuple[float, CandidateWeights | None]:
         """The lambda of a family, and its proposal if it survives; infinite where there is none."""
         best = np.inf
         for level in levels:
@@ -204,20 +182,75 @@ class _Breaker:
         self.late = self.late or self.budget.over
         return best, None
 
-    def loss_level(self, family: LostSamples) -> int:
+    def proven(self, family: SamplingFamily, found: CandidateWeights) -> FamilyCertificate:
+        """The certificate of a proposal."""
+        within = in_plant_terms(self.plant, family)
+        return certified(self.plant, within, self.weights, self.certificate.P2, found)
+
+    def tried(self, family: SamplingFamily) -> FamilyTrial[SamplingFamily]:
+        """One family, with as much memory as is tried for timing errors."""
+        if not isinstance(family, SamplingFamily):
+            raise ArgumentError(f"`families` must hold families of schedules, got {checks.described(family)}.")
+        member = in_plant_terms(self.plant, family).nominal
+        if not certificate_exists(self.plant, member, self.certificate.eta).exists:
+            return FamilyTrial(family, np.inf, False)
+        lam, found = self.judge(family, range(min(JITTER_MEMORY, family.levels_of_memory)))
+        return FamilyTrial(family, lam, found is not None, None if found is None else self.proven(family, found))
+
+    def largest_radius(
+        self, schedule: PeriodicSchedule
+    ) -> tuple[float, float, list[FamilyTrial[Jitter]], FamilyCertificate | None]:
+        """The largest timing error that is proven, the least that is not, all that were tried, and its certificate."""
+        top = LARGEST_PART * SamplingSet(schedule).min_gap / 2
+        low, high, best = 0.0, top, None
+        trials = [FamilyTrial(Jitter(schedule, 0.0), self.certificate.lam, True)]
+        radius = top
+        while high - low > RADIUS_RTOL * top and not self.late:
+            self.report(0.5 * (1 - (high - low) / top), f"timing error {short(radius, 3)}")
+            family = Jitter(schedule, radius)
+            lam, found = self.judge(family, range(JITTER_MEMORY))
+            if self.late:
+                break
+            trials.append(FamilyTrial(family, lam, found is not None))
+            low, high, best = (radius, high, (family, found)) if found is not None else (low, radius, best)
+            if low == top:
+                break
+            radius = (low + high) / 2
+        trials.sort(key=lambda trial: trial.family.timing_tolerance)
+        return low, high, trials, None if best is None else self.proven(*best)
+
+    def most_losses(
+        self, schedule: PeriodicSchedule, longest: int
+    ) -> tuple[list[FamilyTrial[LostSamples]], list[FamilyCertificate]]:
+        """For d = 1, 2, ... the least w for which d of any w may be lost, until there is none."""
+        tried: list[FamilyTrial[LostSamples]] = []
+        kept: list[FamilyCertificate] = []
+        for d in range(1, longest):
+            self.report(0.5 + 0.5 * d / longest, f"{d} lost")
+            best = None
+            low, high = d, longest + 1  # w = low fails (all lost), w = high is not asked for
+            w = longest
+            while high - low > 1 and not self.late:
+                family = LostSamples(schedule, d, w)
+                lam, found = self.judge(family, [self._loss_level(family)])
+                if self.late:
+                    break
+                tried.append(FamilyTrial(family, lam, found is not None))
+                low, high, best = (low, w, (family, found)) if found is not None else (w, high, best)
+                w = (low + high) // 2
+            if best is None:
+                break
+            kept.append(self.proven(*best))
+        return sorted(tried, key=lambda trial: (trial.family.most, trial.family.of)), kept
+
+    def _loss_level(self, family: LostSamples) -> int:
         """As much memory as the unknowns allow."""
         n, period = self.plant.n_states, len(self.certificate.schedule)
         for level in reversed(range(family.levels_of_memory)):
-            words = sum(_choose(family.most + level, k) for k in range(family.most + 1))
+            words = sum(comb(family.most + level, k) for k in range(family.most + 1))
             if words * period <= MOST_NODES and words * period * n * (n + 1) // 2 <= MOST_UNKNOWNS:
                 return level
         return 0
-
-
-def _choose(n: int, k: int) -> int:
-    from math import comb
-
-    return comb(n, k)
 
 
 @checked
@@ -299,82 +332,11 @@ def robustness(
             f"`length` = {short(M)} is too short for the planned schedule: it needs M > {short(least)}."
         )
     most = checks.whole("longest", longest, 2)
-    breaker = _Breaker(planned, limit, Budget(checks.positive("budget", budget)))
-    others = tuple(_tried(breaker, family) for family in families)
-    radius, broken, trials, best = _largest_radius(breaker, schedule, report)
-    losses, thinned = _most_losses(breaker, schedule, most, report)
-    jittered = None if best is None else _proven(breaker, Jitter(schedule, radius), best)
+    search = RobustnessSearch(planned, limit, Budget(checks.positive("budget", budget)), report)
+    others = tuple(search.tried(family) for family in families)
+    radius, broken, trials, jittered = search.largest_radius(schedule)
+    losses, thinned = search.most_losses(schedule, most)
     return Robustness(
-        certificate=planned,
-        length=M,
-        limit=limit,
-        radius=radius,
-        broken=broken,
-        trials=tuple(trials),
-        losses=tuple(losses),
-        jittered=jittered,
-        thinned=tuple(thinned),
-        others=others,
-        closed=not breaker.late,
-    )
-
-
-def _proven(breaker: _Breaker, family: SamplingFamily, found: CandidateWeights) -> FamilyCertificate:
-    family = in_plant_terms(breaker.plant, family)
-    return certified(breaker.plant, family, breaker.weights, breaker.certificate.P2, found)
-
-
-def _tried(breaker: _Breaker, family: SamplingFamily) -> FamilyTrial:
-    """One family, with as much memory as is tried for timing errors."""
-    if not isinstance(family, SamplingFamily):
-        raise ArgumentError(f"`families` must hold families of schedules, got {checks.described(family)}.")
-    member = in_plant_terms(breaker.plant, family).nominal
-    if not certificate_exists(breaker.plant, member, breaker.certificate.eta).exists:
-        return FamilyTrial(family, np.inf, None)
-    lam, found = breaker.judge(family, list(range(min(JITTER_MEMORY, family.levels_of_memory))))
-    return FamilyTrial(family, lam, None if found is None else _proven(breaker, family, found))
-
-
-def _largest_radius(
-    breaker: _Breaker, schedule: PeriodicSchedule, report: Progress
-) -> tuple[float, float, list[TimingTrial], CandidateWeights | None]:
-    top = LARGEST_PART * SamplingSet(schedule).min_gap / 2
-    low, high, best = 0.0, top, None
-    trials = [TimingTrial(0.0, breaker.certificate.lam, True)]
-    radius = top
-    while high - low > RADIUS_RTOL * top and not breaker.late:
-        report(0.5 * (1 - (high - low) / top), f"timing error {short(radius, 3)}")
-        lam, found = breaker.judge(Jitter(schedule, radius), list(range(JITTER_MEMORY)))
-        if breaker.late:
-            break
-        trials.append(TimingTrial(radius, lam, found is not None))
-        low, high, best = (radius, high, found) if found is not None else (low, radius, best)
-        if low == top:
-            break
-        radius = (low + high) / 2
-    return low, high, sorted(trials, key=lambda trial: trial.amount), best
-
-
-def _most_losses(
-    breaker: _Breaker, schedule: PeriodicSchedule, longest: int, report: Progress
-) -> tuple[list[LossTrial], list[FamilyCertificate]]:
-    """For d = 1, 2, ... the least w for which d of any w may be lost, until there is none."""
-    tried: list[LossTrial] = []
-    kept: list[FamilyCertificate] = []
-    for d in range(1, longest):
-        report(0.5 + 0.5 * d / longest, f"{d} lost")
-        best = None
-        low, high = d, longest + 1  # w = low fails (all lost), w = high is not asked for
-        w = longest
-        while high - low > 1 and not breaker.late:
-            family = LostSamples(schedule, d, w)
-            lam, found = breaker.judge(family, [breaker.loss_level(family)])
-            if breaker.late:
-                break
-            tried.append(LossTrial(d, w, lam, found is not None))
-            low, high, best = (low, w, (family, found)) if found is not None else (w, high, best)
-            w = (low + high) // 2
-        if best is None or best[1] is None:
-            break
-        kept.append(_proven(breaker, *best))
-    return sorted(tried, key=lambda loss: (loss.most, loss.of)), kept
+        certificate=planned, length=M, limit=limit, radius=radius, broken=broken, trials=tuple(trials),
+        losses=tuple(losses), jittered=jittered, thinned=tuple(thinned), others=others, closed=not search.late,
+    )  # fmt: skip

@@ -33,6 +33,8 @@ RADIUS_RTOL = 0.02
 """Width of the bisection on the radius, as a fraction of the largest one that keeps the order of samples."""
 LARGEST_PART = 0.999
 """The radius stays below this fraction of half the least gap: there samples could change places."""
+FIRST_RADIUS = 1 / 8
+"""Share of that radius which is tried first, then twice as much: what is small is decided soonest."""
 JITTER_MEMORY = 2
 """Levels of memory that are tried for jitter."""
 MOST_UNKNOWNS = 1200
@@ -204,7 +206,7 @@ class RobustnessSearch:
         top = LARGEST_PART * SamplingSet(schedule).min_gap / 2
         low, high, best = 0.0, top, None
         trials = [FamilyTrial(Jitter(schedule, 0.0), self.certificate.lam, True)]
-        radius = top
+        radius, failed = FIRST_RADIUS * top, False
         while high - low > RADIUS_RTOL * top and not self.late:
             self.report(0.5 * (1 - (high - low) / top), f"timing error {short(radius, 3)}")
             family = Jitter(schedule, radius)
@@ -213,9 +215,8 @@ class RobustnessSearch:
                 break
             trials.append(FamilyTrial(family, lam, found is not None))
             low, high, best = (radius, high, (family, found)) if found is not None else (low, radius, best)
-            if low == top:
-                break
-            radius = (low + high) / 2
+            failed = failed or found is None
+            radius = (low + high) / 2 if failed else min(2 * low, top)
         trials.sort(key=lambda trial: trial.family.timing_tolerance)
         return low, high, trials, None if best is None else self.proven(*best)
 
@@ -332,11 +333,15 @@ def robustness(
             f"`length` = {short(M)} is too short for the planned schedule: it needs M > {short(least)}."
         )
     most = checks.whole("longest", longest, 2)
-    search = RobustnessSearch(planned, limit, Budget(checks.positive("budget", budget)), report)
+    whole = Budget(checks.positive("budget", budget))
+    search = RobustnessSearch(planned, limit, whole, report)
     others = tuple(search.tried(family) for family in families)
+    search.budget = whole.share(0.5)
     radius, broken, trials, jittered = search.largest_radius(schedule)
+    search.budget, search.late, closed = whole, False, not search.late
     losses, thinned = search.most_losses(schedule, most)
     return Robustness(
         certificate=planned, length=M, limit=limit, radius=radius, broken=broken, trials=tuple(trials),
-        losses=tuple(losses), jittered=jittered, thinned=tuple(thinned), others=others, closed=not search.late,
+        losses=tuple(losses), jittered=jittered, thinned=tuple(thinned), others=others,
+        closed=closed and not search.late,
     )  # fmt: skip

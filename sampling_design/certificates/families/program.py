@@ -28,9 +28,10 @@ MARGIN = 2e-4
 """Relative margin of every inequality on the grid at first; room for the proof between the grid points."""
 WIDER, WIDEST = 10.0, 0.05
 """Factor on the margin where that room was too small for the proof's steps, and the largest margin that is tried."""
-LEAST_POINTS = 5
-POINTS_PER_RADIAN = 3.0
-"""Grid points per unit of |A + eta/2| h (spectral radius) at first; the proof adds those that were missing."""
+LEAST_POINTS, LEAST_POINTS_GIVEN = 5, 3
+POINTS_PER_RADIAN, POINTS_PER_RADIAN_GIVEN = 3.0, 1.0
+"""Grid points per unit of |A + eta/2| h (spectral radius) at first; the proof adds those that were missing.
+Where P2 is given, one program is solved and not a bisection of them: few do (thrice as many: thrice the memory)."""
 MOST_POINTS = 41
 COARSE_TOLERANCE = 1e-6
 """Tolerance of a second attempt where the solver failed; far below MARGIN."""
@@ -65,8 +66,9 @@ class FamilyProgram:
     _cache: dict[object, tuple[Array, Array, Array]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.edge_times = [_grid(self.dynamics, e.low, e.high) for e in self.graph.edges]
-        self.node_times = [_grid(self.dynamics, 0.0, top) for top in self.graph.tops.tolist()]
+        few = self.P2 is not None
+        self.edge_times = [_grid(self.dynamics, e.low, e.high, few) for e in self.graph.edges]
+        self.node_times = [_grid(self.dynamics, 0.0, top, few) for top in self.graph.tops.tolist()]
         self.pairs = self.dynamics.size * (self.dynamics.size + 1) // 2
         self.basis = conic_programs.smat(np.eye(self.pairs))
 
@@ -257,10 +259,11 @@ def _solved(cost: Array, blocks: list[ConeRows], budget: Budget) -> conic_progra
     return found
 
 
-def _grid(dynamics: StepDynamics, low: float, high: float) -> list[float]:
+def _grid(dynamics: StepDynamics, low: float, high: float, few: bool) -> list[float]:
     """Grid of an interval, ends included; one point where it has no length."""
     if high <= low:
         return [low]
     speed = float(np.abs(np.linalg.eigvals(dynamics.A)).max(initial=0.0)) + dynamics.eta / 2
-    count = int(np.clip(np.ceil(POINTS_PER_RADIAN * speed * (high - low)) + 1, LEAST_POINTS, MOST_POINTS))
+    density, least = (POINTS_PER_RADIAN_GIVEN, LEAST_POINTS_GIVEN) if few else (POINTS_PER_RADIAN, LEAST_POINTS)
+    count = int(np.clip(np.ceil(density * speed * (high - low)) + 1, least, MOST_POINTS))
     return [float(v) for v in np.linspace(low, high, count)]

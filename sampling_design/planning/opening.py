@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records.arrays import Array
-from sampling_design.records.record import Plain, Record
+from sampling_design.records.record import PlainRecord
 from sampling_design.schedules.time_stamps import parse_date, passed, time_zone
 
 WeekHours: TypeAlias = dict[str, tuple[tuple[str, str], ...]]
@@ -84,7 +84,7 @@ def is_open(hours: WeekHours, weekday: int, minute: float) -> bool:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OpeningCalendar(Record):
+class OpeningCalendar(PlainRecord):
     """The calendar of the place where samples are taken.
 
     Parameters
@@ -116,6 +116,7 @@ class OpeningCalendar(Record):
     zone: str = "UTC"
     hours: Mapping[str, object] | None = None
     holidays: Sequence[str] = ()
+    _plain = "start zone hours? holidays?"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "start", _local_start(self.start, self.zone).isoformat(timespec="minutes"))
@@ -205,13 +206,6 @@ class OpeningCalendar(Record):
         """Say when the place is open."""
         days = "; ".join(f"{d} {', '.join(f'{a} to {b}' for a, b in s)}" for d, s in self.open_hours().items())
         return f"From {self.start} ({self.zone}): {days}."
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data."""
-        data: dict[str, Plain] = {"start": self.start, "zone": self.zone}
-        if self.hours is not None:
-            data["hours"] = {day: [list(span) for span in spans] for day, spans in self.open_hours().items()}
-        return {**data, "holidays": list(self.holidays)} if self.holidays else data
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import ClassVar, TypeAlias
 
-import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.start import InitialError
@@ -15,8 +14,8 @@ from sampling_design.errors import ArgumentError
 from sampling_design.planning.opening import OpeningCalendar, week_hours
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.declarations import Converted, frozen
-from sampling_design.records.record import Plain, PlainRecord, Record, counted, short
+from sampling_design.records.declarations import Converted, frozen, plain
+from sampling_design.records.record import PlainRecord, WrittenRecord, counted, short
 from sampling_design.records.units import SECONDS, check_time_unit
 
 Duration: TypeAlias = float | str
@@ -46,7 +45,7 @@ def duration(name: str, value: object, unit: str) -> float:
 
 
 @frozen
-class AccuracyGoal(Record):
+class AccuracyGoal(PlainRecord):
     """How well one row must be known.
 
     Parameters
@@ -73,12 +72,13 @@ class AccuracyGoal(Record):
     kind: str = KINDS[0]
 
     _table = {"tolerance": "{tolerance}", "at": "{when}"}
+    _plain = "tolerance at kind row?"
 
     def __post_init__(self) -> None:
-        _word("kind", self.kind, KINDS)
+        checks.word("kind", self.kind, KINDS)
         object.__setattr__(self, "tolerance", checks.positive("tolerance", self.tolerance))
         if isinstance(self.at, str):
-            _word("at", self.at, TIMES)
+            checks.word("at", self.at, TIMES)
         else:
             object.__setattr__(self, "at", tuple(checks.increasing("at", self.at).tolist()))
         if self.row is not None:
@@ -92,13 +92,6 @@ class AccuracyGoal(Record):
     def explain(self) -> str:
         """Say the goal in words."""
         return f"Within {short(self.tolerance)}, {self.when()}."
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data."""
-        at: Plain = self.at if isinstance(self.at, str) else list(self.at)
-        data: dict[str, Plain] = {"tolerance": self.tolerance, "at": at}
-        data |= {} if self.kind == KINDS[0] else {"kind": self.kind}
-        return data if self.row is None else {**data, "row": self.row.tolist()}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -133,10 +126,7 @@ class SensorTerms(PlainRecord):
     spacing: Duration | None = None
     noise_deviation: float | None = None
 
-    _plain = "price noise_bound? noise_deviation? longest_use? spacing? hours?:_file_hours"
-
-    def _file_hours(self) -> Plain:
-        return None if self.hours is None else _plain_hours(self.hours)
+    _plain = "price noise_bound? noise_deviation? longest_use? spacing? hours?"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "price", checks.nonnegative("price", self.price))
@@ -162,7 +152,7 @@ class SensorTerms(PlainRecord):
 
 
 @frozen
-class PlanRequirement(Record):
+class PlanRequirement(WrittenRecord):
     """What a plan must keep and may use.
 
     Parameters
@@ -216,6 +206,12 @@ class PlanRequirement(Record):
     """
 
     _reader: ClassVar[str] = "read_plan_requirement"
+    _written = "the requirement"
+    _format = FORMAT
+    _plain = (
+        "format:_format period? grid? spacing? timing_tolerance? samples? cost_limit? aim time_unit? visit_price "
+        "w_bound? w_intensity? initial_error? accuracy sensors calendar?"
+    )
     accuracy: Converted[
         Mapping[str, AccuracyGoal | Mapping[str, object] | float] | None, Mapping[str, AccuracyGoal]
     ] = None  # type: ignore[assignment]
@@ -236,19 +232,17 @@ class PlanRequirement(Record):
 
     def __post_init__(self) -> None:
         own: dict[str, object] = {}
-        for key, held, of in (
-            ("accuracy", self.accuracy, "goals by row"),
-            ("sensors", self.sensors, "terms by output"),
-        ):
-            if held is not None:
-                checks.of_kind(key, held, Mapping, f"a table of {of}")  # type: ignore[type-abstract]
-        own["accuracy"] = {str(k): _goal(str(k), v) for k, v in dict(self.accuracy or {}).items()}
-        own["sensors"] = {str(k): _terms(str(k), v) for k, v in dict(self.sensors or {}).items()}
-        if self.calendar is not None and not isinstance(self.calendar, OpeningCalendar):
-            table = _table("calendar", self.calendar, OpeningCalendar)
-            if "start" not in table:
-                raise ArgumentError("`calendar.start` is missing.")
-            own["calendar"] = OpeningCalendar(**table)
+        goals, terms = (
+            checks.of_kind(key, {} if held is None else held, Mapping, f"a table of {of}")  # type: ignore[type-abstract]
+            for key, held, of in (
+                ("accuracy", self.accuracy, "goals by row"),
+                ("sensors", self.sensors, "terms by output"),
+            )
+        )
+        own["accuracy"] = {str(k): _goal(str(k), v) for k, v in goals.items()}
+        own["sensors"] = {str(k): checks.record(f"sensors.{k}", v, SensorTerms) for k, v in terms.items()}
+        if self.calendar is not None:
+            own["calendar"] = checks.record("calendar", self.calendar, OpeningCalendar)
         if self.samples is not None:
             own["samples"] = checks.whole("samples", self.samples, 1)
         if self.cost_limit is not None:
@@ -260,7 +254,7 @@ class PlanRequirement(Record):
             if getattr(self, key) is not None:
                 duration(key, getattr(self, key), self.time_unit or "h")
         if self.aim is not None:
-            _word("aim", self.aim, AIMS)
+            checks.word("aim", self.aim, AIMS)
         own["aim"] = self.aim or (AIMS[0] if self.samples is None and self.cost_limit is None else AIMS[1])
         if own["aim"] == AIMS[1] and self.samples is None and self.cost_limit is None:
             raise ArgumentError(
@@ -277,33 +271,15 @@ class PlanRequirement(Record):
         ArgumentError
             If an entry is unknown, or as for `PlanRequirement`.
         """
-        known = {f.name: getattr(self, f.name) for f in fields(self)}
-        checks.known_keys("the requirement", changes, known)
-        if {"samples", "cost_limit"} & changes.keys() and "aim" not in changes:
-            known["aim"] = None
-        return PlanRequirement(**{**known, **changes})
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data, the tree of the requirement file; what was not given is left out."""
-        data: dict[str, Plain] = {"format": FORMAT}
-        for key in ("period", "grid", "spacing", "timing_tolerance", "samples", "cost_limit", "aim", "time_unit"):
-            value = getattr(self, key)
-            data |= {} if value is None else {key: value}
-        data |= {"visit_price": self.visit_price} if self.visit_price else {}
-        for key in ("w_bound", "w_intensity"):
-            value = getattr(self, key)
-            data |= {} if value is None else {key: np.asarray(value, dtype=float).tolist()}
-        data |= {} if self.initial_error is None else {"initial_error": _plain_error(self.initial_error)}
-        data["accuracy"] = {name: goal.to_dict() for name, goal in self.accuracy.items()}
-        data["sensors"] = {name: terms.to_dict() for name, terms in self.sensors.items()}
-        return data if self.calendar is None else {**data, "calendar": self.calendar.to_dict()}
+        limited = {"samples", "cost_limit"} & changes.keys() and "aim" not in changes
+        return super().replace(**({"aim": None} if limited else {}), **changes)
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [(f"accuracy of {k}", f"{short(g.tolerance)} ({g.when()})") for k, g in self.accuracy.items()]
         for key in ("period", "grid", "spacing", "timing_tolerance", "samples", "cost_limit"):
             value = getattr(self, key)
             rows += [] if value is None else [(key.replace("_", " "), f"{value}")]
-        rows += [] if self.initial_error is None else [("initial error", f"{_plain_error(self.initial_error)}")]
+        rows += [] if self.initial_error is None else [("initial error", f"{plain(self.initial_error)}")]
         rows += [(f"sensor {name}", terms.explain()) for name, terms in self.sensors.items()]
         return [*rows, ("aim", f"{self.aim}")]
 
@@ -319,40 +295,8 @@ class PlanRequirement(Record):
         return f"Best accuracy for at most {' and '.join(limits)} a period, relative to {goals}."
 
 
-def _word(name: str, value: object, known: tuple[str, ...]) -> None:
-    if not isinstance(value, str) or value not in known:
-        raise ArgumentError(f"`{name}` must be one of {', '.join(map(repr, known))}, got {checks.described(value)}.")
-
-
-def _table(name: str, value: object, kind: type) -> dict[str, object]:
-    table = checks.of_kind(name, value, Mapping, "a table of keys and values")  # type: ignore[type-abstract]
-    checks.known_keys(f"`{name}`", table, [f.name for f in fields(kind)])
-    return {str(key): item for key, item in table.items()}
-
-
 def _goal(name: str, value: object) -> AccuracyGoal:
-    if isinstance(value, AccuracyGoal):
-        return value
-    if isinstance(value, Mapping):
-        table = _table(f"accuracy.{name}", value, AccuracyGoal)
-        if "tolerance" not in table:
-            raise ArgumentError(f"`accuracy.{name}.tolerance` is missing.")
-        return AccuracyGoal(**table)  # type: ignore[arg-type]
+    """A goal, the table of one, or a tolerance alone."""
+    if isinstance(value, (AccuracyGoal, Mapping)):
+        return checks.record(f"accuracy.{name}", value, AccuracyGoal)
     return AccuracyGoal(checks.positive(f"accuracy.{name}", value))
-
-
-def _terms(name: str, value: object) -> SensorTerms:
-    if isinstance(value, SensorTerms):
-        return value
-    return SensorTerms(**_table(f"sensors.{name}", value, SensorTerms))  # type: ignore[arg-type]
-
-
-def _plain_error(bound: InitialError) -> Plain:
-    if isinstance(bound, Mapping):
-        return {str(name): np.asarray(entry, dtype=float).tolist() for name, entry in bound.items()}
-    plain: Plain = np.asarray(bound, dtype=float).tolist()
-    return plain
-
-
-def _plain_hours(hours: Mapping[str, object]) -> dict[str, Plain]:
-    return {day: [list(span) for span in spans] for day, spans in week_hours("hours", hours).items()}

@@ -21,11 +21,10 @@ from sampling_design.checkers.strict import (
     text,
     word,
 )
-from sampling_design.errors import ArgumentError
 from sampling_design.planning.requirement import AIMS, FORMAT, KINDS, TIMES, PlanRequirement
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant
-from sampling_design.records.file_io import by_kind, read_tree, usable, write_tree
+from sampling_design.records.file_io import by_first, by_kind, of_format, read_tree, usable, write_tree
 from sampling_design.records.signatures import checked
 
 _NUMBERS = list_of(nonnegative)
@@ -41,14 +40,8 @@ def _pair(value: object, place: str) -> object:
     return tuple(list_of(number, 2)(value, place))
 
 
-def _weight(value: object, place: str) -> object:
-    """Half-widths, or the rows of a weight."""
-    rows = any(isinstance(row, (list, tuple)) for row in list_of(anything)(value, place))
-    return matrix()(value, place) if rows else _bound(value, place)
-
-
 _ENTRIES = by_name(by_kind({list: _pair, tuple: _pair}, nonnegative))
-_error = by_kind({Mapping: _ENTRIES, list: _weight, tuple: _weight}, _bound)
+_error = by_kind({Mapping: _ENTRIES}, by_first({list: matrix(), tuple: matrix()}, _bound))
 """A bound on the norm, half-widths, a weight, or numbers about 0 and pairs by name."""
 
 _SPANS = by_name(list_of(list_of(text, 2)))
@@ -142,10 +135,7 @@ def plan_requirement_from_dict(data: Mapping[str, object], where: str = "require
         As for `read_plan_requirement`.
     """
     with usable(where):
-        if data and "format" not in data:
-            raise ArgumentError(f'`format` is missing: the file begins with the line format = "{FORMAT}".')
-        tree = _TREE(data, "")
-        tree.pop("format")
+        tree = of_format(_TREE, data, FORMAT)
         tree.pop("plant", None)
         return PlanRequirement(**tree)
 

@@ -15,6 +15,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
+from sampling_design.records.record import counted
 
 Wanted: TypeAlias = str | Sequence[str] | npt.ArrayLike | None
 
@@ -82,6 +83,11 @@ def rows_asked(of: Wanted) -> tuple[str, ...] | Array | None:
     if not matrix.shape[0]:
         raise ArgumentError("`of` must name at least one row, got none.")
     return matrix
+
+
+def rows_in_words(asked: tuple[str, ...] | Array) -> str:
+    """Say what `rows_asked` found: the names, or how many rows."""
+    return ", ".join(asked) if isinstance(asked, tuple) else counted(len(asked), "row")
 
 
 def _named(plant: Plant, name: str) -> tuple[Array, str]:

@@ -6,7 +6,8 @@ The grammar: the argument as typed, what was expected, what came, and the likely
 from __future__ import annotations
 
 import numbers
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import MISSING, fields
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -298,6 +299,25 @@ def names(name: str, value: Sequence[str] | None, length: int, prefix: str) -> t
     return result
 
 
+def record(name: str, value: object, kind: type[Instance]) -> Instance:
+    """Return `value` if it is a record of a class, or the record that a table of its fields makes.
+
+    Raises
+    ------
+    ArgumentError
+        If it is neither, a key is unknown, or a field that has no default is missing.
+    """
+    if isinstance(value, kind):
+        return value
+    table = of_kind(name, value, Mapping, "a table of keys and values")  # type: ignore[type-abstract]
+    entries = fields(kind)  # type: ignore[arg-type]
+    known_keys(f"`{name}`", table, [each.name for each in entries])
+    for each in entries:
+        if each.name not in table and each.default is MISSING:
+            raise ArgumentError(f"`{name}.{each.name}` is missing.")
+    return kind(**table)
+
+
 def word(name: str, value: object, known: Iterable[str]) -> str:
     """Return `value` if it is one of the known words.
 
@@ -309,7 +329,8 @@ def word(name: str, value: object, known: Iterable[str]) -> str:
     words = list(known)
     if isinstance(value, str) and value in words:
         return value
-    told = " or ".join(f'"{each}"' for each in words) if len(words) == 2 else f"one of {', '.join(words)}"
+    shown = [f'"{each}"' if len(words) == 2 or " " in each else each for each in words]
+    told = " or ".join(shown) if len(words) == 2 else f"one of {', '.join(shown)}"
     raise ArgumentError(f"`{name}` must be {told}, got {repr(value) if isinstance(value, str) else described(value)}.")
 
 

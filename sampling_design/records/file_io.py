@@ -396,6 +396,33 @@ def by_kind(kinds: Mapping[type, Reader], other: Reader) -> Reader:
     return read
 
 
+def by_first(kinds: Mapping[type, Reader], other: Reader) -> Reader:
+    """Return what reads a list of things that may be of several kinds, by its first entry, and whatever else."""
+
+    def read(value: object, place: str) -> object:
+        first = value[0] if isinstance(value, (list, tuple)) and value else None
+        return next((reader for kind, reader in kinds.items() if isinstance(first, kind)), other)(value, place)
+
+    return read
+
+
+def of_format(read: Reader, data: Mapping[str, object], name: str) -> Tree:
+    """Return what a grammar reads of plain data that begin with the line `format`, without that line.
+
+    Raises
+    ------
+    ArgumentError
+        If that line is missing.
+    strict.BadFile
+        If the data do not keep to the grammar.
+    """
+    if data and "format" not in data:
+        raise ArgumentError(f'`format` is missing: the file begins with the line format = "{name}".')
+    tree: Tree = read(data, "")
+    del tree["format"]
+    return tree
+
+
 @contextmanager
 def usable(where: str) -> Iterator[None]:
     """Say of what is refused inside that it stands in the file `where`, which cannot be used.

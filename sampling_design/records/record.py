@@ -15,12 +15,13 @@ from abc import ABCMeta
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from html import escape
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError, MissingExtraError, UndecidedError
+from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Plain as Plain
 from sampling_design.records.declarations import said, selected
@@ -110,6 +111,25 @@ class PlainRecord(Record):
     def to_dict(self) -> dict[str, Plain]:
         """Plain data: arrays are lists, what is infinite or no number is None."""
         return selected(self, self._plain or " ".join(each.name for each in fields(self)))  # type: ignore[arg-type]
+
+
+class WrittenRecord(PlainRecord):
+    """Base of the records that a user writes by hand, and changes entry by entry."""
+
+    _written: ClassVar[str]
+    """What it is called in messages."""
+
+    def replace(self, **changes: object) -> Self:
+        """Return a copy with some entries changed.
+
+        Raises
+        ------
+        ArgumentError
+            If an entry is unknown, or as for the record itself.
+        """
+        known = {each.name: getattr(self, each.name) for each in fields(self)}  # type: ignore[arg-type]
+        checks.known_keys(self._written, changes, known)
+        return type(self)(**{**known, **changes})
 
 
 class YesOrNo(Record):

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field, fields
+from dataclasses import field
 from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
-from sampling_design.plants.rows import Wanted, rows_asked
+from sampling_design.plants.rows import Wanted, rows_asked, rows_in_words
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen
-from sampling_design.records.record import Plain, Record, counted, short
+from sampling_design.records.record import Plain, Record, WrittenRecord, short
 from sampling_design.records.units import check_time_unit
 
+FORMAT = "sampling-design/requirement/1"
 COUNTS = ("exactly", "at_least", "at_most")
 
 
@@ -48,13 +49,18 @@ class OutputAccess(Record):
     def _rows(self) -> list[tuple[str, str]]:
         return [("available", _spans(self.available, "always")), ("cost", short(self.cost))]
 
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data; what says nothing is left out: an output without intervals is never measured."""
+        spans: dict[str, Plain] = {} if self.available is None else {"available": self.available.tolist()}
+        return spans | ({"cost": self.cost} if self.cost else {})
+
     def explain(self) -> str:
         """Say when the output can be measured."""
         return f"Available {_spans(self.available, 'always')}, cost {short(self.cost)} a measurement."
 
 
 @frozen
-class Requirement(Record):
+class Requirement(WrittenRecord):
     """What an endless periodic schedule must respect.
 
     Parameters
@@ -113,6 +119,12 @@ class Requirement(Record):
     """
 
     _reader: ClassVar[str] = "read_requirement"
+    _written = "the requirement"
+    _format = FORMAT
+    _plain = (
+        "format:_format window? period? spacing? target_sigma? cost_limit? time_unit? of? samples? decay_rate "
+        "timing_tolerance forbidden? fixed? outputs?"
+    )
     window: float | None = None
     period: float | None = None
     spacing: float | None = None
@@ -137,10 +149,10 @@ class Requirement(Record):
             own[key] = checks.nonnegative(key, getattr(self, key))
         own["forbidden"] = _intervals("forbidden", () if self.forbidden is None else self.forbidden)
         own["fixed"] = checks.increasing("fixed", () if self.fixed is None else self.fixed)
-        if not isinstance(self.outputs, (Mapping, type(None))):
-            came = checks.described(self.outputs)
-            raise ArgumentError(f"`outputs` must be a table of outputs by name, got {came}.")
-        own["outputs"] = {str(k): _access(str(k), v) for k, v in dict(self.outputs or {}).items()}
+        access = checks.of_kind(
+            "outputs", {} if self.outputs is None else self.outputs, Mapping, "a table of outputs by name"
+        )  # type: ignore[type-abstract]
+        own["outputs"] = {str(k): checks.record(f"outputs.{k}", v, OutputAccess) for k, v in access.items()}
         own["of"] = rows_asked(self.of)
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
@@ -159,49 +171,10 @@ class Requirement(Record):
         if self.fixed.size and self.fixed[-1] >= period:
             raise ArgumentError(f"`fixed` must lie in [0, period) = [0, {period!r}), got {float(self.fixed[-1])!r}.")
 
-    def replace(self, **changes: object) -> Requirement:
-        """Return a copy with some entries changed.
-
-        Raises
-        ------
-        ArgumentError
-            If an entry is unknown, or as for `Requirement`.
-        """
-        known = {name: getattr(self, name) for name in (f.name for f in fields(self))}
-        checks.known_keys("the requirement", changes, known)
-        return Requirement(**{**known, **changes})
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data, the tree of the requirement file; entries that were not given are left out."""
-        data: dict[str, Plain] = {"format": FORMAT}
-        for key in ("window", "period", "spacing", "target_sigma", "cost_limit", "time_unit"):
-            if getattr(self, key) is not None:
-                data[key] = getattr(self, key)
-        if self.of is not None:
-            data["of"] = list(self.of) if isinstance(self.of, tuple) else self.of.tolist()
-        if self.samples:
-            data["samples"] = dict(self.samples)
-        data["decay_rate"] = self.decay_rate
-        if self.timing_tolerance:
-            data["timing_tolerance"] = self.timing_tolerance
-        if self.forbidden.size:
-            data["forbidden"] = self.forbidden.tolist()
-        if self.fixed.size:
-            data["fixed"] = self.fixed.tolist()
-        if self.outputs:
-            data["outputs"] = {
-                name: {
-                    **({} if access.available is None else {"available": access.available.tolist()}),
-                    **({"cost": access.cost} if access.cost else {}),
-                }
-                for name, access in self.outputs.items()
-            }
-        return data
-
     def _rows(self) -> list[tuple[str, str]]:
         rows = [(key, _given(getattr(self, key))) for key in ("window", "period", "spacing")]
         if self.of is not None:
-            rows.append(("of", ", ".join(self.of) if isinstance(self.of, tuple) else counted(len(self.of), "row")))
+            rows.append(("of", rows_in_words(self.of)))
         rows.append(("samples", ", ".join(f"{k} {v}" for k, v in self.samples.items()) or "default"))
         if self.target_sigma is not None:
             rows.append(("target sigma", short(self.target_sigma)))
@@ -223,7 +196,7 @@ class Requirement(Record):
         if self.target_sigma is not None:
             parts[0] = f"Fewest samples with sigma >= {short(self.target_sigma)}" + (f", {counts}" if counts else "")
         if self.of is not None:
-            parts.append("for " + (", ".join(self.of) if isinstance(self.of, tuple) else counted(len(self.of), "row")))
+            parts.append(f"for {rows_in_words(self.of)}")
         if self.spacing is not None:
             parts.append(f"at least {short(self.spacing)} apart")
         parts += [f"{key} {short(v)}" for key in ("window", "period") if (v := getattr(self, key)) is not None]
@@ -236,9 +209,6 @@ class Requirement(Record):
         if self.cost_limit is not None:
             parts.append(f"cost at most {short(self.cost_limit)} a period")
         return ", ".join(parts) + "."
-
-
-FORMAT = "sampling-design/requirement/1"
 
 
 def _given(value: float | None) -> str:
@@ -287,12 +257,3 @@ def _counts(value: object) -> dict[str, int]:
     if counts.get("at_least", 0) > counts.get("at_most", np.inf):
         raise ArgumentError(f"`samples` asks for at_least {counts['at_least']} and at_most {counts['at_most']}.")
     return counts
-
-
-def _access(name: str, value: object) -> OutputAccess:
-    if isinstance(value, OutputAccess):
-        return value
-    if not isinstance(value, Mapping):
-        raise ArgumentError(f"`outputs.{name}` must be a table with available and cost, got {value!r:.60}.")
-    checks.known_keys(f"`outputs.{name}`", value, ("available", "cost"))
-    return OutputAccess(**value)

@@ -20,7 +20,7 @@ from sampling_design.checkers.strict import (
 )
 from sampling_design.design.problem.requirement import COUNTS, FORMAT, Requirement
 from sampling_design.errors import ArgumentError
-from sampling_design.records.file_io import read_tree, usable, write_tree
+from sampling_design.records.file_io import by_first, by_kind, of_format, read_tree, usable, write_tree
 from sampling_design.records.signatures import checked
 
 _SPANS = list_of(list_of(nonnegative, 2))
@@ -28,29 +28,20 @@ _COUNTS = table({}, {**dict.fromkeys(COUNTS, count), "target_sigma": positive})
 _ACCESS = table({}, {"available": _SPANS, "cost": nonnegative})
 
 
-def _samples(value: object, place: str) -> object:
-    """A number of samples, or a table of counts."""
-    return _COUNTS(value, place) if isinstance(value, Mapping) else count(value, place)
-
-
-def _of(value: object, place: str) -> object:
-    """Names, or rows of numbers."""
-    if isinstance(value, str) or (isinstance(value, list) and value and isinstance(value[0], str)):
-        return text(value, place) if isinstance(value, str) else list_of(text)(value, place)
-    return matrix()(value, place)
-
+_OF = by_kind({str: text}, by_first({str: list_of(text)}, matrix()))
+"""A name, names, or rows of numbers."""
 
 _TREE = table(
     {"format": word(FORMAT)},
     {
         **dict.fromkeys(("window", "period", "spacing", "target_sigma", "cost_limit"), positive),
-        "samples": _samples,
+        "samples": by_kind({Mapping: _COUNTS}, count),
         "decay_rate": nonnegative,
         "timing_tolerance": nonnegative,
         "forbidden": _SPANS,
         "fixed": list_of(nonnegative),
         "outputs": by_name(_ACCESS),
-        "of": _of,
+        "of": _OF,
         "time_unit": time_unit,
     },
     whole="the requirement",
@@ -100,10 +91,7 @@ def requirement_from_dict(data: Mapping[str, object], where: str = "requirement"
         As for `read_requirement`.
     """
     with usable(where):
-        if data and "format" not in data:
-            raise ArgumentError(f'`format` is missing: the file begins with the line format = "{FORMAT}".')
-        tree = _TREE(data, "")
-        del tree["format"]
+        tree = of_format(_TREE, data, FORMAT)
         samples = tree.get("samples")
         if isinstance(samples, dict) and "target_sigma" in samples:  # both places are in use
             if "target_sigma" in tree:

@@ -114,7 +114,7 @@ def test_another_ending_is_not_written(tmp_path):
         ({"fixed": [4.0], "period": 4.0}, "`fixed` must lie in [0, period) = [0, 4.0), got 4.0"),
         ({"outputs": len}, "`outputs` must be a table of outputs by name, got"),
         ({"forbidden": [[0.0], [1.0, 2.0]]}, "`forbidden` must be a rectangular array of numbers"),
-        ({"outputs": {"y": 3}}, "`outputs.y` must be a table of keys and values, got 3"),
+        ({"outputs": {"y": 3}}, "`outputs.y` must be a table of keys and values, got int 3"),
         ({"outputs": {"y": {"cost": -1}}}, "`cost` must not be negative"),
         ({"time_unit": "fortnight"}, "`time_unit` must be one of"),
     ],

@@ -193,7 +193,7 @@ def test_what_is_missing_or_out_of_reach_is_said():
         )
     with pytest.raises(ArgumentError, match="`w_intensity` must not be negative"):
         sd.plan_samples(OSCILLATOR, sd.PlanRequirement({"position": goal(0.3)}, **{**ONE, "w_intensity": [0.1, -1.0]}))
-    with pytest.raises(ArgumentError, match="`kind` must be one of 'guaranteed', 'standard deviation'"):
+    with pytest.raises(ArgumentError, match='`kind` must be "guaranteed" or "standard deviation"'):
         sd.PlanRequirement({"position": {"tolerance": 1.0, "kind": "likely"}})
     with pytest.raises(InfeasibleRequirementError, match="Not even measuring at every allowed time keeps"):
         sd.plan_samples(OSCILLATOR, sd.PlanRequirement({"position": goal(0.05)}, **ONE))

@@ -213,7 +213,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
                 lines.append((f"offset of {label}", short(self.offset[k])))
         if self.notice:
             lines.append(("notice", self.notice))
-        return lines + ([] if self.deviation is None else self.deviation.lines())
+        return lines + ([] if self.deviation is None else self.deviation._rows())
 
     def _why(self) -> str:
         names = ", ".join(self.unknown)

@@ -75,8 +75,7 @@ class StandardDeviation(PlainRecord):
 
     _plain = "rows:rows.names worst worst_at mean times profile"
 
-    def lines(self) -> list[tuple[str, str]]:
-        """Rows of a table."""
+    def _rows(self) -> list[tuple[str, str]]:
         unit = self.plant.time_unit
         return [
             (
@@ -87,9 +86,6 @@ class StandardDeviation(PlainRecord):
             )
             for k, label in enumerate(self.rows.labels())
         ]
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return self.lines()
 
     def explain(self) -> str:
         """Say what a filter attains."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 
@@ -11,9 +11,6 @@ from sampling_design.accuracy.sample_chain import ChainGap, SampleChain, noise_c
 from sampling_design.accuracy.start import StartSet
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.records.arrays import Array
-
-CarriedColumns: TypeAlias = dict[int, tuple[ChainGap, list[Array]]]
-"""Columns that each gap carries: one integral for all of them, since a chain may hold a gap many times."""
 
 ROUNDING = 1e-11
 """Relative allowance for rounding in every sum that bounds from above."""
@@ -39,21 +36,10 @@ def evaluated(
     data: list[Array] | None = None,
 ) -> Gains:
     """Return what gains prove of mu'z_K: h_start(rest) + int h_W(G'g) + sum h_V(gains), plus their data."""
-    total, g, scale = 0.0, mu[:, None], float(np.linalg.norm(mu))
-    flown: CarriedColumns = {}
-    for k in range(len(nodes) - 1, -1, -1):
-        sample, lam = chain.samples[nodes[k]], gains[k][:, None]
-        total += float(noise_cost(lam, sample.exact, chain.bounds.v_ball)[0])
-        step = sample.H.T @ lam
-        scale += float(np.linalg.norm(step))
-        g = g - step
-        if k:
-            gap = chain.gaps[nodes[k - 1]]
-            flown.setdefault(id(gap), (gap, []))[1].append(g)
-            g = gap.F.T @ g
-    total += float(_pushed(flown, chain.bounds.w_ball).sum())
+    cost, g, scale, _ = _followed_back(chain, nodes, mu[:, None], lambda k, _: gains[k][:, None])
+    total = float(cost[0])
     if isinstance(start, StartSet):
-        total += start.support(g[:, 0], scale)
+        total += start.support(g[:, 0], float(scale[0]))
     else:
         total += float(np.abs(g[:, 0]) @ start)
     if data is not None:
@@ -62,13 +48,38 @@ def evaluated(
     return Gains(total * (1 + ROUNDING), tuple(gains))
 
 
-def _pushed(flown: CarriedColumns, ball: bool) -> Array:
-    """What w costs columns that were carried over gaps, added up column by column."""
-    total = np.zeros(1)
+def _followed_back(
+    chain: SampleChain,
+    nodes: list[int],
+    mu: Array,
+    gains_at: Callable[[int, Array], Array],
+    known: Sequence[Array | None] = (),
+) -> tuple[Array, Array, Array, Array | None]:
+    """Columns mu (n, m) at the last node, followed back through the gains that are given there.
+
+    Returned are what gains and w cost, what is left of the columns, the sizes that were added up to it, and of `known`,
+    bounds on |z| after the samples before, the one at which so little was left that it went no farther back.
+    """
+    total, g, scale, reach = np.zeros(mu.shape[1]), mu, np.linalg.norm(mu, axis=0), None
+    flown: dict[int, tuple[ChainGap, list[Array]]] = {}  # a chain may hold a gap many times: one integral for all
+    for k in range(len(nodes) - 1, -1, -1):
+        sample, lam = chain.samples[nodes[k]], gains_at(k, g)
+        total += noise_cost(lam, sample.exact, chain.bounds.v_ball)
+        step = sample.H.T @ lam
+        scale += np.linalg.norm(step, axis=0)
+        g = g - step
+        if k:
+            gap = chain.gaps[nodes[k - 1]]
+            flown.setdefault(id(gap), (gap, []))[1].append(g)
+            g = gap.F.T @ g
+            reach = known[k - 1] if known else None
+            if reach is not None and np.abs(g).sum(axis=0).max() <= LEFT:
+                break
+            reach = None
     for gap, columns in flown.values():
-        every = gap.panels.integral(np.hstack(columns), ball)
+        every = gap.panels.integral(np.hstack(columns), chain.bounds.w_ball)
         total = total + every.reshape(len(columns), -1).sum(axis=0)
-    return total
+    return total, g, scale, reach
 
 
 def filter_gains(chain: SampleChain, nodes: list[int], mu: Array) -> list[Array]:
@@ -95,25 +106,12 @@ def filtered_bounds(chain: SampleChain, j: int, start: StartSet, known: list[Arr
 
     `known` are bounds on |z| after the samples before: one serves as a start where little is left of the columns.
     """
-    total, g, scale = np.zeros(mu.shape[1]), mu, np.linalg.norm(mu, axis=0)
-    flown: CarriedColumns = {}
-    for k in range(j, -1, -1):
-        sample = chain.samples[k]
-        gains = sample.K.T @ g
-        total += noise_cost(gains, sample.exact, chain.bounds.v_ball)
-        step = sample.H.T @ gains
-        scale += np.linalg.norm(step, axis=0)
-        g = g - step
-        if k:
-            gap = chain.gaps[k - 1]
-            flown.setdefault(id(gap), (gap, []))[1].append(g)
-            g = gap.F.T @ g
-            reach = known[k - 1]
-            if reach is not None and np.abs(g).sum(axis=0).max() <= LEFT:
-                return np.asarray((total + _pushed(flown, chain.bounds.w_ball) + reach @ np.abs(g)) * (1 + ROUNDING))
+    nodes = list(range(j + 1))
+    total, g, scale, reach = _followed_back(chain, nodes, mu, lambda k, g: chain.samples[k].K.T @ g, known)
+    if reach is not None:
+        return np.asarray((total + reach @ np.abs(g)) * (1 + ROUNDING))
     if start.rows < len(mu):  # what is free at the start must not be touched: gains are corrected
-        return np.array([filtered(chain, list(range(j + 1)), start, column).value for column in mu.T])
-    total = total + _pushed(flown, chain.bounds.w_ball)
+        return np.array([filtered(chain, nodes, start, column).value for column in mu.T])
     total += [start.support(rest, float(size)) for rest, size in zip(g.T, scale, strict=True)]
     return np.asarray(total * (1 + ROUNDING))
 

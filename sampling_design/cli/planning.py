@@ -84,7 +84,7 @@ def plan(
     if dates is not None and dates.exceptions:
         tables += [record_table(dates), dates.explain()]
     if comparison is not None:
-        lines = [[line.label, line.first, line.second] for line in comparison.lines()]
+        lines = [[label, *said] for label, said in comparison.lines()]
         tables += [table("Comparison", ["", *comparison.names], lines), comparison.explain()]
     settings.show(result.to_dict(), *tables)
     if not result.keeps and requirement.aim == "cheapest":

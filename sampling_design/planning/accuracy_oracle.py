@@ -98,7 +98,7 @@ class AccuracyOracle:
 
     def _judged(self, chosen: Mask, above: float, longest: bool) -> tuple[float, list[HiddenTrajectory]]:
         """The same, worked out."""
-        goals = [g for g, goal in enumerate(self.problem.goals) if not goal.spread]
+        goals = self.problem.guaranteed
         turns = all(goal.at != "given times" for goal in self.problem.goals)
         worst, found = self._deviations(chosen)
         at = np.flatnonzero(chosen.any(axis=1))
@@ -124,7 +124,7 @@ class AccuracyOracle:
         """The strongest attack of a goal that is broken in a gap, for every gap but that in which a known one ends."""
         at = np.flatnonzero(chosen.any(axis=1))
         gaps = np.diff(np.append(at, at[0] + self.problem.steps))
-        goals = [g for g, goal in enumerate(self.problem.goals) if not goal.spread]
+        goals = self.problem.guaranteed
         found = list[HiddenTrajectory]()
         for last, length in zip(at.tolist(), gaps.tolist(), strict=True):
             if (attack.end - last) % self.problem.steps > length:
@@ -201,7 +201,7 @@ class AccuracyOracle:
         hidden = self.problem.allowed & ~blindness.where
         at = np.flatnonzero(hidden.any(axis=1))
         gaps = np.diff(np.append(at, at[:1] + self.problem.steps))
-        goals = [g for g, goal in enumerate(self.problem.goals) if not goal.spread]
+        goals = self.problem.guaranteed
         if not goals or not at.size:
             return None
         last, length = int(at[np.argmax(gaps)]), int(gaps.max())

@@ -7,28 +7,10 @@ from dataclasses import dataclass
 
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.figures import PlanFigures
+from sampling_design.planning.problem import RowGoal
 from sampling_design.planning.robustness import LOST
 from sampling_design.records.record import Plain, Record, short
 from sampling_design.records.units import spoken, time_factor
-
-
-@dataclass(frozen=True)
-class SharedGoal:
-    """What both plans reach for one goal, in its unit."""
-
-    name: str
-    unit: str
-    first: float
-    second: float
-
-
-@dataclass(frozen=True)
-class ComparedLine:
-    """One line of the table: what each plan says of it."""
-
-    label: str
-    first: str
-    second: str
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,8 +28,7 @@ class PlanComparison(Record):
     names: tuple[str, str] = ("first", "second")
 
     def __post_init__(self) -> None:
-        shared = [goal.name for goal in self.first.goals if any(goal.name == g.name for g in self.second.goals)]
-        if not shared or self.first.plant.states.names != self.second.plant.states.names:
+        if not self.shared() or self.first.plant.states.names != self.second.plant.states.names:
             raise ArgumentError(
                 "`other` must be a plan for the same states with at least one goal in common, got goals "
                 f"{', '.join(g.name for g in self.first.goals)} and {', '.join(g.name for g in self.second.goals)}."
@@ -58,21 +39,25 @@ class PlanComparison(Record):
         """Both."""
         return self.first, self.second
 
-    def shared(self) -> list[SharedGoal]:
-        """Goals of both by name, with their unit and what each plan reaches."""
-        reached = [{g.name: (g, float(r)) for g, r in zip(p.goals, p.reached, strict=True)} for p in self.plans]
-        both = [name for name in reached[0] if name in reached[1]]
-        return [SharedGoal(name, reached[0][name][0].unit, reached[0][name][1], reached[1][name][1]) for name in both]
+    def shared(self) -> list[RowGoal]:
+        """Goals of the first plan that the second has by the same name."""
+        names = {goal.name for goal in self.second.goals}
+        return [goal for goal in self.first.goals if goal.name in names]
+
+    def reached(self, name: str) -> tuple[float, float]:
+        """What each plan reaches for a goal of both, in its unit."""
+        first, second = ({g.name: float(r) for g, r in zip(p.goals, p.reached, strict=True)} for p in self.plans)
+        return first[name], second[name]
 
     def a_day(self, plan: PlanFigures, value: float) -> float:
         """An amount per period as one per day, so that periods may differ."""
         return value / (plan.schedule.period * time_factor(plan.plant.time_unit, "d"))
 
-    def lines(self) -> list[ComparedLine]:
+    def lines(self) -> list[tuple[str, tuple[str, str]]]:
         """Label and what each plan says of it."""
 
-        def both(label: str, say: Callable[[PlanFigures], str]) -> ComparedLine:
-            return ComparedLine(label, say(self.first), say(self.second))
+        def both(label: str, say: Callable[[PlanFigures], str]) -> tuple[str, tuple[str, str]]:
+            return label, (say(self.first), say(self.second))
 
         unit = self.first.plant.time_unit
         rows = [
@@ -84,7 +69,8 @@ class PlanComparison(Record):
         rows.append(both("no plan for less than", lambda p: "-" if p.bound.cost is None else short(p.bound.cost.value)))
         for goal in self.shared():
             mark = f" {goal.unit}" if goal.unit else ""
-            rows.append(ComparedLine(goal.name, f"{short(goal.first, 4)}{mark}", f"{short(goal.second, 4)}{mark}"))
+            first, second = (f"{short(value, 4)}{mark}" for value in self.reached(goal.name))
+            rows.append((goal.name, (first, second)))
         rows.append(both("of the tolerances", lambda p: short(p.ratio, 4)))
         rows.append(both("could gain at most", lambda p: f"{100 * p.gap:.2g} %"))
         if any(p.robustness is not None or "robustness" in p.left_out for p in self.plans):
@@ -96,7 +82,7 @@ class PlanComparison(Record):
         return rows
 
     def _rows(self) -> list[tuple[str, str]]:
-        return [("", " | ".join(self.names)), *((x.label, f"{x.first} | {x.second}") for x in self.lines())]
+        return [("", " | ".join(self.names)), *((label, " | ".join(said)) for label, said in self.lines())]
 
     def explain(self) -> str:
         """Say which plan costs less and which knows more."""
@@ -107,8 +93,9 @@ class PlanComparison(Record):
         text = "Both cost the same" if alike else f"{less} costs {100 * (1 - share):.3g} % less"
         parts = []
         for goal in self.shared():
-            better = self.names[0] if goal.first < goal.second else self.names[1]
-            closer = 1 - min(goal.first, goal.second) / max(goal.first, goal.second)
+            first, second = self.reached(goal.name)
+            better = self.names[0] if first < second else self.names[1]
+            closer = 1 - min(first, second) / max(first, second)
             parts.append(f"{goal.name} by {better} ({100 * closer:.2g} % closer)")
         return f"{text}; known better: {', '.join(parts)}."
 

@@ -144,7 +144,7 @@ def _bounded(plan: PlanFigures, sequence: SampleSequence, until: float, level: f
 def _in_gap(plan: PlanFigures, sequence: SampleSequence, k: int, level: float) -> Iterator[GapLooks]:
     """The same of one gap; where the level is crossed, to the step."""
     oracle = plan.oracle
-    goals = [g for g, goal in enumerate(oracle.problem.goals) if not goal.spread]
+    goals = oracle.problem.guaranteed
     if not goals:
         return
     window, last, length = window_after(oracle, sequence, k)

@@ -29,7 +29,7 @@ from sampling_design.planning.evidence import EASED, PlanBound, gathered
 from sampling_design.planning.feasible_choices import FeasibleChoices, GoalProofs, ProvenChoice, tighter_margins
 from sampling_design.planning.first_choices import densest, sparse
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
-from sampling_design.planning.plan_record import Plan, is_free, limit_of, without_limits
+from sampling_design.planning.plan_record import Plan, limit_of, without_limits
 from sampling_design.planning.problem import PlanProblem, pose_plan
 from sampling_design.planning.proven_choice import plan_of, ratios_of
 from sampling_design.planning.requirement import PlanRequirement
@@ -281,7 +281,7 @@ class _Planning:
             return self._nearest(last)
         best = self.held.cheapest([chosen for chosen, _ in search.held], everything)
         sure, cost = best is last, self.problem.cost(best.chosen)
-        frame = CoveringRows(without_limits(self.problem), fixed=is_free(self.problem))
+        frame = CoveringRows(without_limits(self.problem), fixed=self.problem.is_free)
         search.sharpen(1 / EASED**2, cost)
         self.oracle.work.extend(*AFTER[0])
         self.least = prove_cost(frame, search.pool, 1 / EASED**2, cost, self.oracle.work, find=search.find)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -102,8 +102,7 @@ class Plan(PlanFigures):
             return False
         if not self._extras_hold():
             return False
-        free = is_free(problem)
-        ends = [ends_of(problem, g) for g in range(len(problem.goals))]
+        free, ends = problem.is_free, [problem.ends(g) for g in range(len(problem.goals))]
         limited, most = CoveringRows(problem, fixed=free), limit_of(problem, self.cost)
         loose = CoveringRows(without_limits(problem), fixed=free)
         return holds(self.bound, loose, limited, motion_of(problem), ends, most)
@@ -147,8 +146,8 @@ class Plan(PlanFigures):
         if self.bound.ratio is not None and len(self.goals) > 1:
             level = short(self.bound.ratio.level, 4)
             rows.append(("of the tolerances", f"{short(self.ratio, 4)}; no plan of this cost below {level}"))
-        rows += [] if self.start is None else self.start.lines()
-        rows += [] if self.robustness is None else self.robustness.lines()
+        rows += [] if self.start is None else self.start._rows()
+        rows += [] if self.robustness is None else self.robustness._rows()
         if self.certificate is not None:
             eta = f"{short(self.certificate.eta)} 1/{self.plant.time_unit}"
             part = self.certificate.plant
@@ -202,23 +201,8 @@ def same_samples(one: Schedule | PeriodicSchedule | None, other: PeriodicSchedul
     return close and bool(np.all(masks[0] == masks[1])) and bool(np.isclose(one.period, other.period, rtol=1e-12))
 
 
-def is_free(problem: PlanProblem) -> bool:
-    """Whether a plan may be turned by any number of steps, so that one sample may be put at step 0."""
-    return bool(problem.allowed.all()) and all(goal.at != "given times" for goal in problem.goals)
-
-
-def ends_of(problem: PlanProblem, g: int) -> Mask:
-    """Steps at which attacks against a goal may end."""
-    goal = problem.goals[g]
-    ends = np.full(problem.steps, goal.at != "given times")
-    ends[goal.steps.astype(int) % problem.steps] = True
-    return ends
-
-
 def without_limits(problem: PlanProblem) -> PlanProblem:
     """The problem without its limits of samples and cost."""
-    from dataclasses import replace
-
     return replace(problem, most_samples=np.inf, most_cost=np.inf)
 
 
@@ -252,7 +236,7 @@ def reached(
 ) -> Array:
     """What is proven for each goal at the times that it asks for."""
     values = np.zeros(len(problem.goals))
-    bounded = [k for k, goal in enumerate(problem.goals) if not goal.spread]
+    bounded = problem.guaranteed
     if proof is not None:
         values[bounded] = _bounded(problem, proof, bounded)
     if deviation is not None:

@@ -130,6 +130,23 @@ class PlanProblem:
         free = max(self.spacing, int(self.sensor_spacing.max(initial=1))) <= 1
         return free and bool(np.all(self.longest_use >= self.allowed.sum(axis=0)))
 
+    @property
+    def is_free(self) -> bool:
+        """Whether a plan may be turned by any number of steps, so that one sample may be put at step 0."""
+        return bool(self.allowed.all()) and all(goal.at != "given times" for goal in self.goals)
+
+    @property
+    def guaranteed(self) -> list[int]:
+        """Places of the goals that are guaranteed, and no standard deviations."""
+        return [g for g, goal in enumerate(self.goals) if not goal.spread]
+
+    def ends(self, g: int) -> Mask:
+        """Steps at which a hidden trajectory against a goal may end."""
+        goal = self.goals[g]
+        ends = np.full(self.steps, goal.at != "given times")
+        ends[goal.steps.astype(int) % self.steps] = True
+        return ends
+
     def cost(self, chosen: Mask) -> float:
         """Price of a period in which `chosen` (M, p) is measured; the number of samples where nothing has a price."""
         visits = float(np.any(chosen, axis=1).sum())

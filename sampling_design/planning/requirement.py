@@ -232,13 +232,8 @@ class PlanRequirement(WrittenRecord):
 
     def __post_init__(self) -> None:
         own: dict[str, object] = {}
-        goals, terms = (
-            checks.of_kind(key, {} if held is None else held, Mapping, f"a table of {of}")  # type: ignore[type-abstract]
-            for key, held, of in (
-                ("accuracy", self.accuracy, "goals by row"),
-                ("sensors", self.sensors, "terms by output"),
-            )
-        )
+        goals = checks.mapping("accuracy", self.accuracy, "a table of goals by row")
+        terms = checks.mapping("sensors", self.sensors, "a table of terms by output")
         own["accuracy"] = {str(k): _goal(str(k), v) for k, v in goals.items()}
         own["sensors"] = {str(k): checks.record(f"sensors.{k}", v, SensorTerms) for k, v in terms.items()}
         if self.calendar is not None:

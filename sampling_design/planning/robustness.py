@@ -49,8 +49,7 @@ class PlanRobustness(PlainRecord):
         """Any one sample may be so late."""
         return float(np.min(self.late))
 
-    def lines(self) -> list[tuple[str, str]]:
-        """Rows of a table."""
+    def _rows(self) -> list[tuple[str, str]]:
         worst = float(np.max(self.lost_ratio))
         missed = f"{short(worst, 4)} of the tolerance" if np.isfinite(worst) else "beyond all bounds"
         step = spoken(float(np.min(self.step)), self.time_unit)
@@ -59,9 +58,6 @@ class PlanRobustness(PlainRecord):
             ("any one sample may be late by", late),
             ("may be lost", f"{LOST[self.lost]}; after one at worst {missed}"),
         ]
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return self.lines()
 
     def explain(self) -> str:
         """Say what the plan bears."""

@@ -79,9 +79,9 @@ class PlanSearch:
     def __init__(self, problem: PlanProblem, oracle: AccuracyOracle, told: PlanProgress | None = None):
         self.problem, self.oracle = problem, oracle
         self.told = told or PlanProgress(None, problem, oracle.work)
-        self.free = bool(problem.allowed.all()) and all(goal.at != "given times" for goal in problem.goals)
+        self.free = problem.is_free
         self.cover = CoveringRows(problem, fixed=self.free)
-        self.pool = HiddenTrajectories(problem.steps, [_ends(problem, g) for g in range(len(problem.goals))])
+        self.pool = HiddenTrajectories(problem.steps, [problem.ends(g) for g in range(len(problem.goals))])
         self.found = PlanSearchState()
         self.spread = all(goal.spread for goal in problem.goals)
         self.held: list[tuple[Mask, float]] = []
@@ -471,13 +471,3 @@ class PlanSearch:
 def _spread(size: int, count: int) -> Index:
     """So many places of a list, evenly spread."""
     return np.round(np.linspace(0, size - 1, min(count, size))).astype(np.intp)
-
-
-def _ends(problem: PlanProblem, g: int) -> Mask:
-    """Steps at which attacks against a goal may end."""
-    goal = problem.goals[g]
-    if goal.at != "given times":
-        return np.ones(problem.steps, dtype=bool)
-    ends = np.zeros(problem.steps, dtype=bool)
-    ends[goal.steps.astype(int) % problem.steps] = True
-    return ends

@@ -16,8 +16,8 @@ from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.adversary_program import GridWindow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import WHOLE, RowGoal
-from sampling_design.planning.sequence_chain import phase_of, plan_chain, sequence_chain
-from sampling_design.planning.sequence_deviation import SampleSequence, asked, departs_and_returns, spread_of
+from sampling_design.planning.sequence_chain import plan_chain, sequence_chain
+from sampling_design.planning.sequence_deviation import SampleSequence, asked, departs_and_returns, phase_of, spread_of
 from sampling_design.planning.transient_bound import settled_factors
 from sampling_design.planning.work_prices import BETWEEN, CHAIN, GAINS, STARTED
 from sampling_design.records.arrays import Array
@@ -77,7 +77,7 @@ def _bounded_worst(plan: PlanFigures, sequence: SampleSequence, above: float, un
     worst = before = here = 0.0
     where = None
     oracle, count, back = plan.oracle, plan.samples, departs_and_returns(plan, sequence)[1]
-    goals = [g for g, goal in enumerate(oracle.problem.goals) if not goal.spread]
+    goals = oracle.problem.guaranteed
     start = sequence.start
     for k in range(start, len(sequence.times) - 1):
         if sequence.times[k] >= until:
@@ -124,7 +124,7 @@ def window_after(oracle: AccuracyOracle, sequence: SampleSequence, k: int) -> tu
 def gap_ratios(plan: PlanFigures, sequence: SampleSequence, since: float, until: float) -> dict[int, float]:
     """The ratio of accuracy to tolerance in each gap that ends after a time and begins before another, in floats."""
     oracle, times = plan.oracle, sequence.times
-    goals = [g for g, goal in enumerate(oracle.problem.goals) if not goal.spread]
+    goals = oracle.problem.guaranteed
     found: dict[int, float] = {}
     if plan.deviation is not None:
         for k, _, _, ratios in spread_of(plan).gaps(sequence, until):

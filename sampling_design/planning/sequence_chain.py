@@ -23,13 +23,9 @@ from sampling_design.errors import NotDetectableError
 from sampling_design.numerics.filtering import information_update, propagate, update_with_gain
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.planning.figures import PlanFigures
-from sampling_design.planning.sequence_deviation import SampleSequence
+from sampling_design.planning.sequence_deviation import GRAIN, SampleSequence, phase_of
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
-from sampling_design.schedules.schedule import PeriodicSchedule
-
-GRAIN = 1e-9
-"""Times are the same if they differ by less than this share of the period."""
 
 UNKNOWN = 1e6
 """What is not known of the error at a plan's start is at most so many times what its filter leaves later on: rounding
@@ -55,12 +51,6 @@ def plan_chain(plan: PlanFigures) -> SampleChain:
             f"`plan` never shows {', '.join(known.modes)}: what a change of its samples does is not bounded."
         )
     return plan.accuracy.question.chain(plan.plant)[0]
-
-
-def phase_of(schedule: PeriodicSchedule, t: float) -> int:
-    """Which sample of the period is taken at a time of the plan."""
-    phase = (t - schedule.times) / schedule.period
-    return int(np.argmin(np.abs(phase - np.round(phase))))
 
 
 def sequence_chain(

@@ -21,6 +21,7 @@ from sampling_design.planning.opening import PlanClock
 from sampling_design.planning.problem import WHOLE, PlanProblem, RowGoal
 from sampling_design.planning.work_prices import SEQUENCE
 from sampling_design.records.arrays import Array, Mask
+from sampling_design.schedules.schedule import PeriodicSchedule
 
 DAY = 1440.0
 """Minutes by which clocks are never put forward or back."""
@@ -88,6 +89,12 @@ class SampleSequence:
         """How much of the gap after a sample is not judged."""
         before = self.since - float(self.times[k])
         return before if before > self._tiny else 0.0
+
+
+def phase_of(schedule: PeriodicSchedule, t: float) -> int:
+    """Which sample of the period is taken at a time of the plan."""
+    phase = (t - schedule.times) / schedule.period
+    return int(np.argmin(np.abs(phase - np.round(phase))))
 
 
 def planned(plan: PlanFigures, start: float, stop: float, clock: PlanClock = ORDINARY) -> tuple[Array, Mask]:
@@ -287,12 +294,7 @@ class SpreadSequence:
 
     def _limit(self, sequence: SampleSequence, k: int) -> Array:
         """The plan's own covariance after a sample of a sequence."""
-        return np.asarray(self.limits[self._phase(float(sequence.shown[k]))])
-
-    def _phase(self, t: float) -> int:
-        """Which sample of the period is taken at a time of the plan."""
-        phase = (t - self.plan.schedule.times) / self.plan.schedule.period
-        return int(np.argmin(np.abs(phase - np.round(phase))))
+        return np.asarray(self.limits[phase_of(self.plan.schedule, float(sequence.shown[k]))])
 
 
 @lru_cache(maxsize=4)

@@ -46,13 +46,7 @@ class PlanStart(PlainRecord):
     from_time: float
     ratio: float
     bounded: bool
-
-    def lines(self) -> list[tuple[str, str]]:
-        """Rows of a table."""
-        return [("followed from its start", self.told())]
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return self.lines()
+    _table = {"followed from its start": "{told}"}
 
     def told(self) -> str:
         """From when on, in words."""

@@ -299,6 +299,17 @@ def names(name: str, value: Sequence[str] | None, length: int, prefix: str) -> t
     return result
 
 
+def mapping(name: str, value: object, expected: str = "a table of keys and values") -> Mapping[str, object]:
+    """Return `value` if it is a table, an empty one where nothing came.
+
+    Raises
+    ------
+    ArgumentError
+        If it is none.
+    """
+    return of_kind(name, {} if value is None else value, Mapping, expected)  # type: ignore[type-abstract]
+
+
 def record(name: str, value: object, kind: type[Instance]) -> Instance:
     """Return `value` if it is a record of a class, or the record that a table of its fields makes.
 

@@ -4,7 +4,6 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError
-from sampling_design.planning.comparison import SharedGoal
 from sampling_design.plotting.plan_comparison import curve
 
 
@@ -21,9 +20,10 @@ def pair(week):
 @pytest.mark.long
 def test_figures_of_both_are_side_by_side(pair):
     found = pair[0].compare(pair[1], ("cheap", "close"))
-    rows = {line.label: (line.first, line.second) for line in found.lines()}
+    rows = dict(found.lines())
     assert rows["cost of a period"] == (f"{pair[0].cost:g}", f"{pair[1].cost:g}")
-    assert found.shared() == [SharedGoal("level", "cm", float(pair[0].reached[0]), float(pair[1].reached[0]))]
+    assert [(goal.name, goal.unit) for goal in found.shared()] == [("level", "cm")]
+    assert found.reached("level") == (float(pair[0].reached[0]), float(pair[1].reached[0]))
     assert pair[1].reached[0] < pair[0].reached[0]
     saved = 100 * (1 - pair[0].cost / pair[1].cost)
     assert found.explain().startswith(f"cheap costs {saved:.3g} % less; known better: level by close")

@@ -16,7 +16,6 @@ from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.evidence import PlanBound, holds
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories, HiddenTrajectory
 from sampling_design.planning.hitting_set import hit
-from sampling_design.planning.plan_record import ends_of, is_free
 from sampling_design.planning.problem import pose_plan
 from sampling_design.records.budget import Budget
 
@@ -40,7 +39,7 @@ def posed(samples=3, *, closed=(), **more):
 
 def pooled(rng, problem, count, at_sample=False):
     """Motions of level one, each shown by some steps and sensors."""
-    pool = HiddenTrajectories(problem.steps, [ends_of(problem, g) for g in range(len(problem.goals))])
+    pool = HiddenTrajectories(problem.steps, [problem.ends(g) for g in range(len(problem.goals))])
     for _ in range(count):
         peaks = np.where(rng.random((problem.steps, 2)) < rng.uniform(0.1, 0.4), 2.0, 0.5)
         own = at_sample and bool(rng.random() < 0.5)
@@ -72,7 +71,7 @@ def test_it_says_what_trying_all_choices_says(seed):
     closed = rng.choice(STEPS, 3, replace=False).tolist() if seed % 2 else ()
     problem = posed(int(rng.integers(2, 5)), closed=closed)
     pool = pooled(rng, problem, int(rng.integers(1, 5)), at_sample=seed % 4 > 1)
-    cover = CoveringRows(problem, fixed=is_free(problem))
+    cover = CoveringRows(problem, fixed=problem.is_free)
     most = int(problem.most_samples)
     found = hit(cover, pool, 1.0, cover.dearest, Budget(counted=True))
     wanted = tried(problem, pool, most)
@@ -227,7 +226,7 @@ def test_the_most_accurate_plan_reads_every_sensor_that_costs_nothing():
     assert found.gap <= 0.02
     assert found.verify()
     problem = pose_plan(TWO, found.requirement)
-    cover, ends = CoveringRows(problem, fixed=True), [ends_of(problem, 0)]
+    cover, ends = CoveringRows(problem, fixed=True), [problem.ends(0)]
     motion, ratio = motion_of(problem), found.bound.ratio
     assert holds(found.bound, cover, cover, motion, ends, 3.0)
     higher = PlanBound(found.bound.attacks, replace(ratio, level=ratio.level * 1.05), None)

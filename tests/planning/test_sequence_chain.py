@@ -7,8 +7,8 @@ import sampling_design as sd
 from sampling_design.accuracy.search import ChainSearch
 from sampling_design.planning.disturbed import delayed, without
 from sampling_design.planning.sequence import forgets, looks_back, proven_ratio, settles
-from sampling_design.planning.sequence_chain import phase_of, plan_chain, sequence_chain
-from sampling_design.planning.sequence_deviation import SampleSequence, planned
+from sampling_design.planning.sequence_chain import plan_chain, sequence_chain
+from sampling_design.planning.sequence_deviation import SampleSequence, phase_of, planned
 from tests.oracles import planning as oracle
 
 

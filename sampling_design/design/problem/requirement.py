@@ -149,9 +149,7 @@ class Requirement(WrittenRecord):
             own[key] = checks.nonnegative(key, getattr(self, key))
         own["forbidden"] = _intervals("forbidden", () if self.forbidden is None else self.forbidden)
         own["fixed"] = checks.increasing("fixed", () if self.fixed is None else self.fixed)
-        access = checks.of_kind(
-            "outputs", {} if self.outputs is None else self.outputs, Mapping, "a table of outputs by name"
-        )  # type: ignore[type-abstract]
+        access = checks.mapping("outputs", self.outputs, "a table of outputs by name")
         own["outputs"] = {str(k): checks.record(f"outputs.{k}", v, OutputAccess) for k, v in access.items()}
         own["of"] = rows_asked(self.of)
         if self.time_unit is not None:

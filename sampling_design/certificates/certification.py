@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import __version__
-from sampling_design.certificates.exact.canonical import NoiseWeights, ScaledProblem, canonical, followed, slip
+from sampling_design.certificates.exact.canonical import ScaledProblem, canonical, followed, slip
 from sampling_design.certificates.exact.certificate import WITHOUT_GAIN, Certificate, SampledCertificate
 from sampling_design.certificates.exact.efforts import ALL_WORK, BEYOND, LOOK_WORK, SEARCHED, SearchEffort
-from sampling_design.certificates.exact.given_weights import above_one, met, weights_of
+from sampling_design.certificates.exact.given_weights import NoiseWeights, above_one, met, weights_of
 from sampling_design.certificates.exact.own_decay import own_decay
 from sampling_design.certificates.exact.precise import precisely_chosen
 from sampling_design.certificates.exact.proof import ScheduleProof

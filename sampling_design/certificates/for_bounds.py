@@ -15,7 +15,6 @@ from sampling_design.records import checks
 from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
-from sampling_design.schedules.sampling_set import SamplingSet
 
 
 class ErrorBoundArguments(TypedDict):
@@ -68,8 +67,7 @@ def certify_for_bounds(
     >>> certify_for_bounds(plant, PeriodicSchedule([0.5, 1.0]), w_bound=0.1, v_bound=0.2).eta
     1.0
     """
-    longest = schedule.d_max if isinstance(schedule, SamplingFamily) else SamplingSet(schedule).d_max
-    rate = 1 / longest if eta is None else eta
+    rate = 1 / schedule.d_max if eta is None else eta
     w = _or_scales("w_bound", w_bound, plant.disturbances)
     v, start = _or_scales("v_bound", v_bound, plant.outputs), _or_scales("initial_error", initial_error, plant.states)
     weights = weights_from_bounds(plant, rate, w, v, start)

@@ -20,7 +20,6 @@ from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.gap_range import GapRange
-from sampling_design.schedules.sampling_set import SamplingSet
 from sampling_design.schedules.schedule import Schedule
 
 GAPS_IN_HORIZON = 10
@@ -112,7 +111,7 @@ def estimator_for(
     start = ordered.start if certificate is None and schedule is None else 0.0
     guarantee = "Guarantee of the certificate given."
     if certificate is None and schedule is not None:
-        rate = _rate(plant, eta, SamplingSet(schedule).d_max, used)
+        rate = _rate(plant, eta, schedule.d_max, used)
         certificate = certify_for_bounds(plant, schedule, eta=rate, progress=progress, **bounds)
         guarantee = "Guarantee for the schedule given."
     elif certificate is None:

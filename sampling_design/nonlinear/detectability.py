@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.region import own_box
 from sampling_design.nonlinear.simulation import Integrator
-from sampling_design.nonlinear.tightest_pairs import SampledTrajectory, TightestPairs
+from sampling_design.nonlinear.tightest_pairs import PairOutcome, SampledTrajectory, TightestPairs
 from sampling_design.nonlinear.weights import NonlinearWeights, scaled_weights
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
@@ -210,7 +211,7 @@ def check_detectability(
     """
     if cost.eta is None:
         raise ArgumentError("`cost` must give a rate here: CostFunction(eta=...).")
-    study = _Study(plant, scaled_weights(plant, cost), start, duration, step, u)
+    study = DetectabilityStudy(plant, scaled_weights(plant, cost), start, duration, step, u)
     left = study.weights.P2 if P1 is None else scaled_weights(plant, CostFunction(P2=P1), name="P1").P2  # type: ignore[arg-type]
     rng = checks.generator(rng)
     count, sets = checks.whole("pairs", pairs, 1), SamplingSet(schedule)
@@ -227,21 +228,7 @@ def check_detectability(
     return study.evidence(found, count - len(found))
 
 
-class PairOutcome(NamedTuple):
-    """What a pair shows: the least ratio, when, the scaled difference then, and the growth in P2, and when.
-
-    quiet : that growth with equal disturbances.
-    """
-
-    ratio: float
-    t: float
-    difference: Array
-    lam: float
-    lam_time: float
-    quiet: float = 1.0
-
-
-class _Study:
+class DetectabilityStudy:
     """What all pairs share."""
 
     def __init__(
@@ -310,12 +297,8 @@ class _Study:
         scale = {key: signals.scales for key, signals in self.plant.signals.items()}
         first = [part * scale[key] for part, key in zip(one, ("states", "disturbances", "noises"), strict=False)]
         tight = self.tightest.along(SampledTrajectory(grid, first[0], first[1], first[2], self.u, measured), P1)
-        found = found._replace(quiet=tight.quiet)
-        if tight.lam > found.lam:
-            found = found._replace(lam=tight.lam, lam_time=tight.lam_time)
-        if tight.ratio < found.ratio:
-            found = found._replace(ratio=tight.ratio, t=tight.time, difference=tight.direction)
-        return found
+        least, most = min(found, tight, key=itemgetter(0)), max(found, tight, key=itemgetter(3))
+        return PairOutcome(*least[:3], *most[3:5], tight.quiet)
 
     def _trajectory(
         self, grid: Array, loud: float, rng: np.random.Generator

@@ -39,19 +39,19 @@ class SampledTrajectory(NamedTuple):
     measured: Mask
 
 
-class TightestPair(NamedTuple):
-    """Where small differences from a trajectory are tightest, scaled.
+class PairOutcome(NamedTuple):
+    """What a pair, or all small differences from a trajectory, show of (16), scaled.
 
-    lam : the largest |d(t)|^2_P2 over the right side of (16), at `lam_time`; quiet : the same with equal disturbances;
-    ratio : the least right side over |d(t)|^2_P1, at `time` for the difference `direction` there.
+    ratio : the least right side over |d(t)|^2_P1, at `t` for the `difference` there; lam : the largest |d(t)|^2_P2 over
+    the right side, at `lam_time`; quiet : that with equal disturbances.
     """
 
+    ratio: float
+    t: float
+    difference: Array
     lam: float
     lam_time: float
-    quiet: float
-    ratio: float
-    time: float
-    direction: Array
+    quiet: float = 1.0
 
 
 class TightestPairs:
@@ -75,7 +75,7 @@ class TightestPairs:
         slopes = [ca.densify(ca.jacobian(y, x)), ca.densify(ca.jacobian(y, v))]
         self._slopes = ca.Function("slopes", [x, u, v, t], slopes)
 
-    def along(self, path: SampledTrajectory, P1: Array) -> TightestPair:
+    def along(self, path: SampledTrajectory, P1: Array) -> PairOutcome:
         """Return the tightest of all times along a trajectory."""
         own: Array = np.asarray(np.linalg.cholesky(self.weights.P2), dtype=np.float64)
         other: Array = np.asarray(np.linalg.cholesky(P1), dtype=np.float64)
@@ -85,7 +85,7 @@ class TightestPairs:
         most, k = max((_largest(Y, other), k) for k, (_, Y) in enumerate(loud))
         half = symmetrise(other.T @ loud[k][1] @ other)
         direction: Array = np.asarray(np.linalg.solve(other.T, np.linalg.eigh(half)[1][:, -1]), dtype=np.float64)
-        return TightestPair(lam, lam_time, quiet, 1 / most, loud[k][0], direction)
+        return PairOutcome(1 / most, loud[k][0], direction, lam, lam_time, quiet)
 
     def _spreads(self, path: SampledTrajectory, integrator: SpreadIntegrator, own: Array) -> list[tuple[float, Array]]:
         """Y at the times looked at, as far as it can be followed."""

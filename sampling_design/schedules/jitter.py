@@ -93,7 +93,7 @@ class Jitter(SamplingFamily, kind="jitter"):
     @property
     def min_gap(self) -> float:
         """Least nominal gap less twice the tolerance."""
-        return SamplingSet(self.schedule).min_gap - 2 * self.timing_tolerance
+        return self.schedule.min_gap - 2 * self.timing_tolerance
 
     @property
     def d_max(self) -> float:

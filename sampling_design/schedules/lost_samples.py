@@ -85,7 +85,7 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
     @property
     def min_gap(self) -> float:
         """Least nominal gap."""
-        return SamplingSet(self.schedule).min_gap
+        return self.schedule.min_gap
 
     @property
     def d_max(self) -> float:

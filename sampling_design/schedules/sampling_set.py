@@ -106,12 +106,12 @@ class SamplingSet(Record):
     @cached_property
     def d_max(self) -> float:
         """Largest gap, d_1 included."""
-        return float(max(self.first, np.max(self.later_gaps, initial=0.0)))
+        return self.schedule.d_max
 
     @cached_property
     def min_gap(self) -> float:
         """Least of d_2, d_3, ...; infinite if there are none."""
-        return float(np.min(self.later_gaps, initial=np.inf))
+        return self.schedule.min_gap
 
     def gap(self, i: int) -> float:
         """Return d_i, i = 1, 2, ... as in the paper."""

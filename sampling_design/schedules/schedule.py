@@ -44,6 +44,25 @@ class _Sampled(Record):
         """Return the samples in [start, stop]; `closed` = "both", "left", "right" or "neither"."""
         raise NotImplementedError
 
+    @property
+    def min_gap(self) -> float:
+        """Least gap between two samples; infinite if there is none."""
+        return float(np.min(self.gaps, initial=np.inf))  # type: ignore[attr-defined]  # both kinds have gaps and times
+
+    @property
+    def d_max(self) -> float:
+        """Largest gap, the one before the first sample included.
+
+        Raises
+        ------
+        ArgumentError
+            If there is no sample.
+        """
+        times, gaps = self.times, self.gaps  # type: ignore[attr-defined]
+        if not len(times):
+            raise ArgumentError("`schedule` must have at least one sample: without one it has no longest gap.")
+        return float(max(times[0], np.max(gaps, initial=0.0)))
+
     def window(self, t: float, T: float) -> Schedule:
         """Return the samples in the closed window [t - T, t], times as they are."""
         return self.between(t - T, t)

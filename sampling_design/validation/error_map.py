@@ -12,9 +12,9 @@ from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
+from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.numerics.filtering import propagate, update_with_gain, whitened
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.records.arrays import Array, Index, Mask
@@ -132,7 +132,7 @@ class ErrorMap:
         return RunErrors(found.transpose(1, 0, 2), radii.T)
 
     def _flown(self, radius: Array, h: float) -> Array:
-        return np.asarray(radius * np.exp(-self.eta * h) + self.w_energy * discounted(self.eta, h))
+        return np.asarray(radius * np.exp(-self.eta * h) + self.w_energy * discounted_length(self.eta, h))
 
     def _solve(
         self, window: SolveWindow, online: list[tuple[Array, Array]], given: tuple[Array, Array, Array]
@@ -167,12 +167,6 @@ class ErrorMap:
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = square / errors.radius
         return np.where(errors.radius > 0, ratio, np.where(square > 0, np.inf, 0.0))
-
-
-def discounted(eta: float, h: npt.ArrayLike) -> Array:
-    """Return int_0^h e^{-eta s} ds."""
-    length = np.asarray(h, dtype=np.float64)
-    return length if eta == 0 else np.asarray(-np.expm1(-eta * length) / eta)
 
 
 def build_error_map(timeline: Timeline, estimator: LinearEstimator, bounds: ScenarioBounds) -> ErrorMap:
@@ -269,7 +263,7 @@ class _Builder:
             worst = 1.0 if self.filtered else float(np.linalg.eigvalsh(factor.T @ online[start] @ factor)[-1])
             Y = online[start] if self.filtered else Y
         length = times[end] - times[start]
-        known = self.w_energy * float(discounted(self.weights.eta, length)) if length > 0 else 0.0
+        known = self.w_energy * float(discounted_length(self.weights.eta, length)) if length > 0 else 0.0
         absorbs: dict[int, SampleUpdate] = {}
         for k in range(start, end + 1):
             if k > start:

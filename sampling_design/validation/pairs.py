@@ -8,10 +8,10 @@ import numpy as np
 
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.estimators.gap_flows.cost_weights import marginal
+from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.numerics.filtering import measurement_update, propagate, whitened
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.records.arrays import Array
-from sampling_design.validation.error_map import discounted
 from sampling_design.validation.timeline import Timeline
 
 MOST_STARTS = 80
@@ -52,7 +52,7 @@ def sides(line: Timeline, certificate: SampledCertificate, start: int, stop: int
     for c in range(start, stop):
         h, w = line.lengths[c], pairs.w[:, c]
         push = np.einsum("ri,ij,rj->r", w, certificate.Qw, w)
-        total = total * np.exp(-eta * h) + push * discounted(eta, h)
+        total = total * np.exp(-eta * h) + push * discounted_length(eta, h)
         x = x @ line.F[c].T + w @ line.gamma[c].T
         left = np.sum((x @ root.T) ** 2, axis=1)
         best = max(best, (float(np.max(left / total)), c + 1))
@@ -118,7 +118,7 @@ def worst_pair(line: Timeline, certificate: SampledCertificate, span: float) -> 
 
 def _cell_noise(line: Timeline, certificate: SampledCertificate, c: int) -> tuple[Array, Array]:
     """Gamma and (Qw delta)^-1 of a cell."""
-    unit = np.linalg.inv(certificate.Qw) / discounted(certificate.eta, line.lengths[c])
+    unit = np.linalg.inv(certificate.Qw) / discounted_length(certificate.eta, line.lengths[c])
     return line.gamma[c], unit
 
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.estimators.gap_flows.cost_weights import marginal
+from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.records.arrays import Array
-from sampling_design.validation.error_map import ErrorRows, discounted
+from sampling_design.validation.error_map import ErrorRows
 from sampling_design.validation.scenario import RunInputs
 from sampling_design.validation.timeline import Timeline
 
@@ -33,7 +34,7 @@ class Promise:
         """Return the right side at every row, for every run: (r, R)."""
         samples = {int(b): j for j, b in enumerate(line.samples)}
         total = _square(inputs.e0, self.prior)
-        push = np.einsum("rci,ij,rcj->rc", inputs.w, self.w, inputs.w) * discounted(self.rate, line.lengths)
+        push = np.einsum("rci,ij,rcj->rc", inputs.w, self.w, inputs.w) * discounted_length(self.rate, line.lengths)
         noise = np.einsum("rji,jik,rjk->rj", inputs.v, self.heard(line.masks), inputs.v)
         fade = np.exp(-self.rate * line.lengths)
         found = np.empty((rows.at.size, total.size))
@@ -57,7 +58,7 @@ class Promise:
         t, when = rows.times, line.times[line.samples]
         heard = (when[None] < t[:, None]) | ((when[None] == t[:, None]) & rows.after[:, None])
         fade = np.exp(-self.rate * np.maximum(t[:, None] - when[None], 0.0))
-        total = np.exp(-self.rate * t) * e0 + w * discounted(self.rate, t) + np.where(heard, fade, 0.0) @ v
+        total = np.exp(-self.rate * t) * e0 + w * discounted_length(self.rate, t) + np.where(heard, fade, 0.0) @ v
         return np.asarray(self.gain * total)
 
     def size(self, e: Array) -> Array:

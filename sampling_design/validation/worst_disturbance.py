@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.records.arrays import Array
-from sampling_design.validation.error_map import ErrorMap, SolveWindow, discounted
+from sampling_design.validation.error_map import ErrorMap, SolveWindow
 from sampling_design.validation.promise import Promise
 from sampling_design.validation.scenario import RunInputs, ScenarioBounds, most_along
 
@@ -100,7 +101,8 @@ def _terms(found: ErrorMap, promise: Promise, row: int, parts: Sensitivity) -> l
     """Each part with the inverse of its weight in the promise at that row."""
     line, t = found.timeline, found.rows.times[row]
     inside, rate = line.times[1:] <= t * (1 + 1e-15), promise.rate
-    cost = np.where(inside, np.exp(-rate * np.maximum(t - line.times[1:], 0)) * discounted(rate, line.lengths), np.inf)
+    faded = np.exp(-rate * np.maximum(t - line.times[1:], 0)) * discounted_length(rate, line.lengths)
+    cost = np.where(inside, faded, np.inf)
     fade = np.exp(rate * np.maximum(t - line.times[line.samples], 0))
     unit = np.linalg.inv(promise.w)
     seen = promise.heard(line.masks)

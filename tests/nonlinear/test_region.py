@@ -18,7 +18,6 @@ from sampling_design.nonlinear.simulation import simulate
 from sampling_design.nonlinear.thyroid import thyroid
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion, longest_gap
 from sampling_design.uncertain.inclusion.layout import graph_for
-from sampling_design.uncertain.inclusion.members import InclusionWeights
 from sampling_design.uncertain.inclusion.search import InclusionSearch
 
 SIZES = {"states": 2, "disturbances": 1, "outputs": 1}
@@ -75,7 +74,7 @@ def test_angles_that_are_bounded_bear_longer_gaps():
 def test_a_growth_rate_known_to_a_third_bears_gaps_of_an_hour():
     """Cells judged by the norm of what their Jacobian is off, against the diagonal alone, leave this one open."""
     plant = examples.bioreactor().in_region([9.0, 0.4, 0.2], [10.0, 0.7, 0.4])
-    weights = InclusionWeights(*weights_of(plant.centre, None, None, None))
+    weights = weights_of(plant.centre, None, None, None)
     gaps = GapRange(0.1, 1.0)
     search = InclusionSearch(plant, gaps, graph_for(gaps, 0, plant.centre.n_outputs), weights, 3.0)
     found = search.solve(0.02, 2)

@@ -149,3 +149,12 @@ def test_the_shortest_period_keeps_the_samples():
         PeriodicSchedule([0.5] * 2, outputs=[[True, False], [True, True]]),
     ):
         assert alone.primitive() is alone
+
+
+def test_a_schedule_knows_its_longest_and_its_least_gap():
+    finite, endless = Schedule([2.0, 2.5, 4.0]), PeriodicSchedule([1.0, 0.25], first=0.75)
+    assert (finite.d_max, finite.min_gap) == (2.0, 0.5)
+    assert (endless.d_max, endless.min_gap) == (1.0, 0.25)
+    assert Schedule([3.0]).min_gap == np.inf
+    with pytest.raises(ArgumentError, match="`schedule` must have at least one sample: without one it has no longest"):
+        _ = Schedule([]).d_max

@@ -11,6 +11,7 @@ import numpy as np
 
 from sampling_design.certificates.certification import certify
 from sampling_design.certificates.exact.certificate import Certificate, SampledCertificate
+from sampling_design.certificates.exact.given_weights import NoiseWeights
 from sampling_design.certificates.existence.periodic import certificate_exists
 from sampling_design.certificates.families.certify_family import CandidateWeights, FamilySearch, certified
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
@@ -26,7 +27,6 @@ from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily, period_of
 from sampling_design.schedules.jitter import Jitter
 from sampling_design.schedules.lost_samples import LostSamples
-from sampling_design.schedules.sampling_set import SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 RADIUS_RTOL = 0.02
@@ -162,7 +162,8 @@ class RobustnessSearch:
 
     def __init__(self, certificate: Certificate, limit: float, budget: Budget, report: Progress) -> None:
         self.certificate, self.limit, self.budget, self.report = certificate, limit, budget, report
-        self.plant, self.weights = certificate.plant, (certificate.Qw, certificate.R, certificate.Qv)
+        c = certificate
+        self.plant, self.weights = c.plant, NoiseWeights(c.Qw, c.R, c.Qv)
         self.late = False
 
     def judge(self, family: SamplingFamily, levels: Iterable[int]) -> tuple[float, CandidateWeights | None]:
@@ -203,7 +204,7 @@ class RobustnessSearch:
         self, schedule: PeriodicSchedule
     ) -> tuple[float, float, list[FamilyTrial[Jitter]], FamilyCertificate | None]:
         """The largest timing error that is proven, the least that is not, all that were tried, and its certificate."""
-        top = LARGEST_PART * SamplingSet(schedule).min_gap / 2
+        top = LARGEST_PART * schedule.min_gap / 2
         low, high, best = 0.0, top, None
         trials = [FamilyTrial(Jitter(schedule, 0.0), self.certificate.lam, True)]
         radius, failed = FIRST_RADIUS * top, False

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.certificates.exact.given_weights import NoiseWeights
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records.arrays import Array
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-
-NoiseWeights = tuple[Array, Array, Array]
 
 MOST_GROWTH = 300.0
 """Exponent of the largest growth between two samples that is followed: its square is still a double."""
@@ -87,7 +86,7 @@ def canonical(
             logs = _balanced(A, C, seen, np.log2(plant.states.scales)) if log_sizes is None else log_sizes
         x = _power(logs)
         A, C, G = A * x / x[:, None], C * x, G / x[:, None]
-        inner = (time * Qw * w * w[:, None], R * y * y[:, None], Qv * y * y[:, None])
+        inner = NoiseWeights(time * Qw * w * w[:, None], R * y * y[:, None], Qv * y * y[:, None])
         scales = [plant.states.scales / x, plant.outputs.scales / y, plant.disturbances.scales / w]
     for name, value in {"A": A, "C": C, "G": G, "Qw": inner[0], "R": inner[1], "Qv": inner[2]}.items():
         if not np.all(np.abs(value) < RANGE):
@@ -126,7 +125,7 @@ def evened(canon: ScaledProblem) -> ScaledProblem:
     return ScaledProblem(
         found,
         schedule,
-        (kept[0], kept[1], kept[2]),
+        NoiseWeights(*kept),
         canon.x * x,
         canon.w * w,
         canon.y * y,

@@ -419,9 +419,7 @@ class Certificate(SampledCertificate):
     @property
     def d_max(self) -> float:
         """Largest gap, the one before the first sample included."""
-        schedule = self.schedule
-        later = schedule.gaps.max() if schedule.gaps.size else 0.0
-        return float(max(later, schedule.times[0]))
+        return self.schedule.d_max
 
     def _samples_until(self, end: float) -> Array:
         return self.schedule.between(0.0, max(end, 0.0)).times

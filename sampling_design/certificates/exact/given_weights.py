@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from sampling_design.errors import ArgumentError
@@ -17,10 +19,18 @@ FREE_DISTURBANCE = (
 """What a singular Qw means, for the refusal."""
 
 
-def default_weights(plant: Plant) -> tuple[Array, Array, Array]:
+class NoiseWeights(NamedTuple):
+    """Weights of the disturbance, of the fit and of the measurement noise."""
+
+    Qw: Array
+    R: Array
+    Qv: Array
+
+
+def default_weights(plant: Plant) -> NoiseWeights:
     """Return Qw = diag(1/s_w^2), R = Qv = 2 diag(1/s_y^2), so that R~ = diag(1/s_y^2)."""
     noise = 2.0 * np.diag(1.0 / plant.outputs.scales**2)
-    return np.diag(1.0 / plant.disturbances.scales**2), noise, noise.copy()
+    return NoiseWeights(np.diag(1.0 / plant.disturbances.scales**2), noise, noise.copy())
 
 
 def above_one(name: str, value: float, what: str = "P2") -> float:
@@ -36,12 +46,12 @@ def above_one(name: str, value: float, what: str = "P2") -> float:
     return float(value)
 
 
-def weights_of(plant: Plant, Qw: object, R: object, Qv: object) -> tuple[Array, Array, Array]:
+def weights_of(plant: Plant, Qw: object, R: object, Qv: object) -> NoiseWeights:
     """Return the weights as given, where None the default; one of R and Qv stands for both."""
     w, r, _ = default_weights(plant)
     one = r if R is None and Qv is None else (Qv if R is None else R)
     p = plant.n_outputs
-    return (
+    return NoiseWeights(
         checks.definite("Qw", w if Qw is None else Qw, plant.n_disturbances, FREE_DISTURBANCE),
         checks.definite("R" if R is not None else "Qv", one if R is None else R, p),
         checks.definite("Qv" if Qv is not None else "R", one if Qv is None else Qv, p),

@@ -14,9 +14,10 @@ from importlib.util import find_spec
 import numpy as np
 
 from sampling_design import __version__
-from sampling_design.certificates.exact.canonical import NoiseWeights, ScaledProblem
+from sampling_design.certificates.exact.canonical import ScaledProblem
 from sampling_design.certificates.exact.certificate import Certificate, times_to_dict
 from sampling_design.certificates.exact.efforts import BALL_PRICE, PRECISE_PROOF, PRECISE_WORK, ROOM
+from sampling_design.certificates.exact.given_weights import NoiseWeights
 from sampling_design.certificates.exact.proof import as_proven
 from sampling_design.certificates.exact.weight_choice import ROUNDNESS, ChosenWeights, WeightSearch
 from sampling_design.certificates.form.digest import RESOLUTION, STATED_MARGIN
@@ -214,11 +215,11 @@ def _proven(
 
     With the next narrower one the proof takes twice the work, which is near all that there is.
     """
-    plant, schedule, (Qw, R, Qv) = problem
+    plant, schedule, weights = problem
     lam, lam_samples = (ROOM[-1] * value for value in met)
     spare = {"lambda": f"{ROOM[-1]:g} times the largest met: the proof needs the room"}
     made = Certificate(
-        plant, schedule, P1=(1 - RESOLUTION) * choice.P2 / lam, P2=choice.P2, Qw=Qw, R=R, Qv=Qv, eta=choice.eta,
+        plant, schedule, P1=(1 - RESOLUTION) * choice.P2 / lam, P2=choice.P2, **weights._asdict(), eta=choice.eta,
         lam=lam, lam_samples=lam_samples, margin=STATED_MARGIN,
         solver=replace(solver, details={**solver.details, **spare}),
     )  # fmt: skip

@@ -13,6 +13,7 @@ import numpy as np
 from sampling_design.certificates.exact.canonical import canonical, slip
 from sampling_design.certificates.exact.certificate import Certificate, SampledCertificate, Witness
 from sampling_design.certificates.exact.efforts import ATTEMPTS, FINER, HIGHER, LOOK_WORK, ROOM, SearchEffort, wider
+from sampling_design.certificates.exact.given_weights import NoiseWeights
 from sampling_design.certificates.exact.riccati import RiccatiPeak, at_peak, located, refine, starts_at_sample, supremum
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.form.digest import RESOLUTION, STATED_MARGIN
@@ -46,7 +47,7 @@ class ScheduleProof:
         self.long_run = long_run  # lambda that the search expects there, where it has looked
         self.left_open: tuple[Work, float, UndecidedError] | None = None  # of the last check: work, room, why it failed
         self.plant, self.schedule, self.weights, self.eta, self.efforts = plant, schedule, weights, eta, efforts
-        self.canon = canon = canonical(plant, schedule, weights[1:], weights[0])
+        self.canon = canon = canonical(plant, schedule, NoiseWeights(*weights[1:]), weights[0])
         inner = (canon.inside(weights[0]), *canon.weights)
         self.problem = window_problem(canon.plant, canon.schedule, *inner, eta * canon.time)
 

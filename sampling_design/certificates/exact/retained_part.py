@@ -14,7 +14,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag, schur, solve_sylvester
 
-from sampling_design.certificates.exact.canonical import NoiseWeights, ScaledProblem, canonical, evened
+from sampling_design.certificates.exact.canonical import ScaledProblem, canonical, evened
+from sampling_design.certificates.exact.given_weights import NoiseWeights
 from sampling_design.certificates.exact.own_decay import lyapunov_shapes
 from sampling_design.certificates.exact.weight_choice import (
     SEARCH_WORK,

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.certificates.exact.canonical import NoiseWeights
-from sampling_design.certificates.exact.given_weights import above_one, weights_of
+from sampling_design.certificates.exact.given_weights import NoiseWeights, above_one, weights_of
 from sampling_design.certificates.exact.proof import as_proven
 from sampling_design.certificates.exact.riccati import periodic_riccati_solution
 from sampling_design.certificates.exact.weight_choice import rate_range
@@ -372,23 +371,10 @@ def certified(
     if given is not None:
         P[0] = given
     lam = max(found.lam, 1.0)
-    Qw, R, Qv = weights
     made = FamilyCertificate(
-        plant,
-        family,
-        P1=(1 - RESOLUTION) * P[0] / lam,
-        P2=P[0],
-        Qw=Qw,
-        R=R,
-        Qv=Qv,
-        eta=found.dynamics.eta,
-        lam=lam,
-        lam_samples=lam,
-        margin=STATED_MARGIN,
-        solver=found.solver,
-        graph=found.graph,
-        P=P,
-    )
+        plant, family, P1=(1 - RESOLUTION) * P[0] / lam, P2=P[0], **weights._asdict(), eta=found.dynamics.eta, lam=lam,
+        lam_samples=lam, margin=STATED_MARGIN, solver=found.solver, graph=found.graph, P=P,
+    )  # fmt: skip
     verdict = judged_while_sought(made.content, FAMILY_CLAIM, LONGEST_PROOF)
     if not verdict.passed:
         raise UndecidedError(
@@ -404,9 +390,8 @@ def without_states(
 ) -> FamilyCertificate:
     """The certificate where there is nothing to prove."""
     empty, P = np.zeros((0, 0)), np.zeros((graph.count, 0, 0))
-    Qw, R, Qv = weights
     return FamilyCertificate(
-        plant, family, P1=empty, P2=empty, Qw=Qw, R=R, Qv=Qv, eta=rate, lam=1.0, lam_samples=1.0, graph=graph, P=P
+        plant, family, P1=empty, P2=empty, **weights._asdict(), eta=rate, lam=1.0, lam_samples=1.0, graph=graph, P=P
     )
 
 

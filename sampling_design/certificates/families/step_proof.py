@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.certificates.exact.canonical import NoiseWeights
+from sampling_design.certificates.exact.given_weights import NoiseWeights
 from sampling_design.certificates.exact.window_problem import covariance_flow, growing_flow, whitened_rows
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.numerics.linalg import symmetrise

@@ -61,7 +61,7 @@ class GapFlow:
     """
 
     __slots__ = (
-        "F", "W", "_arrival", "_band", "_joint", "_loose", "_roots", "_size", "gap", "growth", "inputs", "integral",
+        "F", "W", "_arrival", "_band", "_both", "_roots", "_size", "gap", "growth", "inputs", "integral",
     )  # fmt: skip
 
     def __init__(
@@ -77,10 +77,9 @@ class GapFlow:
         self.gap, self.growth, self.F, self.W, self.integral, self.inputs = gap, growth, F, W, integral, inputs
         self._roots = roots
         self._band: Array | None = None
-        self._loose = 0.0
         self._size: Array | None = None
         self._arrival: tuple[Array, ArrivalInformation | None] | None = None
-        self._joint: Array | bool | None = None if roots is not None else False
+        self._both: tuple[Array | None, float] | None = None if roots is None else (None, 0.0)
 
     @property
     def size(self) -> Array:
@@ -107,17 +106,18 @@ class GapFlow:
     @property
     def joint(self) -> Array | None:
         """Return what states at both ends cost together."""
-        if isinstance(self._joint, bool):
-            self._joint, self._loose = _joint(self.F, self.W)
-        return self._joint
+        return self._ends()[0]
 
     @property
     def loose(self) -> float:
         """Return how far `joint` may be off, relative, as a quadratic form; 0 where there is none."""
-        if isinstance(self._joint, bool):
+        return self._ends()[1]
+
+    def _ends(self) -> tuple[Array | None, float]:
+        if self._both is None:
             with np.errstate(over="ignore", invalid="ignore"):  # what overflowed is not inverted
-                self._joint, self._loose = _joint(self.F, self.W)
-        return self._loose
+                self._both = _joint(self.F, self.W)
+        return self._both
 
     @property
     def band(self) -> Array:
@@ -130,7 +130,7 @@ class GapFlow:
 
     def known(self, joint: Array, loose: float, band: Array) -> None:
         """Take what was found of many gaps at once."""
-        self._joint, self._loose, self._band = joint, loose, band
+        self._both, self._band = (joint, loose), band
 
     def arrived(self, Y: Array, found: ArrivalInformation) -> None:
         """Take what a prior was found to be worth."""

@@ -14,6 +14,7 @@ from sampling_design.accuracy.readings import CensoredReading
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.estimate import Contradiction, Estimate, Status, half_widths
 from sampling_design.estimators.online.tally import EstimateCounts
+from sampling_design.estimators.records.measurement_table import MeasuredPlant
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
@@ -40,14 +41,6 @@ class CheckedSample(NamedTuple):
     y: Any = None
     u: Any = None
     told: tuple[CensoredReading, ...] = ()
-
-
-class HasStates(Protocol):
-    """A plant of any kind."""
-
-    @property
-    def n_states(self) -> int:
-        """How many."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -85,7 +78,7 @@ class EstimateRecord(TableRecord, CurveRecord, PlainRecord):
     )
 
     @classmethod
-    def collect(cls, plant: Plant | HasStates, estimates: Iterable[Estimate]) -> EstimateRecord:
+    def collect(cls, plant: MeasuredPlant, estimates: Iterable[Estimate]) -> EstimateRecord:
         """Return the record of some estimates of one plant, linear or not."""
         if not isinstance(getattr(plant, "n_states", None), int):
             raise ArgumentError(f"`plant` must be a Plant or a NonlinearPlant, got {checks.described(plant)}.")

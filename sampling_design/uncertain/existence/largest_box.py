@@ -33,8 +33,6 @@ SAME = 1e-9
 """BoxCells below this share of the ranges are not halved further."""
 LOOKS = 6
 """Rounds between two searches for a plant that fails."""
-NEAREST = 32
-"""BoxCells judged together, those nearest to the nominal values."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -175,6 +173,8 @@ def largest_box(
 class _BySigma:
     """Sigma of every window above a number."""
 
+    together = TOGETHER
+
     def __init__(self, asked: WindowsOverBox, least: float) -> None:
         self.asked, self.floor = asked, least
 
@@ -195,6 +195,9 @@ class _BySigma:
 
 class _ByGains:
     """Certificates that exist."""
+
+    together = 32
+    """BoxCells judged together, those nearest to the nominal values."""
 
     def __init__(self, model: BoxModel, schedule: PeriodicSchedule, eta: float) -> None:
         self.model, self.gaps, self.margin = model, GainedGaps(model, schedule, eta), margin_on(schedule, eta)
@@ -227,7 +230,6 @@ def _searched(
 ) -> LargestBox:
     """BoxCells from the nominal values outwards."""
     worst, rounds = model.start, 0
-    by_sigma = isinstance(question_of, _BySigma)
 
     def begin(cells: BoxCells) -> Array:
         return _level(model, np.clip(model.start, cells.u - cells.half, cells.u + cells.half))[:, None]
@@ -254,7 +256,7 @@ def _searched(
         return None if model.m and parts.half.max(axis=1).min() < SAME else (parts, parents)
 
     search = LeastOverCells(
-        cells, begin(cells), within(rtol), Budget(seconds), together=TOGETHER if by_sigma else NEAREST, begin=begin
+        cells, begin(cells), within(rtol), Budget(seconds), together=question_of.together, begin=begin
     )
     closed = search.run(judged, cut) == "closed"
     share, failed = min(1.0, float(search.lower[0])), float(search.best[0])

@@ -17,7 +17,8 @@ def read_inclusion(data: Tree, plant: Plant, found: Inclusion) -> InclusionCerti
     """Return the certificate of an inclusion in plain data that the auditor read as `found`."""
     model = None
     if not isinstance(found.model, Region):
-        model = UncertainPlant(**parts_of_model(plant, data["model"])._asdict())
+        nominal, parameters, vertices, varying = parts_of_model(plant, data["model"])
+        model = UncertainPlant(nominal, parameters, vertices=vertices, varying=varying)
     periodic = data["times"]["kind"] == "periodic"
     times = times_from_dict(data["times"]) if periodic else family_from_dict(data["times"])
     assert not isinstance(times, Schedule)

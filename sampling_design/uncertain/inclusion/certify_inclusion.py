@@ -25,7 +25,6 @@ from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.uncertain.inclusion.layout import Schedules, graph_for, layout_of
-from sampling_design.uncertain.inclusion.members import InclusionWeights
 from sampling_design.uncertain.inclusion.search import InclusionSearch
 from sampling_design.uncertain.plants.inclusion import LinearInclusion
 
@@ -132,7 +131,7 @@ def certify_inclusion(
     True
     """
     schedules, report = in_terms(plant, schedule), progress or (lambda fraction, message: None)
-    weights = InclusionWeights(*weights_of(plant.centre, Qw, R, Qv))
+    weights = weights_of(plant.centre, Qw, R, Qv)
     rate = None if eta is None else checks.positive("eta", eta)
     counts = PIECES if pieces is None else (checks.whole("pieces", pieces, 1),)
     gain = above_one("noise_gain", noise_gain, "P(tau)")
@@ -174,13 +173,13 @@ def within_pieces(
             break
         report(0.5 + 0.4 * k / len(counts), f"{count} pieces")
         try:
-            made = search.proven(rate, count, began)
+            made, found = search.proven(rate, count, began)
         except KeyboardInterrupt:
             if best is None:
                 raise
             break  # what is proven stays
-        if not isinstance(made, InclusionCertificate):
-            verdict = made or verdict
+        if made is None:
+            verdict = found or verdict
             continue
         enough = best is not None and np.log(4 * made.lam) > (1 - ENOUGH) * np.log(4 * best.lam)
         best = made if best is None or made.lam < best.lam else best
@@ -346,7 +345,7 @@ def longest_gap(
         raise ArgumentError(f"`most` must be at least `shortest` = {least!r}, got {top!r}.")
     began, report = Budget(), progress or (lambda fraction, message: None)
 
-    weights = InclusionWeights(*weights_of(plant.centre, Qw, R, Qv))
+    weights = weights_of(plant.centre, Qw, R, Qv)
     in_terms(plant, GapRange(top, top))
 
     def search(gap: float) -> InclusionSearch:
@@ -364,7 +363,7 @@ def longest_gap(
         if high < low * CLOSE:
             break
     for factor in (1.0, 0.997, 0.99, 0.97, 0.93, 0.8, 0.5):
-        made = search(float(f"{low * factor:.4g}")).proven(rate, count, began)
-        if isinstance(made, InclusionCertificate):
+        made, _ = search(float(f"{low * factor:.4g}")).proven(rate, count, began)
+        if made is not None:
             return made
     raise UndecidedError(f"undecided: no gap of at least {low / 2:.3g} was proven at rate {short(rate)}.", eta=rate)

@@ -119,14 +119,12 @@ class InclusionCertificate(SampledCertificate):
     @property
     def d_max(self) -> float:
         """Largest gap, the one before the first sample included."""
-        if isinstance(self.family, SamplingFamily):
-            return float(self.family.d_max)
-        return float(max(self.family.gaps.max(), self.family.first))
+        return float(self.family.d_max)
 
     @property
     def min_gap(self) -> float:
         """Least gap."""
-        return float(self.family.min_gap if isinstance(self.family, SamplingFamily) else self.family.gaps.min())
+        return float(self.family.min_gap)
 
     @property
     def words(self) -> int:

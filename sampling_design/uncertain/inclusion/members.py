@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
 
+from sampling_design.certificates.exact.given_weights import NoiseWeights
 from sampling_design.certificates.exact.riccati import periodic_riccati_solution
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
@@ -30,14 +30,6 @@ FASTEST = 1e3
 """Rates per longest gap beyond which a plant is stiff."""
 
 
-class InclusionWeights(NamedTuple):
-    """Physical weights of noise."""
-
-    Qw: Array
-    R: Array
-    Qv: Array
-
-
 class PosedMembers:
     """Linear plants that stand for one that is not exactly known, those in the program, and how it is posed.
 
@@ -49,7 +41,7 @@ class PosedMembers:
         plant: LinearInclusion,
         schedules: Schedules,
         graph: PathCompleteGraph,
-        weights: InclusionWeights,
+        weights: NoiseWeights,
         noise_gain: float,
         budget: Budget = ENDLESS,
         seed: int = 0,

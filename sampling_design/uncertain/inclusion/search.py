@@ -41,6 +41,9 @@ ROOM = 1e-6
 """By which P1 and P2 stand off from P, relatively."""
 
 
+Attempt = tuple[InclusionCertificate | None, Verification | None]
+
+
 @dataclass(frozen=True, eq=False)
 class InclusionSolution:
     """A solution in inner coordinates, not proven: P at the nodes between s I and q I."""
@@ -171,8 +174,8 @@ class InclusionSearch(PosedMembers):
         solver = replace(found.record, seconds=seconds, details={**found.record.details, **details})
         model = self.plant
         return InclusionCertificate(
-            self.centre, self.schedules, P1=P1, P2=P2, Qw=self.weights.Qw, R=self.weights.R, Qv=self.weights.Qv,
-            eta=eta, lam=max(lam, 1.0), lam_samples=max(lam, 1.0), solver=solver,
+            self.centre, self.schedules, P1=P1, P2=P2, **self.weights._asdict(), eta=eta,
+            lam=max(lam, 1.0), lam_samples=max(lam, 1.0), solver=solver,
             model=model, model_data=model.model_to_dict(), nodes=nodes, P=P, graph=self.graph,
             multipliers=self._multipliers(found),
         )  # fmt: skip
@@ -184,21 +187,21 @@ class InclusionSearch(PosedMembers):
         own = found.diagonals / (self.longest * self.sizes**2)
         return np.array([float(f"{x:.9g}") for x in own.ravel().tolist()]).reshape(own.shape)
 
-    def proven(self, eta: float, pieces: int, began: Budget) -> InclusionCertificate | Verification | None:
-        """A certificate that has passed, the verdict on the last one that did not, or None if nothing was found."""
+    def proven(self, eta: float, pieces: int, began: Budget) -> Attempt:
+        """A certificate that has passed, or the verdict on the last one that did not; neither if nothing was found."""
         if self.members.complete:
             return self._attempt(eta, pieces, began, (0.0,), DIGITS, len(DIGITS))
-        found = None
+        verdict: Verification | None = None
         for hulled in (True, False) if self.stiff else (False,):
             if hulled and not self.enter_hull(eta):
                 continue
-            made = self._attempt(eta, pieces, began, INFLATED[1:2] if hulled else INFLATED, DIGITS[1:], 1)
+            made, found = self._attempt(eta, pieces, began, INFLATED[1:2] if hulled else INFLATED, DIGITS[1:], 1)
             if hulled:
                 self.leave_hull()
-            if isinstance(made, InclusionCertificate):
-                return made
-            found = made or found
-        return found
+            if made is not None:
+                return made, None
+            verdict = found or verdict
+        return None, verdict
 
     def _attempt(
         self,
@@ -208,7 +211,7 @@ class InclusionSearch(PosedMembers):
         inflated: tuple[float, ...],
         precisions: tuple[int, ...],
         proofs: int,
-    ) -> InclusionCertificate | Verification | None:
+    ) -> Attempt:
         """The same for the members as they are, pushed outwards by these shares; at most so many proofs of each."""
         verdict: Verification | None = None
         for inflation in inflated:
@@ -225,11 +228,11 @@ class InclusionSearch(PosedMembers):
                 last = proofs > 1 and digits == precisions[-1]
                 verdict = judged_while_sought(made.content, INCLUSION_CLAIM, LONGEST_PROOF if last else 0.0)
                 if verdict.passed:
-                    return accepted(made)
+                    return accepted(made), None
                 tried += 1
                 if tried == proofs:
                     break
-        return verdict
+        return None, verdict
 
 
 def accepted(made: InclusionCertificate) -> InclusionCertificate:

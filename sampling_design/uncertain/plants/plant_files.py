@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -30,18 +30,11 @@ from sampling_design.records.record import Plain
 from sampling_design.uncertain.plants.parameter import UncertainParameter
 
 Ends: TypeAlias = tuple[float, float]
+UncertainParts: TypeAlias = tuple[Plant, Sequence[UncertainParameter], Sequence[Plant], bool]
+"""What a file says: the nominal plant, how others differ from it (parameters, or vertices), whether they vary."""
 FORMAT = "sampling-design/uncertain-plant/1"
 _DECIMAL = r"[+-]?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][+-]?\d++)?"  # possessive: long texts are read once
 _AROUND = re.compile(rf"({_DECIMAL})\s*\+-\s*({_DECIMAL})", re.ASCII)
-
-
-class UncertainParts(NamedTuple):
-    """What a file says: the nominal plant, and how others differ from it."""
-
-    nominal: Plant
-    parameters: Sequence[UncertainParameter]
-    vertices: Sequence[Plant]
-    varying: bool
 
 
 def ends(value: object, place: str) -> Ends:
@@ -121,7 +114,7 @@ def parts_of_tree(data: Mapping[str, object], where: str) -> UncertainParts:
         parameters.append(_parameter(each["name"], low, high, each.get("nominal"), moved))
     corners = found.get("vertices", [])
     vertices = [Plant(v["A"], v["C"], G=v.get("G"), time_unit=nominal.time_unit) for v in corners]
-    return UncertainParts(nominal, parameters, vertices, bool(found.get("varying", False)))
+    return nominal, parameters, vertices, bool(found.get("varying", False))
 
 
 def _parameter(
@@ -131,21 +124,17 @@ def _parameter(
     return UncertainParameter(name, low, high, *parts, nominal=nominal)
 
 
-def tree_of(plant: UncertainParts) -> dict[str, Plain]:
+def tree_of(parts: UncertainParts) -> dict[str, Plain]:
     """Plain data of the file format: exactly the numbers of the record."""
-    tree = dict(plant.nominal.to_dict()) | {"format": FORMAT, "varying": bool(plant.varying)}
-    if plant.vertices:
-        return tree | {"vertices": [{key: getattr(v, key).tolist() for key in ("A", "C", "G")} for v in plant.vertices]}
+    nominal, parameters, vertices, varying = parts
+    tree = dict(nominal.to_dict()) | {"format": FORMAT, "varying": bool(varying)}
+    if vertices:
+        return tree | {"vertices": [{key: getattr(v, key).tolist() for key in ("A", "C", "G")} for v in vertices]}
     listed: list[Plain] = []
-    for each in plant.parameters:
+    for each in parameters:
         data = each.to_dict()
-        listed.append(
-            {
-                "name": each.name,
-                "range": [each.low, each.high],
-                **{k: data[k] for k in data if k not in ("name", "low", "high")},
-            }
-        )
+        others = {key: data[key] for key in data if key not in ("name", "low", "high")}
+        listed.append({"name": each.name, "range": [each.low, each.high], **others})
     return tree | {"parameters": listed}
 
 
@@ -155,9 +144,9 @@ def parts_of_model(plant: Plant, model: Tree) -> UncertainParts:
     if model["kind"] == "vertices":
         stacks = [np.array(model[key], dtype=np.float64) for key in ("A", "C", "G")]
         vertices = [Plant(A, C, G=G, time_unit=plant.time_unit) for A, C, G in zip(*stacks, strict=True)]
-        return UncertainParts(plant, (), vertices, varying)
+        return plant, (), vertices, varying
     parameters, listed = [], model["parameters"]
     for each in listed:
         moved = {key: np.array(each[key], dtype=np.float64) for key in ("A", "C", "G") if key in each}
         parameters.append(_parameter(each["name"], each["low"], each["high"], each["nominal"], moved))
-    return UncertainParts(plant, parameters, (), varying)
+    return plant, parameters, (), varying

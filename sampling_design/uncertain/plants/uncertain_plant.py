@@ -22,7 +22,6 @@ from sampling_design.records.record import Plain, PlainRecord, short
 from sampling_design.uncertain.plants.inclusion import BoxColumns, InclusionMembers, LinearInclusion
 from sampling_design.uncertain.plants.parameter import UncertainParameter
 from sampling_design.uncertain.plants.plant_files import (
-    UncertainParts,
     parts_of_tree,
     tree_of,
 )
@@ -326,11 +325,12 @@ class UncertainPlant(LinearInclusion, PlainRecord):
             If the data do not describe one.
         """
         with usable(where):
-            return cls(**parts_of_tree(data, where)._asdict())
+            nominal, parameters, vertices, varying = parts_of_tree(data, where)
+            return cls(nominal, parameters, vertices=vertices, varying=varying)
 
     def to_tree(self) -> dict[str, Plain]:
         """Plain data of the file format: exactly the numbers of the record."""
-        return tree_of(UncertainParts(self.nominal, self.parameters, self.vertices, self.varying))
+        return tree_of((self.nominal, self.parameters, self.vertices, self.varying))
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the plant to a .toml or .json file, whole or not at all; return the path.

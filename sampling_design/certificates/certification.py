@@ -14,7 +14,7 @@ from sampling_design import __version__
 from sampling_design.certificates.exact.canonical import ScaledProblem, canonical, followed, slip
 from sampling_design.certificates.exact.certificate import WITHOUT_GAIN, Certificate, SampledCertificate
 from sampling_design.certificates.exact.efforts import ALL_WORK, BEYOND, LOOK_WORK, SEARCHED, SearchEffort
-from sampling_design.certificates.exact.given_weights import NoiseWeights, above_one, met, weights_of
+from sampling_design.certificates.exact.given_weights import NoiseWeights, above_one, certifiable_schedule, weights_of
 from sampling_design.certificates.exact.own_decay import own_decay
 from sampling_design.certificates.exact.precise import precisely_chosen
 from sampling_design.certificates.exact.proof import ScheduleProof
@@ -262,7 +262,9 @@ def certify(
     noise_gain = above_one("noise_gain", noise_gain)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
     try:
-        return _of_schedule(plant, met(plant, schedule), (Qw, R, Qv), P2, eta, noise_gain, progress, limit)
+        return _of_schedule(
+            plant, certifiable_schedule(plant, schedule), (Qw, R, Qv), P2, eta, noise_gain, progress, limit
+        )
     except UndecidedError as error:
         if not limit.over:
             raise

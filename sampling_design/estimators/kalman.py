@@ -110,7 +110,7 @@ class KalmanFilter(WindowedEstimator):
         (flow,) = self.table.get([sample.t - last.t])
         drift = self.loop.drift.between(state, last.t, sample.t)
         with np.errstate(over="ignore", invalid="ignore"):
-            x, Y, before = self.loop.flown(last, flow, drift)
+            x, Y, before = self.loop.propagated(last, flow, drift)
         self.loop.refuse_overflow(flow, x if np.isfinite(Y).all() else np.array([np.inf]), sample.t)
         root = weights.at(mask).y_root
         H, innovation = root @ self.plant.C, root @ (y - feedthrough - self.plant.C @ x)
@@ -139,7 +139,9 @@ class KalmanFilter(WindowedEstimator):
         past = 0.0 if last.sample.y is None else last.estimate.cost / flow.growth
         found = judged(self.weights, terms, cost * (1 - ROUNDING), last)
         if found.status == "bounds disproved" and last.stands:
-            found = found._replace(contradiction=self._blame(sample, last.number + 1, (half, cost), (terms, own)))
+            found = found._replace(
+                contradiction=self._contradiction(sample, last.number + 1, (half, cost), (terms, own))
+            )
         details["cost"] = past + cost
         return self.recorder.node(
             state, MeasuredSample(sample, y, mask, feedthrough), OpenLoopState(x, Y, flow, drift), found, details
@@ -169,7 +171,7 @@ class KalmanFilter(WindowedEstimator):
             + self.bounds.over(sample.t - first.t)
             + rounding_energy(self.weights, window.y, window.reference)
         )
-        terms += window.total(self.bounds.of_samples(window.masks)) + self._heard_means(window)
+        terms += window.total(self.bounds.of_samples(window.masks)) + self._mean_noise_energy(window)
         found = judged(self.weights, terms, solution.dual, last)
         if found.status == "bounds disproved" and last.stands:
             means, mask = means_of(sample), np.zeros((1, self.plant.n_outputs))
@@ -185,7 +187,7 @@ class KalmanFilter(WindowedEstimator):
         taken = MeasuredSample(sample, y, mask, feedthrough)
         return self.recorder.node(state, taken, OpenLoopState(x, Y, *last_gap), found, details)
 
-    def _blame(
+    def _contradiction(
         self, sample: CheckedSample, number: int, innovation: tuple[Array, float], bounds: tuple[float, float]
     ) -> Contradiction:
         """Return what is known of the sample that made the innovations cost more than the bounds allow."""

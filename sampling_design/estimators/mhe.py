@@ -279,7 +279,7 @@ class MovingHorizonEstimator(WindowedEstimator):
             terms += window.total(self._kept_energy(window.masks))
             found, note = overflowed(self.weights, state.last, sample, window.residual[-1], terms)
         else:
-            terms += rounding_energy(self.weights, window.y, window.reference) + self._heard_means(window)
+            terms += rounding_energy(self.weights, window.y, window.reference) + self._mean_noise_energy(window)
             if window.means is not None:
                 terms += rounding_energy(self.weights, window.means.y, window.reference)
             solution = self._solve(window)
@@ -287,18 +287,18 @@ class MovingHorizonEstimator(WindowedEstimator):
             found = SolveVerdict(np.nan, solution.status, last.stands, last.contradiction)
             x, Y = solution.nodes[-1].copy(), solution.covariance
             if found.status == "ok":
-                terms += self._heard(window, solution)
+                terms += self._noise_energy(window, solution)
                 found, cost = judged(self.weights, terms, solution.dual, last), solution.cost
                 if found.status == "bounds disproved" and last.stands:
                     numbers = {node.t: node.number for node in state.nodes} | {sample.t: last.number + 1}
-                    found = found._replace(contradiction=self._blame(window, terms, solution.dual, numbers))
+                    found = found._replace(contradiction=self._contradiction(window, terms, solution.dual, numbers))
         if np.isnan(cost):
             x, Y, beta = self.loop.ahead(last, flow, drift)
             self.loop.refuse_overflow(flow, Y, sample.t)
             found = found._replace(beta=beta, sound=found.sound and found.status == "solver failed")
         return WindowEstimate(x, Y, found, engine, note, cost)
 
-    def _blame(
+    def _contradiction(
         self, window: EstimationWindow, terms: float, dual: float, numbers: dict[float, int]
     ) -> Contradiction | None:
         """Return the output of a sample without which the data come nearest to the bounds; None if there is none."""
@@ -321,8 +321,8 @@ class MovingHorizonEstimator(WindowedEstimator):
             ]
         for k, mean in enumerate(() if window.means is None else window.means.readings):
             rest = replace(window, means=window.means and window.means.without(k))
-            own, end = self._heard_means(window) - self._heard_means(rest), mean.end
-            room = own if own > 0 else self._heard_means(window, end)
+            own, end = self._mean_noise_energy(window) - self._mean_noise_energy(rest), mean.end
+            room = own if own > 0 else self._mean_noise_energy(window, end)
             found.append((self._over(rest, terms - own), end, mean.output, own, room))
         if not found:  # limits alone contradict the bounds: no number is the one to blame
             return None
@@ -339,7 +339,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         solution = self._solve(window)
         return solution.dual - terms if solution.status == "ok" else np.inf
 
-    def _heard(self, window: EstimationWindow, solution: Solution) -> float:
+    def _noise_energy(self, window: EstimationWindow, solution: Solution) -> float:
         """Sum of the discounted noise bounds of the window's samples.
 
         Where no constraint was active, the cost is the one without v; else the truth must be held with a v of its own.

@@ -113,7 +113,7 @@ class WindowedEstimator(LinearPlantEstimator):
         if self.begins == "sample" or abs(node.t - s) <= slack:
             x, Y, beta, s = node.x, node.Y, node.beta, node.t
         else:
-            x, Y, beta = self._flown_to(state, node, s)
+            x, Y, beta = self._propagated_to(state, node, s)
             closed = False
         inside = nodes[anchor if closed else anchor + 1 :]
         if self.arrival_cost == "filtered":
@@ -125,10 +125,10 @@ class WindowedEstimator(LinearPlantEstimator):
             self._worst = Y, float(lapack.dsyev(factor.T.dot(Y).dot(factor), compute_v=0)[0][-1])
         return WindowStart(s, x, self._worst[1] * beta, None, inside)
 
-    def _flown_to(self, state: EstimatorState, node: HistoryNode, s: float) -> tuple[Array, Array, float]:
+    def _propagated_to(self, state: EstimatorState, node: HistoryNode, s: float) -> tuple[Array, Array, float]:
         """Return state, covariance and radius of the prior at s; where the discount overflows, undiscounted."""
         flow, drift = self.loop.between(state, node.t, s)
-        x, Y, beta = self.loop.flown(node, flow, drift)
+        x, Y, beta = self.loop.propagated(node, flow, drift)
         if math.isfinite(x.dot(x)) and math.isfinite(np.vdot(Y, Y)):
             return x, Y, beta
         self.loop.refuse_overflow(flow, x, s)
@@ -197,7 +197,7 @@ class WindowedEstimator(LinearPlantEstimator):
         """What is said of a mean that began before the window."""
         return LEFT_OUT if any(since < start.s for _, since, _ in means_of(sample)) else ""
 
-    def _heard_means(self, window: EstimationWindow, end: int | None = None) -> float:
+    def _mean_noise_energy(self, window: EstimationWindow, end: int | None = None) -> float:
         """A bound on what the noise of the means costs: of correlated outputs, together with the readings beside.
 
         With `end` only of those that end at that node.

@@ -78,7 +78,7 @@ class NonlinearLoop:
         share = (b - times[k - 1]) / (times[k] - times[k - 1])
         return np.asarray(u + share * (state.inputs[k][1] - u))
 
-    def flown(
+    def propagated(
         self, state: EstimatorState, x: Array, a: float, b: float, Y: Array | None = None
     ) -> tuple[Array, Array | None]:
         """Return the open loop from x at a to b, with w = 0 and the inputs that were given, and its covariance."""
@@ -97,7 +97,7 @@ class NonlinearLoop:
         """Return the open loop from a node at t, in X; if even that fails, the node's estimate. The words say so."""
         nothing = np.diag(np.full(node.x.size, np.inf))
         try:
-            x, Y = self.flown(state, node.x, node.t, t, node.Y)
+            x, Y = self.propagated(state, node.x, node.t, t, node.Y)
         except SolverError as error:
             return OpenLoopPrediction(
                 node.x, nothing, np.inf, f"The open loop fails too, the last estimate is held: {error}"

@@ -163,7 +163,7 @@ class WindowSearch:
             return found, attempts
         before = found.cost if found.status == "ok" else np.inf
         for start in self._starts(data)[: self.solver.starts]:
-            states = self._flown(data, start)
+            states = self._propagated(data, start)
             if states is None:
                 continue
             other = self.program.solve(data, self.guess(data.edges, states), warm=False)
@@ -186,7 +186,7 @@ class WindowSearch:
         steps = [sign * REACH * size * axes[:, k] for k, size in enumerate(sizes) for sign in (1.0, -1.0)]
         return [np.clip(data.prior + step, lower, upper) for step in steps]
 
-    def _flown(self, data: WindowData, start: Array) -> Array | None:
+    def _propagated(self, data: WindowData, start: Array) -> Array | None:
         """Scaled states at the edges, open loop from one; None where that cannot be followed."""
         states = [start * self.scales["states"]]
         still = np.zeros((1, self.plant.n_disturbances))

@@ -110,9 +110,9 @@ class MismatchLoop(OpenLoop):
     def undiscounted(self, node: HistoryNode, flow: GapFlow) -> None:
         """None: the bound on the disturbance knows nothing of the mismatch."""
 
-    def flown(self, node: HistoryNode, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
+    def propagated(self, node: HistoryNode, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
         """Return state, covariance and radius after a gap, for every plant of the box."""
-        x, Y, beta = super().flown(node, flow, drift)
+        x, Y, beta = super().propagated(node, flow, drift)
         if flow.gap > 0 and np.isfinite(beta) and np.isfinite(Y).all():
             beta = self._walked(node, flow.gap)
         self.mismatched.before = x, Y, beta

@@ -119,7 +119,7 @@ class ErrorMap:
         for b in range(line.times.size):
             if b:
                 e = e @ line.F[b - 1].T - inputs.w[:, b - 1] @ line.gamma[b - 1].T
-                radius = self._flown(radius, line.lengths[b - 1])
+                radius = self._radius_after(radius, line.lengths[b - 1])
             k = events.get(b)
             if k is not None and k in solves:
                 found[row], radii[row] = e, radius
@@ -131,7 +131,7 @@ class ErrorMap:
             row += 1
         return RunErrors(found.transpose(1, 0, 2), radii.T)
 
-    def _flown(self, radius: Array, h: float) -> Array:
+    def _radius_after(self, radius: Array, h: float) -> Array:
         return np.asarray(radius * np.exp(-self.eta * h) + self.w_energy * discounted_length(self.eta, h))
 
     def _solve(

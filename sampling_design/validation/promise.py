@@ -35,7 +35,7 @@ class Promise:
         samples = {int(b): j for j, b in enumerate(line.samples)}
         total = _square(inputs.e0, self.prior)
         push = np.einsum("rci,ij,rcj->rc", inputs.w, self.w, inputs.w) * discounted_length(self.rate, line.lengths)
-        noise = np.einsum("rji,jik,rjk->rj", inputs.v, self.heard(line.masks), inputs.v)
+        noise = np.einsum("rji,jik,rjk->rj", inputs.v, self.sample_weights(line.masks), inputs.v)
         fade = np.exp(-self.rate * line.lengths)
         found = np.empty((rows.at.size, total.size))
         last = 0
@@ -48,7 +48,7 @@ class Promise:
             found[row] = total
         return self.gain * found.T
 
-    def heard(self, masks: Array) -> Array:
+    def sample_weights(self, masks: Array) -> Array:
         """Return the weight of v at each of N samples, (N, p, p): what is not measured is free."""
         return np.array([marginal(self.v, mask > 0) for mask in masks])
 

@@ -36,7 +36,7 @@ from sampling_design.validation.scenario import (
 )
 from sampling_design.validation.timeline import Timeline, build_timeline, default_duration
 from sampling_design.validation.trials import EstimatedRun, driven, extent, real_run, true_run
-from sampling_design.validation.worst_disturbance import worst_energy, worst_push
+from sampling_design.validation.worst_disturbance import worst_disturbance, worst_energy
 
 Seeds = Sequence[np.random.SeedSequence]
 
@@ -154,7 +154,7 @@ class Study:
 
     def _largest(self, promise: Promise) -> Array:
         b = self.bounds
-        heard = [largest_square(weight, b.v) for weight in promise.heard(self.line.masks)]
+        heard = [largest_square(weight, b.v) for weight in promise.sample_weights(self.line.masks)]
         energies = largest_square(promise.prior, b.e0), largest_square(promise.w, b.w), np.array(heard)
         return promise.at_most(self.line, self.map.rows, energies)
 
@@ -209,7 +209,7 @@ class Study:
     def _worst(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
         if self.promise is not None:
             self._worst_energy(self.map, self.promise)
-        push = worst_push(self.map, self.bounds, self.measure)
+        push = worst_disturbance(self.map, self.bounds, self.measure)
         self._judge("worst push", measured(self.map, self.promise, self.measure, push), "attained")
 
     def _worst_energy(self, found: ErrorMap, promise: Promise, scenario: str = "worst energy") -> None:

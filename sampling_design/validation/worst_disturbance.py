@@ -105,7 +105,7 @@ def _terms(found: ErrorMap, promise: Promise, row: int, parts: Sensitivity) -> l
     cost = np.where(inside, faded, np.inf)
     fade = np.exp(rate * np.maximum(t - line.times[line.samples], 0))
     unit = np.linalg.inv(promise.w)
-    seen = promise.heard(line.masks)
+    seen = promise.sample_weights(line.masks)
     blank = np.einsum("ja,ab->jab", 1 - line.masks, np.eye(line.masks.shape[1]))
     return [
         (parts.e0, np.linalg.inv(promise.prior) * np.exp(rate * t) / promise.gain),
@@ -126,7 +126,7 @@ def _weighted(found: ErrorMap, promise: Promise, row: int, parts: Sensitivity) -
     return flat
 
 
-def worst_push(found: ErrorMap, bounds: ScenarioBounds, root: Array) -> RunInputs:
+def worst_disturbance(found: ErrorMap, bounds: ScenarioBounds, root: Array) -> RunInputs:
     """Return the inputs within the bounds that push the last error furthest, along each axis of |root e|, both ends.
 
     A linear functional over boxes and balls is largest at a corner or on the sphere, cell by cell: bang-bang.

@@ -129,12 +129,12 @@ def test_branches_know_where_they_left():
     branch = first.after(1)
     assert branch is not whole
     assert branch.after(2) is branch
-    whole.tell(2, "late")
+    whole.record(2, "late")
     assert [whole.contradiction(k) for k in (1, 2, 9)] == [None, "late", "late"]
     assert branch.contradiction(9) is None
-    whole.tell(1, "early")
+    whole.record(1, "early")
     assert branch.contradiction(2) == "early"
-    branch.tell(3, "own")
+    branch.record(3, "own")
     assert [branch.contradiction(k) for k in (0, 1, 3)] == [None, "early", "own"]
     for _ in range(2 * DEEPEST):
         branch, old = Branch(branch, 3), branch

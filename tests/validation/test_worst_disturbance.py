@@ -9,7 +9,7 @@ from sampling_design.validation.error_map import build_error_map
 from sampling_design.validation.promise import promise_of
 from sampling_design.validation.scenario import RunInputs, ScenarioBounds, draw_inputs
 from sampling_design.validation.timeline import build_timeline
-from sampling_design.validation.worst_disturbance import sensitivity, worst_energy, worst_push
+from sampling_design.validation.worst_disturbance import sensitivity, worst_disturbance, worst_energy
 from tests.oracles.validation import promised
 from tests.validation.plants import PLANTS, SCHEDULES, certificate
 
@@ -94,7 +94,7 @@ def test_the_promise_agrees_with_plain_quadrature():
 
 def test_worst_push_reaches_the_support_of_the_bounds():
     bounds, _, found, promise = built("unstable", "certificate")
-    inputs = worst_push(found, bounds, promise.root)
+    inputs = worst_disturbance(found, bounds, promise.root)
     errors = found.apply(inputs).e
     row = int(found.rows.samples[-1])
     parts, axis = sensitivity(found, row), promise.root[0]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sampling_design.certificates.certification import chosen
 from sampling_design.certificates.exact.certificate import Certificate
-from sampling_design.certificates.exact.given_weights import met, weights_of
+from sampling_design.certificates.exact.given_weights import certifiable_schedule, weights_of
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -118,7 +118,7 @@ def tradeoff_curve(
         raise ArgumentError(
             f"`noise_gains` must be above 1, got {float(steps[0])!r}: no P2 attains the least noise gain."
         )
-    schedule = met(plant, schedule)
+    schedule = certifiable_schedule(plant, schedule)
     weights, rate = weights_of(plant, Qw, R, Qv), checks.positive("eta", eta)
     found = chosen(plant, schedule, weights, rate, steps.tolist(), progress)
     horizons = [made.horizon() for made in found]

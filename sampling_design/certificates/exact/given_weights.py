@@ -58,7 +58,7 @@ def weights_of(plant: Plant, Qw: object, R: object, Qv: object) -> NoiseWeights:
     )
 
 
-def met(plant: Plant, schedule: AnySchedule) -> AnySchedule:
+def certifiable_schedule(plant: Plant, schedule: AnySchedule) -> AnySchedule:
     """Return the schedule in the plant's terms.
 
     Raises

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, solve_continuous_are, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
-from sampling_design.certificates.detectability.best_rate import _refuse_unseen, detectability_from_proof
+from sampling_design.certificates.detectability.best_rate import _refuse_undetectable, detectability_from_proof
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
 from sampling_design.errors import SolverError
 from sampling_design.numerics.linalg import expm_batch, symmetrise
@@ -42,7 +42,7 @@ def best_gain(plant: Plant, t_star: float, variant: str, cap: float = np.inf) ->
     SolverError
         If no gain of the sweep could be computed.
     """
-    _refuse_unseen(plant, 0.0)
+    _refuse_undetectable(plant, 0.0)
     n = plant.n_states
     search = _GainSearch(plant, t_star, variant, cap)
     starts = [np.r_[np.log(s), np.log(w), np.zeros(2 * (n - 1))] for s in SHIFTS for w in NOISES]

@@ -162,7 +162,7 @@ class BallWindows:
         """The flow of what falls at the start."""
         return BallFlow(self.frame.flow.A, fallen(self.frame.flow.slope(self.frame.start)))
 
-    def held(self) -> bool:
+    def start_is_invariant(self) -> bool:
         """Whether some s I, s <= 1, holds the start and the flow alone takes it below itself: then all windows."""
         frame = self.frame
         for s in (largest(frame.start), ball(1.0)):

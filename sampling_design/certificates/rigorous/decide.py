@@ -268,7 +268,7 @@ def attained(c: Sampled, clock: Budget) -> None:
     start, t, stated = c.witness.start, c.witness.t, c.witness.ratio
     x, least = frame.L.transpose() * matrix(c.witness.direction[:, None]), ball(stated) * (1 - ball(REPLAY))
     for bound in (lowered, raised):
-        Y = flown(frame, start, t, clock, bound)
+        Y = covariance_bound(frame, start, t, clock, bound)
         if Y is None or not definite(Y):
             raise Undecided(frame.inequality, "the window of the witness is lost in rounding")
         ratio = (x.transpose() * x)[0, 0] / (x.transpose() * Y.solve(x))[0, 0]
@@ -279,7 +279,7 @@ def attained(c: Sampled, clock: Budget) -> None:
     raise kind(frame.inequality, reason, float(ratio) / stated - 1, t, start)
 
 
-def flown(
+def covariance_bound(
     frame: ScheduleFrame, start: float, t: float, clock: Budget, bound: Callable[[Matrix], Matrix]
 ) -> Matrix | None:
     """A bound of Y at t in the window from `start`, `lowered` or `raised`; None where rounding leaves none.
@@ -316,7 +316,7 @@ def prove(make: Callable[[], ScheduleFrame], samples_only: bool, clock: Budget) 
     for bits, inflations in PROPOSALS.items():
         with precision(bits):
             windows = BallWindows(make(), clock)
-            if windows.held():
+            if windows.start_is_invariant():
                 return 1.0 - windows.reached
             catches = windows.propose(inflations)
             if catches and (windows.at_samples() if samples_only else windows.everywhere(failed)):

@@ -54,9 +54,9 @@ class Contradiction(NamedTuple):
     factor: float
     alone: bool = True
 
-    def told(self) -> str:
+    def sentence(self) -> str:
         """What every estimate from it on says of it."""
-        return _told(self)
+        return _sentence(self)
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data; an infinite factor becomes None."""
@@ -70,7 +70,7 @@ class Contradiction(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def _told(contradiction: Contradiction) -> str:
+def _sentence(contradiction: Contradiction) -> str:
     again = "To leave it out: withdraw(t, output). To start again: start(prior, prior_time)."
     return f"The data contradict the bounds: {contradiction}. {again}"
 
@@ -300,7 +300,7 @@ def _disprove(entries: dict[str, object], proof: ProvesIntervals) -> None:
     contradiction = proof.contradiction
     if contradiction is None or entries.get("contradiction") is not None:
         return
-    note = f"{contradiction.told()} {entries.get('note', '')}".strip()
+    note = f"{contradiction.sentence()} {entries.get('note', '')}".strip()
     entries.update(radius=np.nan, certified=False, contradiction=contradiction, note=note)
     if proof.newly and entries["status"] == "ok":
         entries["status"] = "bounds disproved"

@@ -104,10 +104,10 @@ class Evidence:
         found = prove(program, t, rows, outer)
         last = self.nodes[-1]
         if found.disproof is not None and last.branch is not None and last.contradiction is None:
-            last.branch.tell(last.number, self._blamed(found.disproof))
+            last.branch.record(last.number, self._contradiction_of(found.disproof))
         return found
 
-    def _blamed(self, found: Disproof) -> Contradiction:
+    def _contradiction_of(self, found: Disproof) -> Contradiction:
         """Return the sample without which the rest agrees and what its noise would have to be; else the strongest."""
         readings, names = found.readings, self.assumed.plant.outputs.names
         numbers = {node.t: node.number for node in self.nodes}

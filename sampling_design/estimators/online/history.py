@@ -48,7 +48,7 @@ class Branch:
         branch._last = number + 1
         return branch
 
-    def tell(self, number: int, contradiction: Contradiction) -> None:
+    def record(self, number: int, contradiction: Contradiction) -> None:
         """Take down what the samples up to a node prove."""
         if self._proven is None or number < self._proven[0]:
             self._proven = number, contradiction

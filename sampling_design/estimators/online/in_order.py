@@ -139,7 +139,7 @@ class OnlineEstimator(ABC):
             and new is not None
             and (proven := old.contradiction(state.last.number)) is not None
         ):
-            new.tell(replayed.last.number, proven)  # a sample more does not make the others agree
+            new.record(replayed.last.number, proven)  # a sample more does not make the others agree
         return replayed, self._handed_out(replayed, len(replayed.nodes) - 1)
 
     def _check(self, sample: Sample, state: EstimatorState) -> CheckedSample:
@@ -148,7 +148,7 @@ class OnlineEstimator(ABC):
         y, limits = (sample.y, ()) if type(sample.y) is np.ndarray else told(sample.y, self.plant.n_outputs)
         y = None if y is None else self._check_y(y, t, bool(limits))
         if limits:
-            self._check_told(state, t, limits)
+            self._check_censored(state, t, limits)
         if sample.u is None:
             if y is None:
                 raise ArgumentError(f"`y` and `u` are both missing at t = {t!r}. To look ahead use predict(t).")
@@ -171,7 +171,7 @@ class OnlineEstimator(ABC):
                 f"samples (latest sample at {state.last.t!r})."
             )
 
-    def _check_told(self, state: EstimatorState, t: float, limits: tuple[CensoredReading, ...]) -> None:
+    def _check_censored(self, state: EstimatorState, t: float, limits: tuple[CensoredReading, ...]) -> None:
         """Refuse limits and means that say nothing here."""
         raise ArgumentError(f"`y` holds a limit or a mean at t = {t!r}: this estimator takes plain numbers only.")
 

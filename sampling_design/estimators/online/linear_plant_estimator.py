@@ -88,7 +88,7 @@ class LinearPlantEstimator(OnlineEstimator):
         a = state.last.t
         return state._replace(reached=(a, t, self.loop.drift.between(state, a, t)))
 
-    def _check_told(self, state: EstimatorState, t: float, limits: tuple[CensoredReading, ...]) -> None:
+    def _check_censored(self, state: EstimatorState, t: float, limits: tuple[CensoredReading, ...]) -> None:
         exact = self.weighs_means and all(each.since is not None and each.lower == each.upper for each in limits)
         if self.recorder.assumed is None and not exact:
             raise ArgumentError(

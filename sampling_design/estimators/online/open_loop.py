@@ -38,7 +38,7 @@ class OpenLoop:
         """Return the gap from a to b and what the inputs of a state add over it."""
         return self.table.one(b - a), self.drift.between(state, a, b)
 
-    def flown(self, node: HistoryNode, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
+    def propagated(self, node: HistoryNode, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
         """Return state, covariance and radius after a gap, without a measurement."""
         beta = faded(node.beta, 1 / flow.growth) + self.bounds.over(flow.gap) if flow.gap > 0 else node.beta
         x: Array = flow.F.dot(node.x)
@@ -47,7 +47,7 @@ class OpenLoop:
     def ahead(self, node: HistoryNode, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
         """Return state, covariance and radius after a gap: of the two ellipsoids the smaller one."""
         with np.errstate(over="ignore", invalid="ignore"):
-            x, Y, beta = self.flown(node, flow, drift)
+            x, Y, beta = self.propagated(node, flow, drift)
             whole = self.undiscounted(node, flow)
         if whole is None or not np.isfinite(whole).all():
             if not np.isfinite(Y).all():

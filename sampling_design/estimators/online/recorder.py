@@ -111,7 +111,7 @@ class Recorder:
         unbounded = self.bounds.note
         certified = sound and not unbounded and math.isfinite(beta) and _is_finite(Y)
         if contradiction is not None:
-            note = f"{contradiction.told()} {note}".strip()
+            note = f"{contradiction.sentence()} {note}".strip()
         elif unbounded:
             note = f"{note} {unbounded}"
         elif not certified:

@@ -151,7 +151,7 @@ class SlidingBand:
         self._reference: list[Array] = []
         self._kinds: dict[bytes, OutputInformation] = {}
         self._latest: tuple[Array, OutputInformation] | None = None  # the mask that came last, and what it means
-        self._heard: list[tuple[OutputInformation, Array]] = []  # what a node's outputs mean, and U (y - D u)
+        self._noise_energy: list[tuple[OutputInformation, Array]] = []  # what a node's outputs mean, and U (y - D u)
         self._zero, self._cancelling, self._untouched = 0.0, False, False
         self._banded = 0  # so many nodes have their columns
         self._alike = 0  # so many of the newest nodes came after the same gap with the same outputs
@@ -175,7 +175,7 @@ class SlidingBand:
         held = self._own, self._before, self._pull, self._pushed, self._sums
         return *held, self._places, self._missed, self._measured
 
-    def heard(self, mask: Array) -> OutputInformation:
+    def output_information(self, mask: Array) -> OutputInformation:
         """Return what a sample of some outputs means."""
         if self._latest is not None and self._latest[0] is mask:
             return self._latest[1]
@@ -202,18 +202,18 @@ class SlidingBand:
             self._own, self._before, self._pull, self._pushed, self._sums = grown[:5]
             self._places, self._missed, self._measured = grown[5:]
             self._ones = np.ones(2 * k)
-        kind, flow = self.heard(new.mask), new.flow
+        kind, flow = self.output_information(new.mask), new.flow
         if not k:
             self._zero = new.t
         elif flow is None or flow.joint is None:
             return False
         elif self._eta * (new.t - self._zero) > FAR:
             self._count_from(new.t)
-        self._alike = self._alike + 1 if k and flow is self._known[-1].flow and kind is self._heard[-1][0] else 1
+        self._alike = self._alike + 1 if k and flow is self._known[-1].flow and kind is self._noise_energy[-1][0] else 1
         d = math.exp(self._eta * (new.t - self._zero))
         read = kind.size.dot(abs(new.y))
         self._known.append(new)
-        self._heard.append((kind, kind.root.dot(new.y - new.feedthrough if self._direct else new.y)))
+        self._noise_energy.append((kind, kind.root.dot(new.y - new.feedthrough if self._direct else new.y)))
         self._reference.append(reference)
         weighed = self._weighed(k, d)
         self._sums[k, 1:] = kind.energy * d, 0.0, read.dot(read)
@@ -232,7 +232,7 @@ class SlidingBand:
 
     def _weighed(self, k: int, d: float) -> bool:
         """Put down what a node's sample costs at its reference, and how that pulls; False where that overflows."""
-        reference, (kind, read) = self._reference[k], self._heard[k]
+        reference, (kind, read) = self._reference[k], self._noise_energy[k]
         half = read - kind.shown.dot(reference)
         square = float(half.dot(half))
         kind.back.dot(half * d, self._pull[k])
@@ -298,7 +298,7 @@ class SlidingBand:
             rows = kept + (part is self._places)
             part[:rows] = part[count : count + rows].copy()
         self._banded = max(self._banded - count, 0)
-        del self.nodes[:count], self._known[:count], self._reference[:count], self._heard[:count]
+        del self.nodes[:count], self._known[:count], self._reference[:count], self._noise_energy[:count]
 
     def _columns(self, rows: slice) -> Array:
         """The columns of some nodes up to the newest: what each costs, and both gaps beside it."""
@@ -306,7 +306,7 @@ class SlidingBand:
         for k in range(self._banded, rows.stop):
             new = self._known[k]
             d = math.exp(eta * (new.t - zero))
-            np.multiply(self._heard[k][0].band, d, own[k])
+            np.multiply(self._noise_energy[k][0].band, d, own[k])
             if k and new.flow is not None:
                 gap, column = new.flow.band, own[k - 1]
                 column += gap[0] * d
@@ -417,7 +417,7 @@ class SlidingBand:
 
     def _with(self, flow: GapFlow, Y: Array) -> tuple[object, ...]:
         """What the newest node came with, and what was known where the window begins."""
-        return self._known[-1].flow, self._heard[-1][0], flow, Y
+        return self._known[-1].flow, self._noise_energy[-1][0], flow, Y
 
     def _remembered(self, count: int, flow: GapFlow, Y: Array) -> WindowGains | None:
         """The gains of the window before, where all `count` nodes came with the same: they are those of this one."""
@@ -430,7 +430,7 @@ class SlidingBand:
         """Return state and covariance after the sample at the start, its cost, noise bound and what was read."""
         assert opening.sample is not None
         y, mask, feedthrough = opening.sample
-        kind = self.heard(mask)
+        kind = self.output_information(mask)
         innovation = kind.root @ (y - feedthrough) - kind.shown @ opening.x
         if self._absorbed is None or self._absorbed[0] is not opening.Y or self._absorbed[1] is not kind:
             root, gain, half = root_update(covariance_root(opening.Y), kind.shown, np.eye(innovation.size))

@@ -182,7 +182,7 @@ class _BySigma:
         """Which cells are proven, which fail at their centre, and what each direction matters."""
         lower, centre, effect = self.asked.judge(cells)
         lost, k = np.asarray(centre <= self.floor), int(np.argmin(centre))
-        lost[k] |= self.asked.unseen(cells.u[k], float(cells.s[k]), int(cells.piece[k]))
+        lost[k] |= self.asked.unobservable(cells.u[k], float(cells.s[k]), int(cells.piece[k]))
         return lower > self.floor, lost, effect
 
     def failing(self, cell: BoxCells) -> Array | None:
@@ -190,7 +190,7 @@ class _BySigma:
         pieces = self.asked.pieces
         start = (np.inf, cell.u[0], float(cell.s[0]), int(cell.piece[0]))
         value, u, s, piece = descended_sigma(start, self.asked.value, (pieces.left, pieces.right))
-        return u if value <= self.floor or self.asked.unseen(u, s, piece) else None
+        return u if value <= self.floor or self.asked.unobservable(u, s, piece) else None
 
 
 class _ByGains:

@@ -8,7 +8,7 @@ from typing import TypedDict, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.certificates.exact.given_weights import above_one, met, weights_of
+from sampling_design.certificates.exact.given_weights import above_one, certifiable_schedule, weights_of
 from sampling_design.certificates.existence.counterexample import find_counterexample
 from sampling_design.certificates.families.graphs import in_plant_terms
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
@@ -231,7 +231,7 @@ def in_terms(plant: LinearInclusion, schedule: object, **others: object) -> Sche
         raise ArgumentError("`plant` must have states: there is nothing to certify.")
     if isinstance(schedule, SamplingFamily):
         return in_plant_terms(plant.centre, schedule)
-    known = met(plant.centre, schedule)
+    known = certifiable_schedule(plant.centre, schedule)
     return period_of(known).primitive()
 
 

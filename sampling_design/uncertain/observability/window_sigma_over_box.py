@@ -157,4 +157,4 @@ def _searched(model: BoxModel, pieces: Pieces, rtol: float, seconds: float, prog
     if few is not None:
         return BoxBounds(0.0, 0.0, model.start, float(pieces.left[few]), few, "too few samples", 0)
     ends = (pieces.left, pieces.right)
-    return branch(asked.cells(), asked.judge, asked.value, asked.unseen, rtol, seconds, ends, progress)
+    return branch(asked.cells(), asked.judge, asked.value, asked.unobservable, rtol, seconds, ends, progress)

@@ -42,7 +42,7 @@ class WindowsOverBox:
         """Sigma of one plant and window."""
         return float(np.linalg.svd(self._rows(u, s, piece) / self.model.unit, compute_uv=False)[self.model.n - 1])
 
-    def unseen(self, u: Array, s: float, piece: int) -> bool:
+    def unobservable(self, u: Array, s: float, piece: int) -> bool:
         """Whether one plant has a direction that its window does not show, in whatever units."""
         least = np.linalg.svd(self._rows(u, s, piece), compute_uv=False)[self.model.n - 1]
         return bool(least <= UNSEEN * np.linalg.norm(self.model.C))

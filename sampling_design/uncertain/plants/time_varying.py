@@ -223,11 +223,11 @@ class TimeVaryingPlant(Record):
             found = [table_flow(own, None if spread is None else driven, spread, a, b) for a, b in gaps]
             F, W = (np.array([part[k] for part in found]).reshape(-1, n, n) for k in (0, 1))
             return TransitionTable(F, W, shown, np.array([part[2] for part in found]), True)
-        coarse, fine = (self._flown(grid, spread, tolerance) for tolerance in (TOLERANCE, CLOSER * TOLERANCE))
+        coarse, fine = (self._flow_along(grid, spread, tolerance) for tolerance in (TOLERANCE, CLOSER * TOLERANCE))
         errors = np.linalg.norm(fine[:, :n] - coarse[:, :n], ord=2, axis=(1, 2))
         return TransitionTable(fine[:, :n], fine[:, n:], shown, errors, False)
 
-    def _flown(self, grid: Array, spread: Array | None, tolerance: float) -> Array:
+    def _flow_along(self, grid: Array, spread: Array | None, tolerance: float) -> Array:
         """Phi over W for each gap, scaled, (K-1, 2n, n)."""
         n, unit = self.n_states, self.states.scales
 

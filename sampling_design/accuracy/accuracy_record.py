@@ -9,7 +9,7 @@ import numpy as np
 from sampling_design.accuracy.accuracy_profile import AccuracyProfile, GapProof
 from sampling_design.accuracy.bounds import SignalBounds
 from sampling_design.accuracy.deviation import StandardDeviation
-from sampling_design.accuracy.projection import Projection, shadow
+from sampling_design.accuracy.projection import Projection, project_rows
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.search import ChainSearch
 from sampling_design.accuracy.timing import added, is_enough, keeps_times
@@ -119,9 +119,9 @@ class Accuracy(AccuracyBracket, CurveRecord):
         """Bounds on w and v; one row of v for each sample, and an empty one for a start that is no sample."""
         return self.question.bounds
 
-    def shadow(self, first: str, second: str, t: float | None = None, directions: int = 24) -> Projection:
+    def projection(self, first: str, second: str, t: float | None = None, directions: int = 24) -> Projection:
         """Return the exact set of what data may leave possible of two rows at one time (`accuracy.projection`)."""
-        return shadow(self, first, second, t, directions)
+        return project_rows(self, first, second, t, directions)
 
     def verify(self, rigorous: bool = False) -> bool:
         """Whether both sides hold, recomputed from gains and witnesses without a solver.

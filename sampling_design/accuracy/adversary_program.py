@@ -250,7 +250,7 @@ class ConeWindow:
         """The state of an adversary at the first sample, from a solver's: admissible before it, but for its size."""
         chain, at = self.chain, self.nodes[0]
         if isinstance(self.start, StartSet):
-            return chain.opening(z)
+            return chain.admissible_start(z)
         if not self.start.any() or chain.undriven is None:
             return np.zeros_like(z)
         x = chain.undriven.nearest(chain.D * (chain.L[at] @ z))

@@ -59,7 +59,7 @@ def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, i
     F, W = F * D / D[:, None], W / np.outer(D, D)
     rows = [H * D for H in rows]
     D = balance * D
-    P = opening(initial, D)
+    P = start_covariance(initial, D)
     roots, samples = [], []
     for j, H in enumerate(rows):
         K, P = update_with_gain(P, H)[1], information_update(P, H.T @ H)
@@ -113,7 +113,7 @@ def _scales(F: Array, W: Array, rows: list[Array], initial: InitialSet, balance:
     return np.where(known == 0, D, np.where(driven, np.minimum(D, BEYOND * size), size))
 
 
-def opening(initial: InitialSet, D: Array) -> Array:
+def start_covariance(initial: InitialSet, D: Array) -> Array:
     """Covariance at the start."""
     known = initial.S * D
     information = known.T @ known + np.eye(D.size) / DIFFUSE

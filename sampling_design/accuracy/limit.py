@@ -43,10 +43,10 @@ SCALINGS = 80
 """Halvings and doublings of the time constant after which a step that settles is given up."""
 
 SHALLOW = 32
-"""Nodes of the first attack."""
+"""Nodes of the first trajectory."""
 
 OFFSETS = 5
-"""Offsets of the longest gap between zones that are attacked first."""
+"""Offsets of the longest gap between zones that are looked at first."""
 
 ON_EDGE = 1e-9
 """Share of the times at hand within which the end of a gap and that of a zone are one."""
@@ -54,9 +54,9 @@ ON_EDGE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class LimitWitness:
-    """An attack, and where in the period of the zones its last node stands; None where nothing is needed."""
+    """An trajectory, and where in the period of the zones its last node stands; None where nothing is needed."""
 
-    attack: AccuracyWitness | None
+    trajectory: AccuracyWitness | None
     phase: float
 
 
@@ -90,21 +90,23 @@ class AccuracyLimit(PlainRecord):
     witnesses: tuple[LimitWitness, ...]
     unknown: tuple[str, ...]
 
-    _plain = "rows:rows.names lower zones period unknown witnesses:_attacks"
+    _plain = "rows:rows.names lower zones period unknown witnesses:_trajectories"
 
-    def _attacks(self) -> tuple[AccuracyWitness | None, ...]:
-        return tuple(one.attack for one in self.witnesses)
+    def _trajectories(self) -> tuple[AccuracyWitness | None, ...]:
+        return tuple(one.trajectory for one in self.witnesses)
 
     def verify(self) -> bool:
         """Whether every witness keeps its bounds at all allowed real times and reaches its value."""
         known = _known(self.plant)
         for row, lower, witness in zip(self.rows.matrix, self.lower, self.witnesses, strict=True):
-            attack, lost = witness.attack, known.touches(row)
-            if attack is None:
+            trajectory, lost = witness.trajectory, known.touches(row)
+            if trajectory is None:
                 if not (lost or lower == 0):
                     return False
                 continue
-            same = np.array_equal(attack.plant.A, known.plant.A) and np.array_equal(attack.row, row @ known.lift)
+            same = np.array_equal(trajectory.plant.A, known.plant.A) and np.array_equal(
+                trajectory.row, row @ known.lift
+            )
             value, excess = _kept(witness, self.bounds, self.zones, self.period)
             if lost or not same or excess > 1 + KEPT or value < lower * (1 - KEPT):
                 return False
@@ -193,7 +195,7 @@ def accuracy_limit(
     for k in safe:
         if not exact:
             found[k] = _strongest(known.plant, rows.matrix[k] @ known.lift, one, allowed, span, tolerance)
-        witness = found[k].attack
+        witness = found[k].trajectory
         lower[k] = 0.0 if witness is None else witness.value
     return AccuracyLimit(plant, rows, one, allowed, span, freeze(lower), tuple(found), known.modes)
 
@@ -276,8 +278,8 @@ def _strongest(
         if nodes.size > 2 * CROWDED and halving:
             break
         question = _question(plant, bounds, nodes, span)
-        found, factor = _attack(ChainSearch(*question.chain(plant)), question, row, allowed, period, rtol)
-        if found.attack is not None and (best.attack is None or found.attack.value > best.attack.value):
+        found, factor = _adversary_in_gap(ChainSearch(*question.chain(plant)), question, row, allowed, period, rtol)
+        if found.trajectory is not None and (best.trajectory is None or found.trajectory.value > best.trajectory.value):
             best = found
         if factor <= 1 + rtol / 2:
             break
@@ -285,7 +287,7 @@ def _strongest(
     return best
 
 
-def _attack(
+def _adversary_in_gap(
     search: ChainSearch, question: AccuracyQuestion, row: Array, allowed: Array | None, period: float, rtol: float
 ) -> tuple[LimitWitness, float]:
     """A witness that is admissible at all allowed real times, and by how much it had to shrink for it."""
@@ -296,10 +298,10 @@ def _attack(
         last = found.opened[j].d.size - 1
         tries = [last * k // OFFSETS for k in range(1, OFFSETS + 1)]
         for offset in tries:
-            search.attack(j, found.opened[j].mu[offset], rough=True)
+            search.both_sides(j, found.opened[j].mu[offset], rough=True)
         at = int(np.argmax(search.attained(found, j)))
     while True:
-        search.attack(j, found.opened[j].mu[at])
+        search.both_sides(j, found.opened[j].mu[at])
         now = float(search.attained(found, j)[at])
         if now <= before * (1 + rtol / 4) or 2 * search.deep > NODES:
             break
@@ -307,33 +309,33 @@ def _attack(
         search.deep *= 2
     choices = []
     for k, opened in enumerate(found.opened):
-        for strike in search.strikes[k]:
-            values = np.abs(opened.mu @ strike.end) + opened.below
+        for row_adversary in search.adversaries[k]:
+            values = np.abs(opened.mu @ row_adversary.end) + opened.below
             place = 0 if allowed is None else int(np.argmax(values))
-            choices.append((float(values[place]), place, strike))
-    _, place, strike = max(choices, key=lambda choice: choice[0])
-    attack = physical(row, found.opened[strike.sample], strike, place)
-    witness = LimitWitness(replace(attack, last=0), float(question.nodes[strike.sample]))
+            choices.append((float(values[place]), place, row_adversary))
+    _, place, row_adversary = max(choices, key=lambda choice: choice[0])
+    trajectory = physical(row, found.opened[row_adversary.sample], row_adversary, place)
+    witness = LimitWitness(replace(trajectory, last=0), float(question.nodes[row_adversary.sample]))
     value, excess = _kept(witness, question.bounds, allowed, period)
     if not value > 0 or not np.isfinite(excess):
         return LimitWitness(None, 0.0), np.inf if value > 0 else 1.0
-    return replace(witness, attack=replace(attack.within(excess, value), last=0)), max(excess, 1.0)
+    return replace(witness, trajectory=replace(trajectory.within(excess, value), last=0)), max(excess, 1.0)
 
 
 def _kept(witness: LimitWitness, bounds: SignalBounds, zones: Array | None, period: float) -> tuple[float, float]:
     """What a witness attains, and the factor by which it exceeds its bounds at all allowed times."""
-    assert witness.attack is not None
-    value, excess = attains(witness.attack, replace(bounds, v=bounds.v[:1]))
+    assert witness.trajectory is not None
+    value, excess = attains(witness.trajectory, replace(bounds, v=bounds.v[:1]))
     if not np.isfinite(excess):
         return value, excess
-    return value, max(excess, _between(witness.attack, bounds, _looked_into(witness, zones, period)))
+    return value, max(excess, _between(witness.trajectory, bounds, _looked_into(witness, zones, period)))
 
 
 def _looked_into(witness: LimitWitness, zones: Array | None, period: float) -> Mask:
     """Which gaps of a witness hold an allowed time; the last one is what follows its last node."""
-    assert witness.attack is not None
-    samples = witness.attack.samples
-    marks = np.append(samples, witness.attack.edges[-1]) - samples[-1] + witness.phase
+    assert witness.trajectory is not None
+    samples = witness.trajectory.samples
+    marks = np.append(samples, witness.trajectory.edges[-1]) - samples[-1] + witness.phase
     if zones is None:
         return np.ones(samples.size, dtype=bool)
     slack = ON_EDGE * max(period, float(np.abs(marks).max()))

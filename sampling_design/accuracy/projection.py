@@ -1,4 +1,4 @@
-"""The exact two-dimensional shadow of the set of states that nobody can exclude, between two polygons."""
+"""The exact two-dimensional projection of the set of states that nobody can exclude, between two polygons."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ SHARES = np.geomspace(1e-2, 0.9, 9)
 
 
 class BracketedRows(Protocol):
-    """Rows whose accuracy is known: what a shadow asks of it."""
+    """Rows whose accuracy is known: what a projection asks of it."""
 
     @property
     def question(self) -> AccuracyQuestion:
@@ -78,7 +78,7 @@ class Projection(PlainRecord):
     inner : (k, 2) array
         Corners of a polygon inside it: points that adversaries attain.
     ellipse : (2, 2) array
-        Q with { p : p'Q^-1 p <= 1 }, the shadow of the best ellipsoid that a filter with one discount proves for
+        Q with { p : p'Q^-1 p <= 1 }, the projection of the best ellipsoid that a filter with one discount proves for
         the same bounds: what estimators with quadratic costs know.
     """
 
@@ -116,8 +116,10 @@ class Projection(PlainRecord):
 
 
 @checked
-def shadow(found: BracketedRows, first: str, second: str, t: float | None = None, directions: int = 24) -> Projection:
-    """Return the shadow of { x : c'x <= rho(c; t) for all c } on two states or outputs.
+def project_rows(
+    found: BracketedRows, first: str, second: str, t: float | None = None, directions: int = 24
+) -> Projection:
+    """Return the projection of { x : c'x <= rho(c; t) for all c } on two states or outputs.
 
     Parameters
     ----------
@@ -154,7 +156,7 @@ def shadow(found: BracketedRows, first: str, second: str, t: float | None = None
     question = found.question
     if question.late:
         raise ArgumentError(
-            "`shadow` is of samples on time, known at once: leave `timing_tolerance`, `result_delay` out."
+            "`projection` is of samples on time, known at once: leave `timing_tolerance`, `result_delay` out."
         )
     rows = wanted_rows(question.plant, [first, second])
     if np.linalg.matrix_rank(rows.matrix) < 2:
@@ -211,9 +213,9 @@ def _reached(search: ChainSearch, node: int, row: Array, d: float, question: Acc
     mu = opened.mu[-1]
     if not np.isfinite(search.atoms[node].rest(mu[None], mu[None])[0]):
         return np.inf, np.zeros(chain.D.size)
-    best = min(search.attack(node, mu)[0].value, search.gains(node, mu).value)
-    strike = search.strikes[node][-1]
-    witness = physical(row, opened, strike, opened.d.size - 1 if d else 0)
+    best = min(search.both_sides(node, mu)[0].value, search.gains(node, mu).value)
+    row_adversary = search.adversaries[node][-1]
+    witness = physical(row, opened, row_adversary, opened.d.size - 1 if d else 0)
     _, excess = attains(witness, question.bounds, question.initial)
     _, x, _ = witness.simulate()
     return best + float(opened.above[-1]), x / max(excess, 1.0) if np.isfinite(excess) else np.zeros(chain.D.size)

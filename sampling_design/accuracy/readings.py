@@ -140,7 +140,7 @@ class CompositeReading:
 PartialReading: TypeAlias = BelowDetection | AboveRange | CompositeReading
 
 
-def told(y: object, p: int) -> tuple[object, tuple[CensoredReading, ...]]:
+def with_censored(y: object, p: int) -> tuple[object, tuple[CensoredReading, ...]]:
     """Return measurements with NaN in place of limits and means, and those.
 
     Raises
@@ -424,7 +424,7 @@ def _arrived(item: object, p: int) -> RecordRow:
     t, u = checks.number("t", item[0]), item[2] if len(item) == 3 else None
     if item[1] is None:
         return RecordRow(t, None, u)
-    plain, limits = told(item[1], p)
+    plain, limits = with_censored(item[1], p)
     try:
         y = np.asarray(plain, dtype=np.float64).reshape(-1)
     except (TypeError, ValueError):

@@ -266,7 +266,7 @@ def proven_below(witness: AccuracyWitness, bounds: SignalBounds, lower: float) -
     if np.any(witness.states[0]):
         return lower <= 0
     with precision(BITS):
-        flight, most, value = _Flight(witness, bounds), ball(1.0), ball(0.0)
+        flight, most, value = _BallTrajectory(witness, bounds), ball(1.0), ball(0.0)
         for k in range(len(witness.states)):
             found = flight.gap(k)
             if found is None:
@@ -275,7 +275,7 @@ def proven_below(witness: AccuracyWitness, bounds: SignalBounds, lower: float) -
         return bool(value / most >= ball(lower))
 
 
-class _Flight:
+class _BallTrajectory:
     """A witness in balls, in units of its bounds and of the sizes of its states."""
 
     def __init__(self, witness: AccuracyWitness, bounds: SignalBounds):

@@ -173,7 +173,7 @@ class SampleChain:
         """How long it is from sample j until the next one is taken, or to the end."""
         return self.gaps[j].length + self.late if j < len(self.gaps) else self.last
 
-    def opening(self, z: Array) -> Array:
+    def admissible_start(self, z: Array) -> Array:
         """z_0 with what is known exactly of it put right."""
         if self.known is None or not self.known.any():
             return z

@@ -1,4 +1,4 @@
-"""The worst time of each row over the schedule: where the highest bound stands, the program is solved or attacked."""
+"""The worst time of each row over the schedule: where the highest bound stands, its program is solved."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ FILLED = 24
 ATTACKS = (8, 32)
 """Attacks for the profile of one row, where one of them is a large program and where it is a small one."""
 
-ATTACKS_LONG = 3
+ADVERSARIES_LONG = 3
 """Attacks, and targets solved, where windows are as long as the filter's memory."""
 
 SMALL = 5000
@@ -54,9 +54,9 @@ FADING = 256
 """The same where nothing is attained: a drift is known twice as well from twice as many samples, for ever."""
 
 NEGLIGIBLE = 1e-4
-"""A row counts as 0 below this share of what disturbance and noise of a period make of it (`state_scales`), if attacks
-attain less than so much of that again: what nothing drives and what fades is known exactly in the end, no relative
-tolerance closes the bracket of a 0, and a solver leaves its last digits."""
+"""A row counts as 0 below this share of what disturbance and noise of a period make of it (`state_scales`), if
+adversaries attain less than so much of that again: what nothing drives and what fades is known exactly in the end, no
+relative tolerance closes the bracket of a 0, and a solver leaves its last digits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class RowAdversary:
 
 @dataclass(eq=False)
 class RowSearch:
-    """One row over the whole schedule: where it was solved and attacked, and the bracket."""
+    """One row over the whole schedule: where it was solved and an adversary sought, and the bracket."""
 
     row: Array
     opened: list[RowBetweenSamples]
@@ -87,7 +87,7 @@ class RowSearch:
     solved: list[dict[int, int]]
     """Offsets at which the program was solved, with the samples back that it took."""
     tried: set[tuple[int, int]] = field(default_factory=set)
-    """Where it was attacked."""
+    """Where an adversary was sought."""
     combined: set[tuple[int, int]] = field(default_factory=set)
     """Where gains of atoms were put together."""
     lower: float = 0.0
@@ -99,12 +99,12 @@ class RowSearch:
 
     @property
     def idle(self) -> bool:
-        """Whether attacks attain nothing."""
+        """Whether adversaries attain nothing."""
         return bool(self.tried) and self.lower <= NEGLIGIBLE**2 * self.size
 
 
 class ChainSearch:
-    """Windows of a chain, made once for each phase, and what was found after each sample: atoms and strikes."""
+    """Windows of a chain, made once for each phase, and what was found after each sample: atoms and adversaries."""
 
     def __init__(
         self,
@@ -121,7 +121,7 @@ class ChainSearch:
         self._enough: set[int] = set()
         """Depths that twice as many samples did not improve on."""
         self.atoms = atoms
-        self.strikes: list[list[RowAdversary]] = [[] for _ in range(len(chain))]
+        self.adversaries: list[list[RowAdversary]] = [[] for _ in range(len(chain))]
         self._long = chain.start is None and chain.memory > LASTING and boxed(chain, list(range(len(chain))))
         if self._long:
             self.deep, self.back = chain.memory, chain.memory // 2
@@ -176,7 +176,7 @@ class ChainSearch:
         self.atoms[j].add(mu, found)
         return found
 
-    def attack(self, j: int, mu: Array, rough: bool = False) -> tuple[Gains, Adversary]:
+    def both_sides(self, j: int, mu: Array, rough: bool = False) -> tuple[Gains, Adversary]:
         """An adversary against mu'z_j over `deep` samples, and the gains that come with it; both are kept.
 
         From rest, or where that leads nowhere, one that nothing drives and that has gone on for ever.
@@ -204,13 +204,13 @@ class ChainSearch:
         return Adversary(float(mu @ z), (), z[None])
 
     def _keep(self, j: int, adversary: Adversary, chain: SampleChain) -> None:
-        """Keep a strike, and what it is at the samples of the last period on its way."""
+        """Keep a row_adversary, and what it is at the samples of the last period on its way."""
         count = len(adversary.z)
         rests = self.chain.start is None and not adversary.z[0].any()
         for k in range(max(int(rests), count - len(self.chain)), count):
             part = Adversary(0.0, adversary.w[:k], adversary.z[: k + 1])
             at = (j - (count - 1 - k)) % len(self.chain)
-            self.strikes[at].append(RowAdversary(at, part, chain))
+            self.adversaries[at].append(RowAdversary(at, part, chain))
 
     def proven(self, j: int, mu: Array, gains: Gains) -> Gains:
         """What the gains of a start at rest prove when the past is endless."""
@@ -234,7 +234,7 @@ class ChainSearch:
         if 2 * self.deep > (LONGEST if below > 0 else FADING) or self.deep in self._enough:
             return False
         self.deep *= 2
-        gains, adversary = self.attack(j, mu)
+        gains, adversary = self.both_sides(j, mu)
         if adversary.value > below * (1 + rtol / 8) or gains.value < best * (1 - rtol / 8):
             return True
         self.deep //= 2
@@ -258,12 +258,12 @@ class ChainSearch:
         self.cell_loss /= 4
         self.chain = self.chain.refined(self.cell_loss)
         self._windows.clear()
-        gains, adversary = self.attack(j, mu)
+        gains, adversary = self.both_sides(j, mu)
         target = min(best * (1 - rtol), below * (1 + rtol / 8))
         return adversary.value >= target or gains.value < best * (1 - rtol / 8)
 
     def opened(self, row: Array) -> RowSearch:
-        """A row over the schedule, as far as atoms and strikes against other rows tell."""
+        """A row over the schedule, as far as atoms and adversaries against other rows tell."""
         known: KnownIntegrals = {}
         gaps = [open_row(self.chain, j, row, known=known) for j in range(len(self.chain))]
         bounds = [gap.bound(atoms) for gap, atoms in zip(gaps, self.atoms, strict=True)]
@@ -285,9 +285,9 @@ class ChainSearch:
         return open_row(self.chain, j, row, d)
 
     def attained(self, found: RowSearch, j: int) -> Array:
-        """What strikes attain against a row at the offsets of gap j."""
+        """What adversaries attain against a row at the offsets of gap j."""
         opened = found.opened[j]
-        ends = np.array([strike.end for strike in self.strikes[j]]).reshape(-1, self.chain.D.size)
+        ends = np.array([row_adversary.end for row_adversary in self.adversaries[j]]).reshape(-1, self.chain.D.size)
         return np.asarray(opened.below + np.max(np.abs(ends @ opened.mu.T), axis=0, initial=0.0))
 
     def restore(self, j: int, mu: Array, gains: tuple[Array, ...]) -> None:
@@ -310,7 +310,7 @@ class ChainSearch:
             if self.budget.over:
                 if found.lower > 0:
                     return found
-                self._attack(found, j, panel, rough=True)  # one, so that the bracket says something
+                self._both_sides_at(found, j, panel, rough=True)  # one, so that the bracket says something
                 limit = self.solves
                 continue
             ends = np.where(np.isfinite(found.nodes[j]), found.nodes[j], 0.0)[panel : panel + 2]
@@ -343,12 +343,12 @@ class ChainSearch:
         )
 
     def _close(self, found: RowSearch, high: float, j: int, offset: int, rtol: float) -> bool:
-        """Whether an attack at an offset, or better windows, brought its two sides closer.
+        """Whether an adversary at an offset, or better windows, brought its two sides closer.
 
-        Where they are close already and the offset has been attacked before, what is left is the panels' own width.
+        Where they are close already and one was sought there before, what is left is the panels' own width.
         """
         again, lower = (j, offset) in found.tried, found.lower
-        below, above = self._attack(found, j, offset)
+        below, above = self._both_sides_at(found, j, offset)
         if below * (1 + rtol * SHARE) >= high:
             return not again or found.lower > lower
         if above < high * (1 - rtol / 8):  # a longer past says more
@@ -385,16 +385,16 @@ class ChainSearch:
         found.nodes[j], found.panels[j] = found.opened[j].bound(self.atoms[j])
         found.lower = max(found.lower, self._reached(found, j))
 
-    def _attack(self, found: RowSearch, j: int, offset: int, rough: bool = False) -> tuple[float, float]:
+    def _both_sides_at(self, found: RowSearch, j: int, offset: int, rough: bool = False) -> tuple[float, float]:
         """Strike at an offset; what is attained there, and what gains prove there now."""
-        self.attack(j, found.opened[j].mu[offset], rough)
+        self.both_sides(j, found.opened[j].mu[offset], rough)
         found.tried.add((j, offset))
         found.solved[j].setdefault(offset, self.back)
         self._refresh(found, j)
         return float(self.attained(found, j)[offset]), float(found.nodes[j][offset])
 
     def profile(self, found: RowSearch) -> None:
-        """Smooth the upper curve, then attack every gap where the two bounds are furthest apart."""
+        """Smooth the upper curve, then seek an adversary in every gap where the two bounds are furthest apart."""
         if found.idle:
             return
         gaps = range(len(found.opened))
@@ -426,26 +426,26 @@ class ChainSearch:
                 break
             deep = self.deep
             self.deep = deep if small else min(deep, 2 * self.back)
-            self._attack(found, j, offset, rough=True)
+            self._both_sides_at(found, j, offset, rough=True)
             self.deep = deep
 
     def _rough_profile(self, found: RowSearch) -> None:
-        """Attack and solve where the two bounds are furthest apart, a few times each."""
+        """Seek adversaries and gains where the two bounds are furthest apart, a few times each."""
         deep, self.deep = self.deep, self.back
-        for attacked in [True] * ATTACKS_LONG + [False] * ATTACKS_LONG:
+        for both in [True] * ADVERSARIES_LONG + [False] * ADVERSARIES_LONG:
             apart = [self._apart(found, k) for k in range(len(found.opened))]
             ratio, j, offset = max((r, k, o) for k, (r, o) in enumerate(apart))
             if ratio <= PROFILE or self.budget.over:
                 break
             found.tried.add((j, offset))
-            if attacked:
-                self._attack(found, j, offset, rough=True)
+            if both:
+                self._both_sides_at(found, j, offset, rough=True)
             elif self._combined(found, j, offset) > PROFILE * float(self.attained(found, j)[offset]):
                 self._node(found, j, offset, PROFILE * float(self.attained(found, j)[offset]))
         self.deep = deep
 
     def _apart(self, found: RowSearch, j: int) -> tuple[float, int]:
-        """The largest ratio of the two bounds on gap j where no attack has been tried, and its offset."""
+        """The largest ratio of the two bounds on gap j where no adversary was sought, and its offset."""
         best, top = self.attained(found, j), np.where(np.isfinite(found.nodes[j]), found.nodes[j], 0.0)
         ratio = np.divide(top, best, out=np.full_like(top, np.inf), where=best > 0)
         ratio[top == 0] = 0.0

@@ -184,7 +184,7 @@ def moved_witness(
     taken, with w in between what it is before and after that sample.
     """
     count = len(search.chain.nodes(j, search.deep))
-    gains, adversary = search.attack(j, found.opened[j].mu[offset])
+    gains, adversary = search.both_sides(j, found.opened[j].mu[offset])
     chain, at, shift, until = search.chain, j, np.zeros(1), float(found.opened[j].d[offset])
     best: AccuracyWitness | None = None
     for _ in range(MOVED):

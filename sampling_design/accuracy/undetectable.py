@@ -229,7 +229,7 @@ def told_of_start(H: Array, F: Array, offsets: Index, flow: Array) -> Array:
     return np.vstack(told) if told else np.zeros((0, flow.shape[1]))
 
 
-def unseen(told: Array) -> Array:
+def unobservable_directions(told: Array) -> Array:
     """Directions (n, m) of the start that no row (R, n) shows; none where they grow beyond all numbers."""
     size = np.linalg.norm(told, axis=1)
     if not np.isfinite(size).all():

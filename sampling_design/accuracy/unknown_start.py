@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sampling_design.accuracy.undetectable import unseen
+from sampling_design.accuracy.undetectable import unobservable_directions
 from sampling_design.records.arrays import Array, Mask
 
 CHANGED = 1e-11
@@ -139,12 +139,12 @@ class FreeStart:
         return np.asarray(np.where(needed, part / np.where(needed, seen, 1.0), 0.0) @ right / size)
 
     @cached_property
-    def _unseen(self) -> Array:
+    def _unobservable(self) -> Array:
         """(n, m) directions of the start that no row shows."""
-        return unseen(self._told)
+        return unobservable_directions(self._told)
 
     def hides(self, begun: Array) -> bool:
         """Whether a target, run back to the start (n,), holds something that no gains can take away."""
-        if not self._unseen.size:
+        if not self._unobservable.size:
             return False
-        return bool(np.linalg.norm(begun @ self._unseen) > UNKNOWN * np.linalg.norm(begun))
+        return bool(np.linalg.norm(begun @ self._unobservable) > UNKNOWN * np.linalg.norm(begun))

@@ -229,15 +229,15 @@ def _excess(size: Array, limit: Array) -> float:
     return float(np.max(ratio, initial=0.0))
 
 
-def physical(row: Array, opened: RowBetweenSamples, strike: RowAdversary, offset: int) -> AccuracyWitness:
-    """Return a strike with its best end after the last sample, in the plant's units."""
-    chain, count = strike.chain, len(strike.adversary.w) + 1
-    reached = float(opened.mu[offset] @ strike.end)
+def physical(row: Array, opened: RowBetweenSamples, row_adversary: RowAdversary, offset: int) -> AccuracyWitness:
+    """Return a row_adversary with its best end after the last sample, in the plant's units."""
+    chain, count = row_adversary.chain, len(row_adversary.adversary.w) + 1
+    reached = float(opened.mu[offset] @ row_adversary.end)
     sign = -1.0 if reached < 0 else 1.0
-    nodes = chain.nodes(strike.sample, count)
+    nodes = chain.nodes(row_adversary.sample, count)
     scale = chain.bounds.w
     edges, w, samples, now = [np.zeros(1)], [], [0.0], 0.0
-    for j, u in zip(nodes[:-1], strike.adversary.w, strict=True):
+    for j, u in zip(nodes[:-1], row_adversary.adversary.w, strict=True):
         gap = chain.gaps[j]
         edges.append(now + (gap.length - gap.edges[::-1])[1:])
         w.append(sign * u[::-1] * scale)
@@ -265,9 +265,9 @@ def physical(row: Array, opened: RowBetweenSamples, strike: RowAdversary, offset
         edges=freeze(np.concatenate(edges)),
         w=freeze(np.concatenate(w) if w else np.zeros((0, scale.size))),
         samples=freeze(samples),
-        last=strike.sample,
+        last=row_adversary.sample,
         states=freeze(
-            sign * np.array([chain.D * (chain.L[j] @ z) for j, z in zip(nodes, strike.adversary.z, strict=True)])
+            sign * np.array([chain.D * (chain.L[j] @ z) for j, z in zip(nodes, row_adversary.adversary.z, strict=True)])
         ),
         outputs=measured[nodes],
         value=float(abs(reached) + opened.below[offset]),

@@ -1,4 +1,4 @@
-"""What a finished search says: the strongest strike as a witness, and what a finite schedule leaves open."""
+"""What a finished search says: the strongest row_adversary as a witness, and what a finite schedule leaves open."""
 
 from __future__ import annotations
 
@@ -25,23 +25,25 @@ def left_open(question: AccuracyQuestion, finder: ChainSearch | None, upper: Arr
 def strongest_witness(
     finder: ChainSearch, row: Array, question: AccuracyQuestion, found: RowSearch
 ) -> tuple[AccuracyWitness, int, int]:
-    """Return the strongest strike as a witness that is flown anew and made admissible, its sample and its offset."""
+    """Return the strongest adversary as a witness that is flown anew and made admissible, its sample and its offset."""
     best: tuple[AccuracyWitness, int, int] | None = None
-    strikes = []
+    adversaries = []
     for j, opened in enumerate(found.opened):
         sure = np.isfinite(found.nodes[j])
         if not sure.any():
             continue
-        for strike in finder.strikes[j] or [finder.idle(j)]:
-            values = np.where(sure, np.abs(opened.mu @ strike.end) + opened.below, -1.0)
-            strikes.append((float(np.max(values)), int(np.argmax(values)), strike))
-    top = (1 - KEPT) * max(value for value, *_ in strikes)
-    for value, offset, strike in sorted(strikes, key=lambda a: (-min(a[0], top), a[2].sample)):  # of equals the first
+        for row_adversary in finder.adversaries[j] or [finder.idle(j)]:
+            values = np.where(sure, np.abs(opened.mu @ row_adversary.end) + opened.below, -1.0)
+            adversaries.append((float(np.max(values)), int(np.argmax(values)), row_adversary))
+    top = (1 - KEPT) * max(value for value, *_ in adversaries)
+    for value, offset, row_adversary in sorted(
+        adversaries, key=lambda a: (-min(a[0], top), a[2].sample)
+    ):  # of equals the first
         if best is not None and best[0].value >= (1 - KEPT) * value:
             break
-        witness = admissible(physical(row, found.opened[strike.sample], strike, offset), question)
+        witness = admissible(physical(row, found.opened[row_adversary.sample], row_adversary, offset), question)
         if best is None or witness.value > best[0].value * (1 + KEPT):
-            best = witness, strike.sample, offset
+            best = witness, row_adversary.sample, offset
     assert best is not None
     return best
 

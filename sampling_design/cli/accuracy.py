@@ -82,11 +82,11 @@ def accuracy(
             budget=None if budget is None else positive("budget", budget),
             progress=progress,
         )
-        cast = None if pair is None else found.shadow(*pair)
-    _told(settings, found, cast, wanted)
+        cast = None if pair is None else found.projection(*pair)
+    _finish(settings, found, cast, wanted)
 
 
-def _told(settings: Settings, found: Accuracy, cast: Projection | None, wanted: list[float] | None) -> None:
+def _finish(settings: Settings, found: Accuracy, cast: Projection | None, wanted: list[float] | None) -> None:
     """Write, draw and print; the exit code."""
     folder, data = settings.folder(), found.to_dict()
     if cast is not None:

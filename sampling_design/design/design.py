@@ -263,12 +263,12 @@ class _Run:
     def sized(self, samples: int, fraction: float) -> CountProblem:
         """Bound one count of samples, and say what is known of it as soon as it is."""
 
-        def told(bound: float) -> None:
+        def bounded_by(bound: float) -> None:
             self.bound = bound
             self.say(fraction, f"bounding {samples} samples per period")
 
         self.held(lambda: self.begin(samples, fraction))
-        found = self.held(lambda: bounded(self.designed, self.requirement, samples, self.budget, told))
+        found = self.held(lambda: bounded(self.designed, self.requirement, samples, self.budget, bounded_by))
         self.bound = found.bound.value
         return found
 

@@ -79,7 +79,7 @@ class Bench:
         With both, the accuracy of every state is shown as well.
     tolerance : (n,) array, optional
         The error of each state that would do, drawn beside its accuracy.
-    shadow : (str, str), optional
+    projection : (str, str), optional
         Two states or outputs: what the samples of one period leave possible of them is drawn, sample by sample.
     initial_error : as for `guaranteed_accuracy`
         What is known at the start of that period.
@@ -103,7 +103,7 @@ class Bench:
         w_bound: npt.ArrayLike | None = None,
         v_bound: npt.ArrayLike | None = None,
         tolerance: npt.ArrayLike | None = None,
-        shadow: tuple[str, str] | None = None,
+        projection: tuple[str, str] | None = None,
         initial_error: InitialError = None,
         folder: str | Path | None = None,
         words: str = "",
@@ -129,7 +129,7 @@ class Bench:
             goals = self.problem.goals
             self.rows, self.labels = np.array([goal.row for goal in goals]), [goal.name for goal in goals]
             self.tolerance = np.array([goal.tolerance for goal in goals])
-        self.shadow, self.initial_error = shadow, initial_error
+        self.projection, self.initial_error = projection, initial_error
         self.closed = [self._closed(k) for k in range(plant.n_outputs)]
         self.schedule = self._begin(schedule)
 
@@ -196,7 +196,7 @@ class Bench:
             "moving": lambda: self._sigma(moving=True),
             "accuracy": self._accuracy,
             "mend": self._mend,
-            "shadow": self._shadow,
+            "projection": self._projection,
             "plan": self._plan,
             "design": self._design,
             "certify": self._certify,
@@ -229,7 +229,7 @@ class Bench:
             "sensors": sensors,
             "states": list(self.labels),
             "plan": self.problem is not None,
-            "shadow": self.shadow is not None,
+            "projection": self.projection is not None,
             "tolerance": None if self.tolerance is None else [float(x) for x in self.tolerance],
             "bounds": self.w_bound is not None and self.v_bound is not None,
             "marks": self.marks(),
@@ -383,14 +383,14 @@ class Bench:
             told.append(f"{text}not kept {' and '.join(spans)}. {help_at}")
         return told
 
-    def _shadow(self) -> Reply:
+    def _projection(self) -> Reply:
         """What the first sample, the first two, ... of a period leave possible at its end: a polygon for each."""
-        if self.shadow is None or self.w_bound is None or self.v_bound is None:
-            raise ArgumentError("`shadow` and both bounds are needed for the set: give them at the start.")
+        if self.projection is None or self.w_bound is None or self.v_bound is None:
+            raise ArgumentError("`projection` and both bounds are needed for the set: give them at the start.")
         mask, times = self.schedule.outputs, np.sort(self.schedule.times % self.period)
         order = np.argsort(self.schedule.times % self.period)
         steps: list[Plain] = []
-        names: tuple[str, ...] = self.shadow
+        names: tuple[str, ...] = self.projection
         for k in range(1, min(times.size, MOST_SHADOWS) + 1):
             kept = None if mask is None else mask[order][:k]
             labels = None if mask is None else self.plant.outputs.names
@@ -400,7 +400,7 @@ class Bench:
                 first,
                 w_bound=self.w_bound,
                 v_bound=self.v_bound,
-                of=list(self.shadow),
+                of=list(self.projection),
                 initial_error=self.initial_error,
                 start=0.0,
                 end=self.period,
@@ -408,7 +408,7 @@ class Bench:
             if not np.all(np.isfinite(found.upper)) or np.any(found.known_from > self.period):
                 steps.append({"after": k, "corners": []})
                 continue
-            seen = found.shadow(*self.shadow, self.period, directions=8)
+            seen = found.projection(*self.projection, self.period, directions=8)
             steps.append({"after": k, "corners": seen.outer.tolist(), "area": float(seen.areas().outer)})
             names = tuple(f"{n} [{u}]" if u else n for n, u in zip(seen.names, seen.units, strict=True))
         return {"steps": steps, "names": list(names)}

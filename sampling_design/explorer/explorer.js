@@ -61,7 +61,7 @@ export async function mount(element, ask) {
   const said = html("p", { class: "said", role: "status", "aria-live": "polite" }, root);
   const unknown = html("p", { class: "unknown", role: "status" }, root);
   const errors = opened.bounds ? node("svg", { class: "accuracy", role: "img", "aria-label": "least error that can be guaranteed" }, root) : null;
-  const set = opened.shadow ? html("div", { class: "shadow" }, root) : null;
+  const set = opened.projection ? html("div", { class: "projection" }, root) : null;
   if (set && errors) root.insertBefore(set, errors);
   html("p", { class: "hint" }, root, "Drag a sample. Click a row to add one, double-click a sample (or press Delete) to take it away; arrow keys move it; with Shift one sensor moves alone.");
 
@@ -260,7 +260,7 @@ export async function mount(element, ask) {
 
   /* What the first sample, the first two, ... leave possible: one polygon in the next, the last one filled. */
   const SHADES = ["#767676", "#9b6205", "#2b6398", "#20793e", "#910d11", "#222222"];
-  function drawShadow(answer) {
+  function drawProjection(answer) {
     set.replaceChildren();
     set.classList.remove("stale");
     if (answer.error) return html("p", { class: "told" }, set, answer.error);
@@ -315,7 +315,7 @@ export async function mount(element, ask) {
       const later = [];
       if (answer.broken) later.push([{ ask: "mend", marks }, drawMend]);
       if (errors) later.push([{ ask: "accuracy", marks }, drawAccuracy]);
-      if (set) later.push([{ ask: "shadow", marks }, drawShadow]);
+      if (set) later.push([{ ask: "projection", marks }, drawProjection]);
       // one after the other, and none of them once a mark moves again
       const after = () => {
         const [question, draw] = later.shift() || [];

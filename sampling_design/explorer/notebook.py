@@ -26,7 +26,7 @@ class BenchOptions(TypedDict, total=False):
     w_bound: npt.ArrayLike
     v_bound: npt.ArrayLike
     tolerance: npt.ArrayLike
-    shadow: tuple[str, str]
+    projection: tuple[str, str]
     initial_error: InitialError
     folder: str
     words: str

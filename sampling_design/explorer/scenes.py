@@ -75,7 +75,7 @@ def _set() -> Bench:
         PeriodicSchedule.from_times([0.4, 1.0, 1.6, 3.0], 4.5, time_unit="s"),
         w_bound=0.02,
         v_bound=0.1,
-        shadow=("position", "velocity"),
+        projection=("position", "velocity"),
         initial_error=1.5,
         words="Each sample cuts the set of what is possible. Which cuts most? Move one next to another, then away.",
     )

@@ -1,4 +1,4 @@
-"""How well a choice of samples does: the worst ratio of accuracy to tolerance, and the attacks that show it."""
+"""How well a choice of samples does: the worst ratio of accuracy to tolerance, and the trajectories that show it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sampling_design.planning.discrete_plant import DiscretePlant, UndetectedMod
 from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory, peaks_of
 from sampling_design.planning.problem import PlanProblem, RowGoal
-from sampling_design.planning.work_prices import FAINT
+from sampling_design.planning.work_prices import EXCESS
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
 
@@ -45,7 +45,7 @@ FARTHEST = 200
 """Periods beyond which the past is not followed."""
 
 SCALED = 1 + 1e-9
-"""An attack is divided by the largest ratio of its w to the bound times this."""
+"""A trajectory is divided by the largest ratio of its w to the bound times this."""
 
 
 class AccuracyOracle:
@@ -62,7 +62,7 @@ class AccuracyOracle:
         self.spread = GridFilter(problem, motion, self.work) if spread else None
         self._kept: dict[object, tuple[float, list[HiddenTrajectory]]] = {}
         """What the last choices that were judged came to."""
-        self._feared = 0
+        self._broken_last = 0
         """The goal that was broken last."""
         self._open: list[list[tuple[Array, float]]] = [[(row, 0.0)] for row in self.rows]
 
@@ -75,7 +75,7 @@ class AccuracyOracle:
             self.spread.work = work
 
     @cached_property
-    def opening(self) -> StartSet:
+    def initial_set(self) -> StartSet:
         """What is known of the error when the plan starts."""
         T = self.motion.T
         return self.problem.initial.scaled(T, np.linalg.norm(T, axis=1), NO_ERROR)
@@ -83,10 +83,10 @@ class AccuracyOracle:
     def judge(
         self, chosen: Mask, above: float = np.inf, *, longest: bool = False
     ) -> tuple[float, list[HiddenTrajectory]]:
-        """Worst ratio and the strongest attack of each goal and gap; stops once a gap is worse than `above`.
+        """Worst ratio and the strongest trajectory of each goal and gap; stops once a gap is worse than `above`.
 
         `longest`: only the longest gaps are looked at, where the worst is found as a rule, unless goals name times.
-        Infinite, without an attack, where the choice hides a motion that never fades.
+        Infinite, without a trajectory, where the choice hides a motion that never fades.
         """
         key = chosen.tobytes(), self.back, above, longest
         if key not in self._kept:
@@ -108,26 +108,26 @@ class AccuracyOracle:
         for back in depths:
             known: set[bytes] = set()
             for k in order:
-                if turns:  # a gap like another one, and all that came before it: its attacks are the same, turned
+                if turns:  # a gap like another one, and all that came before it: its trajectories are the same, turned
                     like = np.roll(chosen, -int(at[k]), axis=0).tobytes()
                     if like in known:
                         continue
                     known.add(like)
-                attacks = self._gap(chosen, int(at[k]), int(gaps[k]), goals, above, back)
-                found += [attack for attack in attacks if back == depths[-1] or attack.reach > above]
-                worst = max([worst, *(attack.reach for attack in attacks)])
+                trajectories = self._gap(chosen, int(at[k]), int(gaps[k]), goals, above, back)
+                found += [trajectory for trajectory in trajectories if back == depths[-1] or trajectory.reach > above]
+                worst = max([worst, *(trajectory.reach for trajectory in trajectories)])
                 if worst > above:
                     return worst, found
         return worst, found
 
-    def elsewhere(self, chosen: Mask, attack: HiddenTrajectory, level: float) -> list[HiddenTrajectory]:
-        """The strongest attack of a goal that is broken in a gap, for every gap but that in which a known one ends."""
+    def elsewhere(self, chosen: Mask, trajectory: HiddenTrajectory, level: float) -> list[HiddenTrajectory]:
+        """The strongest one against a goal that is broken in a gap, for each gap but that in which a known one ends."""
         at = np.flatnonzero(chosen.any(axis=1))
         gaps = np.diff(np.append(at, at[0] + self.problem.steps))
         goals = self.problem.guaranteed
         found = list[HiddenTrajectory]()
         for last, length in zip(at.tolist(), gaps.tolist(), strict=True):
-            if (attack.end - last) % self.problem.steps > length:
+            if (trajectory.end - last) % self.problem.steps > length:
                 found += self._gap(chosen, last, length, goals, level, self.back)
         return [other for other in found if other.reach > level]
 
@@ -143,8 +143,8 @@ class AccuracyOracle:
         for g, ratio in enumerate(self.spread.worst(chosen[None])[0] if self.spread else []):
             if ratio > 0:
                 worst = max(worst, float(ratio))
-                attack = self.tangent(chosen.astype(float), g)
-                found += [attack] if attack is not None else []
+                trajectory = self.tangent(chosen.astype(float), g)
+                found += [trajectory] if trajectory is not None else []
         return worst, found
 
     def tangent(self, z: Array, g: int) -> HiddenTrajectory | None:
@@ -166,39 +166,39 @@ class AccuracyOracle:
     def _gap(
         self, chosen: Mask, last: int, length: int, goals: list[int], above: float, back: int
     ) -> list[HiddenTrajectory]:
-        """The strongest attacks that end in the gap after a sample; of few measurements, up to one beyond `above`."""
+        """The strongest ones that end in the gap after a sample; of few measurements, up to one beyond `above`."""
         if not self.back:
             self._look_back(chosen, last, length, goals)
         window = self._window(chosen, last, back or self.back)
         best: list[HiddenTrajectory] = []
-        for g in sorted(goals, key=lambda g: g != self._feared):
+        for g in sorted(goals, key=lambda g: g != self._broken_last):
             looks = self.looked(window, g, last, length, above)
-            attack = self._attack(window, last, max(looks, key=lambda o: (looks[o], o)), g) if looks else None
-            best += [attack] if attack is not None else []
-            if self.few and attack is not None and attack.reach > above:
-                self._feared = g
+            trajectory = self._trajectory(window, last, max(looks, key=lambda o: (looks[o], o)), g) if looks else None
+            best += [trajectory] if trajectory is not None else []
+            if self.few and trajectory is not None and trajectory.reach > above:
+                self._broken_last = g
                 break
         return best
 
-    def ending(self, chosen: Mask, attack: HiddenTrajectory, level: float) -> HiddenTrajectory | None:
-        """The strongest attack that ends where another one does and that a choice hides; None up to a level."""
+    def ending(self, chosen: Mask, trajectory: HiddenTrajectory, level: float) -> HiddenTrajectory | None:
+        """The strongest trajectory that ends where another one does and that a choice hides; None up to a level."""
         at = np.flatnonzero(chosen.any(axis=1))
-        since = (attack.end - at - (not attack.at_sample)) % self.problem.steps + (not attack.at_sample)
+        since = (trajectory.end - at - (not trajectory.at_sample)) % self.problem.steps + (not trajectory.at_sample)
         length = int(since.min(initial=self.problem.steps + 1))
-        if length > (0 if attack.at_sample else self.motion.longest):
+        if length > (0 if trajectory.at_sample else self.motion.longest):
             return None
         last = int(at[np.argmin(since)])
         window = self._window(chosen, last, self.back)
-        if self.reach(window, length, attack.goal) <= level:
+        if self.reach(window, length, trajectory.goal) <= level:
             return None
-        return self._attack(window, last, length, attack.goal)
+        return self._trajectory(window, last, length, trajectory.goal)
 
-    def drifting(self, blindness: UndetectedModes, level: float) -> HiddenTrajectory | None:
-        """A motion that reaches a level since nothing outside `blindness.where` shows it, however long it drifts.
+    def drifting(self, undetected: UndetectedModes, level: float) -> HiddenTrajectory | None:
+        """A motion that reaches a level since nothing outside `undetected.where` shows it, however long it drifts.
 
         None where w does not drive it, or only slowly.
         """
-        hidden = self.problem.allowed & ~blindness.where
+        hidden = self.problem.allowed & ~undetected.where
         at = np.flatnonzero(hidden.any(axis=1))
         gaps = np.diff(np.append(at, at[:1] + self.problem.steps))
         goals = self.problem.guaranteed
@@ -211,9 +211,9 @@ class AccuracyOracle:
             for g in goals:
                 looks = self.looked(window, g, last, length, level)
                 if max(looks.values(), default=0.0) > level:
-                    attack = self._attack(window, last, max(looks, key=lambda o: (looks[o], o)), g)
-                    if attack is not None and attack.reach > level:
-                        return attack
+                    trajectory = self._trajectory(window, last, max(looks, key=lambda o: (looks[o], o)), g)
+                    if trajectory is not None and trajectory.reach > level:
+                        return trajectory
             if len(window.knots) == knots:
                 break
             back, knots = 2 * back, len(window.knots)
@@ -309,8 +309,8 @@ class AccuracyOracle:
         value = window.reach(row) + added
         return value / self.problem.goals[g].tolerance
 
-    def _attack(self, window: GridWindow, last: int, offset: int, g: int) -> HiddenTrajectory | None:
-        """The strongest attack against a goal, so many steps after the last sample of a window."""
+    def _trajectory(self, window: GridWindow, last: int, offset: int, g: int) -> HiddenTrajectory | None:
+        """The strongest trajectory against a goal, so many steps after the last sample of a window."""
         flight = window.strongest(self._opened(offset, g)[0])
         if flight is None:
             return None
@@ -320,7 +320,7 @@ class AccuracyOracle:
     def scaled(
         self, flight: DisturbedTrajectory, g: int, end: int, at_sample: bool, window: GridWindow | None = None
     ) -> HiddenTrajectory | None:
-        """An attack made admissible, with what would be seen of it."""
+        """A trajectory made admissible, with what would be seen of it."""
         goal: RowGoal = self.problem.goals[g]
         outputs = flight.path @ self.motion.H.T
         factor = flight.size(self.motion.ball)
@@ -337,10 +337,10 @@ class AccuracyOracle:
         steps = self.problem.steps
         return HiddenTrajectory(g, reach, end, at_sample, peaks_of(outputs / factor, steps, at_sample), flight)
 
-    def faint(
+    def weakly_observable(
         self, g: int, end: int, level: float, weights: Array, known: Mask, every: int, back: int
     ) -> HiddenTrajectory | None:
-        """An attack that reaches `level` at `end` and is seen as little as can be; hidden where `known` measures.
+        """A trajectory that reaches `level` at `end` and is seen as little as can be; hidden where `known` measures.
 
         Looks at every so many steps, and at those of `known`; `weights` (M, p) are the prices of being seen.
         """
@@ -352,11 +352,11 @@ class AccuracyOracle:
         knots = grid[keep]
         seen = known[knots % steps].copy()
         seen[-1] = False
-        faint = np.where(seen, 0.0, weights[knots % steps])
-        faint[-1] = 0.0
-        window = GridWindow(self.motion, knots, seen, faint)
-        self.work.add(FAINT, window.entries)
-        flight = window.faintest(self.rows[g], level * self.problem.goals[g].tolerance)
+        excess = np.where(seen, 0.0, weights[knots % steps])
+        excess[-1] = 0.0
+        window = GridWindow(self.motion, knots, seen, excess)
+        self.work.add(EXCESS, window.entries)
+        flight = window.least_observable(self.rows[g], level * self.problem.goals[g].tolerance)
         if flight is None:
             return None
         return self.scaled(flight, g, end, False, window)

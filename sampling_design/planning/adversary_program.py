@@ -2,8 +2,8 @@
 
     maximise  c'z_e   over |w| <= 1, z_0 = 0, |H_j z_i| <= 1 wherever (i, j) is measured
 
-and the faintest one, which reaches a level with as little to be seen anywhere as can be. Either is flown anew and
-scaled until it is admissible: what comes of it never depends on the solver.
+and the least observable one, which reaches a level with as little to be seen anywhere as can be. Either is flown anew
+and scaled until it is admissible: what comes of it never depends on the solver.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from sampling_design.planning.work_prices import CONE, STAGES
 from sampling_design.records.arrays import Array, Index, Mask
 
 TOLERANCE = 1e-7
-"""Asked of the solver: attacks are scaled until they are admissible, so it only costs strength."""
+"""Asked of the solver: trajectories are scaled until they are admissible, so it only costs strength."""
 
 STAGED, STALLED, MANY = 1e-4, 2e-3, 2000
 """Share within which the two sides of a program over stages meet, beyond which it is left to the general solver, and
@@ -31,7 +31,7 @@ SAME = 1 - 1e-12
 """Two directions are one if their cosine is beyond this."""
 
 BEYOND = 1 + 1e-4
-"""A faintest motion reaches this much more than asked, so that scaling leaves it above."""
+"""A least_observable motion reaches this much more than asked, so that scaling leaves it above."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class GridWindow:
     """Samples at `knots` (steps, increasing), each measuring `seen` (K, p); the motion starts at rest at knots[0].
 
     Or in the set `start` of z there, which may leave it free: what is then wanted may be unbounded.
-    `faint`: (K, p) weights; where not zero, an output may exceed its bound, and its excess is what is minimised.
+    `excess`: (K, p) weights; where not zero, an output may exceed its bound, and its excess is what is minimised.
     """
 
     def __init__(
@@ -79,21 +79,21 @@ class GridWindow:
         motion: DiscretePlant,
         knots: Index,
         seen: Mask,
-        faint: Array | None = None,
+        excess: Array | None = None,
         start: StartSet | None = None,
     ):
-        self.motion, self.knots, self.seen, self.faint, self.start = motion, knots, seen, faint, start
+        self.motion, self.knots, self.seen, self.excess, self.start = motion, knots, seen, excess, start
         n, q = motion.n, motion.G.shape[1]
         self._gaps = [motion.gap(int(d)) for d in np.diff(knots)]
         self._w_at = np.concatenate([[0], np.cumsum([len(cells) * q for _, _, cells in self._gaps])]).astype(int)
         self._w_at += n * len(knots)
         self._slack_at = int(self._w_at[-1])
-        soft = [] if faint is None else [int(np.count_nonzero(f)) for f in faint]
+        soft = [] if excess is None else [int(np.count_nonzero(f)) for f in excess]
         self._columns = self._slack_at + sum(soft)
         self._soft, self._built = soft, False
         self._known: list[tuple[Array, tuple[Array, Array, str]]] = []
         self._stages: StageProgram | None = None
-        if faint is None and start is None and in_stages(motion, knots):
+        if excess is None and start is None and in_stages(motion, knots):
             seen_rows = [motion.H[chosen] for chosen in seen]
             self._stages = StageProgram([F for F, _, _ in self._gaps], [B for _, B, _ in self._gaps], seen_rows)
             self.price, self.entries = STAGES, int(len(knots) * n**1.5)
@@ -116,13 +116,13 @@ class GridWindow:
         for k in range(len(self.knots)):
             hard = motion.H[self.seen[k]]
             table.box(k * n, hard, np.ones(len(hard)))
-            if soft and soft[k] and self.faint is not None:
-                loose, m = motion.H[self.faint[k] > 0], soft[k]
+            if soft and soft[k] and self.excess is not None:
+                loose, m = motion.H[self.excess[k] > 0], soft[k]
                 both = np.vstack([-np.eye(m), -np.eye(m)])
                 table.add(np.ones(2 * m), (k * n, np.vstack([loose, -loose])), (slack, both))
                 table.add(np.zeros(m), (slack, -np.eye(m)))
                 slack += m
-        if self.faint is not None:
+        if self.excess is not None:
             self._reach_at = table.add(np.zeros(1), ((len(self.knots) - 1) * n, np.ones((1, n))))  # set when solved
         many = int(self._w_at[-1]) - w
         if not motion.ball:
@@ -182,22 +182,22 @@ class GridWindow:
 
     def strongest(self, mu: Array) -> DisturbedTrajectory | None:
         """The motion with the largest mu'z at the last knot."""
-        return self._flight(self._solved(mu))
+        return self._trajectory(self._solved(mu))
 
-    def faintest(self, mu: Array, level: float) -> DisturbedTrajectory | None:
+    def least_observable(self, mu: Array, level: float) -> DisturbedTrajectory | None:
         """The motion that reaches mu'z >= level at the last knot with the least excess."""
         n, K = self.motion.n, len(self.knots)
-        assert self.faint is not None
+        assert self.excess is not None
         A = self._A.tolil()
         A[self._reach_at, (K - 1) * n : K * n] = -mu / level
         b = self._b.copy()
         b[self._reach_at] = -BEYOND
         cost = np.zeros(self._columns)
-        cost[self._slack_at :] = self.faint[self.faint > 0]
+        cost[self._slack_at :] = self.excess[self.excess > 0]
         x, y, status = ConeSolver(A.tocsc(), self._cones, tolerance=TOLERANCE).solve(cost, b)
-        return self._flight((np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64), status))
+        return self._trajectory((np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64), status))
 
-    def _flight(self, solved: tuple[Array, Array, str]) -> DisturbedTrajectory | None:
+    def _trajectory(self, solved: tuple[Array, Array, str]) -> DisturbedTrajectory | None:
         """The solver's disturbance flown from the solver's states, gap by gap, every gap closed by a change of w."""
         x, _, status = solved
         if status in (INFEASIBLE, UNBOUNDED) or not np.isfinite(x).all():

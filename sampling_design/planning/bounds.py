@@ -1,7 +1,7 @@
 """What no plan can beat: a proof that every admissible choice at a level costs at least so much.
 
-Rows of attacks, and a tree: at each leaf some measurements are given or forbidden, and multipliers prove the cost of
-all choices that keep these. A level is out of reach of a limit if what it costs at least exceeds the limit.
+Rows of trajectories, and a tree: at each leaf some measurements are given or forbidden, and multipliers prove the cost
+of all choices that keep these. A level is out of reach of a limit if what it costs at least exceeds the limit.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from sampling_design.planning.cost_proof import CostBranch, CostLeaf, CostProof, CostTree
 from sampling_design.planning.covering import CoveringRows, CoverModel, Key, relaxed
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories
-from sampling_design.planning.hitting_set import hit
+from sampling_design.planning.hitting_set import smallest_hitting_set
 from sampling_design.planning.work_prices import RELAXED
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
@@ -56,7 +56,7 @@ BELOW = 1 - 1e-6
 """A level this much below what a motion reaches that all that is allowed hides is out of reach."""
 
 ENDS = 6
-"""Ends of one attack that are added at a time."""
+"""Ends of one trajectory that are added at a time."""
 
 Finder: TypeAlias = Callable[[Array, float], None]
 
@@ -70,13 +70,15 @@ def separated(
     below: float = np.inf,
 ) -> tuple[list[Key], Array]:
     """Rows of the pool until the relaxation keeps them all, and its point, among choices below a cost."""
-    keys = [key for key in keys if pool.attacks[key[0]].reach >= level]
-    views = {a: cover.view(attack, level) for a, attack in enumerate(pool.attacks) if attack.reach >= level}
+    keys = [key for key in keys if pool.trajectories[key[0]].reach >= level]
+    views = {
+        a: cover.view(trajectory, level) for a, trajectory in enumerate(pool.trajectories) if trajectory.reach >= level
+    }
     low, high = np.zeros(cover.columns), cover.ceiling(below)
     price = OPEN_ROW * float(np.max(cover.cost, initial=1.0))
     x = low
     for _ in range(SEPARATIONS):
-        model = cover.model(pool.attacks, keys, level)
+        model = cover.model(pool.trajectories, keys, level)
         x, _, _ = _relaxed(model, low, high, price, work)
         fresh = _violated(cover, pool, views, x, set(keys))
         if not fresh or work.over:
@@ -98,16 +100,16 @@ def _relaxed(model: CoverModel, low: Array, high: Array, price: float, work: Bud
 def _violated(
     cover: CoveringRows, pool: HiddenTrajectories, views: dict[int, Array], x: Array, known: set[Key]
 ) -> list[Key]:
-    """Ends at which a fractional point sees too little of an attack, first where it sees least."""
+    """Ends at which a fractional point sees too little of a trajectory, first where it sees least."""
     steps = pool.steps
     z = cover.seen(x)
     spectrum = np.fft.rfft(z, axis=0)
     fresh: list[tuple[float, Key]] = []
     for a, view in views.items():
-        attack = pool.attacks[a]
+        trajectory = pool.trajectories[a]
         seen = np.fft.irfft(np.sum(spectrum * np.fft.rfft(view, axis=0), axis=1), steps)
-        asked = pool.ends[attack.goal].astype(float)
-        if attack.at_sample:
+        asked = pool.ends[trajectory.goal].astype(float)
+        if trajectory.at_sample:
             asked = asked * np.where(cover.sample_of >= 0, x[cover.sample_of], 0.0)
         short = asked - seen
         ends = np.flatnonzero(short > 1e-4)
@@ -136,8 +138,8 @@ def prove_cost(
 ) -> CostProof:
     """Prove that every choice at a level costs at least `target`, or as much of it as so many nodes, and work, can.
 
-    `find` is asked for attacks against a point that the rows so far do not exclude. `decide`: nothing below the target
-    is of use, so that the proof ends with the first choice that costs less.
+    `find` is asked for trajectories against a point that the rows so far do not exclude. `decide`: nothing below the
+    target is of use, so that the proof ends with the first choice that costs less.
     """
     counted = _counted(cover, pool, level, target, work, find)
     if counted is not None:
@@ -157,8 +159,8 @@ def _counted(
 ) -> CostProof | None:
     """The proof where nothing but the number of samples counts, or None."""
     known = -1
-    while find is not None and len(pool.attacks) > known and not work.over:
-        known, found = len(pool.attacks), hit(cover, pool, level, target, work)
+    while find is not None and len(pool.trajectories) > known and not work.over:
+        known, found = len(pool.trajectories), smallest_hitting_set(cover, pool, level, target, work)
         if found is None or found.chosen is None:
             return None if found is None else found.proof
         find(cover.point(found.chosen), level)
@@ -183,10 +185,10 @@ class _Prover:
     ):
         self.cover, self.pool, self.level, self.target, self.work = cover, pool, level, target, work
         self.keys, self.find, self.decide = keys, find, decide
-        dense = all(attack.flight is None for attack in pool.attacks)
+        dense = all(trajectory.flight is None for trajectory in pool.trajectories)
         self.left, self.lost = FEW_NODES * most // MOST_NODES if dense else most, False
         self.cuts = CUTS[1] if find is not None else 0
-        self.model = cover.model(pool.attacks, keys, level)
+        self.model = cover.model(pool.trajectories, keys, level)
         self.price = OPEN_ROW * float(np.max(cover.cost, initial=1.0))
 
     def proof(self) -> CostProof:
@@ -227,19 +229,19 @@ class _Prover:
         return CostBranch(k, without, given), min(first, second)
 
     def _cut(self, x: Array) -> bool:
-        """Add rows that a point breaks: turns of attacks that there are, else new attacks."""
+        """Add rows that a point breaks: turns of trajectories that there are, else new trajectories."""
         assert self.find is not None
         self.cuts -= 1
         for ask in (False, True):
             if ask:
                 self.find(x, self.level)
             views = {
-                a: self.cover.view(t, self.level) for a, t in enumerate(self.pool.attacks) if t.reach >= self.level
+                a: self.cover.view(t, self.level) for a, t in enumerate(self.pool.trajectories) if t.reach >= self.level
             }
             fresh = _violated(self.cover, self.pool, views, x, set(self.keys))[:ADDED]
             if fresh:
                 self.keys += fresh
-                self.model = self.cover.longer(self.model, self.pool.attacks, fresh, self.level)
+                self.model = self.cover.longer(self.model, self.pool.trajectories, fresh, self.level)
                 return True
         return False
 
@@ -268,9 +270,9 @@ def out_of_reach(
         if best.value >= more * (1 - 1e-9):
             return best
         best, high = None, known
-    ratio, attack, end = pool.against(cover.problem.allowed)
-    if attack is not None:  # a motion that nothing shows proves its level alone
-        place = next(a for a, each in enumerate(pool.attacks) if each is attack)
+    ratio, trajectory, end = pool.against(cover.problem.allowed)
+    if trajectory is not None:  # a motion that nothing shows proves its level alone
+        place = next(a for a, each in enumerate(pool.trajectories) if each is trajectory)
         proof = prove_cost(cover, pool, ratio * BELOW, more, work, [(place, end)], decide=True)
         best, low = (proof, proof.level) if proof.value >= more * (1 - 1e-9) else (None, 0.0)
     while high > low * (1 + width) and not work.over:

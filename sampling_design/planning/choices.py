@@ -72,7 +72,9 @@ class NextChoices:
         found = []
         for i, t in enumerate(self.clock.elapsed(np.arange(first, first + problem.steps) * step).tolist(), first):
             allowed = self.allowed(i)
-            mask = self.due(i) & allowed if sensor is None else allowed & (np.arange(allowed.size) == sensor)
+            mask = (
+                self.planned_sensors(i) & allowed if sensor is None else allowed & (np.arange(allowed.size) == sensor)
+            )
             mask = allowed if sensor is None and not mask.any() else mask
             later = t > self.now + 1e-6 * step and mask.any()
             if later and is_apart(problem, self.history.times, self.history.seen, t, mask):
@@ -90,7 +92,7 @@ class NextChoices:
         calendar = self.plan.requirement.calendar
         return calendar is None or calendar.is_open(self.plan.minutes(clock), holidays=True)
 
-    def due(self, i: int) -> Mask:
+    def planned_sensors(self, i: int) -> Mask:
         """What the plan's sample at a step, or the next one after it, measures."""
         steps = self.plan.problem.steps
         at = np.flatnonzero(self.plan.chosen.any(axis=1))
@@ -209,7 +211,7 @@ class NextChoices:
         options = [option for option in self.options(sensor) if option[0] < alone]
         if not options:
             return self._nothing
-        good = self._due(options) if sensor is None else 0
+        good = self._planned_option(options) if sensor is None else 0
         if not self.keeps(options[good]):
             return next((option for option in reversed(options) if self.keeps(option)), self._nothing)
         at, bad, width = good + 1, len(options), 1
@@ -227,7 +229,7 @@ class NextChoices:
     def _nothing(self) -> Option:
         return -np.inf, np.zeros(self.plan.plant.n_outputs, dtype=bool)
 
-    def _due(self, options: list[Option]) -> int:
+    def _planned_option(self, options: list[Option]) -> int:
         """Which option is the plan's next sample; the first one where the place is closed then."""
         step = self.plan.problem.step
         due = planned(self.plan, options[0][0] - step / 2, options[-1][0] + step / 2, self.clock)[0]
@@ -258,7 +260,7 @@ class NextChoices:
         if not own:
             return NextAnswer(*self._nothing, np.inf, np.inf, False)
         tiny = SAME * self.plan.problem.step
-        best = own[self._due(own)]
+        best = own[self._planned_option(own)]
         planned_ = kept = self._kept(best, np.inf)
         for t, _ in own:
             if t > kept + tiny:

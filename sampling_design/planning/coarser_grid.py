@@ -57,24 +57,24 @@ def lifted_choices(problem: PlanProblem, coarse: Iterable[Mask]) -> list[Mask]:
     return found
 
 
-def lifted_attacks(
-    oracle: AccuracyOracle, motion: DiscretePlant, attacks: Iterable[HiddenTrajectory]
+def lifted_trajectories(
+    oracle: AccuracyOracle, motion: DiscretePlant, trajectories: Iterable[HiddenTrajectory]
 ) -> list[HiddenTrajectory]:
-    """The attacks of a coarser grid, where `motion` is the plant, on the grid of an oracle.
+    """The trajectories of a coarser grid, where `motion` is the plant, on the grid of an oracle.
 
     Flown over its steps, with what all of these would show. Of a tangent: the one that touches at the same samples.
     """
     found, steps = [], oracle.problem.steps
-    for attack in attacks:
-        part = steps // len(attack.peaks)
-        if attack.flight is None:
+    for trajectory in trajectories:
+        part = steps // len(trajectory.peaks)
+        if trajectory.flight is None:
             z = np.zeros(oracle.problem.allowed.shape)
-            z[::part] = np.roll(attack.touches, -(attack.end + 1) % len(attack.peaks), axis=0)[::-1]
-            lifted = oracle.tangent(z, attack.goal)
+            z[::part] = np.roll(trajectory.touches, -(trajectory.end + 1) % len(trajectory.peaks), axis=0)[::-1]
+            lifted = oracle.tangent(z, trajectory.goal)
         else:
-            flight = attack.flight
+            flight = trajectory.flight
             states = np.asarray(np.linalg.lstsq(oracle.motion.T, motion.T @ flight.states.T)[0].T, dtype=np.float64)
             flown = fly(oracle.motion, flight.knots * part, states, np.repeat(flight.w, part, axis=0))
-            lifted = oracle.scaled(flown, attack.goal, attack.end * part, attack.at_sample)
+            lifted = oracle.scaled(flown, trajectory.goal, trajectory.end * part, trajectory.at_sample)
         found += [lifted] if lifted is not None else []
     return found

@@ -80,7 +80,7 @@ CostTree: TypeAlias = Union[CostLeaf, CostBranch]  # noqa: UP007
 
 @dataclass(frozen=True, eq=False)
 class CostProof:
-    """Every choice that sees the attacks `keys` at `level` costs at least `value`."""
+    """Every choice that sees the trajectories `keys` at `level` costs at least `value`."""
 
     level: float
     value: float
@@ -90,9 +90,9 @@ class CostProof:
 
 def proven_cost(cover: CoveringRows, pool: HiddenTrajectories, proof: CostProof) -> float:
     """What a proof's multipliers prove, worked out anew; no solver."""
-    if any(not pool.ends[pool.attacks[a].goal][end % pool.steps] for a, end in proof.keys):
+    if any(not pool.ends[pool.trajectories[a].goal][end % pool.steps] for a, end in proof.keys):
         return -np.inf
-    model = cover.model(pool.attacks, list(proof.keys), proof.level)
+    model = cover.model(pool.trajectories, list(proof.keys), proof.level)
     if not proof.tree.fits(model.b.size, cover.columns):
         return -np.inf
 

@@ -1,6 +1,6 @@
-"""Every attack must be seen: the cheapest choice of samples that sees a set of attacks, and bounds on its price.
+"""Every trajectory must be seen: the cheapest choice of samples that sees a set of them, and bounds on its price.
 
-    minimise  price'z + visit'n   subject to  sum of z over what sees attack a >= 1 (or >= n at its own sample),
+    minimise  price'z + visit'n   subject to  sum of z over what sees trajectory a >= 1 (or >= n at its own sample),
               spacings, uses, limits,  z <= n <= sum of z,  entries 0 or 1
 
 Whatever a solver says, y >= 0 prove  cost >= b'y + sum over k of min((c - A'y)_k x_k over what x_k may be).
@@ -34,7 +34,7 @@ ROUNDING = 1e-9
 """Relative allowance for rounding in what multipliers prove."""
 
 NEAR = 5e-4
-"""A choice is cheap enough within this share; how many attacks it sees decides no finer."""
+"""A choice is cheap enough within this share; how many trajectories it sees decides no finer."""
 
 GRAIN = 1e-6
 """Costs are whole multiples of a grain within this share of it."""
@@ -58,7 +58,7 @@ class CoverModel:
 
 
 class CoveringRows:
-    """The rows that hold for every choice of a problem, and those of attacks."""
+    """The rows that hold for every choice of a problem, and those of trajectories."""
 
     def __init__(self, problem: PlanProblem, *, fixed: bool = False):
         self.problem, self.fixed = problem, fixed
@@ -191,24 +191,24 @@ class CoveringRows:
         """The fractions (M, p) of measurements of a point of the program."""
         return np.clip(np.where(self.place >= 0, x[self.place], 0.0), 0.0, 1.0)
 
-    def view(self, attack: HiddenTrajectory, level: float) -> Array:
+    def view(self, trajectory: HiddenTrajectory, level: float) -> Array:
         """What measuring at each step back from the end adds, by sensors or, where samples are whole, by samples."""
-        weights = attack.weights(level)
+        weights = trajectory.weights(level)
         return np.minimum(weights[:, self.used].sum(axis=1, keepdims=True), 1.0) if self.whole else weights
 
-    def sizes(self, attack: HiddenTrajectory, ends: Index, level: float) -> Index:
-        """How many of the measurements that may be taken see an attack turned to each of these ends."""
-        seen = self.view(attack, level) > 0
+    def sizes(self, trajectory: HiddenTrajectory, ends: Index, level: float) -> Index:
+        """How many of the measurements that may be taken see a trajectory turned to each of these ends."""
+        seen = self.view(trajectory, level) > 0
         there = self.places[self.at] >= 0
         return np.asarray(np.sum(seen[(ends[:, None] - self.at) % self.problem.steps] & there, axis=(1, 2)))
 
-    def row(self, attack: HiddenTrajectory, end: int, level: float) -> tuple[Index, Array, float]:
-        """The row that asks for an attack, turned to `end` and scaled to `level`, to be seen."""
-        weights = self.view(attack, level)
+    def row(self, trajectory: HiddenTrajectory, end: int, level: float) -> tuple[Index, Array, float]:
+        """The row that asks for a trajectory, turned to `end` and scaled to `level`, to be seen."""
+        weights = self.view(trajectory, level)
         back, column = np.nonzero(weights)
         mine, values = self.places[(end - back) % self.problem.steps, column], weights[back, column]
         mine, values = mine[mine >= 0], values[mine >= 0]
-        if attack.at_sample:  # only asked for where it is a sample's own
+        if trajectory.at_sample:  # only asked for where it is a sample's own
             own = int(self.sample_of[end])
             values = np.append(values[mine != own], values[mine == own].sum() - 1.0)
             mine = np.append(mine[mine != own], own)
@@ -217,19 +217,21 @@ class CoveringRows:
         return mine, values, 1.0
 
     def model(
-        self, attacks: list[HiddenTrajectory], keys: list[Key], level: float, blind: Sequence[Mask] = ()
+        self, trajectories: list[HiddenTrajectory], keys: list[Key], level: float, undetected_at: Sequence[Mask] = ()
     ) -> CoverModel:
-        """The program of these attacks at a level, and of what must be measured once wherever it shows."""
+        """The program of these trajectories at a level, and of what must be measured once wherever it shows."""
         A, b = self.frame
-        rows = [self.row(attacks[a], end, level) for a, end in keys]
-        places = [np.unique(self.place[where]) for where in blind]
+        rows = [self.row(trajectories[a], end, level) for a, end in keys]
+        places = [np.unique(self.place[where]) for where in undetected_at]
         rows += [(mine[mine >= 0], np.ones(int(np.sum(mine >= 0))), 1.0) for mine in places]
         more, right = _stacked(rows, self.columns)
         return CoverModel(self.cost, sparse.vstack([A, more], format="csr"), np.concatenate([b, right]))
 
-    def longer(self, model: CoverModel, attacks: list[HiddenTrajectory], keys: list[Key], level: float) -> CoverModel:
+    def longer(
+        self, model: CoverModel, trajectories: list[HiddenTrajectory], keys: list[Key], level: float
+    ) -> CoverModel:
         """A program with more rows, behind those that there are."""
-        more, right = _stacked([self.row(attacks[a], end, level) for a, end in keys], self.columns)
+        more, right = _stacked([self.row(trajectories[a], end, level) for a, end in keys], self.columns)
         A = sparse.vstack([model.A, more], format="csr")
         return CoverModel(model.c, A, np.concatenate([model.b, right]))
 

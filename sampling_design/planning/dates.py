@@ -141,9 +141,9 @@ class PlanDates(PlainRecord):
         samples = counted(len(self.entries), "sample")
         since = f" The tolerances are kept from {self._since()}{' on' * bool(self.kept_from)}."
         since = since if np.isfinite(self.kept_from) else " From when on the tolerances are kept is not proven."
-        return self._told(samples) + since
+        return self._across(samples) + since
 
-    def _told(self, samples: str) -> str:
+    def _across(self, samples: str) -> str:
         if not self.exceptions:
             return f"{samples} as planned; no change of the clocks and no holiday among them."
         told = f"{samples} with {counted(len(self.exceptions), 'exception')}"
@@ -198,7 +198,7 @@ class _Closed:
     times: Array
     why: str
 
-    def told(self, added: int) -> str:
+    def in_words(self, added: int) -> str:
         """In words."""
         return f"{self.why}, {len(self.times)} left out" + (f", {added} added" if added else "")
 
@@ -344,7 +344,7 @@ class _Dating:
         shares = [0] * len(self.closed)
         for t, _ in added:
             shares[int(np.argmin([np.abs(closed.times - t).min() for closed in self.closed]))] += 1
-        found = [(float(c.times[0]), c.told(n)) for c, n in zip(self.closed, shares, strict=True)]
+        found = [(float(c.times[0]), c.in_words(n)) for c, n in zip(self.closed, shares, strict=True)]
         hours = np.arange(0.0, float(self.clock.elapsed(self.known)) * self.clock.minutes, 60.0) / self.clock.minutes
         shown = self.clock.shown(hours)
         jumps = np.diff(shown - hours)

@@ -1,4 +1,4 @@
-"""The evidence of a plan's bounds: attacks in numbers, checked by flying them again, and the proofs over them."""
+"""The evidence of a plan's bounds: trajectories in numbers, checked by flying them again, and the proofs over them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class PlanBound:
 
     Attributes
     ----------
-    attacks : tuple of HiddenMotion
+    trajectories : tuple of HiddenMotion
         Those that the proofs use.
     ratio : CostProof or None
         No plan of this cost has an accuracy below `ratio.level` times all tolerances: what was proven less 1e-5 of it,
@@ -38,13 +38,13 @@ class PlanBound:
         No plan keeps the tolerances for less than `cost.value`.
     """
 
-    attacks: tuple[HiddenTrajectory, ...]
+    trajectories: tuple[HiddenTrajectory, ...]
     ratio: CostProof | None
     cost: CostProof | None
 
 
 def gathered(pool: HiddenTrajectories, ratio: CostProof | None, cost: CostProof | None) -> PlanBound:
-    """Return the bound with no more attacks than its proofs use."""
+    """Return the bound with no more trajectories than its proofs use."""
     used = sorted({key[0] for proof in (ratio, cost) if proof is not None for key in proof.keys})
     place = {a: k for k, a in enumerate(used)}
 
@@ -53,17 +53,17 @@ def gathered(pool: HiddenTrajectories, ratio: CostProof | None, cost: CostProof 
             return None
         return CostProof(proof.level * EASED, proof.value, tuple((place[a], end) for a, end in proof.keys), proof.tree)
 
-    return PlanBound(tuple(pool.attacks[a] for a in used), moved(ratio), moved(cost))
+    return PlanBound(tuple(pool.trajectories[a] for a in used), moved(ratio), moved(cost))
 
 
-def reflown(problem: PlanProblem, motion: DiscretePlant, attack: HiddenTrajectory) -> HiddenTrajectory | None:
-    """An attack as its flight, flown anew and made admissible, proves it; None if the flight is not one motion.
+def reflown(problem: PlanProblem, motion: DiscretePlant, trajectory: HiddenTrajectory) -> HiddenTrajectory | None:
+    """A trajectory as its flight, flown anew and made admissible, proves it; None if the flight is not one motion.
 
     Of a tangent: the filter run anew.
     """
-    flight = attack.flight
+    flight = trajectory.flight
     if flight is None:
-        return _filtered(problem, motion, attack)
+        return _filtered(problem, motion, trajectory)
     if flight.states[0].any() or flight.knots[0] != 0:
         return None
     w = flight.w.copy()
@@ -82,40 +82,40 @@ def reflown(problem: PlanProblem, motion: DiscretePlant, attack: HiddenTrajector
         w[a:b] += change.reshape(b - a, -1)
     flown = fly(motion, flight.knots, flight.states, w)
     factor = max(flown.size(motion.ball), 1.0) * (1 + KEPT)
-    row = motion.rows(problem.goals[attack.goal].row[None])[0]
-    reach = float(row @ flown.path[-1]) / factor / problem.goals[attack.goal].tolerance
-    peaks = peaks_of(flown.path @ motion.H.T / factor, problem.steps, attack.at_sample) * (1 + 2 * KEPT)
+    row = motion.rows(problem.goals[trajectory.goal].row[None])[0]
+    reach = float(row @ flown.path[-1]) / factor / problem.goals[trajectory.goal].tolerance
+    peaks = peaks_of(flown.path @ motion.H.T / factor, problem.steps, trajectory.at_sample) * (1 + 2 * KEPT)
     if reach <= 0:
         return None
-    return HiddenTrajectory(attack.goal, reach, attack.end, attack.at_sample, np.asarray(peaks), flight)
+    return HiddenTrajectory(trajectory.goal, reach, trajectory.end, trajectory.at_sample, np.asarray(peaks), flight)
 
 
-def _filtered(problem: PlanProblem, motion: DiscretePlant, attack: HiddenTrajectory) -> HiddenTrajectory | None:
+def _filtered(problem: PlanProblem, motion: DiscretePlant, trajectory: HiddenTrajectory) -> HiddenTrajectory | None:
     """A tangent worked out anew where it touches, by the filter from nothing unknown on."""
-    z = np.roll(attack.touches, -((attack.end + 1) % problem.steps), axis=0)[::-1]
-    if not problem.goals[attack.goal].spread or np.any(z < 0) or np.any(z > 1):
+    z = np.roll(trajectory.touches, -((trajectory.end + 1) % problem.steps), axis=0)[::-1]
+    if not problem.goals[trajectory.goal].spread or np.any(z < 0) or np.any(z > 1):
         return None
-    found = GridFilter(problem, motion).tangent_at(z, attack.goal, attack.end)
-    return None if found is None else replace(found, reach=found.reach * (1 - KEPT), end=attack.end)
+    found = GridFilter(problem, motion).tangent_at(z, trajectory.goal, trajectory.end)
+    return None if found is None else replace(found, reach=found.reach * (1 - KEPT), end=trajectory.end)
 
 
 def holds(
     bound: PlanBound, cover: CoveringRows, limited: CoveringRows, motion: DiscretePlant, ends: list[Mask], most: float
 ) -> bool:
-    """Whether both proofs hold: attacks flown anew, multipliers added up anew.
+    """Whether both proofs hold: trajectories flown anew, multipliers added up anew.
 
     `cover` has no limits of its own; `limited` has those of the requirement; `most` is what the ratio's plans may cost.
     """
     pool = HiddenTrajectories(cover.problem.steps, ends)
-    for attack in bound.attacks:
-        flown = reflown(cover.problem, motion, attack)
-        if flown is None or flown.reach < attack.reach * (1 - 1e-6):
+    for trajectory in bound.trajectories:
+        flown = reflown(cover.problem, motion, trajectory)
+        if flown is None or flown.reach < trajectory.reach * (1 - 1e-6):
             return False
         pool.add(flown)
     for proof, frame, least in ((bound.ratio, limited, most), (bound.cost, cover, None)):
         if proof is None:
             continue
-        if any(pool.attacks[a].reach < proof.level for a, _ in proof.keys):
+        if any(pool.trajectories[a].reach < proof.level for a, _ in proof.keys):
             return False
         value = proven_cost(frame, pool, proof)
         if value < proof.value * (1 - 1e-9) or (least is not None and value <= least):
@@ -123,18 +123,18 @@ def holds(
     return True
 
 
-def attack_to_dict(attack: HiddenTrajectory) -> dict[str, object]:
+def trajectory_to_dict(trajectory: HiddenTrajectory) -> dict[str, object]:
     """Plain data; peaks are left out, since they are worked out anew."""
-    flight = attack.flight
-    data: dict[str, object] = {key: getattr(attack, key) for key in ("goal", "end", "at_sample", "reach")}
+    flight = trajectory.flight
+    data: dict[str, object] = {key: getattr(trajectory, key) for key in ("goal", "end", "at_sample", "reach")}
     if flight is None:
-        touched = np.argwhere(attack.touches).tolist()
-        return data | {"point": [[*at, float(attack.touches[tuple(at)])] for at in touched]}
+        touched = np.argwhere(trajectory.touches).tolist()
+        return data | {"point": [[*at, float(trajectory.touches[tuple(at)])] for at in touched]}
     return data | {key: getattr(flight, key).tolist() for key in ("knots", "states", "w")}
 
 
-def attack_of(problem: PlanProblem, motion: DiscretePlant, data: dict[str, object]) -> HiddenTrajectory:
-    """An attack from plain data that a strict reader has passed."""
+def trajectory_of(problem: PlanProblem, motion: DiscretePlant, data: dict[str, object]) -> HiddenTrajectory:
+    """A trajectory from plain data that a strict reader has passed."""
     if "point" in data:
         point, end = np.zeros(problem.allowed.shape), int(str(data["end"]))
         for back, sensor, share in np.array(data["point"], dtype=float).reshape(-1, 3):

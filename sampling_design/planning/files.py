@@ -31,7 +31,7 @@ from sampling_design.checkers.strict import (
 )
 from sampling_design.planning.cost_proof import CostBranch, CostLeaf, CostProof, CostTree
 from sampling_design.planning.discrete_plant import DiscretePlant, motion_of
-from sampling_design.planning.evidence import PlanBound, attack_of
+from sampling_design.planning.evidence import PlanBound, trajectory_of
 from sampling_design.planning.plan_record import FORMAT, LEFT_OUT, Plan, same_samples
 from sampling_design.planning.problem import PlanProblem, pose_plan
 from sampling_design.planning.proven_choice import proven_plan
@@ -52,7 +52,7 @@ SAME = 1e-3
 MOST_TREE = 10_000
 """Nodes of a tree of proofs that a file may hold: more takes minutes to check."""
 
-_ATTACK = table(
+_TRAJECTORY = table(
     {
         "goal": count,
         "end": count,
@@ -89,7 +89,7 @@ _TREE: Reader = table(
         "reached": list_of(positive),
         "cost": number,
         "ratio": positive,
-        "attacks": list_of(_ATTACK),
+        "attacks": list_of(_TRAJECTORY),
         "no_better_than": or_nothing(_PROOF),
         "no_cheaper_than": or_nothing(_PROOF),
     },
@@ -207,25 +207,25 @@ def _robustness(data: Tree | None, found: Plan) -> PlanRobustness | None:
 
 
 def _bound(problem: PlanProblem, motion: DiscretePlant, tree: Tree) -> PlanBound:
-    attacks = tree["attacks"]
-    for k, attack in enumerate(attacks):
-        own = [key for key in (*_FLIGHT, "point") if key in attack]
-        if own not in ([*_FLIGHT], ["point"]) or attack["goal"] >= len(problem.goals):
+    trajectories = tree["attacks"]
+    for k, trajectory in enumerate(trajectories):
+        own = [key for key in (*_FLIGHT, "point") if key in trajectory]
+        if own not in ([*_FLIGHT], ["point"]) or trajectory["goal"] >= len(problem.goals):
             raise refuse(f"attacks[{k}]", "must be a motion (knots, states, w) or a tangent (point), of a goal")
-        if "point" in attack:
-            cells = attack["point"]
+        if "point" in trajectory:
+            cells = trajectory["point"]
             inside = all(a % 1 == b % 1 == 0 and a < problem.steps and b < len(problem.v_bound) for a, b, _ in cells)
-            if not inside or any(share > 1 for _, _, share in cells) or not problem.goals[attack["goal"]].spread:
+            if not inside or any(share > 1 for _, _, share in cells) or not problem.goals[trajectory["goal"]].spread:
                 raise refuse(
                     f"attacks[{k}]", "touches beside the grid and its sensors, or is of a goal that is guaranteed"
                 )
             continue
-        knots, steps, q = attack["knots"], len(attack["w"]), motion.G.shape[1]
+        knots, steps, q = trajectory["knots"], len(trajectory["w"]), motion.G.shape[1]
         rising = all(a < b for a, b in pairwise(knots)) and knots[:1] == [0]
-        shaped = attack["w"].shape == (steps, q) and attack["states"].shape == (len(knots), motion.n)
+        shaped = trajectory["w"].shape == (steps, q) and trajectory["states"].shape == (len(knots), motion.n)
         if not rising or not shaped or knots[-1] > steps:
             raise refuse(f"attacks[{k}]", "has knots, states and w that do not fit together")
-    found = tuple(attack_of(problem, motion, attack) for attack in attacks)
+    found = tuple(trajectory_of(problem, motion, trajectory) for trajectory in trajectories)
     return PlanBound(
         found,
         _proof(tree["no_better_than"], len(found), "no_better_than"),
@@ -233,11 +233,11 @@ def _bound(problem: PlanProblem, motion: DiscretePlant, tree: Tree) -> PlanBound
     )
 
 
-def _proof(data: Tree | None, attacks: int, place: str) -> CostProof | None:
+def _proof(data: Tree | None, trajectories: int, place: str) -> CostProof | None:
     if data is None:
         return None
-    if len(data["tree"]) > MOST_TREE or any(row[0] >= attacks for row in data["rows"]):
-        raise refuse(place, "has a tree beyond all measure, or rows of no attack")
+    if len(data["tree"]) > MOST_TREE or any(row[0] >= trajectories for row in data["rows"]):
+        raise refuse(place, "has a tree beyond all measure, or rows of no trajectory")
     nodes = iter(data["tree"])
     tree = _tree(nodes, place)
     if next(nodes, None) is not None:

@@ -1,9 +1,9 @@
-"""Attacks: motions that reach a goal's tolerance, and where in the period they would be seen.
+"""Hidden trajectories: motions that reach a goal's tolerance, and where in the period they would be seen.
 
 A motion whose every output stays below its bound wherever a schedule measures is admissible for that schedule: with
 reach r and a schedule that sees nothing, no estimator guarantees less than r. Scaled down, it also bounds schedules
 that would see it: by r over the largest ratio of output to bound that they measure. Moved by whole steps it is an
-attack again.
+trajectory again.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ HIDDEN = 1 - 1e-9
 """An output counts as hidden if its ratio to the bound is below this: rounding never hides anything."""
 
 MOST_ENDS = 400
-"""Ends of one attack, the strongest, that are looked at when a swap is weighed."""
+"""Ends of one trajectory, the strongest, that are looked at when a swap is weighed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,48 +83,48 @@ def peaks_of(outputs: Array, steps: int, at_sample: bool) -> Array:
     return np.asarray(back.reshape(periods, steps, p).max(axis=0))
 
 
-def weighed(attack: HiddenTrajectory, taken: Array) -> Array:
+def weighed(trajectory: HiddenTrajectory, taken: Array) -> Array:
     """Standard deviation over tolerance that a tangent leaves where measurements have taken so much of it."""
-    return np.sqrt(np.maximum(attack.reach**2 - taken, 0.0))
+    return np.sqrt(np.maximum(trajectory.reach**2 - taken, 0.0))
 
 
 class HiddenTrajectories:
-    """Every attack found, and what they prove of any choice of samples, quickly."""
+    """Every trajectory found, and what they prove of any choice of samples, quickly."""
 
     def __init__(self, steps: int, ends: list[Mask]):
         self.steps, self.ends = steps, ends
-        self.attacks: list[HiddenTrajectory] = []
+        self.trajectories: list[HiddenTrajectory] = []
 
-    def add(self, attack: HiddenTrajectory) -> None:
+    def add(self, trajectory: HiddenTrajectory) -> None:
         """Keep one more."""
-        if not any(known is attack for known in self.attacks):
-            self.attacks.append(attack)
+        if not any(known is trajectory for known in self.trajectories):
+            self.trajectories.append(trajectory)
 
     def against(self, chosen: Mask) -> tuple[float, HiddenTrajectory | None, int]:
-        """The largest ratio of accuracy to tolerance that the pool proves of a choice, the attack, and its end."""
+        """The largest ratio of accuracy to tolerance that the pool proves of a choice, the trajectory, and its end."""
         best, which, where = 0.0, None, 0
         at, sensor = np.nonzero(chosen)
-        for attack in self.attacks:
-            ratios = self.proven(attack, at, sensor)
+        for trajectory in self.trajectories:
+            ratios = self.proven(trajectory, at, sensor)
             end = int(np.argmax(ratios))
             if ratios[end] > best:
-                best, which, where = float(ratios[end]), attack, end
+                best, which, where = float(ratios[end]), trajectory, end
         return best, which, where
 
-    def proven(self, attack: HiddenTrajectory, at: Index, sensor: Index) -> Array:
-        """For every end of an attack, the ratio that it proves of samples (at, sensor)."""
+    def proven(self, trajectory: HiddenTrajectory, at: Index, sensor: Index) -> Array:
+        """For every end of a trajectory, the ratio that it proves of samples (at, sensor)."""
         back = (np.arange(self.steps)[:, None] - at[None, :]) % self.steps
-        peaks = attack.peaks[back, sensor[None, :]]
+        peaks = trajectory.peaks[back, sensor[None, :]]
         seen = np.max(peaks, axis=1, initial=0.0)
-        allowed = self.ends[attack.goal].copy()
-        if attack.at_sample:
+        allowed = self.ends[trajectory.goal].copy()
+        if trajectory.at_sample:
             there = np.zeros(self.steps, dtype=bool)
             there[at] = True
             allowed &= there
-        if attack.flight is None:
-            return np.where(allowed, weighed(attack, peaks.sum(axis=1)), 0.0)
+        if trajectory.flight is None:
+            return np.where(allowed, weighed(trajectory, peaks.sum(axis=1)), 0.0)
         with np.errstate(divide="ignore"):
-            return np.where(allowed, attack.reach / np.maximum(seen / HIDDEN, 1.0), 0.0)
+            return np.where(allowed, trajectory.reach / np.maximum(seen / HIDDEN, 1.0), 0.0)
 
     def swaps(self, rest: Mask, options: list[tuple[int, int]]) -> Array:
         """What the pool proves of `rest` with each option (step, sensor) added."""
@@ -132,18 +132,18 @@ class HiddenTrajectories:
         step, which = (np.array(part, dtype=int) for part in zip(*options, strict=True))
         values = np.zeros(len(options))
         sampled = rest.any(axis=1)
-        for attack in self.attacks:
-            ratios = self.proven(attack, at, sensor)
-            if attack.at_sample:  # an option brings an end of its own: said without it, this bounds no less
+        for trajectory in self.trajectories:
+            ratios = self.proven(trajectory, at, sensor)
+            if trajectory.at_sample:  # an option brings an end of its own: said without it, this bounds no less
                 ratios = np.where(sampled, ratios, 0.0)
             ends = np.flatnonzero(ratios > 0)
             ends = ends[np.argsort(-ratios[ends], kind="stable")][:MOST_ENDS]
-            seen = attack.peaks[(ends[:, None] - step[None, :]) % self.steps, which[None, :]]
-            if attack.flight is None:
+            seen = trajectory.peaks[(ends[:, None] - step[None, :]) % self.steps, which[None, :]]
+            if trajectory.flight is None:
                 left = np.sqrt(np.maximum(ratios[ends, None] ** 2 - seen, 0.0))
                 values = np.maximum(values, left.max(axis=0, initial=0.0))
                 continue
             with np.errstate(divide="ignore"):
-                after = np.minimum(ratios[ends, None], attack.reach / np.maximum(seen / HIDDEN, 1.0))
+                after = np.minimum(ratios[ends, None], trajectory.reach / np.maximum(seen / HIDDEN, 1.0))
             values = np.maximum(values, after.max(axis=0, initial=0.0))
         return values

@@ -56,25 +56,25 @@ class HittingSet:
     proof: CostProof | None = None
 
 
-def hit(
+def smallest_hitting_set(
     cover: CoveringRows,
     pool: HiddenTrajectories,
     level: float,
     below: float,
     work: Budget,
-    blind: Sequence[Mask] = (),
+    undetected_at: Sequence[Mask] = (),
 ) -> HittingSet | None:
     """A choice below a cost, within the limits, that sees every motion at a level, or that there is none.
 
     None where more than the number of samples counts, nothing limits it, or the program is too large to be written
-    out: then a solver is asked. `blind`: masks that a choice must meet, too, of which a proof is not told.
+    out: then a solver is asked. `undetected_at`: masks that a choice must meet, too, of which a proof is not told.
     """
     most = _most(cover, below)
-    reaching = [a for a, attack in enumerate(pool.attacks) if attack.reach >= level]
+    reaching = [a for a, trajectory in enumerate(pool.trajectories) if trajectory.reach >= level]
     size = len(reaching) * cover.problem.steps * cover.columns
-    if most < 0 or size > MOST_ENTRIES or any(pool.attacks[a].flight is None for a in reaching):
+    if most < 0 or size > MOST_ENTRIES or any(pool.trajectories[a].flight is None for a in reaching):
         return None
-    return _Search(cover, pool, level, below, most, reaching, work).run(blind)
+    return _Search(cover, pool, level, below, most, reaching, work).run(undetected_at)
 
 
 def _most(cover: CoveringRows, below: float) -> int:
@@ -109,27 +109,27 @@ class _Search:
         self.keys: list[Key] = []
         steps, shows, owners = cover.problem.steps, list[Array32](), list[Index]()
         for a in reaching:
-            attack = pool.attacks[a]
-            seen = cover.view(attack, level)[:, 0] > 0
-            ends, owner = np.flatnonzero(pool.ends[attack.goal]), cover.columns
-            if attack.at_sample:  # asked for only where its end is a sample, which does not see it itself
+            trajectory = pool.trajectories[a]
+            seen = cover.view(trajectory, level)[:, 0] > 0
+            ends, owner = np.flatnonzero(pool.ends[trajectory.goal]), cover.columns
+            if trajectory.at_sample:  # asked for only where its end is a sample, which does not see it itself
                 ends = ends[(cover.sample_of[ends] >= 0) & ~seen[0]]
-            owners.append(cover.sample_of[ends] if attack.at_sample else np.full(ends.size, owner))
+            owners.append(cover.sample_of[ends] if trajectory.at_sample else np.full(ends.size, owner))
             shows.append(seen[(ends[:, None] - cover.at[None, :]) % steps].astype(np.float32))
             self.keys += [(a, end) for end in ends.tolist()]
         none = np.zeros((0, cover.columns), dtype=np.float32)
         self.shows, self.owner = np.concatenate([none, *shows]), np.concatenate([np.zeros(0, dtype=np.intp), *owners])
 
-    def run(self, blind: Sequence[Mask]) -> HittingSet:
+    def run(self, undetected_at: Sequence[Mask]) -> HittingSet:
         """The search from the root."""
         own = self.cover.frame[0][[-1]].toarray()  # step 0 where it is fixed, else any step: a plan has a sample
-        masks = [np.isin(np.arange(own.size), self.cover.place[where]) for where in blind]
+        masks = [np.isin(np.arange(own.size), self.cover.place[where]) for where in undetected_at]
         self.shows = np.concatenate([self.shows, np.array([own[0], *masks], dtype=np.float32)])
         self.owner = np.append(self.owner, np.full(1 + len(masks), own.size))
         tree = self._node(np.arange(len(self.shows)), self.cover.ceiling(self.below) > 0, 0)
         if tree is None:
             return HittingSet(self.cover.choice(self.given[:-1].astype(float))) if self.found else HittingSet()
-        return HittingSet(none=True, proof=self._told(tree))
+        return HittingSet(none=True, proof=self._proof_of(tree))
 
     def _node(self, unmet: Index, free: Mask, depth: int) -> CostTree | None:
         """The tree below what is given and what is still free; None once a choice is found, or nodes ran out."""
@@ -179,7 +179,7 @@ class _Search:
         each = price - value * A[limit, 0]
         return CostLeaf((*rows.tolist(), limit - self.frame), (*(each,) * len(rows), value))
 
-    def _told(self, tree: CostTree) -> CostProof | None:
+    def _proof_of(self, tree: CostTree) -> CostProof | None:
         """The proof with the rows that it uses, the frame's before them."""
         used = sorted({row for leaf in tree.leaves() for row in leaf.rows})
         if used[-1] > len(self.keys):

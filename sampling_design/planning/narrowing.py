@@ -1,4 +1,4 @@
-"""An attack that as few measurements as can be show: those that show it are taken away from it one after another.
+"""A trajectory that as few measurements as can be show: those that show it are taken away from it one after another.
 
     A  hidden from S, reaching a level   ->   A'  hidden from S and x, for as many x as leave a motion that reaches it
 
@@ -17,36 +17,36 @@ MOST_FAILURES = 4
 """Measurements in a row that no motion can do without, after which it is left at that."""
 
 
-def narrowed(oracle: AccuracyOracle, attack: HiddenTrajectory, level: float) -> HiddenTrajectory:
+def narrowed(oracle: AccuracyOracle, trajectory: HiddenTrajectory, level: float) -> HiddenTrajectory:
     """A motion that ends where this one does, reaches a level as it does, and that fewer measurements show.
 
     Those that show it least are taken first, many at once while that succeeds.
     """
     needed = np.zeros_like(oracle.problem.allowed)
-    count = max(1, int(shown(oracle, attack, level).sum()) // 4)
+    count = max(1, int(shown(oracle, trajectory, level).sum()) // 4)
     failed = 0
     while failed < MOST_FAILURES:
-        row = shown(oracle, attack, level)
+        row = shown(oracle, trajectory, level)
         left = np.argwhere(row & ~needed)
         if not len(left) or oracle.work.over:
             break
         count = max(1, min(count, len(left)))
-        seen = attack.peaks[(attack.end - left[:, 0]) % oracle.problem.steps, left[:, 1]]
+        seen = trajectory.peaks[(trajectory.end - left[:, 0]) % oracle.problem.steps, left[:, 1]]
         taken = left[np.argsort(seen, kind="stable")[:count]]
         hidden = oracle.problem.allowed & ~row
         hidden[taken[:, 0], taken[:, 1]] = True
-        other = oracle.ending(hidden, attack, level)
+        other = oracle.ending(hidden, trajectory, level)
         if other is not None and other.reach > level:
-            attack, count, failed = other, 2 * count, 0
+            trajectory, count, failed = other, 2 * count, 0
         else:
             needed[taken[:, 0], taken[:, 1]] |= count == 1
             failed += count == 1
             count //= 2
-    return attack
+    return trajectory
 
 
-def shown(oracle: AccuracyOracle, attack: HiddenTrajectory, level: float) -> Mask:
+def shown(oracle: AccuracyOracle, trajectory: HiddenTrajectory, level: float) -> Mask:
     """Which of all that may be measured shows a motion that is scaled to reach just a level (M, p)."""
     steps = oracle.problem.steps
-    back = (attack.end - np.arange(steps)) % steps
-    return np.asarray(oracle.problem.allowed & (attack.weights(level)[back] > 0))
+    back = (trajectory.end - np.arange(steps)) % steps
+    return np.asarray(oracle.problem.allowed & (trajectory.weights(level)[back] > 0))

@@ -20,7 +20,7 @@ from sampling_design.errors import (
 )
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.bounds import out_of_reach, prove_cost
-from sampling_design.planning.coarser_grid import coarser, lifted_attacks, lifted_choices
+from sampling_design.planning.coarser_grid import coarser, lifted_choices, lifted_trajectories
 from sampling_design.planning.cost_proof import CostProof
 from sampling_design.planning.covering import CoveringRows, cheapest
 from sampling_design.planning.discrete_plant import motion_of
@@ -52,7 +52,7 @@ Made = TypeVar("Made")
 MARGIN = 0.004
 """A choice is taken if its accuracy is this much below the tolerance, at first: the proof is as much above it."""
 
-BLIND = 0.03
+LONGER_PAST = 0.03
 """A choice proven this much worse than it was judged has a longer past than the search looks at."""
 
 IDLE = 2
@@ -127,10 +127,10 @@ def plan_samples(
     says from when on after its start the tolerances are kept, whatever the error was then or within `initial_error`. No
     admissible choice on the grid of the same cost is better than `bound.ratio.level` times every tolerance, and none
     keeps them for less than `bound.cost.value`.
-    *Method.* Attacks: disturbances that drive a goal to its tolerance while nothing measured shows them. Any plan must
-    see every attack; moved by whole steps, an attack is one again. The cheapest choice that sees all attacks so far is
-    judged, and what breaks it joins (implicit hitting sets). The bounds are multipliers over attacks. *Numerical
-    aspects.* Neither side needs a solver to be checked.
+    *Method.* Hidden trajectories: disturbances that drive a goal to its tolerance while nothing measured shows them.
+    Any plan must see every trajectory; moved by whole steps, a trajectory is one again. The cheapest choice that sees
+    all trajectories so far is judged, and what breaks it joins (implicit hitting sets). The bounds are multipliers over
+    trajectories. *Numerical aspects.* Neither side needs a solver to be checked.
 
     References
     ----------
@@ -161,7 +161,7 @@ def plan_samples(
         nonlocal found
         try:
             if found.status != "interrupted":
-                run.told.say(name, AFTERWARDS)
+                run.progress.say(name, AFTERWARDS)
                 return make(found, work)
         except BudgetSpentError:
             pass
@@ -203,8 +203,8 @@ class _Planning:
         self.oracle.work.seconds = self.oracle.work.limit = work
         if not isinstance(progress, PlanProgress):
             progress = PlanProgress(progress, problem, self.oracle.work)
-        self.told = progress
-        self.search = PlanSearch(problem, self.oracle, self.told)
+        self.progress = progress
+        self.search = PlanSearch(problem, self.oracle, self.progress)
         self.kept = False
         """Whether the densest choice was judged to keep every tolerance."""
         self.least: CostProof | None = None
@@ -215,13 +215,13 @@ class _Planning:
         """What a search on a coarser grid holds: it is as good on this one, which has all of its times.
 
         So a finer grid makes no plan worse, as far as the share of the work that is spent on the coarser one goes.
-        What it found against other choices joins the attacks here: what is held needs no more of them, its bound does.
+        What it found against other choices joins them here: what is held needs no more of them, its bound does.
         """
         coarse, work = coarser(self.problem), self.oracle.work
         if coarse is None:
             return []
         try:
-            run = _Planning(coarse, self.first * work.seconds, self.told, 1.0)
+            run = _Planning(coarse, self.first * work.seconds, self.progress, 1.0)
         except (ArgumentError, MathematicsError):  # it is too coarse to be looked at
             return []
         try:
@@ -232,7 +232,7 @@ class _Planning:
         except (MathematicsError, UndecidedError):  # what cannot be kept there may be kept here
             pass
         work.spend(run.oracle.work.spent)
-        self.search.add(lifted_attacks(self.oracle, run.motion, run.search.pool.attacks), 1.0)
+        self.search.add(lifted_trajectories(self.oracle, run.motion, run.search.pool.trajectories), 1.0)
         return self._lifted(run)
 
     def _lifted(self, run: _Planning) -> list[Mask]:
@@ -247,16 +247,16 @@ class _Planning:
         """The least cost that keeps every tolerance, or nearly so."""
         search, late = self.search, self.problem.timing_tolerance
         self._require_seen()
-        worst, attacks = self.oracle.judge(self.problem.allowed, longest=True)
-        search.add(attacks, 0.0 if self.oracle.few else 1.0)
+        worst, trajectories = self.oracle.judge(self.problem.allowed, longest=True)
+        search.add(trajectories, 0.0 if self.oracle.few else 1.0)
         if worst > 1:
-            self._refuse(attacks)
+            self._refuse(trajectories)
         everything = densest(self.problem)
-        worst, attacks = self.oracle.judge(everything, longest=True)
-        search.add(attacks, 1.0)
+        worst, trajectories = self.oracle.judge(everything, longest=True)
+        search.add(trajectories, 1.0)
         self.kept = worst <= 1
         if self.kept:
-            self.told.held(everything, worst)
+            self.progress.held(everything, worst)
         search.seed(1.0)
         search.starts = self.started()
         search.share = SOUGHT
@@ -285,7 +285,7 @@ class _Planning:
         search.sharpen(1 / EASED**2, cost)
         self.oracle.work.extend(*AFTER[0])
         self.least = prove_cost(frame, search.pool, 1 / EASED**2, cost, self.oracle.work, find=search.find)
-        self.told.bounded(self.least.value)
+        self.progress.bounded(self.least.value)
         rival = self._better(best, cost)
         best = self.held.sharpest(rival.held, best)
         known, keys = rival.found.out_of_reach, rival.found.keys
@@ -320,9 +320,11 @@ class _Planning:
     def _farther(self, found: ProvenChoice) -> bool:
         """Whether the search must look farther back, since it holds a choice for better than it is proven to be."""
         judged, _ = self.oracle.judge(found.chosen)
-        if judged * (1 + BLIND) >= found.worst or self.problem.timing_tolerance:  # late samples make it worse
+        if judged * (1 + LONGER_PAST) >= found.worst or self.problem.timing_tolerance:  # late samples make it worse
             return False
-        return self.search.deepened(found.chosen, judged, found.worst / (1 + BLIND), IDLE) > judged * (1 + BLIND)
+        return self.search.deepened(found.chosen, judged, found.worst / (1 + LONGER_PAST), IDLE) > judged * (
+            1 + LONGER_PAST
+        )
 
     def _nearest(self, best: ProvenChoice) -> Plan:
         """Where spacings and uses leave nothing that keeps the tolerances: the least ratio that they do allow.
@@ -347,11 +349,11 @@ class _Planning:
         return self._record(best, PlanBound((), None, None))
 
     def _better(self, best: ProvenChoice, cost: float) -> PlanSearch:
-        """Of all plans of a cost, a search for the most accurate one; the attacks found join the pool."""
+        """Of all plans of a cost, a search for the most accurate one; the trajectories found join the pool."""
         problem = self.problem
         limited = replace(problem, most_samples=cost) if problem.counts else replace(problem, most_cost=cost)
-        search = PlanSearch(limited, self.oracle, self.told)
-        search.pool, search.blind = self.search.pool, self.search.blind
+        search = PlanSearch(limited, self.oracle, self.progress)
+        search.pool, search.undetected_at = self.search.pool, self.search.undetected_at
         search.keep(best.chosen, best.worst)
         search.seed(best.worst * 0.9)
         search.improve(ROUNDS // 3)
@@ -362,8 +364,8 @@ class _Planning:
         search = self.search
         self._require_seen()
         for chosen in [self._seeing(sparse(self.problem)), *self.started()]:
-            worst, attacks = self.oracle.judge(chosen)
-            search.add(attacks, 0.0)
+            worst, trajectories = self.oracle.judge(chosen)
+            search.add(trajectories, 0.0)
             if worst < search.found.worst:
                 search.keep(chosen, worst)
         search.seed(search.found.worst * 0.9)
@@ -386,7 +388,7 @@ class _Planning:
             search.cover, search.pool, limit, known, best.worst, WIDTH, keys=keys, work=work, find=search.find
         )
         if ratio is not None:
-            self.told.bounded(ratio.level)
+            self.progress.bounded(ratio.level)
         return self._record(best, gathered(search.pool, ratio, None))
 
     def _held_last(self) -> ProvenChoice:
@@ -410,8 +412,8 @@ class _Planning:
         InfeasibleRequirementError
             If a motion that never fades moves a goal and is hidden at every allowed time.
         """
-        blindness = self.oracle.hidden(self.problem.allowed)
-        if blindness is not None:
+        undetected = self.oracle.hidden(self.problem.allowed)
+        if undetected is not None:
             unit = self.problem.plant.time_unit
             finer = finer_grid(self.problem, self.motion, self.oracle.rows)
             help_ = "Allow other hours or another sensor."
@@ -419,7 +421,7 @@ class _Planning:
                 help_ = f"The grid hides it: one of {spoken(finer, unit)} shows it."
             raise InfeasibleRequirementError(
                 "Not even measuring at every allowed time shows all that `guaranteed_accuracy` asks for: "
-                f"{modes_of(self.motion, blindness)} never fades and stays hidden. {help_}",
+                f"{modes_of(self.motion, undetected)} never fades and stays hidden. {help_}",
                 "grid" if finer is not None else "accuracy",
             )
 
@@ -432,9 +434,9 @@ class _Planning:
             If the limits leave none.
         """
         search = self.search
-        while (blindness := self.oracle.hidden(chosen)) is not None:
-            search.see(blindness, 0.0)
-            model = search.cover.model([], [], 0.0, search.blind)
+        while (undetected := self.oracle.hidden(chosen)) is not None:
+            search.see(undetected, 0.0)
+            model = search.cover.model([], [], 0.0, search.undetected_at)
             other, _ = cheapest(search.cover, model, np.zeros(model.c.size), self.oracle.work)
             if other is None:
                 raise InfeasibleRequirementError(
@@ -445,14 +447,14 @@ class _Planning:
             chosen = other
         return chosen
 
-    def _refuse(self, attacks: list[HiddenTrajectory]) -> None:
+    def _refuse(self, trajectories: list[HiddenTrajectory]) -> None:
         """Say which goals not even all that is allowed keeps, each with what it does keep."""
         ratios = np.zeros(len(self.problem.goals))
         if self.oracle.spread is not None:
             ratios = np.asarray(self.oracle.spread.worst(self.problem.allowed[None])[0], dtype=float).copy()
-        for attack in attacks:
-            if attack.flight is not None:
-                ratios[attack.goal] = max(ratios[attack.goal], attack.reach)
+        for trajectory in trajectories:
+            if trajectory.flight is not None:
+                ratios[trajectory.goal] = max(ratios[trajectory.goal], trajectory.reach)
         each = list(zip(self.problem.goals, ratios.tolist(), strict=True))
         kept = ", ".join(f"{g.name} {short(g.tolerance * r)} instead of {short(g.tolerance)}" for g, r in each if r > 1)
         raise InfeasibleRequirementError(
@@ -463,5 +465,5 @@ class _Planning:
 
     def _record(self, best: ProvenChoice, bound: PlanBound, sure: bool = True) -> Plan:
         complete = sure and self.search.found.complete
-        self.told.proven(best.chosen, best.worst)
+        self.progress.proven(best.chosen, best.worst)
         return plan_of(self.problem, best.chosen, best.proof, bound, "complete" if complete else "budget")

@@ -13,7 +13,7 @@ from sampling_design.planning.comparison import PlanComparison
 from sampling_design.planning.covering import CoveringRows
 from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.disturbed import bears
-from sampling_design.planning.evidence import attack_to_dict, holds, proof_to_dict
+from sampling_design.planning.evidence import holds, proof_to_dict, trajectory_to_dict
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.problem import PlanProblem
@@ -125,7 +125,7 @@ class Plan(PlanFigures):
         return {
             "format": FORMAT,
             **selected(self, "status plant requirement schedule reached cost ratio"),
-            "attacks": plain([attack_to_dict(attack) for attack in bound.attacks]),
+            "attacks": plain([trajectory_to_dict(trajectory) for trajectory in bound.trajectories]),
             "no_better_than": plain(bound.ratio and proof_to_dict(bound.ratio)),
             "no_cheaper_than": plain(bound.cost and proof_to_dict(bound.cost)),
             **selected(self, "certificate robustness left_out start"),

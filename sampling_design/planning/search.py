@@ -1,8 +1,8 @@
-"""The search for a plan: choices that see every attack so far, attacks against those choices, until nothing is left.
+"""The search for a plan: choices that see every trajectory so far, others against those choices, until none is left.
 
 One question, asked at levels: is there an admissible choice whose accuracy is at most `level` times each tolerance? The
-cheapest choice that sees every attack found is judged; if it fails, its own attacks join. If no choice sees them all,
-there is none. Nothing here is a claim: the plan is proven afterwards, and so is the bound.
+cheapest choice that sees every trajectory found is judged; if it fails, its own trajectories join. If no choice sees
+them all, there is none. Nothing here is a claim: the plan is proven afterwards, and so is the bound.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from sampling_design.planning.covering import NODES, CoveringRows, Key, cheapest
 from sampling_design.planning.discrete_plant import UndetectedModes
 from sampling_design.planning.evidence import EASED
 from sampling_design.planning.hidden_trajectories import MOST_ENDS, HiddenTrajectories, HiddenTrajectory, weighed
-from sampling_design.planning.hitting_set import HittingSet, hit
+from sampling_design.planning.hitting_set import HittingSet, smallest_hitting_set
 from sampling_design.planning.narrowing import narrowed
 from sampling_design.planning.problem import PlanProblem
 from sampling_design.planning.search_progress import PlanProgress
@@ -25,13 +25,13 @@ from sampling_design.planning.work_prices import WEIGHED
 from sampling_design.records.arrays import Array, Index, Mask
 
 GRID = 120
-"""Steps at which a faint motion is held down, about."""
+"""Steps at which a weakly observable trajectory is kept small, about."""
 
 SPREAD_ENDS = 4
-"""Ends of one attack that join the program at a time."""
+"""Ends of one trajectory that join the program at a time."""
 
 TIE = 1e-3
-"""Share of the least price by which choices that see more attacks are preferred."""
+"""Share of the least price by which choices that see more trajectories are preferred."""
 
 THINNED = 2
 """Measurements that are left out in turn, the least missed ones, before the others are moved."""
@@ -74,11 +74,11 @@ class PlanSearchState:
 
 
 class PlanSearch:
-    """A search over choices of one problem, with its pool of attacks."""
+    """A search over choices of one problem, with its pool of trajectories."""
 
-    def __init__(self, problem: PlanProblem, oracle: AccuracyOracle, told: PlanProgress | None = None):
+    def __init__(self, problem: PlanProblem, oracle: AccuracyOracle, progress: PlanProgress | None = None):
         self.problem, self.oracle = problem, oracle
-        self.told = told or PlanProgress(None, problem, oracle.work)
+        self.progress = progress or PlanProgress(None, problem, oracle.work)
         self.free = problem.is_free
         self.cover = CoveringRows(problem, fixed=self.free)
         self.pool = HiddenTrajectories(problem.steps, [problem.ends(g) for g in range(len(problem.goals))])
@@ -91,7 +91,7 @@ class PlanSearch:
         self.share = np.inf
         self.starts: list[Mask] = []
         """Choices that are judged before any other."""
-        self.blind: list[Mask] = []
+        self.undetected_at: list[Mask] = []
         """Where a choice must measure once at least, or it hides a motion that never fades."""
 
     @property
@@ -100,21 +100,21 @@ class PlanSearch:
         work = self.oracle.work
         return work.over or (bool(self.held) and work.spent > self.share * work.seconds)
 
-    def add(self, attacks: list[HiddenTrajectory], level: float) -> None:
-        """Keep attacks that reach a level."""
-        for attack in attacks:
-            if attack.reach > level:
-                self.pool.add(attack)
+    def add(self, trajectories: list[HiddenTrajectory], level: float) -> None:
+        """Keep trajectories that reach a level."""
+        for trajectory in trajectories:
+            if trajectory.reach > level:
+                self.pool.add(trajectory)
 
     def seed(self, level: float) -> None:
-        """Attacks that reach a level and are seen as little as can be, whatever is measured."""
+        """Hidden trajectories that reach a level and are seen as little as can be, whatever is measured."""
         nothing = np.zeros(self.problem.allowed.shape, dtype=bool)
         for g, goal in enumerate(self.problem.goals):
             if goal.at == "after each sample":
                 continue
             if not goal.spread:
                 for end in self._typical_ends(g):
-                    self.faint(g, end, level, nothing)
+                    self.add_weakly_observable(g, end, level, nothing)
         self.sharpen(level)
 
     def sharpen(self, level: float, below: float = np.inf) -> None:
@@ -139,29 +139,31 @@ class PlanSearch:
             z = self.cover.measured(x)
 
     def find(self, x: Array, level: float) -> None:
-        """Attacks at a level against a point of the program: a choice, or tangents at fractions of measurements."""
+        """Hidden trajectories at a level against a point of the program, or tangents at fractions of measurements."""
         if self.late:
             return
         if float(np.minimum(x, 1 - x).max(initial=0.0)) <= WHOLE:
             chosen = self.cover.choice(x)
-            if (blindness := self.oracle.hidden(chosen)) is not None:
-                self.see(blindness, level)
+            if (undetected := self.oracle.hidden(chosen)) is not None:
+                self.see(undetected, level)
                 return
-            attacks = [attack for attack in self.oracle.judge(chosen, above=level)[1] if attack.reach > level]
-            self.add(attacks, level)
-            if attacks and self.oracle.few:
-                self._fainter(max(attacks, key=lambda a: a.reach), level, chosen)
+            trajectories = [
+                trajectory for trajectory in self.oracle.judge(chosen, above=level)[1] if trajectory.reach > level
+            ]
+            self.add(trajectories, level)
+            if trajectories and self.oracle.few:
+                self._add_less_observable(max(trajectories, key=lambda a: a.reach), level, chosen)
             return
         z = self.cover.measured(x)
         found = [self.oracle.tangent(z, g) for g, goal in enumerate(self.problem.goals) if goal.spread]
         self.add([t for t in found if t is not None], level)
 
-    def see(self, blindness: UndetectedModes, level: float) -> None:
+    def see(self, undetected: UndetectedModes, level: float) -> None:
         """Ask for a measurement that shows what never fades, by a motion that reaches a level if there is one."""
-        self.blind.append(blindness.where)
-        attack = self.oracle.drifting(blindness, level) if self.oracle.few else None
-        if attack is not None:
-            self.add([attack], level)
+        self.undetected_at.append(undetected.where)
+        trajectory = self.oracle.drifting(undetected, level) if self.oracle.few else None
+        if trajectory is not None:
+            self.add([trajectory], level)
 
     def _typical_ends(self, g: int) -> list[int]:
         steps = self.problem.steps
@@ -172,24 +174,24 @@ class PlanSearch:
         wanted = np.unique(np.concatenate([open_again, ends[:: max(1, ends.size // 4)]]))
         return [int(e) + steps for e in wanted[np.isin(wanted, ends)][:8]]
 
-    def faint(self, g: int, end: int, level: float, known: Mask) -> HiddenTrajectory | None:
-        """Find and keep one faint attack, hidden from `known`; none against a standard deviation, or a level of 0."""
+    def add_weakly_observable(self, g: int, end: int, level: float, known: Mask) -> HiddenTrajectory | None:
+        """Find and keep one, hidden from `known`; none against a standard deviation, or a level of 0."""
         if self.problem.goals[g].spread or level <= 0:
             return None
         back = self.oracle.back
         weights = np.where(self.problem.allowed, 1.0, 0.05 if self.free else 0.0)
         every = max(1, back // GRID)
-        attack = self.oracle.faint(g, end, level, weights, known, every, back)
-        if attack is not None and attack.reach >= level:
-            self.pool.add(attack)
-            return attack
+        trajectory = self.oracle.weakly_observable(g, end, level, weights, known, every, back)
+        if trajectory is not None and trajectory.reach >= level:
+            self.pool.add(trajectory)
+            return trajectory
         return None
 
     def decide(self, level: float, rounds: int) -> bool | None:
-        """Whether there is a choice at a level: True with `found` set, False if none sees every attack, else None."""
+        """Whether a choice keeps a level: True with `found` set, False if none sees all trajectories, else None."""
         keys: list[Key] = []
         for _ in range(rounds):
-            self.told.say(f"{len(self.pool.attacks)} attacks")
+            self.progress.say(f"{len(self.pool.trajectories)} trajectories")
             if self.late:
                 return None
             few = self._few(level)
@@ -206,19 +208,21 @@ class PlanSearch:
         return None
 
     def _few(self, level: float) -> HittingSet | None:
-        """A choice within the limits that sees every attack of the pool, or that none does; None if given up."""
+        """A choice within the limits that sees every trajectory of the pool, or that none does; None if given up."""
         while self.counted:
-            found = hit(self.cover, self.pool, level, self.cover.dearest, self.oracle.work, self.blind)
+            found = smallest_hitting_set(
+                self.cover, self.pool, level, self.cover.dearest, self.oracle.work, self.undetected_at
+            )
             self.counted = found is not None and (found.chosen is not None or found.none)
-            if found is None or found.chosen is None or (blindness := self.oracle.hidden(found.chosen)) is None:
+            if found is None or found.chosen is None or (undetected := self.oracle.hidden(found.chosen)) is None:
                 return found if self.counted else None
-            self.see(blindness, level)
+            self.see(undetected, level)
         return None
 
     def _candidate(self, keys: list[Key], level: float, below: float = np.inf) -> tuple[Mask | None, bool]:
-        """The cheapest choice that sees every attack of the pool; only those below a cost are of use."""
+        """The cheapest choice that sees every trajectory of the pool; only those below a cost are of use."""
         while True:
-            model = self.cover.model(self.pool.attacks, keys, level, self.blind)
+            model = self.cover.model(self.pool.trajectories, keys, level, self.undetected_at)
             more = np.asarray(model.A[self.cover.frame[0].shape[0] :].sum(axis=0)).ravel()
             least = self.cover.grain or float(np.max(model.c, initial=1.0))
             tie = -TIE * least * more / max(1.0, float(more.max(initial=0.0)))
@@ -227,34 +231,34 @@ class PlanSearch:
             )
             if chosen is None:
                 return None, none
-            if (blindness := self.oracle.hidden(chosen)) is not None:
-                self.see(blindness, level)
+            if (undetected := self.oracle.hidden(chosen)) is not None:
+                self.see(undetected, level)
                 continue
-            fresh = self._unseen(chosen, level, keys)
+            fresh = self._undetected_ends(chosen, level, keys)
             if not fresh or self.late:
                 return chosen, False
             keys += fresh
 
-    def _unseen(self, chosen: Mask, level: float, keys: list[Key]) -> list[Key]:
-        """Attacks and ends that a choice does not see, spread out."""
+    def _undetected_ends(self, chosen: Mask, level: float, keys: list[Key]) -> list[Key]:
+        """Hidden trajectories and ends that a choice does not see, spread out."""
         known, fresh = set(keys), []
         at, sensor = np.nonzero(chosen)
-        for a, attack in enumerate(self.pool.attacks):
-            if attack.reach < level:
+        for a, trajectory in enumerate(self.pool.trajectories):
+            if trajectory.reach < level:
                 continue
-            ends = np.flatnonzero(self.pool.proven(attack, at, sensor) >= level)
+            ends = np.flatnonzero(self.pool.proven(trajectory, at, sensor) >= level)
             if self.oracle.few:
-                size = self.cover.sizes(attack, ends, level)
+                size = self.cover.sizes(trajectory, ends, level)
                 ends = ends[size == size.min(initial=self.problem.allowed.size)]
             ends = ends[_spread(ends.size, SPREAD_ENDS)]
             fresh += [(a, int(e)) for e in ends if (a, int(e)) not in known]
         return fresh
 
     def judged(self, chosen: Mask, level: float) -> bool:
-        """Polish a choice, judge it, and keep what attacks it, or it."""
+        """Polish a choice, judge it, and keep what trajectories it, or it."""
         for trial in (chosen, self.polished(chosen)):
-            worst, attacks = self.oracle.judge(trial, above=max(level, self.found.worst))
-            self.add(attacks, level)
+            worst, trajectories = self.oracle.judge(trial, above=max(level, self.found.worst))
+            self.add(trajectories, level)
             if worst <= level:
                 worst = self.deepened(trial, worst, level)
             better = worst < self.found.worst if self.found.worst > 1 or self.found.chosen is None else worst <= level
@@ -262,16 +266,16 @@ class PlanSearch:
                 self.keep(trial, worst)
             if worst <= level:
                 return True
-        if attacks:
-            self._fainter(max(attacks, key=lambda a: a.reach), level, trial)
+        if trajectories:
+            self._add_less_observable(max(trajectories, key=lambda a: a.reach), level, trial)
         return False
 
-    def _fainter(self, attack: HiddenTrajectory, level: float, known: Mask) -> None:
-        """Keep an attack like one that `known` does not see, which less of what may be measured sees."""
-        if attack.flight is None or not self.oracle.few:
-            self.faint(attack.goal, attack.end + self.problem.steps, level, known)
+    def _add_less_observable(self, trajectory: HiddenTrajectory, level: float, known: Mask) -> None:
+        """Keep a trajectory like one that `known` does not see, which less of what may be measured sees."""
+        if trajectory.flight is None or not self.oracle.few:
+            self.add_weakly_observable(trajectory.goal, trajectory.end + self.problem.steps, level, known)
         else:
-            for each in (attack, *self.oracle.elsewhere(known, attack, level)):
+            for each in (trajectory, *self.oracle.elsewhere(known, trajectory, level)):
                 self.pool.add(narrowed(self.oracle, each, level))
 
     def deepened(self, chosen: Mask, worst: float, enough: float, patience: int = 1) -> float:
@@ -281,10 +285,10 @@ class PlanSearch:
         """
         idle, kept = 0, self.oracle.back
         while idle < patience and worst < enough and not self.late and self.oracle.farther(chosen):
-            now, attacks = self.oracle.judge(chosen)
+            now, trajectories = self.oracle.judge(chosen)
             idle, kept = (idle + 1, kept) if now <= worst * (1 + SETTLED) else (0, self.oracle.back)
             worst = max(now, worst)
-            self.add(attacks, 0.0)
+            self.add(trajectories, 0.0)
         self.oracle.back = kept
         return worst
 
@@ -292,16 +296,16 @@ class PlanSearch:
         """Remember the best choice."""
         self.found.chosen, self.found.worst = chosen, worst
         self.held.append((chosen, worst))
-        self.told.held(chosen, worst)
+        self.progress.held(chosen, worst)
 
     def polished(self, chosen: Mask) -> Mask:
-        """Move one measurement at a time to where the attacks so far prove least, while that gains."""
+        """Move one measurement at a time to where the trajectories so far prove least, while that gains."""
         at, sensor = np.nonzero(self.problem.allowed)
         options = list(zip(at.tolist(), sensor.tolist(), strict=True))
         if self.spread:
             return self._exchanged(chosen, options)
         best = self.pool.against(chosen)[0]
-        if not options or not self.pool.attacks:
+        if not options or not self.pool.trajectories:
             return chosen
         for _ in range(2):
             before = best
@@ -352,10 +356,10 @@ class PlanSearch:
         return [chosen] if self.problem.is_admissible(chosen) else []
 
     def _swapped(self, rest: Mask, options: list[tuple[int, int]]) -> Array:
-        """What the attacks so far prove of a choice with each option added, counted."""
+        """What the trajectories so far prove of a choice with each option added, counted."""
         ends = min(self.problem.steps, MOST_ENDS)
-        attacks = len(self.pool.attacks)
-        self.oracle.work.add((attacks * WEIGHED[0], attacks * WEIGHED[1]), ends * len(options))
+        trajectories = len(self.pool.trajectories)
+        self.oracle.work.add((trajectories * WEIGHED[0], trajectories * WEIGHED[1]), ends * len(options))
         return self.pool.swaps(rest, options)
 
     def _exchanged(self, chosen: Mask, options: list[tuple[int, int]]) -> Mask:
@@ -384,11 +388,11 @@ class PlanSearch:
         return chosen
 
     def cheapest(self, level: float, rounds: int) -> None:
-        """The least cost at a level: the cheapest choices that see every attack, until one of them holds."""
+        """The least cost at a level: the cheapest choices that see every trajectory, until one of them holds."""
         keys = self.found.keys
         best, fruitless = self._started(level), 0
         for _ in range(rounds):
-            self.told.say(f"{len(self.pool.attacks)} attacks")
+            self.progress.say(f"{len(self.pool.trajectories)} trajectories")
             if self.late:
                 return
             chosen, none = self._candidate(keys, level, best)
@@ -404,15 +408,17 @@ class PlanSearch:
             for trial in (chosen, more):
                 if trial is None or self.problem.cost(trial) >= best:
                     continue
-                worst, attacks = self._judged(trial, level)
+                worst, trajectories = self._judged(trial, level)
                 if worst <= level:
                     self.held.append((trial, worst))
                     trial, worst = self._thinned(trial, worst, level)
                     best = self.problem.cost(trial)
                     self.keep(trial, worst)
-                elif attacks:
-                    attack = max(attacks, key=lambda a: a.reach)
-                    self._fainter(attack, 1 / EASED**2 if attack.reach > 1 + level * 1e-3 else level, trial)
+                elif trajectories:
+                    trajectory = max(trajectories, key=lambda a: a.reach)
+                    self._add_less_observable(
+                        trajectory, 1 / EASED**2 if trajectory.reach > 1 + level * 1e-3 else level, trial
+                    )
 
     def _started(self, level: float) -> float:
         """The least cost of the choices to start with that keep a level; infinite if none does."""
@@ -427,18 +433,18 @@ class PlanSearch:
         return best
 
     def _judged(self, trial: Mask, level: float) -> tuple[float, list[HiddenTrajectory]]:
-        """How far the worst attack on a choice reaches, looked at closely where that keeps a level, and the attacks."""
-        worst, attacks = self.oracle.judge(trial, above=level)
-        self.add(attacks, level)
-        return (self.deepened(trial, worst, level) if worst <= level else worst), attacks
+        """How far the worst one reaches, looked at closely where that keeps a level, and all that were found."""
+        worst, trajectories = self.oracle.judge(trial, above=level)
+        self.add(trajectories, level)
+        return (self.deepened(trial, worst, level) if worst <= level else worst), trajectories
 
     def repaired(self, chosen: Mask, level: float, dearest: float) -> Mask | None:
-        """Add the measurement that hides least of what is left open, until the attacks so far are seen."""
+        """Add the measurement that hides least of what is left open, until the trajectories so far are seen."""
         options = [(int(i), int(j)) for i, j in zip(*np.nonzero(self.problem.allowed), strict=True)]
         trial = chosen.copy()
         for _ in range(self.problem.steps):
-            worst, attacks = self.oracle.judge(trial, above=level)
-            self.add(attacks, level)
+            worst, trajectories = self.oracle.judge(trial, above=level)
+            self.add(trajectories, level)
             if worst <= level:
                 return trial
             values = self._swapped(trial, options)

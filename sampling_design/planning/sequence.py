@@ -116,7 +116,7 @@ def window_after(oracle: AccuracyOracle, sequence: SampleSequence, k: int) -> tu
     planned = int(np.searchsorted(knots, knots[max(sequence.first - 1, 0)] - oracle.back))
     count = max(sequence.first - 1, 0) - planned
     low = min(int(np.searchsorted(knots, knots[k] - oracle.back)), max(k - count, 0))
-    start = oracle.opening if sequence.begins and low == 0 else None
+    start = oracle.initial_set if sequence.begins and low == 0 else None
     window = GridWindow(oracle.motion, knots[low : k + 1], sequence.seen[low : k + 1], start=start)
     return window, int(knots[k]), int(knots[k + 1] - knots[k])
 
@@ -157,7 +157,7 @@ def proven_ratio(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, fl
     return max(spread, _proven_bounds(plan, sequence, gaps))
 
 
-def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, told: dict[int, float] | None) -> float:
+def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, float] | None) -> float:
     """The same of the goals that are guaranteed; infinite where a sequence does not end with enough of the plan.
 
     Gaps are judged one by one until `settled + back`, but where those since a change are the plan's for long enough.
@@ -177,8 +177,8 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, told: dict[int, 
     search = ChainSearch(*chain, lambda: work.add(GAINS, back * n))
     search.back = back
     if settled < sequence.first or not _is_the_plan(search, filtered, settled):
-        if told is not None:
-            told.update(dict.fromkeys(range(max(sequence.first - 1, 0), len(times)), np.inf))
+        if gaps is not None:
+            gaps.update(dict.fromkeys(range(max(sequence.first - 1, 0), len(times)), np.inf))
         return np.inf
     goals = [(goal, KnownIntegrals()) for goal in problem.goals if not goal.spread]
     usual = max(r / g.tolerance for r, g in zip(plan.reached.tolist(), problem.goals, strict=True) if not g.spread)
@@ -193,13 +193,13 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, told: dict[int, 
                 at = [offset for offset in asked(plan, sequence, k, goal) if offset >= skipped]
                 here = max(here, _gap_bound(search, opened, k, goal, at) / goal.tolerance)
         worst = max(worst, here)
-        if told is not None:
-            told[k] = max(told.get(k, 0.0), here)
+        if gaps is not None:
+            gaps[k] = max(gaps.get(k, 0.0), here)
         elif worst > 1:
             return worst
     wider = _wider(search, plan, sequence, range(settled, settled + memory), 1 / usual if 0 < usual < 1 else np.inf)
-    if told is not None:
-        told[len(times) - 1] = max(told.get(len(times) - 1, 0.0), float(usual) * wider)
+    if gaps is not None:
+        gaps[len(times) - 1] = max(gaps.get(len(times) - 1, 0.0), float(usual) * wider)
     return max(worst, float(usual) * wider)
 
 

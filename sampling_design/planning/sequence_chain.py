@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
-from sampling_design.accuracy.finite import NO_ERROR, covariance_root, finite_atoms, opening
+from sampling_design.accuracy.finite import NO_ERROR, covariance_root, finite_atoms, start_covariance
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.sample_chain import (
     ChainGap,
@@ -80,7 +80,7 @@ def sequence_chain(
     samples: list[ChainSample] = []
     for k, phase in enumerate(phases):
         if phase is None:
-            P = opening(plan.problem.initial, own.D) if k == 0 else np.zeros(0)
+            P = start_covariance(plan.problem.initial, own.D) if k == 0 else np.zeros(0)
             if k:
                 step, noise = flows[k - 1]
                 P = propagate(L[-1] @ L[-1].T, step, noise)

@@ -46,9 +46,9 @@ class PlanStart(PlainRecord):
     from_time: float
     ratio: float
     bounded: bool
-    _table = {"followed from its start": "{told}"}
+    _table = {"followed from its start": "{since}"}
 
-    def told(self) -> str:
+    def since(self) -> str:
         """From when on, in words."""
         if not np.isfinite(self.from_time):
             return "not proven to keep the tolerances at any time"
@@ -59,7 +59,7 @@ class PlanStart(PlainRecord):
 
     def explain(self) -> str:
         """Say from when on the tolerances are kept."""
-        return f"Of a plan that is followed from its start on: {self.told()} ({short(self.ratio, 3)} of them)."
+        return f"Of a plan that is followed from its start on: {self.since()} ({short(self.ratio, 3)} of them)."
 
 
 def plan_start(plan: PlanFigures, work: Budget | None = None) -> PlanStart | None:

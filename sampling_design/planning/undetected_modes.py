@@ -15,7 +15,7 @@ FINER = (2, 3, 4, 5, 6, 7)
 """Parts of a step that are tried."""
 
 
-def modes_of(motion: DiscretePlant, blindness: UndetectedModes) -> str:
+def modes_of(motion: DiscretePlant, undetected: UndetectedModes) -> str:
     """Return the modes that hidden motions are made of, in words."""
     names = []
     scale = max(float(np.linalg.norm(motion.A, 2)), np.finfo(float).tiny)
@@ -23,7 +23,7 @@ def modes_of(motion: DiscretePlant, blindness: UndetectedModes) -> str:
     for cluster in clusters:
         value = complex(cluster.value)
         others = [complex(c.value) for c in clusters if c is not cluster]
-        part = blindness.states.astype(np.complex128)
+        part = undetected.states.astype(np.complex128)
         for other in others:  # what is left after every other mode is taken out, as often as it may be repeated
             for _ in range(motion.n - len(others)):
                 part = (motion.A - other * np.eye(motion.n)) @ part / (scale + abs(other))

@@ -9,7 +9,7 @@ from datetime import datetime
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.readings import told
+from sampling_design.accuracy.readings import with_censored
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.choices import NextChoices
 from sampling_design.planning.deadline import GoalDue
@@ -111,12 +111,12 @@ class NextSample(Record):
             now = f"within {short(value, 4)}{unit}" if np.isfinite(value) else "not known yet"
             rows.append((f"{name} now", f"{now} (tolerance {short(goal.tolerance)})"))
         rows += [("exceeded", f"{self.exceeded.goal} since {self.when(self.exceeded.time)}")] if self.exceeded else []
-        rows.append(("latest" if self.keeps else "soonest help", self._told(self.latest, self.outputs)))
+        rows.append(("latest" if self.keeps else "soonest help", self._read_at(self.latest, self.outputs)))
         rows += [("later" if self.keeps else "then", self._later(self.due))] if self.due else []
         for name, t in self.alone.items():
             more = f"; later: {self._later(self.alone_due[name])}" if name in self.alone_due else ""
             rows += [(f"{name} alone", f"by {self.when(t)}{more}")] if np.isfinite(t) else []
-        rows += [("best", self._told(self.best, self.best_outputs))] if np.isfinite(self.best) else []
+        rows += [("best", self._read_at(self.best, self.best_outputs))] if np.isfinite(self.best) else []
         rows += [] if self.keeps else [("kept again", self._again())]
         rows += [("not judged", f"closed days from {self.when(self.judged_until)} on")] * bool(
             np.isfinite(self.judged_until)
@@ -134,7 +134,7 @@ class NextSample(Record):
         share = f"{short(due.ratio, 4)} of its tolerance"
         return f"{due.goal} comes to {share} by {self.when(due.time, self.now)}, and more is not ruled out"
 
-    def _told(self, t: float, outputs: tuple[str, ...]) -> str:
+    def _read_at(self, t: float, outputs: tuple[str, ...]) -> str:
         """A time and what is read then."""
         return ", ".join([self.when(t), *(outputs if np.isfinite(t) else ())])
 
@@ -145,9 +145,9 @@ class NextSample(Record):
             text = f"No allowed sample is proven to bring the tolerances back{after}: keep to the plan's next one"
             return f"{self._state()}{text}, or sample as soon as the place is open."
         if not self.keeps:
-            text = f"A sample at {self._told(self.latest, self.outputs)} helps soonest"
+            text = f"A sample at {self._read_at(self.latest, self.outputs)} helps soonest"
             if self.exceeded is None:
-                late = "" if self.due is None else f": after one at {self._told(self.latest, self.outputs)} "
+                late = "" if self.due is None else f": after one at {self._read_at(self.latest, self.outputs)} "
                 late += "" if self.due is None else self._later(self.due)
                 text = f"No single sample keeps every tolerance from now on{late}"
             return f"{self._state()}{text}. Every tolerance is kept {self._again()}."
@@ -180,7 +180,7 @@ class NextSample(Record):
             date = self.date(t)
             return {"time": t if np.isfinite(t) else None, "date": None if date is None else date.isoformat()}
 
-        def due(found: GoalDue | None) -> Plain:
+        def deadline(found: GoalDue | None) -> Plain:
             if found is None:
                 return None
             return {
@@ -193,15 +193,15 @@ class NextSample(Record):
             "now": plain(self.now),
             "latest": plain(self.latest),
             "outputs": list(self.outputs),
-            "due": due(self.due),
+            "due": deadline(self.due),
             "alone": {name: plain(t) for name, t in self.alone.items()},
-            "alone_due": {name: due(self.alone_due.get(name)) for name in self.alone},
+            "alone_due": {name: deadline(self.alone_due.get(name)) for name in self.alone},
             "best": plain(self.best),
             "best_outputs": list(self.best_outputs),
             "ratio": self.ratio if np.isfinite(self.ratio) else None,
             "proven": self.proven,
             "kept_from": plain(self.kept_from),
-            "exceeded": due(self.exceeded),
+            "exceeded": deadline(self.exceeded),
             "known": {name: value if np.isfinite(value) else None for name, value in self.known.items()},
             "judged_until": plain(self.judged_until),
         }
@@ -317,7 +317,7 @@ def _taken(
     for item in record:
         if not isinstance(item, (tuple, list)) or len(item) not in (2, 3):
             raise ArgumentError(f"`record` must hold rows (t, y, u), got {checks.described(item)}.")
-        plain, limits = told(item[1], plan.plant.n_outputs)
+        plain, limits = with_censored(item[1], plan.plant.n_outputs)
         y = None if plain is None else np.isfinite(checks.floats("y", plain).reshape(-1))
         if y is None:
             continue

@@ -11,7 +11,7 @@ CONE = (1e-3, 1e-6)
 STAGES = (1e-2, 1.5e-5)
 """Of a program over stages, and for each of them, with n states, n^1.5 times."""
 
-FAINT = (2e-3, 4e-6)
+EXCESS = (2e-3, 4e-6)
 """The same where every output is a variable."""
 
 COVER, NODE = (5e-3, 3.5e-7), 10
@@ -21,7 +21,7 @@ MEETING = (4e-5, 2e-9)
 """Of a node of a tree of sets that a choice must meet, and for each entry of them."""
 
 WEIGHED = (1.2e-4, 2e-9)
-"""For each attack, of weighing what may take the place of a measurement, and for each end and measurement."""
+"""For each trajectory, of weighing what may take the place of a measurement, and for each end and measurement."""
 
 FILTER = (4e-5, 1e-7)
 """Of each step of a filter, and for each choice, step and state."""

@@ -26,7 +26,7 @@ _PICTURES = {
     "PatientRun": ("thyroid", "draw_patient_run"),
     "PatientFigure": ("thyroid", "draw_figure"),
     "Accuracy": ("accuracy", "draw_accuracy"),
-    "Projection": ("accuracy", "draw_shadow"),
+    "Projection": ("accuracy", "draw_projection"),
     "WorstCaseSigma": ("explorations", "draw_worst_case"),
     "ParetoFront": ("explorations", "draw_pareto"),
     "SampleLosses": ("explorations", "draw_losses"),

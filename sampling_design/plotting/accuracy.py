@@ -110,7 +110,7 @@ def _panels(count: int) -> style.Panels:
     return axes
 
 
-def draw_shadow(result: Projection, ax: Axes | None = None) -> Axes:
+def draw_projection(result: Projection, ax: Axes | None = None) -> Axes:
     """Draw both polygons of the exact set, and beside it the ellipse of a quadratic cost."""
     one = ax if ax is not None else style.new_axes(None, height=4.5)
     turn = np.linspace(0.0, 2 * np.pi, 241)

@@ -240,10 +240,10 @@ def test_rows_asked_for_together_are_known_as_well_as_alone():
     assert both.upper[0] == pytest.approx(3.1112, rel=1e-3)  # 3.1531 where pairs of atoms are sought nearby only
 
 
-def test_what_only_the_width_of_panels_leaves_open_is_not_attacked_for_ever(monkeypatch):
+def test_what_only_the_width_of_panels_leaves_open_is_not_sought_for_ever(monkeypatch):
     """A sample that says nothing new: 0.1 at all times, where 64 panels of a long gap cannot tell 0.1 from 0.1005."""
-    calls, attack = [], search.ChainSearch.attack
-    monkeypatch.setattr(search.ChainSearch, "attack", lambda *given: calls.append(1) or attack(*given))
+    calls, attack = [], search.ChainSearch.both_sides
+    monkeypatch.setattr(search.ChainSearch, "both_sides", lambda *given: calls.append(1) or attack(*given))
     found = sd.guaranteed_accuracy(
         sd.Plant([[-1.0]], [[1.0]]), sd.PeriodicSchedule([24.0]), w_bound=0.1, v_bound=0.5, rtol=1e-3
     )
@@ -285,7 +285,7 @@ def test_a_bracket_that_had_no_time_is_proven_and_says_that_it_is_wide(found):
 
 @pytest.mark.parametrize("at", [0, 1, 3, 6])
 def test_an_interrupt_leaves_what_is_proven(at, found, monkeypatch):
-    calls, attack = [], search.ChainSearch.attack
+    calls, attack = [], search.ChainSearch.both_sides
 
     def interrupted(*given):
         calls.append(1)
@@ -293,7 +293,7 @@ def test_an_interrupt_leaves_what_is_proven(at, found, monkeypatch):
             raise KeyboardInterrupt
         return attack(*given)
 
-    monkeypatch.setattr(search.ChainSearch, "attack", interrupted)
+    monkeypatch.setattr(search.ChainSearch, "both_sides", interrupted)
     left = sd.guaranteed_accuracy(OSCILLATOR, GAPS, w_bound=0.02, v_bound=0.4, rtol=1e-5)
     assert left.verify()
     assert np.all(left.lower <= found.upper)

@@ -211,8 +211,8 @@ def test_what_does_not_fit_is_refused(schedule, given, said):
 
 def test_what_is_of_samples_on_time_alone_is_refused():
     found = guaranteed_accuracy(OSCILLATOR, UNEVEN, w_bound=0.02, v_bound=0.1, timing_tolerance=0.06)
-    with pytest.raises(ArgumentError, match="`shadow` is of samples on time"):
-        found.shadow("x1", "x2")
+    with pytest.raises(ArgumentError, match="`projection` is of samples on time"):
+        found.projection("x1", "x2")
     with pytest.raises(ArgumentError, match="`found` must be of samples on time"):
         PeriodicGains(found, initial_error=1.0)
     with pytest.raises(ArgumentError, match="`rigorous` is for samples on time"):

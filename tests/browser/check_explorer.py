@@ -116,15 +116,15 @@ def test_a_plan_on_its_button(explorer, page, shot):
 
 def test_the_set_shrinks_sample_by_sample(explorer, page, shot):
     visit(page, explorer(scene("set")))
-    page.wait_for_selector(".shadow polygon")
-    assert page.locator(".shadow polygon").count() == 4
-    areas = [float(text.split("area ")[1]) for text in page.locator(".shadow .after").all_text_contents()]
+    page.wait_for_selector(".projection polygon")
+    assert page.locator(".projection polygon").count() == 4
+    areas = [float(text.split("area ")[1]) for text in page.locator(".projection .after").all_text_contents()]
     assert areas == sorted(areas, reverse=True)
     shot(page, "explorer-set")
-    before = page.locator(".shadow polygon").nth(1).get_attribute("points")
+    before = page.locator(".projection polygon").nth(1).get_attribute("points")
     for _ in drag(page, 1, 150):
         page.wait_for_timeout(30)
-    until(page, f"document.querySelectorAll('.shadow polygon')[1].getAttribute('points') !== '{before}'")
+    until(page, f"document.querySelectorAll('.projection polygon')[1].getAttribute('points') !== '{before}'")
     assert page.broken == []
 
 

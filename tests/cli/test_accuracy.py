@@ -50,7 +50,7 @@ def test_a_schedule_that_ends_has_a_start(shell, tmp_path):
     assert "from 0.7 to 1.6 s" in result.out
 
 
-def test_tolerance_deviation_and_shadow(shell, schedule, tmp_path):
+def test_tolerance_deviation_and_projection(shell, schedule, tmp_path):
     result = shell(
         *("accuracy", OSCILLATOR, schedule, "--w", "0.02", "--v", "0.4", "--rtol", "0.05", "-o", tmp_path / "out"),
         *("--tolerance", "0.7,0.1", "--w-intensity", "1e-4", "--v-deviation", "0.2"),

@@ -18,7 +18,7 @@ DRAWN_BY = {
     "PatientRun": "run.plot()",
     "PatientFigure": "run.figure(",
     "Accuracy": "sd.guaranteed_accuracy(",
-    "Projection": ".shadow(",
+    "Projection": ".projection(",
     "WorstCaseSigma": "sd.worst_case_sigma(",
     "ParetoFront": "sd.pareto_front(",
     "SampleLosses": "sd.sample_losses(",

@@ -167,14 +167,14 @@ def test_a_plan_requirement_brings_its_hours():
 
 
 def test_the_set_shrinks_sample_by_sample():
-    found = scene("set").answer({"ask": "shadow"})
+    found = scene("set").answer({"ask": "projection"})
     areas = [step["area"] for step in found["steps"]]
     assert len(areas) == 4
     assert areas == sorted(areas, reverse=True)
     assert found["names"] == ["position [m]", "velocity [m/s]"]
-    assert "`shadow` and both bounds" in scene("even").answer({"ask": "shadow"})["error"]
-    unknown = Bench(PLANT, sd.Requirement(period=4.0), w_bound=0.1, v_bound=0.1, shadow=("position", "velocity"))
-    assert unknown.answer({"ask": "shadow", "marks": marks(1.0)})["steps"] == [{"after": 1, "corners": []}]
+    assert "`projection` and both bounds" in scene("even").answer({"ask": "projection"})["error"]
+    unknown = Bench(PLANT, sd.Requirement(period=4.0), w_bound=0.1, v_bound=0.1, projection=("position", "velocity"))
+    assert unknown.answer({"ask": "projection", "marks": marks(1.0)})["steps"] == [{"after": 1, "corners": []}]
 
 
 def test_accuracy_is_told_state_by_state_and_needs_bounds():
@@ -237,8 +237,8 @@ def test_a_bench_refuses_what_does_not_fit():
         Bench(PLANT)._scheduled([{"t": 1.0, "on": [True, True]}])
     with pytest.raises(ArgumentError, match="are needed for the accuracy"):
         Bench(PLANT)._accuracy()
-    with pytest.raises(ArgumentError, match="`shadow` and both bounds are needed for the set"):
-        Bench(PLANT)._shadow()
+    with pytest.raises(ArgumentError, match="`projection` and both bounds are needed for the set"):
+        Bench(PLANT)._projection()
     with pytest.raises(ArgumentError, match="`name` must be one of"):
         scene("opera")
     with pytest.raises(ArgumentError, match="`tolerance`"):

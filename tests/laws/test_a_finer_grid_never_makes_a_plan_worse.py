@@ -5,7 +5,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.planning import plan as room
-from sampling_design.planning.coarser_grid import coarser, lifted_attacks
+from sampling_design.planning.coarser_grid import coarser, lifted_trajectories
 from sampling_design.planning.evidence import reflown
 from sampling_design.planning.problem import pose_plan
 from tests.cases import few
@@ -62,8 +62,8 @@ def test_what_refutes_choices_on_a_coarser_grid_does_on_the_finer_one():
         run = room._Planning(pose_plan(OSCILLATOR, wanted), 1.0, None)
         coarse = room._Planning(coarser(run.problem), 1.0, None)
         coarse._cheapest()
-        attacks = coarse.search.pool.attacks
-        lifted = lifted_attacks(run.oracle, coarse.motion, attacks)
+        attacks = coarse.search.pool.trajectories
+        lifted = lifted_trajectories(run.oracle, coarse.motion, attacks)
         assert len(lifted) == len(attacks) > 0
         for one, other in zip(attacks, lifted, strict=True):
             if one.flight is not None:

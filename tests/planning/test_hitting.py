@@ -15,7 +15,7 @@ from sampling_design.planning.covering import CoveringRows
 from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.evidence import PlanBound, holds
 from sampling_design.planning.hidden_trajectories import HiddenTrajectories, HiddenTrajectory
-from sampling_design.planning.hitting_set import hit
+from sampling_design.planning.hitting_set import smallest_hitting_set
 from sampling_design.planning.problem import pose_plan
 from sampling_design.records.budget import Budget
 
@@ -49,7 +49,7 @@ def pooled(rng, problem, count, at_sample=False):
 
 def seen_by(problem, pool, steps):
     """Whether samples with all sensors at these steps see every motion, whichever way it is turned; by hand."""
-    for attack in pool.attacks:
+    for attack in pool.trajectories:
         for end in range(problem.steps):
             if attack.at_sample and end not in steps:
                 continue
@@ -73,7 +73,7 @@ def test_it_says_what_trying_all_choices_says(seed):
     pool = pooled(rng, problem, int(rng.integers(1, 5)), at_sample=seed % 4 > 1)
     cover = CoveringRows(problem, fixed=problem.is_free)
     most = int(problem.most_samples)
-    found = hit(cover, pool, 1.0, cover.dearest, Budget(counted=True))
+    found = smallest_hitting_set(cover, pool, 1.0, cover.dearest, Budget(counted=True))
     wanted = tried(problem, pool, most)
     assert found is not None
     assert found.none == (not wanted)
@@ -85,7 +85,7 @@ def test_it_says_what_trying_all_choices_says(seed):
     loose = CoveringRows(
         replace(problem, most_samples=np.inf), fixed=cover.fixed
     )  # one more than these is all that is proven
-    again = hit(loose, pool, 1.0, most + 1.0, Budget(counted=True))
+    again = smallest_hitting_set(loose, pool, 1.0, most + 1.0, Budget(counted=True))
     assert proven_cost(loose, pool, again.proof) == most + 1.0
 
 
@@ -95,7 +95,9 @@ def test_both_answers_are_met():
         rng = np.random.default_rng(seed)
         problem = posed(3)
         cover = CoveringRows(problem, fixed=True)
-        answers.append(hit(cover, pooled(rng, problem, 3), 1.0, cover.dearest, Budget(counted=True)).none)
+        answers.append(
+            smallest_hitting_set(cover, pooled(rng, problem, 3), 1.0, cover.dearest, Budget(counted=True)).none
+        )
     assert 5 < sum(answers) < 35
 
 
@@ -105,7 +107,7 @@ def test_a_limit_of_money_is_one_of_samples(limit):
     problem = posed(None, visit_price=5.0, cost_limit=limit)
     cover, pool = CoveringRows(problem, fixed=True), pooled(rng, problem, 6)
     assert not tried(problem, pool, 2)
-    found = hit(cover, pool, 1.0, cover.dearest, Budget(counted=True))
+    found = smallest_hitting_set(cover, pool, 1.0, cover.dearest, Budget(counted=True))
     assert found.none
     assert proven_cost(cover, pool, found.proof) > limit  # two samples are all that it buys
 
@@ -124,7 +126,7 @@ def unseen():
     cover = CoveringRows(problem, fixed=True)
     for seed in range(1000):
         pool = pooled(np.random.default_rng(seed), problem, 3)
-        found = hit(cover, pool, 1.0, cover.dearest, Budget(counted=True))
+        found = smallest_hitting_set(cover, pool, 1.0, cover.dearest, Budget(counted=True))
         if found.none and leaves(found.proof.tree)[0] > 8:
             return cover, pool, found.proof
     raise AssertionError
@@ -137,8 +139,11 @@ def test_every_leaf_and_every_row_is_needed():
         assert proven_cost(cover, pool, replace(proof, tree=without(k))) < cover.dearest - 1
     for k in range(len(proof.keys)):  # a motion that all steps show asks for nothing
         (a, end), faint = proof.keys[k], HiddenTrajectories(pool.steps, pool.ends)
-        faint.attacks = [*pool.attacks, replace(pool.attacks[a], peaks=np.full_like(pool.attacks[a].peaks, 2.0))]
-        keys = (*proof.keys[:k], (len(pool.attacks), end), *proof.keys[k + 1 :])
+        faint.trajectories = [
+            *pool.trajectories,
+            replace(pool.trajectories[a], peaks=np.full_like(pool.trajectories[a].peaks, 2.0)),
+        ]
+        keys = (*proof.keys[:k], (len(pool.trajectories), end), *proof.keys[k + 1 :])
         assert proven_cost(cover, faint, replace(proof, keys=keys)) < cover.dearest - 1
 
 
@@ -148,7 +153,7 @@ def test_motions_that_end_where_nothing_is_asked_prove_nothing():
     ends[3] = True
     cover, pool = CoveringRows(problem, fixed=False), HiddenTrajectories(problem.steps, [ends])
     pool.add(HiddenTrajectory(0, 1.0, 3, False, np.full((problem.steps, 2), 0.5), NO_FLIGHT))
-    found = hit(cover, pool, 1.0, cover.dearest, Budget(counted=True))
+    found = smallest_hitting_set(cover, pool, 1.0, cover.dearest, Budget(counted=True))
     assert found.none
     assert proven_cost(cover, pool, found.proof) >= cover.dearest * (1 - 1e-9)
     turned = replace(found.proof, keys=tuple((a, end + 1) for a, end in found.proof.keys))
@@ -171,7 +176,7 @@ def test_a_motion_at_a_sample_asks_nothing_where_none_may_be_taken():
 def test_where_more_than_the_number_counts_a_solver_is_asked(more):
     problem = posed(3, **more)
     assert (
-        hit(
+        smallest_hitting_set(
             CoveringRows(problem, fixed=True),
             pooled(np.random.default_rng(0), problem, 2),
             1.0,
@@ -185,7 +190,7 @@ def test_where_more_than_the_number_counts_a_solver_is_asked(more):
 def test_nodes_that_run_out_leave_the_question_to_the_solver(monkeypatch):
     cover, pool, _ = unseen()
     monkeypatch.setattr(hitting_set, "MOST_NODES", 3)
-    found = hit(cover, pool, 1.0, cover.dearest, Budget(counted=True))
+    found = smallest_hitting_set(cover, pool, 1.0, cover.dearest, Budget(counted=True))
     assert (found.chosen, found.none, found.proof) == (None, False, None)
     proof = prove_cost(cover, pool, 1.0, cover.dearest, Budget(counted=True), find=lambda x, level: None, decide=True)
     assert proof.value >= cover.dearest * (1 - 1e-9)
@@ -200,8 +205,8 @@ def test_what_must_be_measured_once_is_met_and_has_no_proof():
     masks = np.zeros((4, problem.steps, 2), dtype=bool)
     for k, mask in enumerate(masks):
         mask[3 * k : 3 * k + 3] = True
-    assert hit(cover, pool, 1.0, cover.dearest, Budget(counted=True), masks[:3]).chosen[3:6].any()
-    found = hit(cover, pool, 1.0, cover.dearest, Budget(counted=True), masks)
+    assert smallest_hitting_set(cover, pool, 1.0, cover.dearest, Budget(counted=True), masks[:3]).chosen[3:6].any()
+    found = smallest_hitting_set(cover, pool, 1.0, cover.dearest, Budget(counted=True), masks)
     assert found.none
     assert found.proof is None
 
@@ -229,5 +234,5 @@ def test_the_most_accurate_plan_reads_every_sensor_that_costs_nothing():
     cover, ends = CoveringRows(problem, fixed=True), [problem.ends(0)]
     motion, ratio = motion_of(problem), found.bound.ratio
     assert holds(found.bound, cover, cover, motion, ends, 3.0)
-    higher = PlanBound(found.bound.attacks, replace(ratio, level=ratio.level * 1.05), None)
+    higher = PlanBound(found.bound.trajectories, replace(ratio, level=ratio.level * 1.05), None)
     assert not holds(higher, cover, cover, motion, ends, 3.0)  # a level nobody showed to be out of reach

@@ -65,7 +65,7 @@ def test_the_past_is_followed_until_it_adds_nothing_and_no_farther():
     assert found > worst * (1 + SETTLED)
     kept = oracle.back
     assert kept > begun
-    assert search.pool.attacks
+    assert search.pool.trajectories
     oracle.back = 8 * kept
     assert oracle.judge(chosen)[0] <= found * (1 + 3 * SETTLED)
     oracle.back = kept

@@ -44,9 +44,9 @@ def test_four_looks_at_an_oscillator_reach_what_no_plan_beats():
 def test_a_bound_that_says_more_than_its_attacks_is_refused(cheapest):
     bound = cheapest.bound
     for more in (
-        PlanBound(bound.attacks, replace(bound.ratio, level=bound.ratio.level * 1.01), bound.cost),
-        PlanBound(bound.attacks, bound.ratio, replace(bound.cost, value=bound.cost.value + 1)),
-        PlanBound(tuple(replace(a, reach=a.reach * 1.01) for a in bound.attacks), bound.ratio, bound.cost),
+        PlanBound(bound.trajectories, replace(bound.ratio, level=bound.ratio.level * 1.01), bound.cost),
+        PlanBound(bound.trajectories, bound.ratio, replace(bound.cost, value=bound.cost.value + 1)),
+        PlanBound(tuple(replace(a, reach=a.reach * 1.01) for a in bound.trajectories), bound.ratio, bound.cost),
     ):
         assert not replace(cheapest, bound=more).verify()
 

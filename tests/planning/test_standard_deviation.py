@@ -179,7 +179,7 @@ def test_files_hold_tangents_and_are_not_believed(found, tmp_path):
         path.write_text(json.dumps({**tree, "attacks": [{**tree["attacks"][0], **change}, *tree["attacks"][1:]]}))
         with pytest.raises(FileFormatError, match=words):
             read_plan(path)
-    raised = tuple(replace(a, reach=a.reach * 1.01) for a in found.bound.attacks)
+    raised = tuple(replace(a, reach=a.reach * 1.01) for a in found.bound.trajectories)
     assert not replace(found, bound=PlanBound(raised, found.bound.ratio, found.bound.cost)).verify()
     assert not replace(found, reached=found.reached * 0.99).verify()
 

@@ -184,7 +184,7 @@ def test_no_legend_lies_on_a_curve():
     certificate = sd.certify(OSCILLATOR, SCHEDULE, eta=0.4, P2=np.eye(2))
     worst = sd.worst_case_sigma(OSCILLATOR, sd.SpacedWindows(4.0, 3, 0.5))
     known = sd.guaranteed_accuracy(OSCILLATOR, SCHEDULE, w_bound=0.1, v_bound=0.1, rtol=0.1)
-    shadow = known.shadow("x1", "x2", directions=4)
+    projection = known.projection("x1", "x2", directions=4)
     seen = 0
     front = sd.pareto_front(OSCILLATOR, sd.Requirement(window=4.0), [2, 3])
     times = SCHEDULE.between(0.0, 12.0).times
@@ -193,7 +193,7 @@ def test_no_legend_lies_on_a_curve():
     terms = {"sensors": {"y1": {"noise_bound": 0.1}}, "w_bound": 0.02, "period": 6.4, "grid": 0.8}
     plan = sd.plan_samples(sd.Plant([[-0.02]], [[1.0]]), sd.PlanRequirement({"x1": 0.3}, **terms), search_seconds=1.0)
     others = (sd.robustness(OSCILLATOR, certificate, budget=0.3), front, log, family, plan)
-    for record in (design, design.window, certificate, worst, sd.sample_losses(design), known, shadow, *others):
+    for record in (design, design.window, certificate, worst, sd.sample_losses(design), known, projection, *others):
         for ax, legend, inside in shown_legends(record.plot()):
             seen += 1
             assert legend.y0 >= inside.y1 - 2, type(record).__name__

@@ -198,7 +198,7 @@ def relax_local(
     if not float(np.linalg.norm(roots)) > 0:
         return None
     windows = every[posed]
-    unseen = _unseen(problem, roots) if growth_rate(problem) > 0 else None
+    unseen = _without_last_sample(problem, roots) if growth_rate(problem) > 0 else None
     if unseen is not None and local_bound(problem, zones, windows, unseen, push) < local_bound(
         problem, zones, windows, roots, push
     ):
@@ -209,7 +209,7 @@ def relax_local(
     return LocalRelaxation(windows, roots, push, index, float(2 * half[index]))
 
 
-def _unseen(problem: DesignProblem, roots: Array) -> Array | None:
+def _without_last_sample(problem: DesignProblem, roots: Array) -> Array | None:
     """The same multipliers less what the last sample of their window sees; None where nothing is left."""
     C = problem.rows.C
     blind = np.linalg.svd(C)[2][len(C) :]

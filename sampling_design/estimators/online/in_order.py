@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.readings import CensoredReading, told
+from sampling_design.accuracy.readings import CensoredReading, with_censored
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.online.estimate import Estimate
@@ -145,7 +145,7 @@ class OnlineEstimator(ABC):
     def _check(self, sample: Sample, state: EstimatorState) -> CheckedSample:
         t = sample.t if type(sample.t) is float and math.isfinite(sample.t) else checks.number("t", sample.t)
         self._refuse_too_late(t, state)
-        y, limits = (sample.y, ()) if type(sample.y) is np.ndarray else told(sample.y, self.plant.n_outputs)
+        y, limits = (sample.y, ()) if type(sample.y) is np.ndarray else with_censored(sample.y, self.plant.n_outputs)
         y = None if y is None else self._check_y(y, t, bool(limits))
         if limits:
             self._check_censored(state, t, limits)

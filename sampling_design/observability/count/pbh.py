@@ -140,7 +140,7 @@ def unobservable_modes(plant: Plant, rate: float | None = None, *, rtol: float =
             continue
         mirror = known.get(cluster.value.conjugate()) if cluster.value.imag < 0 else None
         if mirror is None:
-            directions, seen = known[cluster.value] = pair.unseen(cluster, group, tolerance)
+            directions, seen = known[cluster.value] = pair.unobservable(cluster, group, tolerance)
         else:
             directions, seen = [d.conj() for d in mirror[0]], mirror[1]
         if not directions:
@@ -176,7 +176,9 @@ class _Pair:
         """The mean: a zero that is known to rounding only is zero, and no number to hold entries against."""
         return 0j if abs(cluster.value) <= self.noise(cluster) else cluster.value
 
-    def unseen(self, cluster: EigenvalueCluster, group: list[int], tolerance: float) -> tuple[list[Complex], float]:
+    def unobservable(
+        self, cluster: EigenvalueCluster, group: list[int], tolerance: float
+    ) -> tuple[list[Complex], float]:
         """Independent unseen directions of one group of eigenvalues, and the error of the first that is seen."""
         X, T = invariant_subspace(self.form, group)
         noise, value = self.noise(cluster), self.value(cluster)

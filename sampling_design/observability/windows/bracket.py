@@ -135,7 +135,7 @@ class _Pieced:
                 second[part] = np.where(sound, np.linalg.norm(self.A2 @ F, axis=(1, 2)), np.inf)
         return value, second
 
-    def unseen(self, owner: Integers, start: Array, value: Array) -> Mask:
+    def below_rounding(self, owner: Integers, start: Array, value: Array) -> Mask:
         """Where sigma = 1/value lies below n eps |O(s)|."""
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             back = self.G[owner] @ self.plant.transition(self.pieces.right[owner] - start)
@@ -173,7 +173,7 @@ class _BracketSearch:
         start[part == 1] = right
         value, second = pieced.at(owner, start)
         self.nodes, self.values, self.owners = [start], [value], [owner]
-        self.zero = pieced.unseen(owner, start, value)
+        self.zero = pieced.below_rounding(owner, start, value)
         inner = np.flatnonzero(part < 1)
         self.owner, self.a, self.b = owner[inner], start[inner], start[inner + 1]
         self.fa, self.fb, self.ga, self.gb = value[inner], value[inner + 1], second[inner], second[inner + 1]

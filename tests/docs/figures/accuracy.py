@@ -34,8 +34,8 @@ def dense():
     return sd.guaranteed_accuracy(OSCILLATOR, sd.PeriodicSchedule([0.05]), w_bound=0.02, v_bound=0.4).upper
 
 
-def shadow():
-    areas = swinging().shadow("x1", "x2").areas()
+def projection():
+    areas = swinging().projection("x1", "x2").areas()
     assert areas.ellipse / areas.inner - areas.ellipse / areas.outer < 0.05
     return (areas.ellipse / areas.outer,)
 
@@ -49,5 +49,5 @@ FIGURES = (
         lambda: tuple(sd.accuracy.accuracy_limit(OSCILLATOR, w_bound=0.02, v_bound=0.4).lower),
     ),
     Figure(PAGE, rf"samples every \$.05\$ s guarantee {NUMBER} and {NUMBER}", lambda: tuple(dense())),
-    Figure(PAGE, rf"its area is {NUMBER} times that of the set", shadow),
+    Figure(PAGE, rf"its area is {NUMBER} times that of the set", projection),
 )

@@ -123,7 +123,7 @@ def certify(
     plant: Plant | OpenPlant, schedule: AnySchedule, *, timing_tolerance: float, eta: float | None = ...,
     P2: npt.ArrayLike | None = ..., Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ...,
     Qv: npt.ArrayLike | None = ..., noise_gain: float = ..., budget: float | None = ..., memory: int | None = ...,
-    progress: Progress | None = ...,
+    progress: Progress | None = ..., of: Wanted = ...,
 ) -> SampledCertificate: ...  # fmt: skip
 @overload
 def certify(
@@ -244,7 +244,7 @@ def certify(
             plant, schedule, eta=eta, P2=P2, Qw=Qw, R=R, Qv=Qv, noise_gain=noise_gain, budget=budget, memory=memory,
             progress=progress,
         )  # fmt: skip
-    plant = part_for(plant, of)
+    plant = part_for(plant, of, decay_rate=eta)
     if isinstance(schedule, SamplingFamily):
         from sampling_design.certificates.families.certify_family import certify_family
 

@@ -16,7 +16,7 @@ from sampling_design.design.schedule_design import ScheduleDesign
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.default_window import default_window
 from sampling_design.plants.clusters import format_eigenvalue
-from sampling_design.plants.functional import weighed_over
+from sampling_design.plants.functional import split_needed, weighed_over
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.records.checks import positive
 from sampling_design.records.record import short
@@ -189,7 +189,7 @@ def sigma(
     """
     plant = settings.part(reading.plant(plant_file))
     schedule = schedule_for(settings, plant, schedule_file)
-    split = sd.plants.split_modes(plant, settings.decay_rate or 0.0)
+    split = split_needed(plant, settings.decay_rate or 0.0)
     if not split.retained.n_states:
         settings.show({"sigma": None, "split": split.to_dict()}, split.explain())
         return

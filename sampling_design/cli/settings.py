@@ -63,7 +63,19 @@ ONLY: dict[str, tuple[str, ...]] = {
     "seed": ("design", "pareto", "losses", "validate", "thyroid"),
     "budget": ("design", "losses", "sigma", "worst-case", "certify", "verify", "survive", "log"),
     "decay_rate": ("info", "design", "pareto", "losses", "sigma", "worst-case", "log", "explore"),
-    "of": ("info", "design", "pareto", "losses", "sigma", "worst-case", "certify", "estimate", "validate"),
+    "of": (
+        "info",
+        "design",
+        "pareto",
+        "losses",
+        "sigma",
+        "worst-case",
+        "certify",
+        "survive",
+        "estimate",
+        "validate",
+        "log",
+    ),
 }
 """Flags of those commands alone that draw at random; that end early with what they have (the others' work is given by
 their arguments, or they have a limit of their own: what ends by the clock depends on how many share the work); and

@@ -25,6 +25,7 @@ from sampling_design.cli.settings import (
 )
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.estimate_file import FEW_STATES, MOST_INTERVALS
+from sampling_design.plants.functional import split_needed, weighed_over
 from sampling_design.records.file_io import write_text
 from sampling_design.records.record import short
 from sampling_design.validation.report import ValidationReport
@@ -220,13 +221,14 @@ def log(
 
     Example: sampling-design log examples/plants/oscillator.toml out/schedule.csv examples/data/oscillator.csv -o out
     """
-    plant = reading.plant(plant_file)
+    plant = settings.part(reading.plant(plant_file))
     schedule = schedule_for(settings, plant, schedule_file)
     record = reading.measurements(settings, measurement_file, plant, schedule.origin)
     _check_origins(record, schedule)
-    split = sd.plants.split_modes(plant, settings.decay_rate or 0.0)
+    split = split_needed(plant, settings.decay_rate or 0.0)
     # where every mode decays no window is judged, so that none is chosen and told
     length = 1.0 if window is None and not split.retained.n_states else window_length(settings, split, window)
+    split = weighed_over(split, length)
     times, taken = record.samples()
     if any(record.told):
         settings.notice("Limits and means count as taken, and sigma counts them like numbers.")

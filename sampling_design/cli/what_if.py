@@ -23,7 +23,7 @@ from sampling_design.cli.settings import (
 )
 from sampling_design.design.pareto import NO_NEED, NO_TIME
 from sampling_design.errors import ArgumentError
-from sampling_design.plants.functional import weighed_over
+from sampling_design.plants.functional import split_needed, weighed_over
 from sampling_design.records.checks import positive
 
 
@@ -40,7 +40,7 @@ def worst_case(
 
     Example: sampling-design worst-case examples/plants/oscillator.toml --window 4 --count 3 --spacing 0.5
     """
-    split = sd.plants.split_modes(settings.part(reading.plant(plant_file)), settings.decay_rate or 0.0)
+    split = split_needed(settings.part(reading.plant(plant_file)), settings.decay_rate or 0.0)
     retained = weighed_over(split, positive("window", window)).retained
     if not retained.n_states:
         settings.show({"lower": None}, "No samples needed: every mode decays. Ask for more with --decay-rate.")
@@ -166,7 +166,7 @@ def survive(
 
     Example: sampling-design survive examples/plants/oscillator.toml out/certificate.json --budget 3 -o out
     """
-    plant = reading.plant(plant_file)
+    plant = settings.part(reading.plant(plant_file))
     certificate = sampling_certificate(certificate_file, plant)
     with settings.progress("survive") as progress:
         result = sd.robustness(

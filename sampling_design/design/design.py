@@ -31,6 +31,7 @@ from sampling_design.observability.sigma_bracket import rtol_and_seconds
 from sampling_design.observability.windows.window_sigma import WindowSigma
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
@@ -73,6 +74,7 @@ def design_schedule(
     rtol: float = 0.001,
     budget: float | None = None,
     progress: Progress | None = None,
+    of: Wanted = None,
 ) -> ScheduleDesign:
     """Design an endless periodic schedule whose worst window sees the state as well as possible.
 
@@ -101,6 +103,8 @@ def design_schedule(
     progress : callable, optional
         Called with the fraction done and a message: sigma that is proven or was found, the bound, the gap between them,
         and what is done. The first comes as soon as even spacing is proven.
+    of : str, sequence of str, or (k, n) array, optional
+        Rows of the state that must be seen, instead of `requirement.of`. Default: those.
 
     Returns
     -------
@@ -139,6 +143,7 @@ def design_schedule(
     True
     """
     wanted = Requirement() if requirement is None else requirement
+    wanted = wanted if of is None else wanted.replace(of=of)
     starts = checks.whole("starts", min(starts, _MOST_STARTS), 1)
     cuts = None if branches is None else checks.whole("branches", min(branches, _MOST_STARTS))
     given = Budget(rtol_and_seconds(rtol, budget)[1])

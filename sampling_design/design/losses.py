@@ -18,6 +18,7 @@ from sampling_design.design.schedule_design import ScheduleDesign, designed_plan
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.windows.window_sigma import WindowSigma
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
@@ -171,6 +172,7 @@ def design_and_losses(
     rng: Seed = None,
     budget: float | None = None,
     progress: Progress | None = None,
+    of: Wanted = None,
 ) -> tuple[ScheduleDesign, SampleLosses | None]:
     """Design a schedule, and prove what the loss of each of its samples costs; each takes half of the budget.
 
@@ -184,6 +186,8 @@ def design_and_losses(
         Both begin with it, as it was.
     budget : float, optional [seconds]
         Of both together.
+    of : str, sequence of str, or (k, n) array, optional
+        As for `design_schedule`.
 
     Returns
     -------
@@ -196,7 +200,7 @@ def design_and_losses(
         As `design_schedule`.
     """
     half = None if budget is None else checks.positive("budget", budget) / 2
-    design = design_schedule(plant, requirement, rng=copy.deepcopy(rng), budget=half, progress=progress)
+    design = design_schedule(plant, requirement, rng=copy.deepcopy(rng), budget=half, progress=progress, of=of)
     if design.schedule is None or not design.sigma > 0:
         return design, None
     if design.status == "interrupted":

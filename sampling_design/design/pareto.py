@@ -123,7 +123,7 @@ def pareto_front(
         For all counts together, each of which gets its share of what is left; counts that time was not left for say
         so, and are not written to `resume`.
     **options
-        As for `design_schedule` (starts, branches, rtol).
+        As for `design_schedule` (starts, branches, rtol, of).
 
     Returns
     -------

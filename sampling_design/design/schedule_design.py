@@ -17,9 +17,9 @@ from sampling_design.design.search.fedorov_exchange import is_admissible
 from sampling_design.observability.count.zero_count import ZeroCountBound
 from sampling_design.observability.sigma_bracket import coordinates_of
 from sampling_design.observability.windows.window_sigma import WindowSigma, window_sigma
-from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import rows_in_words
 from sampling_design.records.evidence import Claim, SolverRecord
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, PlainRecord, counted, short
@@ -213,26 +213,29 @@ class ScheduleDesign(PlainRecord):
 
     def explain(self) -> str:
         """Say what was designed and how good it is."""
+        rows = "" if self.requirement.of is None else rows_in_words(self.requirement.of)
         if self.schedule is None:
+            entering = rows and f" that enters {rows}"
             return (
-                "No samples needed: every mode decays by itself at the rate asked for. "
+                f"No samples needed: every mode{entering} decays by itself at the rate asked for. "
                 "Ask for a faster decay with `decay_rate` (--decay-rate) to have slow modes observed."
             )
         asked, unit = self.requirement.timing_tolerance, self.plant.time_unit
         many = f"{counted(len(self.schedule), 'sample')} every {short(self.schedule.period)} {self.plant.time_unit}"
         if not self.sigma > 0:
-            window = f"every window of {short(self.requirement.window)} {self.plant.time_unit}"
+            window = (
+                f"{rows or 'every state'} in every window of {short(self.requirement.window)} {self.plant.time_unit}"
+            )
             if self.upper_bound == 0:
-                return f"No admissible schedule with {many} sees every state in {window}: sigma is 0 for all of them."
+                return f"No admissible schedule with {many} sees {window}: sigma is 0 for all of them."
             return (
-                f"No schedule with {many} was found that sees every state in {window}; sigma of none exceeds "
+                f"No schedule with {many} was found that sees {window}; sigma of none exceeds "
                 f"{short(self.upper_bound)}, which does not show that there is none."
             )
         sees = "sees" if len(self.schedule) == 1 else "see"
-        rows = self.plant.wanted.names if isinstance(self.plant, FunctionalPlant) else ("every state direction",)
         late = f", each up to {short(asked)} {unit} early or late" if asked else ""
         return (
-            f"{many} {sees} {', '.join(rows)} in every window with sigma >= {short(self.sigma)}{late}; "
+            f"{many} {sees} {rows or 'every state direction'} in every window with sigma >= {short(self.sigma)}{late}; "
             f"no admissible schedule can exceed {short(self.upper_bound)}, so at most {100 * self.gap:.1f} % "
             "could be gained."
             + (

@@ -7,7 +7,9 @@ import numpy.typing as npt
 
 from sampling_design.estimators.online.estimator import EstimateRecord, Estimator, estimate_from
 from sampling_design.estimators.online.in_order import listed, triple
+from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.signatures import open_verb
 
@@ -20,6 +22,7 @@ def estimate(
     *,
     prior: npt.ArrayLike | None = None,
     prior_time: float = 0.0,
+    of: Wanted = None,
 ) -> EstimateRecord:
     """Return the estimates of an estimator, started anew, at every sample of a record.
 
@@ -34,6 +37,9 @@ def estimate(
     prior : (n,) array, optional
         State at `prior_time`; default 0.
     prior_time : float [time]
+    of : str, sequence of str, or (k, n) array, optional
+        Only these rows of the state: names of states or outputs, or the rows themselves (`functional_plant`). What else
+        is given, estimator and prior, and what is returned is of the part that they need. Default: all states.
 
     Returns
     -------
@@ -53,6 +59,7 @@ def estimate(
     >>> found.x.shape
     (2, 1)
     """
+    plant = part_for(plant, of)
     n = plant.n_states
     samples = [triple(item) for item in listed(record, plant)]
     begin = checks.vector("prior", np.zeros(n) if prior is None else prior, n)

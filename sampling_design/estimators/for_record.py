@@ -14,7 +14,9 @@ from sampling_design.errors import MathematicsError, SolverError
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.estimators.online.estimator import GuaranteeWarning
 from sampling_design.estimators.records.measurements import Measurements
+from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import Wanted
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
@@ -57,6 +59,7 @@ def estimator_for(
     v_bound: npt.ArrayLike | None = None,
     initial_error: npt.ArrayLike | None = None,
     progress: Progress | None = None,
+    of: Wanted = None,
 ) -> RecordEstimator:
     """Return a moving horizon estimator for a record, with the strongest guarantee that is at hand.
 
@@ -80,6 +83,10 @@ def estimator_for(
         Default: the plant's scales.
     progress : callable, optional
         Called with (fraction, message) while a certificate is sought.
+    of : str, sequence of str, or (k, n) array, optional
+        Only these rows of the state: names of states or outputs, or the rows themselves (`functional_plant`). What else
+        is given, and what is returned, is of the part that they need, `estimator.plant`, whose first states they are.
+        Default: all states.
 
     Returns
     -------
@@ -99,7 +106,7 @@ def estimator_for(
     >>> chosen.guarantee
     'Guarantee for all schedules with gaps from 0.6 to 0.8 s.'
     """
-    ordered, used = record.in_order(), dict[str, str]()
+    plant, ordered, used = part_for(plant, of), record.in_order(), dict[str, str]()
     scales = {"w_bound": plant.disturbances, "v_bound": plant.outputs, "initial_error": plant.states}
     given = {"w_bound": w_bound, "v_bound": v_bound, "initial_error": initial_error}
     for name, signals in scales.items():

@@ -27,7 +27,9 @@ from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.windowed_estimator import WindowedEstimator, WindowStart
 from sampling_design.numerics.filtering import covariance_root, root_update
 from sampling_design.numerics.linalg import symmetrise
+from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
@@ -51,7 +53,7 @@ class KalmanFilter(WindowedEstimator):
         Brings P2, Qw, R, Qv and eta.
     cost : CostFunction, optional
         Weights and rate instead of the certificate's; its form and arrival are those above.
-    prior, prior_time, w_bound, v_bound, initial_error, input_side
+    prior, prior_time, w_bound, v_bound, initial_error, input_side, of
         As for `MovingHorizonEstimator`.
     maximum_delay : float
         How far back a late sample may lie [time]; snapshots are kept that long. Default 0.
@@ -90,8 +92,9 @@ class KalmanFilter(WindowedEstimator):
         initial_error: npt.ArrayLike | None = None,
         input_side: str = "right",
         maximum_delay: float = 0.0,
+        of: Wanted = None,
     ):
-        cost = CostFunction() if cost is None else cost
+        plant, cost = part_for(plant, of), CostFunction() if cost is None else cost
         if cost.form == "paper":
             raise ArgumentError(
                 '`cost` must have the form "certificate" here: a filter keeps no window of the paper\'s.'

@@ -42,7 +42,9 @@ from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.estimators.windowed_estimator import WindowedEstimator, WindowEstimate, WindowStart
+from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 
@@ -93,6 +95,10 @@ class MovingHorizonEstimator(WindowedEstimator):
         Which input enters y at a sample where u jumps: the one that holds from then on, or the one before.
     maximum_delay : float, optional
         How far back a late sample, a correction or a withdrawal may lie [time]. Default: the horizon.
+    of : str, sequence of str, or (k, n) array, optional
+        Only these rows of the state: names of states or outputs, or the rows themselves (`functional_plant`). What else
+        is given, and what is returned, is of the part that they need, `estimator.plant`, whose first states they are.
+        Default: all states.
 
     Raises
     ------
@@ -154,8 +160,9 @@ class MovingHorizonEstimator(WindowedEstimator):
         schedule_zero: float = 0.0,
         input_side: str = "right",
         maximum_delay: float | None = None,
+        of: Wanted = None,
     ):
-        cost = CostFunction() if cost is None else cost
+        plant, cost = part_for(plant, of), CostFunction() if cost is None else cost
         self.certificate, self.arrival_cost, self.begins = certificate, cost.arrival, cost.begins
         weights = build_weights(plant, certificate, cost)
         self.horizon, note = choose_horizon(certificate, horizon, cost, "paper" if cost.form == "paper" else "sharp")

@@ -14,6 +14,7 @@ from sampling_design.estimators.online.estimate import Estimate, changed
 from sampling_design.estimators.online.history import EstimatorState
 from sampling_design.estimators.online.recorder import Recorder
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import Wanted
 
 
 class CentredRecorder(Recorder):
@@ -40,7 +41,7 @@ class SetMembershipEstimator(KalmanFilter):
         Bounds on |w(t)| and |v|: a number bounds the Euclidean norm, a vector each entry.
     initial_error : float or array, optional
         Bound on |x - prior|; default: nothing is known, and states are unbounded until the samples show them.
-    prior, prior_time, input_side, maximum_delay
+    prior, prior_time, input_side, maximum_delay, of
         As for `KalmanFilter`.
     constraints : Constraints, optional
         What else is known of x, v and w.
@@ -81,6 +82,7 @@ class SetMembershipEstimator(KalmanFilter):
         constraints: Constraints | None = None,
         input_side: str = "right",
         maximum_delay: float = 0.0,
+        of: Wanted = None,
     ):
         missing = [name for name, bound in (("w_bound", w_bound), ("v_bound", v_bound)) if bound is None]
         if missing:
@@ -94,6 +96,7 @@ class SetMembershipEstimator(KalmanFilter):
             initial_error=initial_error,
             input_side=input_side,
             maximum_delay=maximum_delay,
+            of=of,
         )
         assumed, given = self.recorder.assumed, Constraints() if constraints is None else constraints
         assert assumed is not None

@@ -15,7 +15,7 @@ from sampling_design.certificates.certification import certify
 from sampling_design.certificates.compare.four_horizons import four_horizons
 from sampling_design.certificates.existence.periodic import certificate_exists, judged
 from sampling_design.design.design import design_schedule
-from sampling_design.design.problem.posing import in_unit
+from sampling_design.design.problem.posing import in_unit, split_for
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import ArgumentError, SamplingDesignError
 from sampling_design.observability.count.default_window import default_window
@@ -25,7 +25,6 @@ from sampling_design.planning.plan import plan_samples
 from sampling_design.planning.problem import PlanProblem, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.plants.clusters import format_eigenvalue
-from sampling_design.plants.modes import split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
@@ -115,7 +114,7 @@ class Bench:
             w_bound, v_bound = requirement.w_bound, np.where(np.isfinite(posed.v_bound), posed.v_bound, 1.0)
             requirement = Requirement(period=posed.period, time_unit=plant.time_unit)
         self.requirement = in_unit(requirement or Requirement(), plant.time_unit)
-        self.split = split_modes(plant, self.requirement.decay_rate)
+        self.split = split_for(plant, self.requirement)
         retained = self.split.retained
         self.clear = CLEARLY * float(np.max(np.linalg.norm(retained.scaled().C, axis=1), initial=0.0))
         self.window = float(self.requirement.window or default_window(self.split) or 1.0)

@@ -98,7 +98,7 @@ class FunctionalPlant(Plant):
         """The rows asked for, on the whole plant's state."""
         return WantedRows(self.map[: self.rows], self.states.names[: self.rows], self.states.units[: self.rows])
 
-    def beside(self, window: float) -> FunctionalPlant:
+    def beside(self, window: float, split: ModalSplit | None = None) -> FunctionalPlant:
         """Return the plant with scales in which the rows count and the other states hardly do, over a window.
 
         In them sigma is that of the rows, the least |O q| over |z| of all q, but for 5e-5 of itself and never above
@@ -107,19 +107,23 @@ class FunctionalPlant(Plant):
         Parameters
         ----------
         window : float [time_unit]
+        split : ModalSplit, optional
+            Of this plant: only what it retains is looked at. Default: all states.
         """
         count = self.n_states - self.rows
         if not count:
             return self
-        weights = balance(self.A, self.C).d
+        basis, kept = (np.eye(self.n_states), self) if split is None else (split.basis_retained, split.retained)
+        weights = balance(kept.A, kept.C).d
         times = np.linspace(0.0, checks.positive("window", window), STEPS * self.n_states)
         seen = ((self.C / self.outputs.scales[:, None]) @ self.transition(times)).reshape(-1, self.n_states)
-        _, gains, V = np.linalg.svd(seen * weights, full_matrices=False)
+        _, gains, V = np.linalg.svd(seen @ basis * weights, full_matrices=False)
         gains = np.maximum(gains, DARK * gains[0])
-        deviations = weights * np.linalg.norm(V / gains[:, None], axis=0)
+        deviations = np.linalg.norm(basis * weights @ (V / gains[:, None]).T, axis=1)
         scales = np.array(self.states.scales)
         least = np.max(deviations[: self.rows] / scales[: self.rows])
-        scales[self.rows :] = deviations[self.rows :] * np.sqrt(count) / (BESIDE * least)
+        size = np.maximum(deviations, DARK * scales * least)[self.rows :]
+        scales[self.rows :] = size * np.sqrt(count) / (BESIDE * least)
         return replace(self, states=Signals(self.states.names, self.states.units, scales))
 
     def to_dict(self) -> dict[str, Plain]:
@@ -141,12 +145,21 @@ def is_about(theirs: Plant, plant: Plant) -> bool:
     return plant.same_dynamics(theirs.whole if part and isinstance(theirs, FunctionalPlant) else theirs)
 
 
+def split_needed(plant: Plant, decay_rate: float) -> ModalSplit:
+    """Return the split of a plant; of one for chosen rows nothing is retained where only what decays enters them."""
+    split = split_modes(plant, decay_rate)
+    if not isinstance(plant, FunctionalPlant) or not split.retained.n_states:
+        return split
+    sizes = np.abs(split.basis_retained) / balance(plant.A, plant.C).d[:, None]
+    return split if np.max(sizes[: plant.rows]) > CARRIED * np.max(sizes) else split_modes(split.residual, decay_rate)
+
+
 def weighed_over(split: ModalSplit, window: float) -> ModalSplit:
     """Return the split of a plant as it is looked at over a window: one for chosen rows weighs the other states."""
     plant = split.plant
     if not isinstance(plant, FunctionalPlant) or not split.retained.n_states:
         return split
-    return split_modes(plant.beside(window), split.decay_rate)
+    return split_modes(plant.beside(window, split), split.decay_rate)
 
 
 def without(plant: Plant, hidden: Array, weights: Array, cut: float) -> tuple[Plant, Array, Index]:

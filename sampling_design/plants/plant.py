@@ -447,7 +447,8 @@ def first_difference(mine: Plant, theirs: Plant) -> str:
     """
     if (whole := getattr(theirs, "whole", None)) is not None and not isinstance(mine, type(theirs)):
         if not (other := first_difference(mine, whole)):
-            return "it is about chosen rows of this one, whose plant is its own `plant` (--of on the command line)"
+            names = ", ".join(theirs.states.names[: getattr(theirs, "rows", 0)])
+            return f"it is about chosen rows of this one ({names}): name them with `of` (--of on the command line)"
         return other
     if mine.time_unit != theirs.time_unit:
         return f"its time unit is {theirs.time_unit!r}, not {mine.time_unit!r}"

@@ -16,7 +16,9 @@ from sampling_design.checkers.strict import likely
 from sampling_design.errors import ArgumentError, CallError
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.estimators.online.estimator import Estimator
+from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant
+from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.checks import Seed
 from sampling_design.records.dispatch import OpenPlant, registered
@@ -49,6 +51,7 @@ def validate(
     workers: Workers = None,
     resume: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
+    of: Wanted = None,
     **options: object,
 ) -> ValidationReport:
     """Compare what a certificate and the online ellipsoids promise with what happens in trials and in worst cases.
@@ -80,6 +83,9 @@ def validate(
         A journal of the random trials, written as they are finished; what it holds already is not run again.
     progress : callable, optional
         Called with (fraction, message).
+    of : str, sequence of str, or (k, n) array, optional
+        Only these rows of the state: names of states or outputs, or the rows themselves (`functional_plant`). What else
+        is given, and what is reported, is of the part that they need. Default: all states.
     **options
         Options of `MovingHorizonEstimator` (cost, horizon), if they are not the certificate's.
 
@@ -121,12 +127,14 @@ def validate(
     (True, True)
     """
     if not isinstance(plant, Plant):
+        if of is not None:
+            raise ArgumentError("`of` is for exactly known plants: validate all states of this one.")
         return registered("validate", plant, ValidationReport)(
             plant, schedule, certificate, estimator=estimator, runs=runs, duration=duration, w_bound=w_bound,
             v_bound=v_bound, initial_error=initial_error, scenarios=scenarios, rng=rng, workers=workers, resume=resume,
             progress=progress, **options,
         )  # fmt: skip
-    chosen = tuple(scenarios)
+    plant, chosen = part_for(plant, of), tuple(scenarios)
     unknown = [name for name in chosen if not isinstance(name, str) or name not in SCENARIOS]
     if unknown:
         raise ArgumentError(f"`scenarios` must be among {', '.join(SCENARIOS)}, got {checks.described(unknown[0])}.")

@@ -30,7 +30,6 @@ from sampling_design.errors import (
     FileFormatError,
     NotDetectableError,
     NotObservableError,
-    UndecidedError,
 )
 from sampling_design.observability import functional_plant, unobservable_modes
 from sampling_design.planning.files import save_plan
@@ -79,25 +78,6 @@ def test_rows_are_refused_where_what_is_hidden_does_not_die_out(seed):
     else:
         with pytest.raises(NotDetectableError, match="into which a mode enters that no output shows"):
             functional_plant(plant, H)
-
-
-@pytest.mark.parametrize("seed", few(range(300), 0, 1))
-def test_no_pair_of_motions_of_the_whole_plant_breaks_a_certificate_of_rows(seed):
-    """|q - q'|_P1^2 of the whole plant's motions, exact, against what Assumption 7 allows them at each sample."""
-    rng = np.random.default_rng(seed)
-    plant, H, _ = random_hidden(rng)
-    schedule = PeriodicSchedule(rng.uniform(0.3, 1.2, int(rng.integers(1, 4))))
-    try:
-        made = certify(plant, schedule, of=H)
-    except (CertificateError, UndecidedError):  # aliased, or beyond the noise gain
-        return
-    part, e, t = made.plant, rng.normal(size=plant.n_states), 0.0
-    bound = (part.map @ e) @ made.P2 @ (part.map @ e)
-    worth = np.linalg.inv(np.linalg.inv(made.R) + np.linalg.inv(made.Qv))  # of y, whatever part of it is noise
-    for sample in schedule.between(0.0, 8.0).times:
-        e, bound, t = expm(plant.A * (sample - t)) @ e, bound * np.exp(-made.eta * (sample - t)), sample
-        bound += (plant.C @ e) @ worth @ (plant.C @ e)
-        assert (part.map @ e) @ made.P1 @ (part.map @ e) <= bound * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -172,6 +152,53 @@ def test_the_rows_of_a_requirement_are_designed_for():
     assert found.sigma == pytest.approx(sigma, rel=1e-9)
     assert "see x1 in every window" in found.explain()
     assert found.verify()
+
+
+UNSEEN = Plant(np.diag([0.1, 0.05, -0.5]), [[1.0, 1.0, 0.0]])
+"""Two modes that are seen together, and one that nobody sees and that decays."""
+
+
+@pytest.mark.parametrize(
+    ("rows", "unit"),
+    [
+        ([[1.0, 0, 0]], 1.0),
+        ([[1.0, 0, 1]], 1e-9),
+        ([[1.0, 0, 0], [1.0, 0, 1e3]], 1e9),
+        ([[0.3, 1, -1], [0, 0, 1]], 1e-9),
+    ],
+)
+def test_sigma_of_a_design_is_that_of_the_rows_on_what_does_not_decay(rows, unit):
+    """What decays unseen enters the rows, and counts nothing."""
+    units = np.array([1.0, 1.0, unit])
+    plant = Plant(UNSEEN.A, UNSEEN.C, G=np.diag(units))
+    found = design_schedule(plant, Requirement(window=4.0, samples=3), of=np.array(rows) / units, branches=0, starts=1)
+    times = found.schedule.between(0.0, 30.0).times
+    starts = np.concatenate([times[times < 20] + 1e-9, times[(times > 4) & (times < 20)] - 4 - 1e-9])
+    exact = min(
+        least_gain_of_rows(
+            np.vstack([UNSEEN.C[:, :2] * np.exp(UNSEEN.A.diagonal()[:2] * (k - s)) for k in times if s <= k <= s + 4]),
+            np.array(rows)[:, :2],
+        )
+        for s in starts
+    )
+    assert found.sigma == pytest.approx(exact, rel=2e-3)
+    assert found.verify()
+
+
+def test_rows_into_which_only_decaying_modes_enter_need_no_samples():
+    found = design_schedule(UNSEEN, Requirement(window=4.0, samples=3, of="x3"))
+    assert found.schedule is None
+    assert found.explain().startswith("No samples needed: every mode that enters x3 decays by itself")
+
+
+def test_a_rate_is_asked_of_the_rows_in_its_own_name():
+    for ask in (certify, certificate_exists):
+        with pytest.raises(
+            NotDetectableError, match=r"asks for x3, .* does not decay at the rate 2\.0: -0\.5 along x3"
+        ):
+            ask(UNSEEN, EVERY_SECOND, eta=2.0, of=["x1", "x3"])
+    with pytest.raises(ArgumentError, match="`eta` must be positive"):
+        certify(UNSEEN, EVERY_SECOND, eta=-2.0, of=["x1", "x3"])
 
 
 def test_a_certificate_of_rows_keeps_the_whole_plant_and_refuses_another(tmp_path):

@@ -22,8 +22,8 @@ def block(rng: np.random.Generator, n: int) -> np.ndarray:
     return M
 
 
-def random_hidden(rng: np.random.Generator) -> tuple[Plant, np.ndarray, int]:
-    """A plant, rows that no hidden mode enters, and how many states these rows and the outputs need."""
+def random_hidden(rng: np.random.Generator, mixed: bool = True) -> tuple[Plant, np.ndarray, int]:
+    """A plant, rows that no hidden mode enters, and how many states these rows and the outputs need; `mixed` units."""
     shown, hidden = int(rng.integers(1, 5)), int(rng.integers(1, 4))
     own, other = block(rng, shown), block(rng, hidden) + 0.3 * np.eye(hidden) * (rng.random() < 0.5)
     driven = rng.normal(size=(hidden, shown)) * (rng.random() < 0.7)
@@ -33,7 +33,7 @@ def random_hidden(rng: np.random.Generator) -> tuple[Plant, np.ndarray, int]:
     observed = np.vstack([rows @ np.linalg.matrix_power(own, k) for k in range(shown)])
     away = np.zeros((len(rows), hidden))
     T = rng.normal(size=(shown + hidden,) * 2)
-    if rng.random() < 0.5:  # mixed units
+    if rng.random() < 0.5 and mixed:
         T = 10 ** rng.uniform(-6, 6, shown + hidden)[:, None] * T
     back = np.linalg.inv(T)
     whole = np.hstack([rows, away]) @ back

@@ -18,7 +18,9 @@ from sampling_design.certificates.families.family_certificate import FamilyCerti
 from sampling_design.certificates.families.graphs import MOST_NODES, in_plant_terms
 from sampling_design.certificates.form.digest import RESOLUTION
 from sampling_design.errors import ArgumentError, SamplingDesignError
+from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant, first_difference
+from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
@@ -265,6 +267,7 @@ def robustness(
     families: Sequence[SamplingFamily] = (),
     budget: float = 60.0,
     progress: Progress | None = None,
+    of: Wanted = None,
 ) -> Robustness:
     """Return the largest timing error and the most losses under which a certificate survives.
 
@@ -286,6 +289,8 @@ def robustness(
         The searches stop there; `closed` says so.
     progress : callable, optional
         Called with (fraction, message).
+    of : str, sequence of str, or (k, n) array, optional
+        The rows of the state that the certificate is about; a design is certified for them. Default: all states.
 
     Returns
     -------
@@ -311,7 +316,7 @@ def robustness(
     >>> found.radius > 0.1, found.jittered.verify().passed
     (True, True)
     """
-    report = progress or (lambda fraction, message: None)
+    plant, report = part_for(plant, of), progress or (lambda fraction, message: None)
     if isinstance(certificate, FamilyCertificate):
         raise ArgumentError(
             "`certificate` must be about one schedule, got a FamilyCertificate, which says itself what its family "

@@ -124,7 +124,7 @@ def certify_detectability(
         ...
     sampling_design.errors.NotDetectableError: ... -0.3 ...
     """
-    plant = part_for(plant, of)
+    plant = part_for(plant, of, decay_rate=rate)
     _arguments(plant, method, c_w, c_y)
     noise_gain, margin = checks.positive("noise_gain", noise_gain), checks.positive("margin", margin)
     floor = checks.nonnegative("floor", floor)

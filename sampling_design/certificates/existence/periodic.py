@@ -135,7 +135,7 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
     >>> certificate_exists(oscillator, PeriodicSchedule([np.pi]), 0.4).exists
     False
     """
-    plant = part_for(plant, of)
+    plant = part_for(plant, of, decay_rate=eta)
     schedule = meet(plant, schedule)
     if not schedule.endless:
         return Existence(True, float("inf"), period=0.0, reason="a finite schedule is certified to its last time")

@@ -13,8 +13,8 @@ from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.count.default_window import default_window
 from sampling_design.observability.count.functional import part_for
 from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
-from sampling_design.plants.functional import weighed_over
-from sampling_design.plants.modes import ModalSplit, split_modes
+from sampling_design.plants.functional import split_needed, weighed_over
+from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -39,7 +39,7 @@ class ResolvedRequirement(NamedTuple):
 def split_for(plant: Plant, requirement: Requirement) -> ModalSplit:
     """Split what is designed for: the plant, or what the rows asked for need, weighed over the window."""
     rate = requirement.decay_rate / time_factor(requirement.time_unit or plant.time_unit, plant.time_unit)
-    split = split_modes(part_for(plant, requirement.of), rate)
+    split = split_needed(part_for(plant, requirement.of, decay_rate=rate), rate)
     if requirement.of is None or not split.retained.n_states:
         return split
     return weighed_over(split, float(resolve(split, requirement).requirement.window or 0))

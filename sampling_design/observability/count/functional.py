@@ -75,11 +75,11 @@ def functional_plant(plant: Plant, of: Wanted, *, decay_rate: float = 0.0) -> Fu
     return FunctionalPlant.of_part(part, plant, onto, len(rows))
 
 
-def part_for(plant: Plant, of: Wanted, window: float | None = None) -> Plant:
+def part_for(plant: Plant, of: Wanted, window: float | None = None, *, decay_rate: float | None = None) -> Plant:
     """Return what a verb is asked about: the plant, or what rows of it need, weighed for sigma over a window."""
     if of is None:
         return plant
-    part = functional_plant(plant, of)
+    part = functional_plant(plant, of, decay_rate=max(decay_rate or 0.0, 0.0))
     return part if window is None else part.beside(window)
 
 
@@ -98,15 +98,21 @@ def _real(hidden: UnobservableModes, weights: Array) -> Array:
 def _rows_first(plant: Plant, part: Plant, onto: Array, H: Array, rows: WantedRows) -> tuple[Plant, Array]:
     """The quotient in coordinates whose first entries are the rows, in the sizes that the user gave."""
     count, weights = len(rows), balance(part.A, np.vstack([part.C, H])).d
-    R, order = qr(H * weights / positive_or_one(np.linalg.norm(H * weights, axis=1))[:, None], pivoting=True, mode="r")
+    sizes = positive_or_one(np.linalg.norm(H * weights, axis=1))[:, None]
+    R, order = qr(H * weights / sizes, pivoting=True, mode="r")
     if count > part.n_states or np.min(np.abs(np.diag(R)[:count])) <= RANK_TOLERANCE:
         raise ArgumentError(
             f"`of` must have rows that are independent of each other, and none of zeros, got {', '.join(rows.names)}."
         )
-    others = np.sort(order[count:])
+    gone, others = np.sort(order[:count]), np.sort(order[count:])
     T = np.vstack([H, np.eye(part.n_states)[others]])
-    # a row that is one state, or all others: exchanged without rounding
-    A, C = np.linalg.solve(T.T, (T @ part.A).T).T, np.linalg.solve(T.T, part.C.T).T
+
+    def exchanged(M: Array) -> Array:
+        """M T^-1: states `gone` are what the rows leave of the others, each entry in the sizes that belong to it."""
+        of_rows = np.linalg.solve((H[:, gone] * weights[gone] / sizes).T, (M[:, gone] * weights[gone]).T).T / sizes.T
+        return np.hstack([of_rows, M[:, others] - of_rows @ H[:, others]])
+
+    A, C = exchanged(T @ part.A), exchanged(part.C)
     states = part.states
     given = np.abs(rows.matrix) @ plant.states.scales if plant.has_scales else np.ones(count)
     signals = Signals(

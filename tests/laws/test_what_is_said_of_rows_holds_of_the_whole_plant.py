@@ -1,0 +1,184 @@
+"""Law: asked for rows of the state, every verb answers with `of`, and what it says is true of the whole plant.
+
+The whole plant is moved by itself, hidden modes included, however large they are and however fast they grow.
+"""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.linalg import cholesky
+
+from sampling_design import (
+    KalmanFilter,
+    MovingHorizonEstimator,
+    PeriodicSchedule,
+    Plant,
+    Requirement,
+    Schedule,
+    SetMembershipEstimator,
+    SpacedWindows,
+    certificate_exists,
+    certify,
+    design_schedule,
+    pareto_front,
+    robustness,
+    simulate_record,
+    validate,
+    window_sigma,
+    worst_case_sigma,
+    zero_count_bound,
+)
+from sampling_design.certificates import certify_detectability
+from sampling_design.design import design_and_losses
+from sampling_design.errors import (
+    ArgumentError,
+    CallError,
+    CertificateError,
+    MathematicsError,
+    NotDetectableError,
+    UndecidedError,
+)
+from sampling_design.estimators import estimate, estimator_for
+from sampling_design.observability import functional_plant
+from tests.cases import few
+from tests.oracles.hidden import random_hidden
+from tests.oracles.rows import worst_energy
+
+THREE = Plant(np.diag([0.1, 0.2, -1.0]), [[1.0, 0.0, 0.5]], name="three")
+EVERY_SECOND = PeriodicSchedule([1.0])
+BOUNDS = {"w_bound": 0.02, "v_bound": 0.1, "initial_error": 1.0}
+RECORD = simulate_record(THREE, EVERY_SECOND, 6.0, x0=[0.2, 1e6, 0.5], rng=3, w_bound=0.02, v_bound=0.1)
+PLAIN = Requirement(window=4.0, samples=3)
+
+
+@cache
+def certificate():
+    return certify(THREE, EVERY_SECOND, of="x1", eta=0.7, P2=np.eye(2))
+
+
+VERBS = {
+    "certify": lambda **of: certify(THREE, EVERY_SECOND, eta=0.7, P2=np.eye(2 + (of != {"of": "x1"})), **of),
+    "certify a tolerance": lambda **of: certify(THREE, EVERY_SECOND, eta=0.7, timing_tolerance=0.01, **of),
+    "certify_detectability": lambda **of: certify_detectability(THREE, rate=0.1, **of),
+    "certificate_exists": lambda **of: certificate_exists(THREE, EVERY_SECOND, 0.1, **of),
+    "design_schedule": lambda **of: design_schedule(THREE, PLAIN, **of),
+    "window_sigma": lambda **of: window_sigma(THREE, EVERY_SECOND, 4.0, **of),
+    "worst_case_sigma": lambda **of: worst_case_sigma(THREE, SpacedWindows(4.0, 3, 0.5), rtol=0.1, **of),
+    "zero_count_bound": lambda **of: zero_count_bound(THREE, 4.0, **of),
+    "losses": lambda **of: design_and_losses(THREE, PLAIN, **of)[1],
+    "pareto": lambda **of: pareto_front(THREE, PLAIN, [3], **of),
+    "robustness": lambda **of: robustness(THREE, certificate(), longest=2, budget=0.2, **of),
+    "MovingHorizonEstimator": lambda **of: MovingHorizonEstimator(THREE, certificate(), **BOUNDS, **of),
+    "KalmanFilter": lambda **of: KalmanFilter(THREE, certificate(), **BOUNDS, **of),
+    "estimate": lambda **of: estimate(THREE, RECORD.measurements, KalmanFilter(THREE, certificate(), **of), **of),
+    "validate": lambda **of: validate(THREE, EVERY_SECOND, certificate(), runs=2, scenarios=["random"], **of, **BOUNDS),
+}
+
+
+NOTHING = {
+    "certificate_exists": lambda found: not found.exists,
+    "window_sigma": lambda found: found.upper == 0,
+    "worst_case_sigma": lambda found: found.upper == 0,
+    "pareto": lambda found: not found.efficient,
+}
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_a_verb_answers_for_rows_and_for_all_states_as_before(verb):
+    ask = VERBS[verb]
+    found = ask(of="x1")
+    if verb == "validate":
+        assert found.passed
+    with pytest.raises(NotDetectableError, match=r"asks for x2, .*0\.2 along x2\. Add an output that shows it, or ask"):
+        ask(of=["x1", "x2"])
+    try:  # of all states nothing is known: x2 is hidden, and grows
+        answer = ask()
+    except (MathematicsError, ArgumentError):
+        return
+    assert NOTHING[verb](answer)
+
+
+@pytest.mark.parametrize("verb", ["window_sigma", "estimate", "validate", "MovingHorizonEstimator"])
+def test_a_misspelt_row_is_named(verb):
+    with pytest.raises(ArgumentError, match="`of` must name states or outputs, got 'x4'"):
+        VERBS[verb](of="x4")
+
+
+def hold(found, truth, onto):
+    """All that estimates of a part say of a motion of the whole plant: ellipsoids, and the radius of every state."""
+    for each, x in zip(found, truth, strict=True):
+        off = onto @ x - each.x
+        # what rounding of onto x leaves of hidden states that are large
+        slack = 1e-12 * np.abs(onto) @ np.abs(x)
+        assert each.certified
+        assert np.all(np.abs(off) <= each.radii + slack)
+
+
+@pytest.mark.parametrize(("rows", "zero"), few([("x1", 1.7e9), ("y1", 0.0), ([[2.0, 0.0, -1.0]], 1.7e9)], 0, 2))
+def test_every_estimator_of_rows_holds_the_truth_of_the_whole_plant(rows, zero):
+    made = certify(THREE, EVERY_SECOND, of=rows, eta=0.7, P2=np.eye(2))
+    record = simulate_record(THREE, EVERY_SECOND, 12.0, x0=[0.2, 1e8, 0.5], rng=5, w_bound=0.02, v_bound=0.1)
+    known = BOUNDS | {"initial_error": 2.0, "prior_time": zero}
+    estimators = [
+        MovingHorizonEstimator(THREE, made, of=rows, schedule_zero=zero, **known),
+        KalmanFilter(THREE, made, of=rows, **known),
+        SetMembershipEstimator(THREE, of=rows, **known),
+        estimator_for(THREE, record.measurements, made, of=rows, **BOUNDS | {"initial_error": 2.0}).estimator,
+    ]
+    for each in estimators[: 4 if not zero else 3]:
+        samples = [(zero + t, y, u) for t, y, u in record.measurements]
+        assert each.plant.wanted.names == made.plant.wanted.names
+        hold(each.run(samples).estimates, record.truth, each.plant.map)
+
+
+@pytest.mark.parametrize("growth", [0.2, 20.0])
+def test_a_hidden_mode_may_grow_beyond_anything(growth):
+    """e^{20 t} overflows by t = 36: the part does not know of it."""
+    plant = Plant(np.diag([0.1, growth, -1.0]), THREE.C)
+    made = certify(plant, EVERY_SECOND, of="x1", eta=0.7, P2=np.eye(2))
+    late = Schedule(np.arange(1.0, 41.0))
+    record = simulate_record(made.plant, late, 40.0, x0=[0.2, 0.5], rng=1, w_bound=0.02, v_bound=0.1)
+    filter = KalmanFilter(plant, made, of="x1", **BOUNDS)
+    hold(filter.run(record.measurements).estimates, record.truth, np.eye(2))
+
+
+@pytest.mark.parametrize("seed", few(range(60), 0, 1, 3))
+def test_a_certificate_of_rows_states_the_exact_supremum_of_the_whole_plant(seed):
+    """lambda is attained to its resolution, and |z|^2 never exceeds what P1 says, both by a dense least-squares problem
+    in the coordinates of the whole plant."""
+    rng = np.random.default_rng(seed)
+    plant, H, _ = random_hidden(rng, mixed=False)
+    schedule = PeriodicSchedule(rng.uniform(0.3, 1.2, int(rng.integers(1, 4))))
+    try:
+        made = certify(plant, schedule, of=H, eta=1.0, P2=np.eye(functional_plant(plant, H).n_states))
+    except (CertificateError, UndecidedError):  # aliased, or beyond the noise gain
+        return
+    onto, root = made.plant.map, cholesky(made.P2)
+
+    def exact(start, t, rows):
+        samples = schedule.between(start, t).times
+        weights = root @ onto, made.Qw, made.Rtilde, made.eta
+        return worst_energy(plant.A, plant.C, plant.G, samples, start, t, rows, *weights)
+
+    if made.witness is not None and 0 < made.witness.t - made.witness.start < 6.0:
+        assert exact(made.witness.start, made.witness.t, root @ onto) == pytest.approx(made.lam, rel=2e-3)
+    stated = np.linalg.norm(np.linalg.inv(cholesky(made.P1))[: len(H)], 2) ** 2
+    for start in rng.uniform(0.0, schedule.period, 2):
+        for t in start + rng.uniform(0.1, 5.0, 2):
+            assert exact(start, t, root @ onto) <= made.lam_proven * (1 + 1e-6)
+            assert exact(start, t, H) <= stated * (1 + 1e-6)
+
+
+def test_other_kinds_of_plants_refuse_rows_in_a_sentence():
+    from sampling_design import UncertainParameter, UncertainPlant
+    from sampling_design.nonlinear import NonlinearMovingHorizonEstimator
+    from sampling_design.nonlinear.examples import van_der_pol
+
+    unsure = UncertainPlant(
+        Plant([[0.0, 1], [-1, 0]], [[1.0, 0]]), (UncertainParameter("k", -0.1, 0.1, A=[[0, 0], [1, 0]]),)
+    )
+    with pytest.raises(ArgumentError, match="`of` is for exactly known plants: validate all states of this one"):
+        validate(unsure, EVERY_SECOND, of="x1")
+    with pytest.raises(CallError, match="has no argument `of`"):
+        NonlinearMovingHorizonEstimator(van_der_pol(), of="x1")

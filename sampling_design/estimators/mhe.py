@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -44,7 +44,7 @@ from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.estimators.windowed_estimator import WindowedEstimator, WindowEstimate, WindowStart
 from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import Wanted
+from sampling_design.plants.rows import RowsAsked
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 
@@ -160,9 +160,9 @@ class MovingHorizonEstimator(WindowedEstimator):
         schedule_zero: float = 0.0,
         input_side: str = "right",
         maximum_delay: float | None = None,
-        of: Wanted = None,
+        **rows: Unpack[RowsAsked],
     ):
-        plant, cost = part_for(plant, of), CostFunction() if cost is None else cost
+        plant, cost = part_for(plant, rows.get("of")), CostFunction() if cost is None else cost
         self.certificate, self.arrival_cost, self.begins = certificate, cost.arrival, cost.begins
         weights = build_weights(plant, certificate, cost)
         self.horizon, note = choose_horizon(certificate, horizon, cost, "paper" if cost.form == "paper" else "sharp")

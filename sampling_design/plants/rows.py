@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TypeAlias, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,12 @@ from sampling_design.records.checks import freeze
 from sampling_design.records.record import counted
 
 Wanted: TypeAlias = str | Sequence[str] | npt.ArrayLike | None
+
+
+class RowsAsked(TypedDict, total=False):
+    """Rows as verbs of many arguments take them."""
+
+    of: Wanted
 
 
 @dataclass(frozen=True, eq=False)

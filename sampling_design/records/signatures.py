@@ -109,11 +109,14 @@ def _arguments(
     """What checks the arguments of a call, by place and by name; `open_`: the first one may be any kind of plant."""
     checks: dict[str, Check] = {}
     places: list[tuple[int, Check]] = []
-    ready: list[bool] = []
+    ready, known = list[bool](), set[str]()
 
     def prepare() -> None:
-        hints = hints_of(function)
-        for place, parameter in enumerate(inspect.signature(function).parameters.values()):
+        hints, parameters = hints_of(function), list(inspect.signature(function).parameters.values())
+        if keywords := _unpacked(hints, parameters):
+            parameters += keywords
+            known.update(each.name for each in parameters)
+        for place, parameter in enumerate(parameters):
             if parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
                 hint = hints.get(parameter.name, Any)
                 check = _check(parameter, typing.cast(type, hint) | OpenPlant if open_ and not place else hint)
@@ -135,6 +138,8 @@ def _arguments(
             except ArgumentError as error:
                 raise ArgumentError(f"{error}{_exchanged(function, places, arguments, place)}") from None
             foreign = foreign or type(value) is _Foreign
+        if known and not known.issuperset(options):
+            raise misfit(function, arguments, options, TypeError())
         if options:
             named = {key: checks[key](value) if key in checks else value for key, value in options.items()}
             foreign = foreign or any(type(value) is _Foreign for value in named.values())
@@ -224,6 +229,7 @@ def misfit(
     order = f" {said}" if own and (said := getattr(given[0], "_order", "")) else ""
     taken, given = taken[own:], given[own:]
     known = [each.name for each in taken if each.kind not in (each.VAR_POSITIONAL, each.VAR_KEYWORD)]
+    known += [each.name for each in _unpacked(hints_of(function), taken)]
     placed = [each.name for each in taken if each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD)]
     for key in named:
         if key not in known:
@@ -238,6 +244,15 @@ def misfit(
     needed = [each.name for each in taken if each.name in known and each.default is each.empty]
     missing = [f"`{key}`" for key in needed if key not in named and key not in placed[: len(given)]]
     return CallError(f"`{name}` needs {' and '.join(missing)}." if missing else str(error))
+
+
+def _unpacked(hints: dict[str, object], parameters: Sequence[inspect.Parameter]) -> list[inspect.Parameter]:
+    """The keywords of a `**options: Unpack[...]`, their annotations put beside the others; none where any pass."""
+    hint = next((hints.get(each.name) for each in parameters if each.kind is each.VAR_KEYWORD), None)
+    if typing.get_origin(hint) is not typing.Unpack:
+        return []
+    hints |= (own := typing.get_type_hints(typing.get_args(hint)[0]))
+    return [inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=None) for key in own]
 
 
 def hints_of(function: Callable[..., Any]) -> dict[str, object]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import platform
+import typing
 from collections.abc import Iterable
 
 import numpy as np
@@ -51,7 +52,6 @@ def validate(
     workers: Workers = None,
     resume: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
-    of: Wanted = None,
     **options: object,
 ) -> ValidationReport:
     """Compare what a certificate and the online ellipsoids promise with what happens in trials and in worst cases.
@@ -83,11 +83,9 @@ def validate(
         A journal of the random trials, written as they are finished; what it holds already is not run again.
     progress : callable, optional
         Called with (fraction, message).
-    of : str, sequence of str, or (k, n) array, optional
-        Only these rows of the state: names of states or outputs, or the rows themselves (`functional_plant`). What else
-        is given, and what is reported, is of the part that they need. Default: all states.
     **options
-        Options of `MovingHorizonEstimator` (cost, horizon), if they are not the certificate's.
+        Options of `MovingHorizonEstimator` (cost, horizon), if they are not the certificate's, and `of`: the rows of
+        the state that all else that is given, and the report, is about (the part that they need, as there).
 
     Returns
     -------
@@ -127,14 +125,14 @@ def validate(
     (True, True)
     """
     if not isinstance(plant, Plant):
-        if of is not None:
+        if options.get("of") is not None:
             raise ArgumentError("`of` is for exactly known plants: validate all states of this one.")
         return registered("validate", plant, ValidationReport)(
             plant, schedule, certificate, estimator=estimator, runs=runs, duration=duration, w_bound=w_bound,
             v_bound=v_bound, initial_error=initial_error, scenarios=scenarios, rng=rng, workers=workers, resume=resume,
             progress=progress, **options,
         )  # fmt: skip
-    plant, chosen = part_for(plant, of), tuple(scenarios)
+    plant, chosen = part_for(plant, typing.cast(Wanted, options.pop("of", None))), tuple(scenarios)
     unknown = [name for name in chosen if not isinstance(name, str) or name not in SCENARIOS]
     if unknown:
         raise ArgumentError(f"`scenarios` must be among {', '.join(SCENARIOS)}, got {checks.described(unknown[0])}.")

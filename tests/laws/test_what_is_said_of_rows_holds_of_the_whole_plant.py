@@ -105,6 +105,12 @@ def test_a_misspelt_row_is_named(verb):
         VERBS[verb](of="x4")
 
 
+@pytest.mark.parametrize("verb", ["window_sigma", "MovingHorizonEstimator"])
+def test_a_misspelt_keyword_is_named(verb):
+    with pytest.raises(CallError, match="has no argument `off`. Did you mean 'of'"):
+        VERBS[verb](off="x1")
+
+
 def hold(found, truth, onto):
     """All that estimates of a part say of a motion of the whole plant: ellipsoids, and the radius of every state."""
     for each, x in zip(found, truth, strict=True):

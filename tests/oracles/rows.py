@@ -11,10 +11,8 @@ from scipy.linalg import expm, sqrtm
 
 SAME = 1e-9
 """Times nearer than this are one: what is asked is the limit after a sample at `start` and before one at t."""
-HIDDEN = 1e-12
-"""Singular values of the starts below this, relative, are those of starts that cost nothing."""
 ENTERS = 1e-6
-"""Share of the rows from which on such a start enters them."""
+"""Share of the rows, or of what it costs, from which on a start that the prior does not weigh enters it."""
 
 
 def worst_energy(A, C, G, samples, start, t, rows, prior, Qw, Rtilde, eta, nodes=8, longest=0.5):
@@ -47,10 +45,11 @@ def worst_energy(A, C, G, samples, start, t, rows, prior, Qw, Rtilde, eta, nodes
     m = width - n
     driven = np.linalg.solve(R[:m, :m].T, L[:, n:].T).T
     begun, left = L[:, :n] - driven @ R[:m, m:], R[m:, m:]
+    # in units in which each state costs one: starts that the prior does not weigh, and all others
     sizes = np.linalg.norm(M[:, :n], axis=0)
-    _, d, V = np.linalg.svd(left / sizes)
-    seen = np.count_nonzero(d > HIDDEN * d[0])
-    reach = (begun / sizes) @ V.T
-    if np.linalg.norm(reach[:, seen:]) > ENTERS * np.linalg.norm(begun / sizes):
+    V = np.linalg.svd(prior / sizes)[2].T
+    free, others = np.split(V, [len(prior)], axis=1)[::-1]
+    if max(np.linalg.norm(X / sizes @ free) / np.linalg.norm(X / sizes) for X in (begun, M[:, :n])) > ENTERS:
         return np.inf
-    return float(np.linalg.norm(np.hstack([driven, reach[:, :seen] / d[:seen]]), 2) ** 2)
+    reach = np.linalg.lstsq((left / sizes @ others).T, (begun / sizes @ others).T, rcond=None)[0].T
+    return float(np.linalg.norm(np.hstack([driven, reach]), 2) ** 2)

@@ -228,8 +228,8 @@ def misfit(
     own = bool(taken) and taken[0].name in ("self", "cls")
     order = f" {said}" if own and (said := getattr(given[0], "_order", "")) else ""
     taken, given = taken[own:], given[own:]
-    known = [each.name for each in taken if each.kind not in (each.VAR_POSITIONAL, each.VAR_KEYWORD)]
-    known += [each.name for each in _unpacked(hints_of(function), taken)]
+    every = (*taken, *_unpacked(hints_of(function), taken))
+    known = [each.name for each in every if each.kind not in (each.VAR_POSITIONAL, each.VAR_KEYWORD)]
     placed = [each.name for each in taken if each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD)]
     for key in named:
         if key not in known:
@@ -249,9 +249,8 @@ def misfit(
 def _unpacked(hints: dict[str, object], parameters: Sequence[inspect.Parameter]) -> list[inspect.Parameter]:
     """The keywords of a `**options: Unpack[...]`, their annotations put beside the others; none where any pass."""
     hint = next((hints.get(each.name) for each in parameters if each.kind is each.VAR_KEYWORD), None)
-    if typing.get_origin(hint) is not typing.Unpack:
-        return []
-    hints |= (own := typing.get_type_hints(typing.get_args(hint)[0]))
+    own = typing.get_type_hints(typing.get_args(hint)[0]) if typing.get_origin(hint) is typing.Unpack else {}
+    hints |= own
     return [inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=None) for key in own]
 
 

@@ -107,7 +107,7 @@ def test_a_misspelt_row_is_named(verb):
 
 @pytest.mark.parametrize("verb", ["window_sigma", "MovingHorizonEstimator"])
 def test_a_misspelt_keyword_is_named(verb):
-    with pytest.raises(CallError, match="has no argument `off`. Did you mean 'of'"):
+    with pytest.raises(CallError, match=r"has no argument `off`\. Did you mean 'of'"):
         VERBS[verb](off="x1")
 
 

@@ -111,7 +111,7 @@ def test_a_misspelt_keyword_is_named(verb):
         VERBS[verb](off="x1")
 
 
-def hold(found, truth, onto):
+def check_held(found, truth, onto):
     """All that estimates of a part say of a motion of the whole plant: ellipsoids, and the radius of every state."""
     for each, x in zip(found, truth, strict=True):
         off = onto @ x - each.x
@@ -135,7 +135,7 @@ def test_every_estimator_of_rows_holds_the_truth_of_the_whole_plant(rows, zero):
     for each in estimators[: 4 if not zero else 3]:
         samples = [(zero + t, y, u) for t, y, u in record.measurements]
         assert each.plant.wanted.names == made.plant.wanted.names
-        hold(each.run(samples).estimates, record.truth, each.plant.map)
+        check_held(each.run(samples).estimates, record.truth, each.plant.map)
 
 
 @pytest.mark.parametrize("growth", [0.2, 20.0])
@@ -146,7 +146,7 @@ def test_a_hidden_mode_may_grow_beyond_anything(growth):
     late = Schedule(np.arange(1.0, 41.0))
     record = simulate_record(made.plant, late, 40.0, x0=[0.2, 0.5], rng=1, w_bound=0.02, v_bound=0.1)
     filter = KalmanFilter(plant, made, of="x1", **BOUNDS)
-    hold(filter.run(record.measurements).estimates, record.truth, np.eye(2))
+    check_held(filter.run(record.measurements).estimates, record.truth, np.eye(2))
 
 
 @pytest.mark.parametrize("seed", few(range(60), 0, 1, 3))

@@ -12,7 +12,6 @@ import importlib
 import inspect
 import re
 import textwrap
-import tokenize
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -378,23 +377,24 @@ are collected here, room by room, with what each trades."""
 
 def tuning_constants(path: Path) -> Iterator[tuple[str, str, str]]:
     """Name and value of the numeric constants of a file, and the line beside or below that says what they trade."""
-    body = ast.parse(path.read_text()).body
-    with path.open("rb") as file:
-        tokens = [token for token in tokenize.tokenize(file.readline) if token.type == tokenize.COMMENT]
-    beside = {
-        token.start[0] + (not token.line[: token.start[1]].strip()): token.string.lstrip("# ") for token in tokens
-    }
+    lines, body = ["", *path.read_text().splitlines()], ast.parse(path.read_text()).body
     for i, node in enumerate(body):
         if not isinstance(node, ast.Assign) or not _is_numeric(node.value):
             continue
         names = [each.id for each in ast.walk(node.targets[0]) if isinstance(each, ast.Name)]
         if not all(re.fullmatch(r"_?[A-Z][A-Z0-9_]*", name) for name in names):
             continue
-        why = beside.get(node.end_lineno) or beside.get(node.lineno, "")
+        why = _beside(lines, node.end_lineno) or _beside(lines, node.lineno)
         below = next((each for each in body[i + 1 :] if not isinstance(each, ast.Assign)), None)
         if not why and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
             why = " ".join(str(below.value.value).split())
         yield ", ".join(names), ast.unparse(node.value).strip("()"), why
+
+
+def _beside(lines: list[str], place: int) -> str:
+    """The comment at the end of a line of numbers, else that on the line above it alone."""
+    above = lines[place - 1].strip()
+    return (lines[place].partition("#")[2] or above * above.startswith("#")).lstrip("# ")
 
 
 def _is_numeric(node: ast.AST) -> bool:

@@ -302,7 +302,7 @@ def test_an_interrupt_leaves_what_is_proven(at, found, monkeypatch):
     assert not left.closed.all()
 
 
-@pytest.mark.parametrize("v_bound", [[[0.4], [0.3]] * 3, 0.4, {"y1": (-0.1, 0.5)}])
+@pytest.mark.parametrize("v_bound", few([[[0.4], [0.3]] * 3, 0.4, {"y1": (-0.1, 0.5)}], 0, 2))
 def test_a_period_given_several_times_over_is_asked_once(v_bound, monkeypatch):
     """At no cost beside one period, with the same numbers, a proof that holds and every sample in its place."""
     solves, gains = [], search.ChainSearch.gains

@@ -3,9 +3,25 @@
 import sys
 from collections import namedtuple
 
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.image import imsave
 
 Outcome = namedtuple("Outcome", "code out err")
+
+
+@pytest.fixture
+def pixels():
+    """Pictures of this test are painted, every letter of them."""
+
+
+@pytest.fixture(autouse=True)
+def _drawn(request, monkeypatch):
+    """Pictures are drawn whole; but to paint one takes .2 s, and what is painted is one point where nobody looks."""
+    if "pixels" not in request.fixturenames:
+        point = np.zeros((1, 1, 3))
+        monkeypatch.setattr(Figure, "savefig", lambda _, file, metadata, **how: imsave(file, point, metadata=metadata))
 
 
 @pytest.fixture

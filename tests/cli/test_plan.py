@@ -99,9 +99,21 @@ def test_design_prints_the_defaults_it_used(shell):
     assert shell("design", plant("oscillator"), "--quiet").err == ""
 
 
+@pytest.mark.usefixtures("pixels")
 def test_design_twice_is_the_same_to_the_last_byte(shell, tmp_path):
     for folder in ("one", "two"):
-        arguments = ("design", plant("oscillator"), "--samples", 4, "-o", tmp_path / folder, "--seed", 3)
+        arguments = (
+            "design",
+            plant("oscillator"),
+            "--samples",
+            4,
+            "--branches",
+            2,
+            "-o",
+            tmp_path / folder,
+            "--seed",
+            3,
+        )
         assert shell(*arguments).code == 0
     for name in ("schedule.csv", "design.png"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()

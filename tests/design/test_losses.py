@@ -13,12 +13,12 @@ A, C = np.array([[0.0, 1.0], [-1.0, 0.0]]), np.array([[1.0, 0.0]])
 
 def designed(**more):
     return design_schedule(
-        Plant(A, C), Requirement(**{"window": 4.0, "spacing": 0.4, "samples": 4, **more}), starts=2, branches=0
+        Plant(A, C), Requirement(**{"window": 4.0, "spacing": 0.4, "samples": 4, **more}), starts=1, branches=0
     )
 
 
 def test_a_price_is_what_a_scan_without_the_sample_says():
-    design = designed(fixed=[0.0], forbidden=[[1.0, 2.0]])
+    design = designed(samples=3, fixed=[0.0], forbidden=[[1.0, 2.0]])
     losses = sample_losses(design, every_period=True)
     times = design.schedule.times
     for i in range(times.size):

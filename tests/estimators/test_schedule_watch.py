@@ -131,9 +131,8 @@ def test_a_family_plans_every_output():
 def test_a_limit_is_no_sample_of_the_schedule_and_disturbs_none():
     """The claim is about numbers: a limit between them takes nothing of it away, one in place of a number does."""
     bounds = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 2.0}
-    plain, between, instead = (
-        MovingHorizonEstimator(PLANT, certify(PLANT, PeriodicSchedule([1.0])), **bounds) for _ in range(3)
-    )
+    made = certify(PLANT, PeriodicSchedule([1.0]), eta=0.4)
+    plain, between, instead = (MovingHorizonEstimator(PLANT, made, **bounds) for _ in range(3))
     for t in (1.0, 2.0, 3.0):
         assert plain.update(t, [0.0]).on_schedule
         assert between.update(t, [0.0]).on_schedule

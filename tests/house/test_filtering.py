@@ -52,6 +52,7 @@ def steps(tree):
     return found
 
 
+@pytest.mark.long
 def test_covariances_step_in_one_place():
     own = [path for path in SOURCES if path.relative_to(PACKAGE).parts[0] not in ("checkers", "numerics")]
     assert [f"{path.relative_to(PACKAGE)}:{line}" for path in own for line in steps(nodes(path))] == []

@@ -56,6 +56,7 @@ def constructors(path):
                         yield node.name, kind
 
 
+@pytest.mark.long
 def test_certificates_are_made_by_the_watched_functions_only():
     seen = 0
     for path in SOURCES:

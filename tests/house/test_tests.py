@@ -3,6 +3,8 @@
 import ast
 from pathlib import Path
 
+import pytest
+
 from tests.conftest import spread
 from tests.house.sources import nodes, parsed
 
@@ -10,6 +12,7 @@ TESTS = Path(__file__).parents[1]
 FILES = sorted((*TESTS.rglob("test_*.py"), *TESTS.rglob("bench_*.py")))
 
 
+@pytest.mark.long
 def test_every_test_asserts_and_none_is_skipped():
     for path, node in [(file, node) for file in FILES for node in nodes(file)]:
         if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
@@ -22,6 +25,7 @@ def test_every_test_asserts_and_none_is_skipped():
             assert not skipped, f"{path}: {node.name} is skipped or expected to fail"
 
 
+@pytest.mark.long
 def test_what_takes_long_is_marked_in_the_words_by_which_it_is_found():
     """`--long` reads no file in which they do not stand."""
     marks = [node for path in FILES for node in nodes(path) if isinstance(node, ast.Attribute) and node.attr == "long"]
@@ -29,6 +33,7 @@ def test_what_takes_long_is_marked_in_the_words_by_which_it_is_found():
     assert {ast.unparse(node) for node in marks} == {"pytest.mark.long"}
 
 
+@pytest.mark.long
 def test_every_law_is_a_sentence_in_a_file_of_its_own():
     for path in (TESTS / "laws").glob("*.py"):
         assert path.name.startswith("test_")
@@ -43,6 +48,7 @@ def test_the_share_of_what_takes_long_is_spread_over_the_cases_of_each_test():
     assert spread(cases, lambda case: case[0], 10) == cases
 
 
+@pytest.mark.long
 def test_no_test_is_timed_by_the_machine():
     """Budgets are judged by `tests/counted_clock.py`, which counts what is done."""
     for path in TESTS.rglob("test_*.py"):

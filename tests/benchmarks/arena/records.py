@@ -73,7 +73,7 @@ def run(quick: bool = False) -> list[Table]:
         "`holds` the share of states within it, `over exact` its ratio to half the exact set (geometric mean).",
         ("samples", "method", "time per sample", "RMSE", "mean radius", "holds", "proven", "ellipsoid", "over exact"),
     )
-    gaps, length = [0.7, 1.6, 0.9, 2.0], 30.0 if quick else 200.0
+    gaps, length = [0.7, 1.6, 0.9, 2.0], 15.0 if quick else 200.0
     uneven = sd.PeriodicSchedule(gaps)
     for label, schedule in (("irregular", uneven), ("regular, equal number", periodic_at_equal_cost(uneven))):
         plant, times, states, y = record(schedule, length, seed=1)

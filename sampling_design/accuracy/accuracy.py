@@ -241,6 +241,15 @@ def _witness(
     return witness if witness.value > rounding else witness.within(np.inf, 0.0), j, offset
 
 
+def _edges(question: AccuracyQuestion, found: RowSearch | None) -> Array:
+    """Where the panels of a profile begin and end: those of any row, or the gaps where no row is bounded."""
+    times = question.nodes
+    lengths = np.diff(times, append=question.end)
+    grids = [np.array([0.0, h]) for h in lengths] if found is None else [opened.d for opened in found.opened]
+    last = question.end + (question.initial is None) * question.late
+    return np.concatenate([*(t + d[:-1] for t, d in zip(times, grids, strict=True)), [last]])
+
+
 def _record(
     question: AccuracyQuestion,
     rows: WantedRows,
@@ -252,13 +261,7 @@ def _record(
 ) -> Accuracy:
     """`finder` searched for what gains prove; `planned`, if given, for what is attained without more noise."""
     times, count, plain = question.nodes, len(rows), question.initial is None
-    lengths = np.diff(times, append=question.end)
-    grids = (
-        [opened.d for opened in next(iter(found.values())).opened] if found else [np.array([0.0, h]) for h in lengths]
-    )
-    edges = np.concatenate(
-        [*(t + d[:-1] for t, d in zip(times, grids, strict=True)), [question.end + plain * question.late]]
-    )
+    edges = _edges(question, next(iter(found.values()), None))
     lower, upper, worst = np.full(count, np.inf), np.full(count, np.inf), np.full(count, times[0])
     closed, offsets, known_from = np.ones(count, dtype=bool), np.zeros(count), np.full(count, np.inf)
     at_samples = np.full((count, len(times)), np.inf)

@@ -237,7 +237,7 @@ def _proof(data: Tree | None, trajectories: int, place: str) -> CostProof | None
     if data is None:
         return None
     if len(data["tree"]) > MOST_TREE or any(row[0] >= trajectories for row in data["rows"]):
-        raise refuse(place, "has a tree beyond all measure, or rows of no trajectory")
+        raise refuse(place, "has a tree beyond all measure, or rows of none of the `attacks`")
     nodes = iter(data["tree"])
     tree = _tree(nodes, place)
     if next(nodes, None) is not None:

@@ -1,0 +1,154 @@
+"""Samples that are lost by chance: against every pattern one by one, drawn records, and what no filter bears."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+
+import sampling_design as sd
+from sampling_design import PeriodicSchedule, Plant, Schedule
+from sampling_design.certificates import random_losses
+from sampling_design.certificates.compare import random_losses as module
+from sampling_design.errors import ArgumentError
+from sampling_design.observability import loss_tolerance
+from tests.oracles.families import after_sample, flow
+
+SPIRAL = Plant([[0.1, 1.0], [-1.0, 0.1]], [[1.0, 0.0]])
+TWO = Plant([[0.05, 1.0, 0.0], [-1.0, 0.05, 0.0], [0.0, 0.0, -0.2]], [[1.0, 0.0, 1.0], [0.0, 1.0, 0.5]])
+
+
+@pytest.fixture(scope="module")
+def spiral():
+    return sd.certify(SPIRAL, PeriodicSchedule([0.6, 1.7, 2.5]))
+
+
+@pytest.fixture(scope="module")
+def two():
+    pattern = [[True, False], [False, True], [True, True]]
+    return sd.certify(TWO, PeriodicSchedule([1.0, 0.5, 1.2], first=0.3, outputs=pattern))
+
+
+def factor(certificate, start, times, rows, received):
+    """Rho of one pattern, in information form."""
+    c, now = certificate, start
+    Y = np.linalg.inv(c.P2)
+    for t, row, there in zip(times, rows, received, strict=True):
+        F, W = flow(c.plant.A, c.plant.G, c.Qw, c.eta, t - now)
+        Y, now = F @ Y @ F.T + W, t
+        if there:
+            Y = after_sample(Y, c.plant.C, c.R, c.Qv, row)
+    return np.exp(-c.eta * (now - start)) * eigh(Y, np.linalg.inv(c.P2), eigvals_only=True)[-1]
+
+
+def windows(certificate, periods):
+    """Start, times and outputs of the windows that end at the samples of a period."""
+    s = certificate.schedule
+    rows = np.ones((len(s), certificate.plant.n_outputs), bool) if s.outputs is None else s.outputs
+    times = (s.times + s.period * np.arange(periods + 1)[:, None]).ravel()
+    for k in range(len(s)):
+        at = slice(k + 1, k + 1 + periods * len(s))
+        yield times[k], times[at], np.tile(rows, (periods + 1, 1))[at]
+
+
+@pytest.mark.parametrize("p", [0.0, 0.1, 0.6, 1.0])
+@pytest.mark.parametrize(("name", "periods"), [("spiral", 1), ("spiral", 2), ("two", 2)])
+def test_bounds_coincide_with_the_sum_over_all_patterns(name, periods, p, request):
+    certificate = request.getfixturevalue(name)
+    found = random_losses(certificate, p, length=periods * certificate.schedule.period)
+    for k, (start, times, rows) in enumerate(windows(certificate, periods)):
+        patterns = list(itertools.product((True, False), repeat=len(times)))
+        mass = [np.prod(np.where(each, 1 - p, p)) for each in patterns]
+        rho = np.array([factor(certificate, start, times, rows, each) for each in patterns])
+        assert found.probability[k] == pytest.approx([np.dot(mass, rho < 1)] * 2, abs=1e-12)
+        assert found.factor[k] == pytest.approx([np.dot(mass, rho)] * 2, rel=1e-9)
+
+
+def test_few_patterns_leave_bounds_around_the_exact_values(spiral, monkeypatch):
+    exact = random_losses(spiral, 0.2, length=3 * spiral.schedule.period)
+    widths = []
+    for most in (2, 16, 64):
+        monkeypatch.setattr(module, "MOST_PATTERNS", most)
+        found = random_losses(spiral, 0.2, length=3 * spiral.schedule.period)
+        for rough, fine in ((found.probability, exact.probability), (found.factor, exact.factor)):
+            assert np.all(rough[:, 0] <= fine[:, 0] + 1e-12)
+            assert np.all(fine[:, 1] <= rough[:, 1] * (1 + 1e-12))
+        widths.append(np.ptp(found.factor, axis=1).max())
+    assert widths[0] > widths[1] > widths[2] > 0
+
+
+def test_without_losses_it_is_the_certificate_itself(spiral):
+    found = random_losses(spiral, 0.0)
+    assert found.contracts == (1.0, 1.0)
+    assert found.mean_factor[1] <= spiral.lam * np.exp(-spiral.eta * found.length) < 1
+    assert found.rate > 0
+    assert found.length >= spiral.horizon().length > found.length - spiral.schedule.period
+
+
+def test_no_expected_factor_contracts_where_no_filter_bears_the_losses(spiral):
+    least = loss_tolerance(SPIRAL, spiral.schedule).upper
+    for periods in (1, 3):
+        found = random_losses(spiral, least, length=periods * spiral.schedule.period)
+        assert found.mean_factor[0] >= 1
+        assert found.rate is None
+        assert found.windows_in_a_row(2)[0] <= found.contracts[0]
+        assert "does not shrink" in found.explain()
+
+
+@pytest.mark.parametrize("cases", [2_000, pytest.param(100_000, marks=pytest.mark.long)])
+def test_drawn_records_keep_the_mean(spiral, cases):
+    """The error of the filter restarted each window, from the worst start, with losses that are drawn."""
+    rng, p = np.random.default_rng(5), 0.25
+    found = random_losses(spiral, p)
+    worst = int(np.argmax(found.factor[:, 1]))
+    start, times, rows = list(windows(spiral, round(found.length / spiral.schedule.period)))[worst]
+    counts = {}
+    for received in rng.uniform(size=(cases, len(times))) >= p:
+        counts[tuple(received)] = counts.get(tuple(received), 0) + 1
+    rho = {each: factor(spiral, start, times, rows, each) for each in counts}
+    mean = sum(counts[each] * rho[each] for each in counts) / cases
+    spread = np.sqrt(sum(counts[each] * (rho[each] - mean) ** 2 for each in counts) / cases**2)
+    assert abs(mean - found.factor[worst, 0]) < 4 * spread
+    share = sum(counts[each] for each in counts if rho[each] < 1) / cases
+    assert abs(share - found.probability[worst, 0]) < 4 * np.sqrt(0.25 / cases)
+
+
+@pytest.mark.parametrize(("size", "per"), [(1e-9, 1.0), (1e9, 3600.0)])
+def test_units_change_nothing(spiral, size, per):
+    other = Plant(SPIRAL.A / per, SPIRAL.C * size)
+    c = spiral
+    weights = {"P2": c.P2, "Qw": c.Qw / per, "R": c.R / size**2, "Qv": c.Qv / size**2, "eta": c.eta / per}
+    times = PeriodicSchedule(c.schedule.gaps * per, first=c.schedule.first * per)
+    turned = Plant(other.A, other.C, G=other.G / per)
+    made = sd.certify(turned, times, **weights)
+    assert random_losses(made, 0.2).contracts == pytest.approx(random_losses(c, 0.2).contracts)
+
+
+def test_growth_beyond_doubles_is_bounded_by_nothing():
+    steep = sd.certify(Plant([[10.0]], [[1.0]]), PeriodicSchedule([1.0]))
+    found = random_losses(steep, 0.5, length=60.0)
+    assert found.contracts[0] >= 0
+    assert found.mean_factor[1] == np.inf
+    assert "not decided" in found.explain() or "does not shrink" in found.explain()
+
+
+def test_what_it_says(spiral):
+    found = random_losses(spiral, 0.05)
+    assert "lost with probability 0.05" in found.explain()
+    assert "at the rate" in found.explain()
+    assert found.to_dict()["contracts"] == list(found.contracts)
+    assert "at least 0.9476" in str(found.claim)
+
+
+def test_what_it_refuses(spiral):
+    with pytest.raises(ArgumentError, match=r"`loss_probability` must lie between 0 and 1, got 1\.5"):
+        random_losses(spiral, 1.5)
+    with pytest.raises(ArgumentError, match=r"`length` = 3 must be a whole number of periods \(4.8\)"):
+        random_losses(spiral, 0.1, length=3.0)
+    with pytest.raises(ArgumentError, match="spans 129 samples: at most 128 are followed"):
+        random_losses(spiral, 0.1, length=43 * spiral.schedule.period)
+    finite = sd.certify(Plant([[-0.5]], [[1.0]]), Schedule([1.0, 2.0]))
+    with pytest.raises(ArgumentError, match="must be on a periodic schedule"):
+        random_losses(finite, 0.1)
+    with pytest.raises(ArgumentError, match="`certificate` must be"):
+        random_losses(SPIRAL, 0.1)

@@ -50,12 +50,8 @@ class StartError:
         if bound is None:
             return cls()
         n = plant.n_states
-        if checks.dimensions(bound) == 0:
-            return cls(freeze(np.eye(n) * checks.nonnegative("initial_error", bound)), n > 1)
-        size = checks.vector("initial_error", bound, n)
-        if np.any(size < 0):
-            raise ArgumentError(f"`initial_error` must not be negative, got {float(size.min())!r}.")
-        return cls(freeze(np.diag(size)), False)
+        size = checks.bound("initial_error", bound, n)
+        return cls(freeze(np.diag(np.broadcast_to(size, (n,)))), size.ndim == 0 and n > 1)
 
     def support(self, rest: Array) -> float:
         """Return h(rest), a root given."""

@@ -9,7 +9,6 @@ import numpy.typing as npt
 from sampling_design.certificates.certification import certify
 from sampling_design.certificates.exact.bound_weights import weights_from_bounds
 from sampling_design.certificates.exact.certificate import SampledCertificate
-from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records import checks
 from sampling_design.records.progress import Progress
@@ -79,7 +78,4 @@ def _or_scales(name: str, bound: npt.ArrayLike | None, signals: Signals) -> npt.
     """A bound, or the scales where there is none or it is zero: nothing can be weighed by 1/0."""
     if bound is None:
         return signals.scales
-    values = checks.floats(name, bound)
-    if (values < 0).any():
-        raise ArgumentError(f"`{name}` must not be negative, got {values.tolist()}.")
-    return bound if values.all() else signals.scales
+    return bound if checks.bound(name, bound, len(signals.scales)).all() else signals.scales

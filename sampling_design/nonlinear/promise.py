@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import MATRICES, CostFunction
-from sampling_design.estimators.gap_flows.cost_weights import noise_bound
 from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.nonlinear.jacobians import model_of
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.region import StateRegion
+from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import Plain
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
@@ -89,7 +89,7 @@ class InclusionPromise:
             )
         self.shortest, self.longest = certificate.min_gap, certificate.d_max
         self.eta = certificate.eta
-        self._initial = noise_bound("initial_error", initial_error, plant.n_states)
+        self._initial = None if initial_error is None else checks.bound("initial_error", initial_error, plant.n_states)
         self.w_square = _square(certificate.Qw, plant.bounds["disturbances"])
         self.v_square = _square(certificate.Rtilde, plant.bounds["noises"])
         widths = self.region.upper - self.region.lower

@@ -379,9 +379,4 @@ def _intensities(plant: Plant, requirement: PlanRequirement, goals: tuple[RowGoa
     given = requirement.w_intensity
     if given is None or not any(goal.spread for goal in goals):
         return np.zeros(plant.n_disturbances)
-    if np.ndim(given) == 0:
-        return np.full(plant.n_disturbances, checks.nonnegative("w_intensity", given))
-    entries = checks.vector("w_intensity", given, plant.n_disturbances)
-    if np.any(entries < 0):
-        raise ArgumentError(f"`w_intensity` must not be negative, got {float(entries.min())!r}.")
-    return np.array(entries)
+    return np.full(plant.n_disturbances, checks.bound("w_intensity", given, plant.n_disturbances))

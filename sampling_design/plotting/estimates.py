@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -12,9 +10,8 @@ from sampling_design.estimators.online.envelope import EstimateEnvelope
 from sampling_design.estimators.online.estimate import FAILURES
 from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.estimators.records.measurements import Measurements
-from sampling_design.plants.plant import Plant
 from sampling_design.plotting import style
-from sampling_design.plotting.readings import mark_readings
+from sampling_design.plotting.readings import state_panels
 
 
 def draw_estimates(
@@ -37,34 +34,12 @@ def draw_envelope(
 ) -> Axes | style.Panels:
     """Draw one panel per state: at each sample, or over stretches of time, the estimates and what is proven of them."""
     draw = _stretches if record.length else _bars
-    return _panels(record.plant, ax, measurements, lambda panel, i: draw(panel, record, i))
+    return state_panels(record.plant, ax, measurements, lambda panel, i: draw(panel, record, i))
 
 
 def draw_curve(curve: EstimateCurve, ax: Axes | None = None) -> Axes | style.Panels:
     """Draw estimates with the tube that holds the truth at all times, one panel for each state."""
-    return _panels(curve.estimates.plant, ax, curve.measurements, lambda panel, i: _band(panel, curve, i))
-
-
-def _panels(
-    plant: Plant, ax: Axes | None, measurements: Measurements | None, draw: Callable[[Axes, int], None]
-) -> Axes | style.Panels:
-    """One panel for each state with what was measured of it, or the first of them on `ax`."""
-    labels = plant.states.labels()
-    figure, axes = style.new_figure(len(labels) if ax is None else 1, row_height=1.7 if len(labels) > 1 else 2.6)
-    panels = axes if ax is None else style.Panels([ax])
-    for i, panel in enumerate(panels):
-        draw(panel, i)
-        if measurements is not None:
-            mark_readings(panel, plant, i, measurements)
-        panel.set_ylabel(labels[i], fontsize="small")
-        panel.margins(x=0.01)
-        panel.set_xlabel(style.time_label(plant.time_unit))
-        style.dates(panel, plant.time_unit, (measurements.origin or None) if measurements is not None else None)
-    style.one_time_axis(panels)
-    if ax is not None:
-        return ax
-    style.legend_above(figure, axes[0], 5)
-    return axes
+    return state_panels(curve.estimates.plant, ax, curve.measurements, lambda panel, i: _band(panel, curve, i))
 
 
 def _bars(ax: Axes, record: EstimateEnvelope, i: int) -> None:

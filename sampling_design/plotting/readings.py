@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -56,19 +58,36 @@ def draw_simulated(record: SimulatedRecord, ax: Axes | None = None) -> Axes | st
     """
     plant = record.measurements.plant
     assert isinstance(plant, Plant)  # simulated from one
+
+    def truth(panel: Axes, i: int) -> None:
+        panel.plot(record.times, record.states[:, i], color=style.TRUTH, linewidth=0.9, label="truth")
+
+    return state_panels(plant, ax, record.measurements, truth, columns=2)
+
+
+def state_panels(
+    plant: Plant,
+    ax: Axes | None,
+    measurements: Measurements | None,
+    draw: Callable[[Axes, int], None],
+    columns: int = 5,
+) -> Axes | style.Panels:
+    """One panel for each state with what was measured of it, or the first of them on `ax`."""
     labels = plant.states.labels()
     figure, axes = style.new_figure(len(labels) if ax is None else 1, row_height=1.7 if len(labels) > 1 else 2.6)
-    panels = list(axes) if ax is None else [ax]
+    panels = axes if ax is None else style.Panels([ax])
     for i, panel in enumerate(panels):
-        panel.plot(record.times, record.states[:, i], color=style.TRUTH, linewidth=0.9, label="truth")
-        mark_readings(panel, plant, i, record.measurements)
+        draw(panel, i)
+        if measurements is not None:
+            mark_readings(panel, plant, i, measurements)
         panel.set_ylabel(labels[i], fontsize="small")
         panel.margins(x=0.01)
         panel.set_xlabel(style.time_label(plant.time_unit))
+        style.dates(panel, plant.time_unit, (measurements.origin or None) if measurements is not None else None)
     style.one_time_axis(panels)
     if ax is not None:
         return ax
-    style.legend_above(figure, axes[0], 2)
+    style.legend_above(figure, axes[0], columns)
     return axes
 
 

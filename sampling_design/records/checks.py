@@ -29,6 +29,22 @@ def freeze(array: object) -> Array:
     return copy
 
 
+def bound(name: str, value: object, length: int) -> Array:
+    """Return a bound on a vector: a number (0-d array), on its Euclidean norm, or a number for each entry.
+
+    Raises
+    ------
+    ArgumentError
+        If it is negative, not finite, or of another length.
+    """
+    if dimensions(value) == 0:
+        return np.asarray(nonnegative(name, value))
+    found = vector(name, value, length)
+    if np.any(found < 0):
+        raise ArgumentError(f"`{name}` must not be negative, got {float(found.min())!r}.")
+    return found
+
+
 def real_array(name: str, value: object, ndim: int) -> Array:
     """Return `value` as a frozen real array of `ndim` dimensions.
 

@@ -64,22 +64,12 @@ class ScenarioBounds:
         """
         defaults = plant.disturbances.scales, plant.outputs.scales, plant.states.scales
         given = {"w_bound": w_bound, "v_bound": v_bound, "initial_error": initial_error}
-        return cls(*(_bound(key, value, scales) for (key, value), scales in zip(given.items(), defaults, strict=True)))
+        pairs = zip(given.items(), defaults, strict=True)
+        return cls(*(own if value is None else checks.bound(key, value, own.size) for (key, value), own in pairs))
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
         return selected(self, "w_bound:w v_bound:v initial_error:e0")
-
-
-def _bound(name: str, value: npt.ArrayLike | None, scales: Array) -> Array:
-    if value is None:
-        return scales
-    if checks.dimensions(value) == 0:
-        return np.asarray(checks.nonnegative(name, value))
-    found = checks.vector(name, value, scales.size)
-    if np.any(found < 0):
-        raise ArgumentError(f"`{name}` must not be negative, got {float(found.min())!r}.")
-    return found
 
 
 def scaled_to(bound: Array, raw: Array) -> Array:

@@ -142,17 +142,23 @@ class SampledCertificate(VerifiableRecord, ABC):
         """What the certificate says; `verify()` proves it."""
 
     @property
-    @abstractmethod
     def d_max(self) -> float:
         """Largest gap, the one before the first sample included."""
+        return float(self.covers.d_max)
+
+    @property
+    def min_gap(self) -> float:
+        """Least gap."""
+        return float(self.covers.min_gap)
 
     @abstractmethod
     def _file_parts(self) -> dict[str, object]:
         """What the file says of claim and times; arrays as they are."""
 
-    @abstractmethod
     def _samples_until(self, end: float) -> Array:
         """Sample times in [0, end]: of the schedule, or the most that any schedule of the family has."""
+        # the i-th last sample of any schedule lies at least i least gaps before `end`
+        return np.asarray(end - self.min_gap * np.arange(int(max(end, 0.0) / self.min_gap) + 1))
 
     @property
     def lam_proven(self) -> float:
@@ -415,11 +421,6 @@ class Certificate(SampledCertificate):
 
     def _until(self) -> str:
         return "" if self.schedule.endless else f" up to time {short(self.schedule.times[-1])}"
-
-    @property
-    def d_max(self) -> float:
-        """Largest gap, the one before the first sample included."""
-        return self.schedule.d_max
 
     def _samples_until(self, end: float) -> Array:
         return self.schedule.between(0.0, max(end, 0.0)).times

@@ -70,15 +70,6 @@ class FamilyCertificate(SampledCertificate):
             ("linear plant", self.family.explain().rstrip(".")),
         )
 
-    @property
-    def d_max(self) -> float:
-        """Largest gap of any schedule of the family."""
-        return float(self.family.d_max)
-
-    def _samples_until(self, end: float) -> Array:
-        # the i-th last sample of any schedule lies at least i least gaps before `end`
-        return np.asarray(end - self.family.min_gap * np.arange(int(max(end, 0.0) / self.family.min_gap) + 1))
-
     def _file_parts(self) -> dict[str, object]:
         return {"claim": FAMILY_CLAIM, "times": family_to_dict(self.family), "graph": self.graph.to_dict(self.P)}
 

@@ -221,7 +221,7 @@ class ConvexSet(Record):
         return self.excess(value) <= tolerance
 
     def magnitude(self) -> Array | None:
-        """Return a bound on the signal, as `noise_bound` makes them: on its norm (0-d), on its entries, or None."""
+        """Return a bound on the signal, as `checks.bound` makes them: on its norm (0-d), on its entries, or None."""
         if self._is_ball and not self.balls[0].centre.any() and _is_identity(self.balls[0].shape):
             return np.asarray(self.balls[0].radius)
         lower, upper = self.bounding_box()

@@ -14,7 +14,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
@@ -204,24 +203,6 @@ def _energy(weight: Array, bound: Array | None) -> float:
     if bound.ndim == 0:
         return float(np.linalg.eigvalsh(weight)[-1]) * float(bound) ** 2
     return float(bound @ np.abs(weight) @ bound)
-
-
-def noise_bound(name: str, value: npt.ArrayLike | None, length: int) -> Array | None:
-    """Return a bound as a 0-d array (on the Euclidean norm) or a vector (entry by entry); None stays None.
-
-    Raises
-    ------
-    ArgumentError
-        If it is negative, not finite, or of another length.
-    """
-    if value is None:
-        return None
-    if checks.dimensions(value) == 0:
-        return np.asarray(checks.nonnegative(name, value))
-    bound = checks.vector(name, value, length)
-    if np.any(bound < 0):
-        raise ArgumentError(f"`{name}` must not be negative, got {float(bound.min())!r}.")
-    return bound
 
 
 def build_weights(

@@ -8,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.readings import DisturbanceSet, StartError
-from sampling_design.estimators.gap_flows.cost_weights import CostWeights, noise_bound
+from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.online.evidence import Assumptions, SetBounds
+from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 
 
@@ -35,11 +36,13 @@ class ErrorBounds:
     ):
         self.weights, self.plant = weights, weights.plant
         plant = self.plant
-        self.v = noise_bound("v_bound", v_bound, plant.n_outputs)
-        self.w = noise_bound("w_bound", w_bound, plant.n_disturbances)
+        self.v = None if v_bound is None else checks.bound("v_bound", v_bound, plant.n_outputs)
+        self.w = None if w_bound is None else checks.bound("w_bound", w_bound, plant.n_disturbances)
         self.disturbance = weights.disturbance_energy(self.w)
         noise = float(self.of_samples(np.ones((1, plant.n_outputs)))[0])
-        self.prior = weights.prior_energy(noise_bound("initial_error", initial_error, plant.n_states))
+        self.prior = weights.prior_energy(
+            None if initial_error is None else checks.bound("initial_error", initial_error, plant.n_states)
+        )
         self.start_error = StartError.of(plant, initial_error)
         energies = {"w_bound": self.disturbance, "v_bound": noise, "initial_error": self.prior}
         missing = [name for name, energy in energies.items() if np.isinf(energy)]

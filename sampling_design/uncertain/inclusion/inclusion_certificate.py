@@ -117,16 +117,6 @@ class InclusionCertificate(SampledCertificate):
         )
 
     @property
-    def d_max(self) -> float:
-        """Largest gap, the one before the first sample included."""
-        return float(self.family.d_max)
-
-    @property
-    def min_gap(self) -> float:
-        """Least gap."""
-        return float(self.family.min_gap)
-
-    @property
     def words(self) -> int:
         """How many P(tau) there are: one per word of the graph, and one for the start where it needs its own."""
         return int(np.count_nonzero(self.nodes == 0))
@@ -157,10 +147,6 @@ class InclusionCertificate(SampledCertificate):
         share = np.clip((times - nodes[k]) / np.diff(nodes)[k], 0.0, 1.0)[:, None, None]
         found = (1 - share) * P[k] + share * P[k + 1]
         return np.asarray(found[0] if np.ndim(tau) == 0 else found)
-
-    def _samples_until(self, end: float) -> Array:
-        # the i-th last sample of any schedule lies at least i least gaps before `end`
-        return np.asarray(end - self.min_gap * np.arange(int(max(end, 0.0) / self.min_gap) + 1))
 
     def _file_parts(self) -> dict[str, object]:
         family = self.family

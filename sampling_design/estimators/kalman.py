@@ -7,6 +7,7 @@ from copy import copy
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.accuracy.readings import RecordRow
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
@@ -14,7 +15,7 @@ from sampling_design.estimators.gap_flows.cost_weights import build_weights
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.error_bounds import ErrorBounds
 from sampling_design.estimators.online.estimate import Contradiction, Estimate
-from sampling_design.estimators.online.estimator import CheckedSample, EstimateRecord
+from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.in_order import listed, triple
 from sampling_design.estimators.online.open_loop import OpenLoop
@@ -107,7 +108,7 @@ class KalmanFilter(WindowedEstimator):
         self.prepare(Recorder(loop, ScheduleClaim(NO_CLAIM), bounds.assumptions()), input_side)
         self.state = self.initial_state(prior, prior_time)
 
-    def _advance(self, state: EstimatorState, sample: CheckedSample) -> HistoryNode:
+    def _advance(self, state: EstimatorState, sample: RecordRow) -> HistoryNode:
         y, mask, feedthrough = self.reader.read(state, sample)
         last, weights = state.last, self.weights
         (flow,) = self.table.get([sample.t - last.t])
@@ -153,7 +154,7 @@ class KalmanFilter(WindowedEstimator):
     def _with_means(
         self,
         state: EstimatorState,
-        sample: CheckedSample,
+        sample: RecordRow,
         measured: tuple[Array, Array, Array],
         last_gap: tuple[GapFlow, Array],
     ) -> HistoryNode:
@@ -191,7 +192,7 @@ class KalmanFilter(WindowedEstimator):
         return self.recorder.node(state, taken, OpenLoopState(x, Y, *last_gap), found, details)
 
     def _contradiction(
-        self, sample: CheckedSample, number: int, innovation: tuple[Array, float], bounds: tuple[float, float]
+        self, sample: RecordRow, number: int, innovation: tuple[Array, float], bounds: tuple[float, float]
     ) -> Contradiction:
         """Return what is known of the sample that made the innovations cost more than the bounds allow."""
         (half, cost), (terms, own) = innovation, bounds

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Unpack
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.accuracy.readings import RecordRow
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.assumed import narrowed
@@ -22,7 +23,6 @@ from sampling_design.estimators.gap_flows.cost_weights import build_weights
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.error_bounds import ErrorBounds
 from sampling_design.estimators.online.estimate import Contradiction
-from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.online.evidence import SUSPECTS
 from sampling_design.estimators.online.guarantee import choose_horizon
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
@@ -244,7 +244,7 @@ class MovingHorizonEstimator(WindowedEstimator):
             limited = self.constraints.active or window.limits is not None
             return solve_constrained(window, self.constraints, free, self.engine) if limited else free
 
-    def _advance(self, state: EstimatorState, sample: CheckedSample) -> HistoryNode:
+    def _advance(self, state: EstimatorState, sample: RecordRow) -> HistoryNode:
         t = sample.t
         self._prepare(state, t)
         measured = y, mask, feedthrough = self.reader.read(state, sample)
@@ -272,7 +272,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         self,
         state: EstimatorState,
         start: WindowStart,
-        sample: CheckedSample,
+        sample: RecordRow,
         measured: tuple[Array, Array, Array],
         last_gap: tuple[GapFlow, Array],
         limits: Array | None = None,

@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import lapack
 
+from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.constraints.convex_set import all_inside
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.gap_flows.flows import GapFlow
-from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.linear_plant_estimator import LinearPlantEstimator
 from sampling_design.estimators.online.rounding import CovariancePrecision, faded, rounding
@@ -193,7 +193,7 @@ class WindowedEstimator(LinearPlantEstimator):
             return None
         return WindowEstimate(optimum.x, optimum.Y, found, "banded", "", optimum.cost, optimum.precision)
 
-    def _left_out(self, sample: CheckedSample, start: WindowStart) -> str:
+    def _left_out(self, sample: RecordRow, start: WindowStart) -> str:
         """What is said of a mean that began before the window."""
         return LEFT_OUT if any(since < start.s for _, since, _ in means_of(sample)) else ""
 
@@ -211,7 +211,7 @@ class WindowedEstimator(LinearPlantEstimator):
             masks = masks * (np.arange(len(masks)) == end)[:, None]
         return window.total(self.bounds.of_samples(masks))
 
-    def _limited(self, sample: CheckedSample, feedthrough: Array) -> Array | None:
+    def _limited(self, sample: RecordRow, feedthrough: Array) -> Array | None:
         """Return what C x lies between (2, p), as limits of detection say: y = C x + D u + v, |v| within its bound."""
         if not sample.told or self.bounds.v is None or all(each.since is not None for each in sample.told):
             return None
@@ -234,7 +234,7 @@ class WindowedEstimator(LinearPlantEstimator):
         self,
         state: EstimatorState,
         start: WindowStart,
-        sample: CheckedSample,
+        sample: RecordRow,
         measured: tuple[Array, Array, Array],
         limits: Array | None = None,
     ) -> EstimationWindow:

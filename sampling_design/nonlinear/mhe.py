@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.accuracy.readings import RecordRow
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.online.estimate import Estimate
-from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.online.guarantee import choose_horizon
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.in_order import OnlineEstimator
@@ -246,7 +246,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
     def _predict(self, state: EstimatorState, t: float) -> Estimate:
         return self.recorder.predicted(state, t)
 
-    def _advance(self, state: EstimatorState, sample: CheckedSample) -> HistoryNode:
+    def _advance(self, state: EstimatorState, sample: RecordRow) -> HistoryNode:
         if not self._seen:
             self._seen = True
             warn_of_scales(self.plant, "outputs", [sample.y])
@@ -293,7 +293,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         note = " ".join(filter(None, (*words, gated)))
         return self.recorder.node(taken, x, "ok", Y, square, counted, note, scheduled, cost=solution.cost, **details)
 
-    def _counted(self, state: EstimatorState, sample: CheckedSample) -> tuple[float, bool]:
+    def _counted(self, state: EstimatorState, sample: RecordRow) -> tuple[float, bool]:
         """When the last sample that the proof takes was, this one included, and whether all gaps are certified."""
         last, promise = state.last, self.promise
         if promise is None:
@@ -303,7 +303,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         scheduled = last.scheduled and bool(np.isfinite(promise.age(sample.t, before)))
         return (sample.t if complete and promise.counts(sample.t, before) else before), scheduled
 
-    def _gated(self, state: EstimatorState, sample: CheckedSample) -> tuple[CheckedSample, str]:
+    def _gated(self, state: EstimatorState, sample: RecordRow) -> tuple[RecordRow, str]:
         """Leave out the outputs of a sample that lie beyond the gate, and say so."""
         gate, patience = self.outliers.gate, self.outliers.patience
         recent = [node for node in state.nodes[-patience:] if node.sample.y is not None and not node.mask.any()]
@@ -351,9 +351,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         square = min(start.square, promise.largest(start.t, last, start.prior))
         return promise.radius(flown, start.x, square if not start.prior else promise.largest(start.t, last, True), last)
 
-    def _window(
-        self, state: EstimatorState, sample: CheckedSample
-    ) -> tuple[WindowData, WindowSolution, NonlinearStart]:
+    def _window(self, state: EstimatorState, sample: RecordRow) -> tuple[WindowData, WindowSolution, NonlinearStart]:
         """Return the window that ends with `sample`, and its open loop from the prior and the latest estimate."""
         start = self._start(state, sample.t)
         rows = {node.t: (node.y, node.mask) for node in start.inside}

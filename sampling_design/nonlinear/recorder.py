@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.online.estimate import Estimate, Status
-from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.nonlinear.open_loop import NonlinearLoop
 from sampling_design.nonlinear.promise import UNCOVERED
@@ -28,11 +28,11 @@ class NonlinearRecorder:
         scaled, scale = self.loop.scaled, self.plant.signals["states"].scales
         inverse = np.linalg.solve(scaled.twice * scaled.P2, np.eye(x.size))
         square = np.inf if self.promise is None else self.promise.largest(t, t, prior=True)
-        return self.node(CheckedSample(t), x, "prior", inverse * scale * scale[:, None], square, t)
+        return self.node(RecordRow(t), x, "prior", inverse * scale * scale[:, None], square, t)
 
     def node(
         self,
-        sample: CheckedSample,
+        sample: RecordRow,
         x: Array,
         status: Status,
         Y: Array,

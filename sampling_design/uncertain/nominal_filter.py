@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
+from sampling_design.accuracy.readings import RecordRow
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights, build_weights
@@ -20,7 +21,6 @@ from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow, disco
 from sampling_design.estimators.kalman import KalmanFilter
 from sampling_design.estimators.online.error_bounds import ErrorBounds
 from sampling_design.estimators.online.estimate import Estimate
-from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.open_loop import OpenLoop
 from sampling_design.estimators.online.recorder import Recorder
@@ -265,7 +265,7 @@ class NominalFilter(KalmanFilter):
 
     weighs_means = False  # what a mean shows of the mismatch is not bounded
 
-    def _advance(self, state: EstimatorState, sample: CheckedSample) -> HistoryNode:
+    def _advance(self, state: EstimatorState, sample: RecordRow) -> HistoryNode:
         with self.mismatch.along(state.inputs):
             return super()._advance(state, sample)
 

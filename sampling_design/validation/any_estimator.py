@@ -12,7 +12,13 @@ from sampling_design.records.progress import Progress
 from sampling_design.validation.error_map import ErrorRows
 from sampling_design.validation.monte_carlo import ratio
 from sampling_design.validation.report import ErrorCurve, Finding, ValidationReport
-from sampling_design.validation.scenario import RunInputs, ScenarioBounds, draw_inputs, initial_inputs, resonant_inputs
+from sampling_design.validation.scenario import (
+    ErrorSources,
+    ScenarioBounds,
+    draw_inputs,
+    initial_inputs,
+    resonant_inputs,
+)
 from sampling_design.validation.timeline import Timeline
 from sampling_design.validation.trials import EstimatedRun, real_run, true_run
 
@@ -37,7 +43,7 @@ class EstimatorStudy:
     ) -> ValidationReport:
         """Run the scenarios that are known here, and say of the others that they are not."""
         findings, courses = list[Finding](), list[ErrorCurve]()
-        inputs: dict[str, Callable[[], RunInputs]] = {
+        inputs: dict[str, Callable[[], ErrorSources]] = {
             "random": lambda: draw_inputs(self.line, self.bounds, self.seeds),
             "resonant": lambda: resonant_inputs(self.line, self.bounds)[0],
             "initial": lambda: initial_inputs(self.line, self.bounds),
@@ -63,7 +69,7 @@ class EstimatorStudy:
             skipped=tuple(f"{name}: it needs a certificate's estimator." for name in scenarios if name not in known),
         )
 
-    def _runs(self, inputs: RunInputs) -> list[EstimatedRun]:
+    def _runs(self, inputs: ErrorSources) -> list[EstimatedRun]:
         found = []
         for k in range(len(inputs.e0)):
             self.estimator.start(np.zeros(self.line.plant.n_states), 0.0)

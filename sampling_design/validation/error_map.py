@@ -18,7 +18,7 @@ from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.numerics.filtering import propagate, update_with_gain, whitened
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.records.arrays import Array, Index, Mask
-from sampling_design.validation.scenario import RunInputs, ScenarioBounds
+from sampling_design.validation.scenario import ErrorSources, ScenarioBounds
 from sampling_design.validation.timeline import Timeline
 
 
@@ -104,7 +104,7 @@ class ErrorMap:
     prior_energy: float
     eta: float
 
-    def apply(self, inputs: RunInputs) -> RunErrors:
+    def apply(self, inputs: ErrorSources) -> RunErrors:
         """Return errors and radii of a batch of runs."""
         line, runs = self.timeline, inputs.e0.shape[0]
         n, rows = line.plant.n_states, self.rows

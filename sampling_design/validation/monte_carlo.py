@@ -15,7 +15,7 @@ from sampling_design.records.journal import Journal
 from sampling_design.records.workers import Workers, numbered
 from sampling_design.validation.error_map import ErrorMap
 from sampling_design.validation.promise import Promise
-from sampling_design.validation.scenario import RunInputs, ScenarioBounds, draw_inputs
+from sampling_design.validation.scenario import ErrorSources, ScenarioBounds, draw_inputs
 
 BLOCK = 64
 """Runs that are computed together. Fixed, since the rounding of a product may depend on how many share it."""
@@ -51,7 +51,7 @@ def run_block(block: RunBlock) -> Trials:
     return measured(found, block.promise, block.measure, draw_inputs(line, block.bounds, block.seeds))
 
 
-def measured(found: ErrorMap, promise: Promise | None, measure: Array, inputs: RunInputs) -> Trials:
+def measured(found: ErrorMap, promise: Promise | None, measure: Array, inputs: ErrorSources) -> Trials:
     """Compare the errors of a batch with the promise (if there is one) and with the ellipsoids."""
     errors = found.apply(inputs)
     size = np.sqrt(np.sum((errors.e @ measure.T) ** 2, axis=2))

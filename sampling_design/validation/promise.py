@@ -11,7 +11,7 @@ from sampling_design.estimators.gap_flows.cost_weights import marginal
 from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.records.arrays import Array
 from sampling_design.validation.error_map import ErrorRows
-from sampling_design.validation.scenario import RunInputs
+from sampling_design.validation.scenario import ErrorSources
 from sampling_design.validation.timeline import Timeline
 
 
@@ -30,7 +30,7 @@ class Promise:
     rate: float
     gain: float
 
-    def along(self, line: Timeline, rows: ErrorRows, inputs: RunInputs) -> Array:
+    def along(self, line: Timeline, rows: ErrorRows, inputs: ErrorSources) -> Array:
         """Return the right side at every row, for every run: (r, R)."""
         samples = {int(b): j for j, b in enumerate(line.samples)}
         total = _square(inputs.e0, self.prior)

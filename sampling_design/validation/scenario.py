@@ -31,21 +31,20 @@ UNMOVED = 1e-12
 """Share of what the strongest disturbance does to a mode below which another one does nothing to it."""
 
 
-class RunInputs(NamedTuple):
-    """What drives the errors of r runs: e0 (r, n), w (r, T, q) constant over each cell, v (r, N, p)."""
+class ErrorSources(NamedTuple):
+    """Something for each source of an error: the first error e0, the disturbance w, the noise v.
+
+    Of r runs their inputs: e0 (r, n), w (r, T, q) constant over each cell, v (r, N, p). Of an error
+    at one time what each of them adds, matrices to be multiplied by it: e0 (n, n), w (T, n, q), v (N, n, p).
+    """
 
     e0: Array
     w: Array
     v: Array
 
 
-@dataclass(frozen=True, eq=False)
-class ScenarioBounds:
-    """Bounds on w(t), v and x(0) - prior: 0-d arrays bound the Euclidean norm, vectors each entry."""
-
-    w: Array
-    v: Array
-    e0: Array
+class ScenarioBounds(ErrorSources):
+    """Bounds on x(0) - prior, w(t) and v: 0-d arrays bound the Euclidean norm, vectors each entry."""
 
     @classmethod
     def of(
@@ -65,7 +64,8 @@ class ScenarioBounds:
         defaults = plant.disturbances.scales, plant.outputs.scales, plant.states.scales
         given = {"w_bound": w_bound, "v_bound": v_bound, "initial_error": initial_error}
         pairs = zip(given.items(), defaults, strict=True)
-        return cls(*(own if value is None else checks.bound(key, value, own.size) for (key, value), own in pairs))
+        w, v, e0 = (own if value is None else checks.bound(key, value, own.size) for (key, value), own in pairs)
+        return cls(e0, w, v)
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
@@ -115,7 +115,7 @@ def norm_of(bound: Array) -> float:
 
 def draw_inputs(
     line: Timeline, bounds: ScenarioBounds, seeds: Sequence[np.random.SeedSequence], noise: str | None = None
-) -> RunInputs:
+) -> ErrorSources:
     """Return random inputs within the bounds, one run per seed; of any kind, the noise unless one is named.
 
     Half of the runs have independent noise, a quarter extremal and a quarter constant.
@@ -131,7 +131,7 @@ def draw_inputs(
         share = rng.random()
         kind = noise or NOISES[2 if share < 0.25 else 1 if share < 0.5 else 0]
         v[k] = _noise(bounds.v, kind, v[k].shape, rng)
-    return RunInputs(e0, w, v * line.masks)
+    return ErrorSources(e0, w, v * line.masks)
 
 
 def _noise(bound: Array, kind: str, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
@@ -157,7 +157,7 @@ def _disturbance(line: Timeline, bound: Array, rng: np.random.Generator) -> Arra
     return np.asarray(wave * most_along(bound, rng.normal(size=q)))
 
 
-def resonant_inputs(line: Timeline, bounds: ScenarioBounds) -> tuple[RunInputs, tuple[str, ...]]:
+def resonant_inputs(line: Timeline, bounds: ScenarioBounds) -> tuple[ErrorSources, tuple[str, ...]]:
     """Return disturbances in step with each mode (two phases for a swinging one), from rest and without noise.
 
     The amplitude l'x of a mode with left eigenvector l obeys a' = lambda a + l'G w; pushed with
@@ -183,18 +183,18 @@ def resonant_inputs(line: Timeline, bounds: ScenarioBounds) -> tuple[RunInputs, 
             names.append(f"{short(value.imag, 4)} rad per {plant.time_unit}, phase {short(phase, 3)}")
     runs = len(waves)
     quiet = np.zeros((runs, line.samples.size, plant.n_outputs))
-    return RunInputs(np.zeros((runs, plant.n_states)), np.array(waves).reshape(runs, line.cells, -1), quiet), tuple(
+    return ErrorSources(np.zeros((runs, plant.n_states)), np.array(waves).reshape(runs, line.cells, -1), quiet), tuple(
         names
     )
 
 
-def initial_inputs(line: Timeline, bounds: ScenarioBounds) -> RunInputs:
+def initial_inputs(line: Timeline, bounds: ScenarioBounds) -> ErrorSources:
     """Return initial errors along each state, both at once with all signs of the first two, and nothing else."""
     n = line.plant.n_states
     directions = np.vstack([np.eye(n), np.ones(n), np.where(np.arange(n) % 2, -1.0, 1.0)])
     e0 = np.array([most_along(bounds.e0, row) for row in directions])
     quiet = np.zeros((e0.shape[0], line.samples.size, line.plant.n_outputs))
-    return RunInputs(e0, np.zeros((e0.shape[0], line.cells, line.plant.n_disturbances)), quiet)
+    return ErrorSources(e0, np.zeros((e0.shape[0], line.cells, line.plant.n_disturbances)), quiet)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -340,7 +340,7 @@ def _flows(plant: Plant, lengths: Array, matrix: str) -> tuple[Array, Array]:
 
 
 def _measured(
-    line: Timeline, states: Array, drawn: RunInputs, changes: list[tuple[float, Array]], noise: str
+    line: Timeline, states: Array, drawn: ErrorSources, changes: list[tuple[float, Array]], noise: str
 ) -> SimulatedRecord:
     """Put outputs at the samples and inputs at their times into one record, in order of time."""
     plant, when = line.plant, line.times[line.samples]

@@ -12,7 +12,7 @@ from sampling_design.estimators.online.estimator import Estimator, estimate_from
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 from sampling_design.validation.error_map import ErrorRows
-from sampling_design.validation.scenario import RunInputs
+from sampling_design.validation.scenario import ErrorSources
 from sampling_design.validation.timeline import Timeline, exact_flow
 
 GROWTH = 3.0
@@ -46,7 +46,7 @@ class EstimatedRun(NamedTuple):
         return np.array([e.x for e in self.estimates]) - self.truth.states[rows.at]
 
 
-def true_run(line: Timeline, inputs: RunInputs, run: int = 0, *, steered: bool = True) -> TrueRun:
+def true_run(line: Timeline, inputs: ErrorSources, run: int = 0, *, steered: bool = True) -> TrueRun:
     """Simulate the truth of one run of `inputs`, exactly; an unstable one that is `steered` is brought back to zero at
     each sample."""
     plant = line.plant

@@ -10,25 +10,20 @@ from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.records.arrays import Array
 from sampling_design.validation.error_map import ErrorMap, SolveWindow
 from sampling_design.validation.promise import Promise
-from sampling_design.validation.scenario import RunInputs, ScenarioBounds, most_along
+from sampling_design.validation.scenario import ErrorSources, ScenarioBounds, most_along
 
 MOST_TARGETS = 60
 """Rows at which the worst energy is computed; they are spread evenly where there are more."""
 
 
-class Sensitivity(NamedTuple):
-    """e(row) = e0 E0' + sum_c E_w,c w_c + sum_j E_v,j v_j: E0 (n, n), w (T, n, q), v (N, n, p)."""
+def sensitivity(found: ErrorMap, row: int) -> ErrorSources:
+    """Return what the error at a row is made of, by going back from it through the windows in charge.
 
-    e0: Array
-    w: Array
-    v: Array
-
-
-def sensitivity(found: ErrorMap, row: int) -> Sensitivity:
-    """Return what the error at a row is made of, by going back from it through the windows in charge."""
+    e(row) = e0 E0' + sum_c E_w,c w_c + sum_j E_v,j v_j.
+    """
     line = found.timeline
     n, q, p = line.plant.n_states, line.plant.n_disturbances, line.plant.n_outputs
-    result = Sensitivity(np.zeros((n, n)), np.zeros((line.cells, n, q)), np.zeros((line.samples.size, n, p)))
+    result = ErrorSources(np.zeros((n, n)), np.zeros((line.cells, n, q)), np.zeros((line.samples.size, n, p)))
     place = {int(b): k for k, b in enumerate(line.events)}
     solves = {window.end: window for window in found.windows}
     b, after, functional = int(found.rows.at[row]), bool(found.rows.after[row]), np.eye(n)
@@ -48,12 +43,12 @@ def sensitivity(found: ErrorMap, row: int) -> Sensitivity:
     return result
 
 
-def _through_cell(found: ErrorMap, c: int, functional: Array, result: Sensitivity) -> Array:
+def _through_cell(found: ErrorMap, c: int, functional: Array, result: ErrorSources) -> Array:
     result.w[c] -= functional @ found.timeline.gamma[c]
     return np.asarray(functional @ found.timeline.F[c])
 
 
-def _through_window(found: ErrorMap, window: SolveWindow, functional: Array, result: Sensitivity) -> Array:
+def _through_window(found: ErrorMap, window: SolveWindow, functional: Array, result: ErrorSources) -> Array:
     events = found.timeline.events
     for k in range(window.end, window.start - 1, -1):
         absorb = window.absorbs.get(k)
@@ -72,7 +67,7 @@ class WorstEnergy(NamedTuple):
 
     ratio: float
     row: int
-    inputs: RunInputs
+    inputs: ErrorSources
 
 
 def worst_energy(found: ErrorMap, promise: Promise) -> WorstEnergy:
@@ -84,7 +79,7 @@ def worst_energy(found: ErrorMap, promise: Promise) -> WorstEnergy:
     """
     ends = np.sort(np.concatenate([found.rows.samples, found.rows.samples - 1]))
     chosen = ends[np.unique(np.linspace(0, ends.size - 1, min(MOST_TARGETS, ends.size)).astype(int))]
-    best: tuple[float, int, Array, Sensitivity] | None = None
+    best: tuple[float, int, Array, ErrorSources] | None = None
     for row in chosen:
         parts = sensitivity(found, int(row))
         total = sum(E @ D @ np.swapaxes(E, -1, -2) for E, D in _weighted(found, promise, int(row), parts))
@@ -94,10 +89,10 @@ def worst_energy(found: ErrorMap, promise: Promise) -> WorstEnergy:
     assert best is not None
     ratio, row, direction, parts = best
     e0, w, v = (D @ (np.swapaxes(E, -1, -2) @ direction)[..., None] for E, D in _terms(found, promise, row, parts))
-    return WorstEnergy(ratio, row, RunInputs(*(part[None, ..., 0] for part in (e0, w, v))))
+    return WorstEnergy(ratio, row, ErrorSources(*(part[None, ..., 0] for part in (e0, w, v))))
 
 
-def _terms(found: ErrorMap, promise: Promise, row: int, parts: Sensitivity) -> list[tuple[Array, Array]]:
+def _terms(found: ErrorMap, promise: Promise, row: int, parts: ErrorSources) -> list[tuple[Array, Array]]:
     """Each part with the inverse of its weight in the promise at that row."""
     line, t = found.timeline, found.rows.times[row]
     inside, rate = line.times[1:] <= t * (1 + 1e-15), promise.rate
@@ -114,7 +109,7 @@ def _terms(found: ErrorMap, promise: Promise, row: int, parts: Sensitivity) -> l
     ]
 
 
-def _weighted(found: ErrorMap, promise: Promise, row: int, parts: Sensitivity) -> list[tuple[Array, Array]]:
+def _weighted(found: ErrorMap, promise: Promise, row: int, parts: ErrorSources) -> list[tuple[Array, Array]]:
     """The same as two-dimensional blocks, so that their sum is one matrix."""
     flat = []
     for E, D in _terms(found, promise, row, parts):
@@ -126,7 +121,7 @@ def _weighted(found: ErrorMap, promise: Promise, row: int, parts: Sensitivity) -
     return flat
 
 
-def worst_disturbance(found: ErrorMap, bounds: ScenarioBounds, root: Array) -> RunInputs:
+def worst_disturbance(found: ErrorMap, bounds: ScenarioBounds, root: Array) -> ErrorSources:
     """Return the inputs within the bounds that push the last error furthest, along each axis of |root e|, both ends.
 
     A linear functional over boxes and balls is largest at a corner or on the sphere, cell by cell: bang-bang.
@@ -139,4 +134,4 @@ def worst_disturbance(found: ErrorMap, bounds: ScenarioBounds, root: Array) -> R
             aims = [np.swapaxes(E, -1, -2) @ axis for E in parts]
             runs.append([most_along(b, aim) for b, aim in zip((bounds.e0, bounds.w, bounds.v), aims, strict=True)])
     e0, w, v = (np.array(part) for part in zip(*runs, strict=True))
-    return RunInputs(e0, w, v * found.timeline.masks)
+    return ErrorSources(e0, w, v * found.timeline.masks)

@@ -18,11 +18,11 @@ import pytest
 from scipy.linalg import solveh_banded
 
 from sampling_design import Constraints, KalmanFilter, MovingHorizonEstimator, Plant
+from sampling_design.accuracy.readings import RecordRow
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.accuracy.record_readings import read_record
 from sampling_design.estimators.constraints.reference import solve_reference
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.window.smoother import information_band, smooth, solve_banded
 from sampling_design.estimators.window.square_root import solve_square_root
 from sampling_design.estimators.window.window_problem import EstimationWindow
@@ -57,7 +57,7 @@ def last_window(options=None):
     mhe = MovingHorizonEstimator(PLANT, horizon=20.0, cost=CostFunction(eta=0.2), **BOUNDS, **(options or {}))
     t, y, _ = next(warm(mhe))
     state = mhe.state
-    sample = CheckedSample(t, y)
+    sample = RecordRow(t, y)
     return mhe, mhe._window(state, mhe._start(state, t), sample, mhe.reader.read(state, sample))
 
 

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.constraints.constraints import Constraints
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
-from sampling_design.estimators.online.estimator import CheckedSample
 from tests.rescale import Units
 
 SAME = 1e-9
@@ -34,7 +34,7 @@ class Watched(MovingHorizonEstimator):
         found = super()._slid(state, start, t, measured, last_gap)
         if found is not None:
             seen = np.where(measured[1] > 0, measured[0], np.nan)
-            whole = self._solved(state, start, CheckedSample(t, seen), measured, last_gap)
+            whole = self._solved(state, start, RecordRow(t, seen), measured, last_gap)
             self.slid += 1
             self.worst = max(self.worst, difference(found, whole))
         return found

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from sampling_design import Constraints, Plant
+from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
-from sampling_design.estimators.online.estimator import CheckedSample
 
 PLANT = Plant([[0.0, 1.0, 0.0], [-1.0, -0.1, 0.3], [0.0, 0.0, 0.05]], [[1.0, 0.0, 0.5]], B=[[0.0], [1.0], [0.2]])
 
@@ -15,7 +15,7 @@ def resolved(mhe, t):
     """Solve the window problem from the last window's start to t, where nothing is measured."""
     start = mhe._start(mhe.state, mhe.state.last.t)
     nothing = np.zeros(PLANT.n_outputs)
-    window = mhe._window(mhe.state, start, CheckedSample(t), (nothing, nothing, nothing))
+    window = mhe._window(mhe.state, start, RecordRow(t), (nothing, nothing, nothing))
     return window, mhe._solve(window)
 
 

@@ -14,7 +14,7 @@ from PIL import Image
 import sampling_design as sd
 from sampling_design import plotting
 from sampling_design.accuracy.readings import CensoredReading
-from sampling_design.certificates.compare.robustness import LossTrial, TimingTrial
+from sampling_design.certificates.compare.robustness import FamilyTrial
 from sampling_design.errors import ArgumentError, CertificateError
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.plan_record import Plan
@@ -22,6 +22,7 @@ from sampling_design.planning.problem import pose_plan
 from sampling_design.plotting import style
 from sampling_design.plotting.explorations import draw_pareto
 from sampling_design.plotting.plans import draw_sensors, mark_days, whole
+from sampling_design.schedules.lost_samples import LostSamples
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 SCHEDULE = sd.PeriodicSchedule([0.7, 1.6, 0.9], time_unit="s")
@@ -300,11 +301,13 @@ def test_a_short_log_axis_has_plain_numbers():
 
 
 def test_robustness_shows_no_empty_panel():
-    trial = TimingTrial(0.1, 2.0, True)
+    trial = FamilyTrial(sd.Jitter(SCHEDULE, 0.1), 2.0, True)
+    lost = FamilyTrial(LostSamples(SCHEDULE, 1, 3), np.inf, False)
+    borne = FamilyTrial(LostSamples(SCHEDULE, 1, 8), 3.0, True)
     certificate = sd.certify(OSCILLATOR, SCHEDULE, eta=0.4, P2=np.eye(2))
     known = sd.robustness(OSCILLATOR, certificate, budget=1.0)
-    none = replace(known, trials=(trial,), losses=(LossTrial(1, 3, np.inf, False),))
-    some = replace(known, trials=(trial,), losses=(LossTrial(1, 3, np.inf, False), LossTrial(1, 8, 3.0, True)))
+    none = replace(known, trials=(trial,), losses=(lost,))
+    some = replace(known, trials=(trial,), losses=(lost, borne))
     assert len(none.plot()) == 1
     assert len(some.plot()) == 2
 

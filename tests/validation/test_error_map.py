@@ -6,7 +6,7 @@ import pytest
 from sampling_design import MovingHorizonEstimator
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.validation.error_map import build_error_map
-from sampling_design.validation.scenario import RunInputs, ScenarioBounds, draw_inputs
+from sampling_design.validation.scenario import ErrorSources, ScenarioBounds, draw_inputs
 from sampling_design.validation.timeline import build_timeline
 from tests.cases import few
 from tests.oracles.validation import integrate, moving_horizon
@@ -74,6 +74,6 @@ def test_errors_and_radii_are_those_of_the_estimator(name, option):
 def test_the_map_is_linear_and_the_truth_never_enters():
     _, bounds, _, line, found = built("unstable", 30.0)
     inputs = draw_inputs(line, bounds, np.random.SeedSequence(3).spawn(3))
-    once, thrice = found.apply(inputs).e, found.apply(RunInputs(*(3 * part for part in inputs))).e
+    once, thrice = found.apply(inputs).e, found.apply(ErrorSources(*(3 * part for part in inputs))).e
     assert thrice == pytest.approx(3 * once, rel=1e-12)
     assert np.max(np.abs(once[:, -1])) < 10.0

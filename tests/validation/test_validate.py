@@ -11,7 +11,7 @@ from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.records.file_io import to_json
 from sampling_design.validation import monte_carlo
 from sampling_design.validation.report import Finding, ValidationReport
-from sampling_design.validation.scenario import RunInputs
+from sampling_design.validation.scenario import ErrorSources
 from sampling_design.validation.study import CHOSEN_HERE, SCENARIOS
 from tests.cases import few
 from tests.validation.plants import FINITE, PLANTS, SCHEDULES, certificate
@@ -129,7 +129,7 @@ def test_a_certificate_that_claims_too_much_is_found_out():
 def test_noise_beyond_what_the_estimator_is_told_is_found_out(monkeypatch):
     """The ellipsoid is judged in earnest: with noise three times the bound some truth leaves it."""
     honest = monte_carlo.draw_inputs
-    monkeypatch.setattr(monte_carlo, "draw_inputs", lambda *given: RunInputs(*(3 * part for part in honest(*given))))
+    monkeypatch.setattr(monte_carlo, "draw_inputs", lambda *given: ErrorSources(*(3 * part for part in honest(*given))))
     report = judged("oscillator", scenarios=["random"], runs=60)
     broken = [f.claim for f in report.findings if not f.passed]
     assert "online ellipsoid" in broken

@@ -7,7 +7,7 @@ from sampling_design import MovingHorizonEstimator
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.validation.error_map import build_error_map
 from sampling_design.validation.promise import promise_of
-from sampling_design.validation.scenario import RunInputs, ScenarioBounds, draw_inputs
+from sampling_design.validation.scenario import ErrorSources, ScenarioBounds, draw_inputs
 from sampling_design.validation.timeline import build_timeline
 from sampling_design.validation.worst_disturbance import sensitivity, worst_disturbance, worst_energy
 from tests.oracles.validation import promised
@@ -38,7 +38,7 @@ def unit_inputs(line):
     sizes = n, line.cells * q, line.samples.size * p
     whole = np.eye(sum(sizes))
     e0, w, v = np.split(whole, np.cumsum(sizes)[:2], axis=1)
-    return RunInputs(e0, w.reshape(-1, line.cells, q), v.reshape(-1, line.samples.size, p))
+    return ErrorSources(e0, w.reshape(-1, line.cells, q), v.reshape(-1, line.samples.size, p))
 
 
 @pytest.mark.parametrize(("name", "kind"), CASES)

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.readings import CensoredReading
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.estimate import Contradiction, Estimate, Status, half_widths
 from sampling_design.estimators.online.tally import EstimateCounts
@@ -32,15 +31,6 @@ class Sample(NamedTuple):
     t: float
     y: object = None
     u: object = None
-
-
-class CheckedSample(NamedTuple):
-    """A sample that was checked: limits and means among its outputs stand apart, y is NaN there."""
-
-    t: float
-    y: Any = None
-    u: Any = None
-    told: tuple[CensoredReading, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)

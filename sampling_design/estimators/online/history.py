@@ -11,9 +11,9 @@ from typing import NamedTuple, overload
 
 import numpy as np
 
+from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.estimate import Contradiction, Estimate
-from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 
@@ -90,7 +90,7 @@ class HistoryNode(NamedTuple):
     scheduled: bool
     sound: bool
     estimate: Estimate
-    sample: CheckedSample
+    sample: RecordRow
     number: int = 0
     limits: Array | None = None
     counted: float = np.nan

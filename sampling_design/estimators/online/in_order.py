@@ -10,11 +10,11 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.readings import CensoredReading, with_censored
+from sampling_design.accuracy.readings import CensoredReading, RecordRow, with_censored
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.online.estimate import Estimate
-from sampling_design.estimators.online.estimator import CheckedSample, EstimateRecord, Sample
+from sampling_design.estimators.online.estimator import EstimateRecord, Sample
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.same_time import corrected, corrected_inputs, merge, with_input, without
 from sampling_design.estimators.records.measurement_table import MeasuredPlant
@@ -50,7 +50,7 @@ class OnlineEstimator(ABC):
         checked_methods(cls)
 
     @abstractmethod
-    def _advance(self, state: EstimatorState, sample: CheckedSample) -> HistoryNode:
+    def _advance(self, state: EstimatorState, sample: RecordRow) -> HistoryNode:
         """Return the node of a checked sample that is later than all nodes of `state` (or at the prior's time)."""
 
     @abstractmethod
@@ -108,7 +108,7 @@ class OnlineEstimator(ABC):
         """Return the state after an input at t, ahead of all nodes, with what makes the next one cheap."""
         return state
 
-    def _late(self, state: EstimatorState, sample: CheckedSample) -> tuple[EstimatorState, Estimate]:
+    def _late(self, state: EstimatorState, sample: RecordRow) -> tuple[EstimatorState, Estimate]:
         """Insert a sample (or an input) at or before the last node and replay what comes after it."""
         at = state.node_before(sample.t)
         first = [sample]
@@ -122,7 +122,7 @@ class OnlineEstimator(ABC):
         return self._replay(state, at, first, sample.t, disproved=sample.u is None)
 
     def _replay(
-        self, state: EstimatorState, at: int, first: list[CheckedSample], t: float, *, disproved: bool
+        self, state: EstimatorState, at: int, first: list[RecordRow], t: float, *, disproved: bool
     ) -> tuple[EstimatorState, Estimate]:
         """Go on from the node `at` with other samples at t; `disproved`: what contradicted the bounds still does."""
         if at < 0:
@@ -142,7 +142,7 @@ class OnlineEstimator(ABC):
             new.record(replayed.last.number, proven)  # a sample more does not make the others agree
         return replayed, self._handed_out(replayed, len(replayed.nodes) - 1)
 
-    def _check(self, sample: Sample, state: EstimatorState) -> CheckedSample:
+    def _check(self, sample: Sample, state: EstimatorState) -> RecordRow:
         t = sample.t if type(sample.t) is float and math.isfinite(sample.t) else checks.number("t", sample.t)
         self._refuse_too_late(t, state)
         y, limits = (sample.y, ()) if type(sample.y) is np.ndarray else with_censored(sample.y, self.plant.n_outputs)
@@ -152,16 +152,16 @@ class OnlineEstimator(ABC):
         if sample.u is None:
             if y is None:
                 raise ArgumentError(f"`y` and `u` are both missing at t = {t!r}. To look ahead use predict(t).")
-            return CheckedSample(t, y, None, limits)
+            return RecordRow(t, y, None, limits)
         plain = type(sample.u) is np.ndarray and sample.u.dtype == np.float64
         u = np.array(sample.u, ndmin=1) if plain else None
         if u is not None and u.shape == (self.plant.n_inputs,) and math.isfinite(sum(u.tolist())):
             u.flags.writeable = False
-            return CheckedSample(t, y, u, limits)
+            return RecordRow(t, y, u, limits)
         u = np.atleast_1d(checks.floats("u", sample.u))
         if np.isnan(u).any():
             raise ArgumentError(f"`u` must not hold NaN, got {u.tolist()} at t = {t!r}: a known input has a value.")
-        return CheckedSample(t, y, checks.vector("u", u, self.plant.n_inputs), limits)
+        return RecordRow(t, y, checks.vector("u", u, self.plant.n_inputs), limits)
 
     def _refuse_too_late(self, t: float, state: EstimatorState) -> None:
         oldest = max(state.nodes[0].t, state.last.t - self.maximum_delay)
@@ -229,7 +229,7 @@ class OnlineEstimator(ABC):
         if sample.u is not None:
             state = state._replace(inputs=corrected_inputs(state.inputs, sample), reached=None)
         if sample.y is None:
-            first: list[CheckedSample] = []
+            first: list[RecordRow] = []
             if self._is_sample(state, at, sample.t):
                 first, at = [state.nodes[at].sample], at - 1
         else:
@@ -262,7 +262,7 @@ class OnlineEstimator(ABC):
         at = self.state.node_before(when)
         rest = self._sample_at(self.state, at, when)
         if output is None:
-            first: list[CheckedSample] = []
+            first: list[RecordRow] = []
         else:
             names = self.plant.outputs.names
             first = without(rest, names.index(checks.word("output", output, names)), output)
@@ -273,7 +273,7 @@ class OnlineEstimator(ABC):
     def _is_sample(state: EstimatorState, at: int, t: float) -> bool:
         return at >= 0 and state.nodes[at].t == t and state.nodes[at].sample.y is not None
 
-    def _sample_at(self, state: EstimatorState, at: int, t: float) -> CheckedSample:
+    def _sample_at(self, state: EstimatorState, at: int, t: float) -> RecordRow:
         """The sample of a node that is that of t."""
         if not self._is_sample(state, at, t):
             raise ArgumentError(f"`t` must be the time of a sample that is kept, got {t!r}. A new one is for update.")

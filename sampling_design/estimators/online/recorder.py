@@ -7,9 +7,9 @@ from typing import NamedTuple, TypedDict, Unpack
 
 import numpy as np
 
+from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimate import Contradiction, Estimate, Status, estimate_of, with_proof
-from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.online.evidence import Assumptions, Evidence
 from sampling_design.estimators.online.history import Branch, EstimatorState, HistoryNode
 from sampling_design.estimators.online.open_loop import OpenLoop
@@ -38,7 +38,7 @@ class SolveDetails(TypedDict, total=False):
 class MeasuredSample(NamedTuple):
     """A sample as the equations take it: y with 0 where it is missing, the mask of 0 and 1, D u, and its limits."""
 
-    sample: CheckedSample
+    sample: RecordRow
     y: Array
     mask: Array
     feedthrough: Array
@@ -63,7 +63,7 @@ class SampleReader:
         self._direct = bool(plant.D.any())  # whether an input enters a measurement at once
         self._nothing, self._everything = freeze(np.zeros(plant.n_outputs)), freeze(np.ones(plant.n_outputs))
 
-    def read(self, state: EstimatorState, sample: CheckedSample) -> tuple[Array, Array, Array]:
+    def read(self, state: EstimatorState, sample: RecordRow) -> tuple[Array, Array, Array]:
         """Return y with 0 where it is missing, the mask of 0 and 1, and D u."""
         y: Array = sample.y
         u = state.input_at(sample.t, before=self.before) if self._direct else None
@@ -88,7 +88,7 @@ class Recorder:
         estimate = self.estimate(t, x, Y, energy, "prior", sound=True, scheduled=scheduled)
         return HistoryNode(
             t=t, y=zero, mask=zero, feedthrough=zero, x=x, Y=Y, beta=energy, flow=None, drift=np.zeros(x.size),
-            scheduled=scheduled, sound=True, estimate=estimate, sample=CheckedSample(t), branch=Branch(),
+            scheduled=scheduled, sound=True, estimate=estimate, sample=RecordRow(t), branch=Branch(),
         )  # fmt: skip
 
     def estimate(

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from sampling_design.accuracy.readings import CensoredReading, as_typed
+from sampling_design.accuracy.readings import CensoredReading, RecordRow, as_typed
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.online.history import EstimatorState, InputHistory
 
 
-def with_input(state: EstimatorState, sample: CheckedSample) -> EstimatorState:
+def with_input(state: EstimatorState, sample: RecordRow) -> EstimatorState:
     """Return the state that also knows the input from `sample.t` on."""
     at = state.inputs.before(sample.t)
     if at < len(state.inputs) and state.inputs[at][0] == sample.t:
@@ -24,7 +23,7 @@ def with_input(state: EstimatorState, sample: CheckedSample) -> EstimatorState:
     return EstimatorState(state.nodes, state.inputs.added(at, sample.t, sample.u), reached)
 
 
-def merge(old: CheckedSample, new: CheckedSample) -> CheckedSample | None:
+def merge(old: RecordRow, new: RecordRow) -> RecordRow | None:
     """Join two samples at one time; None if the new one adds nothing. Of one output both must say the same."""
     if new.y is None:
         return old
@@ -39,10 +38,10 @@ def merge(old: CheckedSample, new: CheckedSample) -> CheckedSample | None:
         return None
     y = np.where(np.isnan(old.y), new.y, old.y)
     y.flags.writeable = False
-    return CheckedSample(old.t, y, None, tuple(dict.fromkeys((*old.told, *new.told))))
+    return RecordRow(old.t, y, None, tuple(dict.fromkeys((*old.told, *new.told))))
 
 
-def corrected(old: CheckedSample, new: CheckedSample) -> CheckedSample:
+def corrected(old: RecordRow, new: RecordRow) -> RecordRow:
     """The old sample with the readings of the new one in place of its own."""
     now = said(new)
     for output in now.keys() - said(old).keys():
@@ -52,10 +51,10 @@ def corrected(old: CheckedSample, new: CheckedSample) -> CheckedSample:
     y = np.where([output in now for output in range(len(old.y))], new.y, old.y)
     y.flags.writeable = False
     told = (*(each for each in old.told if each.output not in now), *new.told)
-    return CheckedSample(old.t, y, None, tuple(sorted(told, key=lambda each: each.output)))
+    return RecordRow(old.t, y, None, tuple(sorted(told, key=lambda each: each.output)))
 
 
-def without(old: CheckedSample, output: int, name: str) -> list[CheckedSample]:
+def without(old: RecordRow, output: int, name: str) -> list[RecordRow]:
     """The sample without one reading; none where it has no other."""
     read = said(old)
     if output not in read:
@@ -65,10 +64,10 @@ def without(old: CheckedSample, output: int, name: str) -> list[CheckedSample]:
     y = old.y.copy()
     y[output] = np.nan
     y.flags.writeable = False
-    return [CheckedSample(old.t, y, None, tuple(each for each in old.told if each.output != output))]
+    return [RecordRow(old.t, y, None, tuple(each for each in old.told if each.output != output))]
 
 
-def corrected_inputs(inputs: InputHistory, sample: CheckedSample) -> InputHistory:
+def corrected_inputs(inputs: InputHistory, sample: RecordRow) -> InputHistory:
     """Inputs with another value at a time at which there is one."""
     at = inputs.before(sample.t)
     if at == len(inputs) or inputs[at][0] != sample.t:
@@ -76,13 +75,13 @@ def corrected_inputs(inputs: InputHistory, sample: CheckedSample) -> InputHistor
     return InputHistory((*inputs[:at], (sample.t, sample.u), *inputs[at + 1 :]))
 
 
-def said(sample: CheckedSample) -> dict[int, float | CensoredReading]:
+def said(sample: RecordRow) -> dict[int, float | CensoredReading]:
     """What a sample says of each output that it reads."""
     y = {output: float(sample.y[output]) for output in np.flatnonzero(np.isfinite(sample.y)).tolist()}
     return y | {each.output: each for each in sample.told}
 
 
-def as_given(sample: CheckedSample) -> list[object]:
+def as_given(sample: RecordRow) -> list[object]:
     """What a sample says of each output, as a user gives it."""
     values: list[object] = sample.y.tolist()
     for each in sample.told:

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.online.estimate import Contradiction, Status
-from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.online.history import HistoryNode
 from sampling_design.estimators.online.rounding import moved, rounding
 from sampling_design.records.arrays import Array
@@ -58,7 +58,7 @@ def too_large(weighted: Array) -> bool:
 
 
 def overflowed(
-    weights: CostWeights, last: HistoryNode, sample: CheckedSample, residual: Array, terms: float
+    weights: CostWeights, last: HistoryNode, sample: RecordRow, residual: Array, terms: float
 ) -> tuple[SolveVerdict, str]:
     """Return what a sample is worth that is too large to be weighed: nothing, and a contradiction of all bounds."""
     contradiction, words = last.contradiction, "A measurement is too large to be weighed."

@@ -20,9 +20,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
+from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import FlowTable, noise_root
-from sampling_design.estimators.online.estimator import CheckedSample
 from sampling_design.estimators.online.history import EstimatorState, InputDrift
 from sampling_design.estimators.window.solution import DUAL_MARGIN, Solution, SolutionSpread
 from sampling_design.numerics.filtering import propagate
@@ -39,7 +39,7 @@ class MeanReading(NamedTuple):
     value: float
 
 
-def means_of(sample: CheckedSample) -> tuple[tuple[int, float, float], ...]:
+def means_of(sample: RecordRow) -> tuple[tuple[int, float, float], ...]:
     """Return output, beginning and value of the means that a sample holds as numbers, none of them a limit."""
     return tuple(
         (each.output, each.since, each.lower)

@@ -70,3 +70,33 @@ def test_what_stands_twice_is_found(shared, found):
     lines = [f"x{k} = f({k})" for k in range(shared)]
     sources = {"a": "\n".join([*lines, "a = 1"]), "b": "\n".join(["b = 1", *lines])}
     assert repeated({name: spoken(text, set()) for name, text in sources.items()}) == found
+
+
+def fields(node: ast.ClassDef) -> tuple[str, ...]:
+    """What a record holds; texts about arguments (`TypedDict`) and about what others hold (`Protocol`) hold nothing."""
+    if {"TypedDict", "Protocol"} & {base.id for base in node.bases if isinstance(base, ast.Name)}:
+        return ()
+    named = [each for each in node.body if isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name)]
+    return tuple(sorted(each.target.id for each in named if "ClassVar" not in ast.unparse(each.annotation)))
+
+
+def alike(classes: list[tuple[str, ast.ClassDef]]) -> list[str]:
+    """Records of two fields or more whose fields are those of another."""
+    seen = defaultdict(list)
+    for place, node in classes:
+        if len(held := fields(node)) > 1:
+            seen[held].append(f"{place}: {node.name}")
+    return [" and ".join(places) for places in seen.values() if len(places) > 1]
+
+
+def test_no_two_records_hold_the_same_fields():
+    """One of them is the other, or its base."""
+    own = [path for path in SOURCES if path.relative_to(PACKAGE).parts[0] != "checkers"]
+    kinds = [(str(path.relative_to(PACKAGE)), n) for path in own for n in nodes(path) if isinstance(n, ast.ClassDef)]
+    assert alike(kinds) == []
+
+
+def test_records_that_hold_the_same_are_found():
+    two = "class A:\n    x: int\n    y: int\nclass B:\n    y: str\n    x: str\n"
+    text = two + "class C(TypedDict):\n    x: int\n    y: int"
+    assert alike([("here", node) for node in ast.parse(text).body]) == ["here: A and here: B"]

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
+from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.record import PlainRecord
 from sampling_design.schedules.time_stamps import parse_date, passed, time_zone
@@ -31,7 +32,7 @@ def minutes(clock: str) -> int:
     return int(clock[:2]) * 60 + int(clock[3:])
 
 
-def week_hours(name: str, value: Mapping[str, object]) -> WeekHours:
+def week_hours(name: str, value: object) -> WeekHours:
     """Return opening hours by weekday; days that are not named are closed.
 
     Keys are weekdays, or several of them: "Mon-Fri". Hours that end no later than they begin end on the next day:
@@ -43,7 +44,7 @@ def week_hours(name: str, value: Mapping[str, object]) -> WeekHours:
         If a day or a clock time is not understood, or an interval is empty.
     """
     own: WeekHours = {}
-    for key, spans in value.items():
+    for key, spans in checks.mapping(name, value, "a table of spans by weekday").items():
         for day in _days(name, str(key)):
             own[day] = _spans(f"{name}.{key}", spans)
     found = {day: [(a, b if minutes(a) < minutes(b) else "24:00") for a, b in spans] for day, spans in own.items()}
@@ -119,10 +120,9 @@ class OpeningCalendar(PlainRecord):
     _plain = "start zone hours? holidays?"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "start", _local_start(self.start, self.zone).isoformat(timespec="minutes"))
-        if self.hours is not None:
-            object.__setattr__(self, "hours", week_hours("hours", self.hours))
-        object.__setattr__(self, "holidays", tuple(sorted(_day(day).isoformat() for day in self.holidays)))
+        self._check(hours=week_hours)
+        start = _local_start(self.start, self.zone).isoformat(timespec="minutes")
+        self._hold(start=start, holidays=tuple(sorted(_day(day).isoformat() for day in self.holidays)))
 
     @property
     def first(self) -> datetime:

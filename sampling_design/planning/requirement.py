@@ -76,13 +76,11 @@ class AccuracyGoal(PlainRecord):
 
     def __post_init__(self) -> None:
         checks.word("kind", self.kind, KINDS)
-        object.__setattr__(self, "tolerance", checks.positive("tolerance", self.tolerance))
+        self._check(tolerance=checks.positive, row=checks.vector)
         if isinstance(self.at, str):
             checks.word("at", self.at, TIMES)
         else:
-            object.__setattr__(self, "at", tuple(checks.increasing("at", self.at).tolist()))
-        if self.row is not None:
-            object.__setattr__(self, "row", checks.vector("row", self.row))
+            self._hold(at=tuple(checks.increasing("at", self.at).tolist()))
 
     def when(self) -> str:
         """Say at which times it holds."""
@@ -129,15 +127,12 @@ class SensorTerms(PlainRecord):
     _plain = "price noise_bound? noise_deviation? longest_use? spacing? hours?"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "price", checks.nonnegative("price", self.price))
-        if self.noise_bound is not None:
-            object.__setattr__(self, "noise_bound", checks.nonnegative("noise_bound", self.noise_bound))
-        if self.noise_deviation is not None:
-            object.__setattr__(self, "noise_deviation", checks.positive("noise_deviation", self.noise_deviation))
-        if self.longest_use is not None:
-            object.__setattr__(self, "longest_use", checks.whole("longest_use", self.longest_use))
-        if self.hours is not None:
-            object.__setattr__(self, "hours", week_hours("hours", self.hours))
+        self._check(
+            **dict.fromkeys(("price", "noise_bound"), checks.nonnegative),
+            noise_deviation=checks.positive,
+            longest_use=checks.whole,
+            hours=week_hours,
+        )
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("price", short(self.price))]
@@ -236,13 +231,12 @@ class PlanRequirement(WrittenRecord):
         terms = checks.mapping("sensors", self.sensors, "a table of terms by output")
         own["accuracy"] = {str(k): _goal(str(k), v) for k, v in goals.items()}
         own["sensors"] = {str(k): checks.record(f"sensors.{k}", v, SensorTerms) for k, v in terms.items()}
-        if self.calendar is not None:
-            own["calendar"] = checks.record("calendar", self.calendar, OpeningCalendar)
-        if self.samples is not None:
-            own["samples"] = checks.whole("samples", self.samples, 1)
-        if self.cost_limit is not None:
-            own["cost_limit"] = checks.positive("cost_limit", self.cost_limit)
-        own["visit_price"] = checks.nonnegative("visit_price", self.visit_price)
+        self._check(
+            calendar=lambda name, place: checks.record(name, place, OpeningCalendar),
+            samples=checks.at_least_one,
+            cost_limit=checks.positive,
+            visit_price=checks.nonnegative,
+        )
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
         for key in ("period", "grid", "spacing", "timing_tolerance"):
@@ -255,8 +249,7 @@ class PlanRequirement(WrittenRecord):
             raise ArgumentError(
                 "`aim` is most accurate, which needs `samples` or `cost_limit`: else all times are best."
             )
-        for key, value in own.items():
-            object.__setattr__(self, key, value)
+        self._hold(**own)
 
     def replace(self, **changes: object) -> PlanRequirement:
         """Return a copy with some entries changed.

@@ -76,7 +76,7 @@ class FunctionalPlant(Plant):
         super().__post_init__()
         whole = checks.of_kind("whole", self.whole, Plant, "a Plant")
         onto = checks.matrix("map", self.map, self.n_states, whole.n_states)
-        object.__setattr__(self, "map", onto)
+        self._hold(map=onto)
         if checks.whole("rows", self.rows, 1) > self.n_states:
             raise ArgumentError(f"`rows` must be at most {self.n_states}, the number of states, got {self.rows}.")
         if whole.time_unit != self.time_unit:

@@ -65,8 +65,7 @@ class Signals(Record):
         scales = checks.vector("scales", np.ones(count) if self.scales is None else self.scales, count)
         if np.any(scales <= 0):
             raise ArgumentError(f"`scales` must be positive, got {short(scales)}.")
-        for key, value in {"names": names, "units": units, "scales": scales}.items():
-            object.__setattr__(self, key, value)
+        self._hold(names=names, units=units, scales=scales)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -187,8 +186,7 @@ class Plant(Record):
         sizes = {"states": n, "outputs": p, "inputs": B.shape[1], "disturbances": G.shape[1]}
         for key, size in sizes.items():
             owned[key] = _signals(key, getattr(self, key), size)
-        for key, value in owned.items():
-            object.__setattr__(self, key, value)
+        self._hold(**owned)
 
     def _take_system(self) -> None:
         """Put the parts of a system in the place of A, where one came."""

@@ -119,8 +119,7 @@ class SparsePlant(PlainRecord):
         )
         values = {"A": A, "C": C, "mass": mass, "B": B, "D": small.D, "G": G, "n_states": n}
         names = {"outputs": small.outputs, "inputs": small.inputs}
-        for key, value in {**values, **names, "disturbances": None if G is None else small.disturbances}.items():
-            object.__setattr__(self, key, value)
+        self._hold(**{**values, **names, "disturbances": None if G is None else small.disturbances})
 
     def _rows(self) -> list[tuple[str, str]]:
         return [

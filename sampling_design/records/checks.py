@@ -217,6 +217,11 @@ def whole(name: str, value: object, least: int = 0) -> int:
     return int(result)
 
 
+def at_least_one(name: str, value: object) -> int:
+    """Return `value` as a whole number of at least 1."""
+    return whole(name, value, 1)
+
+
 def generator(rng: Seed) -> np.random.Generator:
     """Return the generator that was given, or the one with the seed that was.
 

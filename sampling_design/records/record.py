@@ -12,7 +12,7 @@ from __future__ import annotations
 import inspect
 import math
 from abc import ABCMeta
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from html import escape
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
@@ -66,6 +66,16 @@ class Record(metaclass=_Kind):
 
     _table: ClassVar[Mapping[str, str]] = {}
     """Label and value of each line, templates as `said` reads them."""
+
+    def _hold(self, **values: object) -> None:
+        """Set fields of a record that is being made; afterwards it is frozen."""
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    def _check(self, **asked: Callable[[str, object], object]) -> None:
+        """Hold each of these fields as its check returns it; None, where nothing was said, stays None."""
+        said = {name: getattr(self, name) for name in asked}
+        self._hold(**{name: asked[name](name, value) for name, value in said.items() if value is not None})
 
     def _rows(self) -> list[tuple[str, str]]:
         """Label and value of each line of the table, in order; a line about what is None is left out."""

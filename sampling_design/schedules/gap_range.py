@@ -56,15 +56,13 @@ class GapRange(SamplingFamily, kind="gap-range"):
     _plain = "kind shortest longest time_unit?"
 
     def __post_init__(self) -> None:
-        shortest, longest = checks.positive("shortest", self.shortest), checks.positive("longest", self.longest)
-        if longest < shortest:
+        self._check(shortest=checks.positive, longest=checks.positive)
+        if self.longest < self.shortest:
             raise ArgumentError(
-                f"`longest` must be at least `shortest` = {shortest!r}, got {longest!r}. Did you swap them?"
+                f"`longest` must be at least `shortest` = {self.shortest!r}, got {self.longest!r}. Did you swap them?"
             )
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
-        for key, value in {"shortest": shortest, "longest": longest}.items():
-            object.__setattr__(self, key, value)
 
     @property
     def min_gap(self) -> float:

@@ -77,13 +77,12 @@ class Jitter(SamplingFamily, kind="jitter"):
 
     def __post_init__(self) -> None:
         least = SamplingSet(self.schedule).min_gap
-        radius = checks.nonnegative("timing_tolerance", self.timing_tolerance)
-        if 2 * radius >= least:
+        self._check(timing_tolerance=checks.nonnegative)
+        if 2 * self.timing_tolerance >= least:
             raise ArgumentError(
-                f"`timing_tolerance` must be less than half of the least gap {short(least)}, got {short(radius)}: "
-                "samples could change places."
+                f"`timing_tolerance` must be less than half of the least gap {short(least)}, got "
+                f"{short(self.timing_tolerance)}: samples could change places."
             )
-        object.__setattr__(self, "timing_tolerance", radius)
 
     @property
     def time_unit(self) -> str | None:

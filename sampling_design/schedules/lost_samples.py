@@ -71,11 +71,11 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
 
     def __post_init__(self) -> None:
         SamplingSet(self.schedule)
-        most, of = checks.whole("most", self.most), checks.whole("of", self.of, 1)
-        if most >= of:
-            raise ArgumentError(f"`most` must be less than `of` = {of}, got {most}: every sample could be lost.")
-        object.__setattr__(self, "most", most)
-        object.__setattr__(self, "of", of)
+        self._check(most=checks.whole, of=checks.at_least_one)
+        if self.most >= self.of:
+            raise ArgumentError(
+                f"`most` must be less than `of` = {self.of}, got {self.most}: every sample could be lost."
+            )
 
     @property
     def time_unit(self) -> str | None:

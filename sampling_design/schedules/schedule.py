@@ -81,8 +81,7 @@ class _Sampled(Record):
                 raise ArgumentError(f"`output_names` must be a list of strings, got {came}.")
             length = len(self.output_names) if mask is None else np.shape(mask)[1]
             values["output_names"] = checks.names("output_names", self.output_names, length, "y")
-        for key, value in values.items():
-            object.__setattr__(self, key, value)
+        self._hold(**values)
 
     def _details(self) -> ScheduleDetails:
         return {"time_unit": self.time_unit, "origin": self.origin, "output_names": self.output_names}

@@ -80,13 +80,11 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
     _plain = "kind window count spacing time_unit?"
 
     def __post_init__(self) -> None:
-        window, count = checks.positive("window", self.window), checks.whole("count", self.count, 1)
-        spacing = checks.positive("spacing", self.spacing)
+        self._check(window=checks.positive, count=checks.at_least_one, spacing=checks.positive)
+        count, spacing = self.count, self.spacing
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
-        for key, value in {"window": window, "count": count, "spacing": spacing}.items():
-            object.__setattr__(self, key, value)
-        if (count - 1) * spacing > window * (1 + ROUNDING):
+        if (count - 1) * spacing > self.window * (1 + ROUNDING):
             raise self._infeasible(f"{count} samples {short(spacing)} apart need {short((count - 1) * spacing)}")
 
     def _infeasible(self, what: str) -> InfeasibleRequirementError:

@@ -42,9 +42,7 @@ class OutputAccess(Record):
     cost: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.available is not None:
-            object.__setattr__(self, "available", _intervals("available", self.available))
-        object.__setattr__(self, "cost", checks.nonnegative("cost", self.cost))
+        self._check(available=_intervals, cost=checks.nonnegative)
 
     def _rows(self) -> list[tuple[str, str]]:
         return [("available", _spans(self.available, "always")), ("cost", short(self.cost))]
@@ -141,12 +139,10 @@ class Requirement(WrittenRecord):
 
     def __post_init__(self) -> None:
         own: dict[str, object] = {}
-        for key in ("window", "period", "spacing", "target_sigma", "cost_limit"):
-            value = getattr(self, key)
-            own[key] = None if value is None else checks.positive(key, value)
+        lengths = ("window", "period", "spacing", "target_sigma", "cost_limit")
+        rates = ("decay_rate", "timing_tolerance")
+        self._check(**dict.fromkeys(lengths, checks.positive), **dict.fromkeys(rates, checks.nonnegative))
         own["samples"] = _counts(self.samples)
-        for key in ("decay_rate", "timing_tolerance"):
-            own[key] = checks.nonnegative(key, getattr(self, key))
         own["forbidden"] = _intervals("forbidden", () if self.forbidden is None else self.forbidden)
         own["fixed"] = checks.increasing("fixed", () if self.fixed is None else self.fixed)
         access = checks.mapping("outputs", self.outputs, "a table of outputs by name")
@@ -154,8 +150,7 @@ class Requirement(WrittenRecord):
         own["of"] = rows_asked(self.of)
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
-        for key, value in own.items():
-            object.__setattr__(self, key, value)
+        self._hold(**own)
         if self.period is not None:
             self._check_within(self.period)
 
@@ -219,7 +214,7 @@ def _spans(value: Array | None, empty: str) -> str:
     return ", ".join(f"[{short(a)}, {short(b)})" for a, b in value)
 
 
-def _intervals(name: str, value: npt.ArrayLike) -> Array:
+def _intervals(name: str, value: object) -> Array:
     """Frozen (m, 2) array of non-empty, non-negative, sorted, disjoint intervals; overlapping ones are joined."""
     if not checks.floats(name, value).size:
         return checks.freeze(np.zeros((0, 2)))

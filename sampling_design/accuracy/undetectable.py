@@ -9,7 +9,7 @@ import numpy as np
 
 from sampling_design.plants.clusters import eigenvalue_clusters, format_eigenvalue
 from sampling_design.plants.grouping import balanced_schur
-from sampling_design.plants.plant import Plant, Signals
+from sampling_design.plants.plant import Plant, Signals, replace_matrices
 from sampling_design.records.arrays import Array, Complex, Index
 
 DECAYS = 1e-9
@@ -96,16 +96,8 @@ def known_part(plant: Plant, times: Array, period: float, outputs: list[Index]) 
         return DetectablePart(
             plant, np.eye(plant.n_states), passed, open_modes(plant.A, d[:, None] * U), d[:, None] * U
         )
-    reduced = Plant(
-        N.T @ A @ N,
-        plant.C * d @ N,
-        G=(N.T / d) @ plant.G,
-        time_unit=plant.time_unit,
-        name=plant.name,
-        outputs=plant.outputs,
-        disturbances=plant.disturbances,
-        states=Signals([f"known{i + 1}" for i in range(N.shape[1])]),
-    )
+    names = Signals([f"known{i + 1}" for i in range(N.shape[1])])
+    reduced = replace_matrices(plant, N.T @ A @ N, plant.C * d @ N, N.T / d, names)
     return DetectablePart(reduced, d[:, None] * N, d[:, None] * U, open_modes(plant.A, d[:, None] * U))
 
 

@@ -13,7 +13,7 @@ from sampling_design.checkers.parts import CARRIED, not_carried
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.balancing import balance
 from sampling_design.plants.modes import ModalSplit, split_modes
-from sampling_design.plants.plant import Plant, Signals
+from sampling_design.plants.plant import Plant, Signals, replace_matrices
 from sampling_design.plants.rows import WantedRows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index
@@ -206,21 +206,3 @@ def _sum(names: tuple[str, ...], row: Array) -> str:
     signs = ["-" if row[j] < 0 else "+" for j in others]
     terms = [f" {sign} {size}{names[j]}" for j, sign, size in zip(others, signs, sizes, strict=True)]
     return names[first] + "".join(terms)
-
-
-def replace_matrices(plant: Plant, A: Array, C: Array, onto: Array, states: Signals) -> Plant:
-    """The plant of q = onto x, with the matrices that it has there."""
-    return Plant(
-        A,
-        C,
-        B=onto @ plant.B,
-        D=plant.D,
-        G=onto @ plant.G,
-        time_unit=plant.time_unit,
-        name=plant.name,
-        states=states,
-        outputs=plant.outputs,
-        inputs=plant.inputs,
-        disturbances=plant.disturbances,
-        source=plant.source,
-    )

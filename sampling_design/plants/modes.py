@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +18,7 @@ from sampling_design.plants.clusters import (
     format_eigenvalue,
 )
 from sampling_design.plants.grouping import CLUSTER_CAP, SchurForm, balanced_schur
-from sampling_design.plants.plant import Plant, Signals
+from sampling_design.plants.plant import Plant, Signals, replace_matrices
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Complex
 from sampling_design.records.checks import freeze
@@ -195,7 +197,10 @@ def split_modes(
     error = n * np.finfo(float).eps if rounding is None else checks.positive("rounding", rounding)
     checks.positive("cluster_cap", cluster_cap)
     if n == 0:
-        return _split(plant, _Verdict(decay_rate, 0.0, (), (), np.zeros(0, dtype=complex)), _undivided(0, True))
+        nothing = partial(
+            ModalSplit, offset=0.0, clusters=(), retained_clusters=(), near_line=np.zeros(0, dtype=complex)
+        )
+        return _split(plant, decay_rate, nothing, _undivided(0, True))
     form = balanced_schur(plant.A)
     strip = OFFSET * form.speed if offset is None else checks.nonnegative("offset", offset)
     clusters, positions = clusters_of(form, error, cluster_cap)
@@ -209,21 +214,12 @@ def split_modes(
         doubt = strip + cluster.uncertainty
         if abs(cluster.value.real - line) <= doubt or np.ptp(np.sign(cluster.members.real - line)) > 0:
             near.append(cluster.members)
-    verdict = _Verdict(decay_rate, strip, clusters, tuple(kept), np.concatenate(near))
+    found = partial(
+        ModalSplit, offset=strip, clusters=clusters, retained_clusters=tuple(kept), near_line=np.concatenate(near)
+    )
     if select.all() or not select.any():
-        return _split(plant, verdict, _undivided(n, bool(select.all())))
-    return _split(plant, verdict, _decouple(form, select).in_scales(plant.states.scales))
-
-
-@dataclass(frozen=True, eq=False)
-class _Verdict:
-    """What is decided about the eigenvalues, before any basis is chosen."""
-
-    decay_rate: float
-    offset: float
-    clusters: tuple[EigenvalueCluster, ...]
-    kept: tuple[EigenvalueCluster, ...]
-    near_line: Complex
+        return _split(plant, decay_rate, found, _undivided(n, bool(select.all())))
+    return _split(plant, decay_rate, found, _decouple(form, select).in_scales(plant.states.scales))
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,47 +282,26 @@ def _decouple(form: SchurForm, select: npt.NDArray[np.int32]) -> _Bases:
     return _Bases(d[:, None] * top, d[:, None] * complement, L_r, L_s, T[:r, :r], A_s, float(separation), condition)
 
 
-def _split(plant: Plant, verdict: _Verdict, bases: _Bases) -> ModalSplit:
-    """Make the two plants and the record."""
-    zero = np.zeros_like(plant.D)
-    n_r, n = bases.L_r.shape
-    if n_r == n:
-        retained = plant
-    else:
-        retained = _part(plant, bases.A_r, bases.V_r, bases.L_r, "retained", plant.D)
-    return ModalSplit(
+def _split(plant: Plant, decay_rate: float, found: Callable[..., ModalSplit], bases: _Bases) -> ModalSplit:
+    """Make the two plants and the record, which lacks them and their bases."""
+    whole = len(bases.L_r) == plant.n_states
+    return found(
         plant=plant,
-        decay_rate=verdict.decay_rate,
-        retained=retained,
-        residual=_part(plant, bases.A_s, bases.V_s, bases.L_s, "residual", zero),
+        decay_rate=decay_rate,
+        retained=plant if whole else _part(plant, bases.A_r, bases.V_r, bases.L_r, "retained", plant.D),
+        residual=_part(plant, bases.A_s, bases.V_s, bases.L_s, "residual", np.zeros_like(plant.D)),
         basis_retained=freeze(bases.V_r),
         basis_residual=freeze(bases.V_s),
         left_retained=freeze(bases.L_r),
         left_residual=freeze(bases.L_s),
         separation=bases.separation,
         condition=bases.condition,
-        near_line=verdict.near_line,
-        offset=verdict.offset,
-        clusters=verdict.clusters,
-        retained_clusters=verdict.kept,
     )
 
 
 def _part(plant: Plant, A: Array | None, V: Array, L: Array, what: str, D: Array) -> Plant:
     """Return one part as a plant; its states carry no scales, since its basis is orthonormal in those of x."""
-    names = Signals(tuple(f"z{i + 1}" for i in range(L.shape[0])))
     undivided = A is None and L.shape[0] > 0
-    return Plant(
-        L @ plant.A @ V if A is None else A,
-        plant.C @ V,
-        B=L @ plant.B,
-        D=D,
-        G=L @ plant.G,
-        time_unit=plant.time_unit,
-        name=f"{plant.name} ({what})".strip(),
-        states=plant.states if undivided else names,
-        outputs=plant.outputs,
-        inputs=plant.inputs,
-        disturbances=plant.disturbances,
-        source=plant.source,
-    )
+    states = plant.states if undivided else Signals(tuple(f"z{i + 1}" for i in range(L.shape[0])))
+    part = replace_matrices(plant, L @ plant.A @ V if A is None else A, plant.C @ V, L, states)
+    return replace(part, D=D, name=f"{plant.name} ({what})".strip())

@@ -470,3 +470,21 @@ def _signals(key: str, value: Signals | Sequence[str] | None, size: int) -> Sign
             raise ArgumentError(f"`{key}` must have {size} entries, got {len(value)}.")
         return value
     return Signals(checks.names(key, value, size, _PREFIX[key]))
+
+
+def replace_matrices(plant: Plant, A: Array, C: Array, onto: Array, states: Signals) -> Plant:
+    """Return the plant of q = onto x, with the matrices that it has there."""
+    return Plant(
+        A,
+        C,
+        B=onto @ plant.B,
+        D=plant.D,
+        G=onto @ plant.G,
+        time_unit=plant.time_unit,
+        name=plant.name,
+        states=states,
+        outputs=plant.outputs,
+        inputs=plant.inputs,
+        disturbances=plant.disturbances,
+        source=plant.source,
+    )

@@ -95,6 +95,11 @@ class _Terms:
     weights: Array
     own: Mask
 
+    def states(self, count: int) -> Index:
+        """The places of the terms of the windows' own states, window by window."""
+        own = np.flatnonzero(self.own)
+        return own[np.argsort(self.window[own])][:count]
+
 
 def _terms(problem: DesignProblem, zones: Array, windows: Index) -> _Terms:
     k, P = problem.samples, problem.period
@@ -313,10 +318,7 @@ def _forms(problem: DesignProblem, terms: _Terms, roots: Array) -> _Forms:
     third = A @ second + second @ A.T
     with np.errstate(over="ignore"):
         spread = np.exp(2 * float(np.linalg.norm(A, 2)) * terms.reach)
-    C = (
-        np.where(terms.own[:, None, None], _padded(rows.S, problem), _padded(rows.C, problem))
-        * terms.weights[..., None]
-    )
+    C = _shown(problem, terms)
     y, dy, ddy = C @ F, C @ AF, C @ AAF
     value = np.einsum("spr,spr->s", y, y)
     rounded = _rounding(A, C, E, roots[terms.window], value, terms.lag)
@@ -333,9 +335,11 @@ def _forms(problem: DesignProblem, terms: _Terms, roots: Array) -> _Forms:
     return _Forms(value, change, bend, most, rest=2 * rounded * turned * (1 + turned))
 
 
-def _padded(rows: Array, problem: DesignProblem) -> Array:
-    count = max(problem.plant.n_outputs, problem.plant.n_states)
-    return np.vstack([rows, np.zeros((count - len(rows), rows.shape[1]))])
+def _shown(problem: DesignProblem, terms: _Terms) -> Array:
+    """What each term shows of a state, as rows of one number: outputs, or the whole state of a window's own term."""
+    height, (S, C) = terms.weights.shape[1], (problem.rows.S, problem.rows.C)
+    own, seen = (np.vstack([rows, np.zeros((height - len(rows), rows.shape[1]))]) for rows in (S, C))
+    return np.asarray(np.where(terms.own[:, None, None], own, seen) * terms.weights[..., None])
 
 
 def _expansion(problem: DesignProblem, zones: Array, windows: Index, roots: Array) -> LogExpansion | None:
@@ -347,10 +351,7 @@ def _expansion(problem: DesignProblem, zones: Array, windows: Index, roots: Arra
     half = (zones[:, 1] - zones[:, 0]) / 2
     terms = _terms(problem, zones, windows)
     forms = _forms(problem, terms, roots)
-    own = np.flatnonzero(terms.own)
-    order = terms.window[own]
-    states = np.empty(M, dtype=np.intp)
-    states[order] = own
+    states = terms.states(M)
     K, K_lag = forms.value[states], terms.lag[states]
     with np.errstate(divide="ignore"):
         size = np.where(terms.own, -np.inf, np.log(forms.value) + 2 * rate * terms.lag)
@@ -398,8 +399,7 @@ def _extremes(problem: DesignProblem, terms: _Terms, roots: Array) -> tuple[Arra
     at = terms.low + np.linspace(0.0, 1.0, _PLACES)[:, None] * (terms.high - terms.low)
     E = expm_batch(A, at.ravel()).reshape(*at.shape, n, n)
     F = E @ roots[terms.window]
-    C = np.where(terms.own[:, None, None], _padded(rows.S, problem), _padded(rows.C, problem))
-    C = C * terms.weights[..., None]
+    C = _shown(problem, terms)
     AF = A @ F
     y, dy, ddy = C @ F, C @ AF, C @ A @ AF
     value = np.sum(y**2, axis=(2, 3))
@@ -424,9 +424,7 @@ def _wide_expansion(problem: DesignProblem, zones: Array, windows: Index, roots:
     half = (zones[:, 1] - zones[:, 0]) / 2
     terms = _terms(problem, zones, windows)
     least, most = _extremes(problem, terms, roots)
-    states = np.empty(M, dtype=np.intp)
-    own = np.flatnonzero(terms.own)
-    states[terms.window[own]] = own
+    states = terms.states(M)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         size = np.where(terms.own, -np.inf, np.log(most) + 2 * rate * terms.lag)
         leading = np.array([_largest(size, terms.window == m) for m in range(M)])

@@ -9,8 +9,8 @@ from sampling_design.errors import ArgumentError, NotDetectableError
 from sampling_design.numerics.balancing import balance
 from sampling_design.numerics.linalg import positive_or_one
 from sampling_design.observability.count.pbh import RANK_TOLERANCE, UnobservableModes, unobservable_modes
-from sampling_design.plants.functional import FunctionalPlant, replace_matrices, without
-from sampling_design.plants.plant import Plant, Signals
+from sampling_design.plants.functional import FunctionalPlant, without
+from sampling_design.plants.plant import Plant, Signals, replace_matrices
 from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array

@@ -28,6 +28,7 @@ from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.declarations import plain
 from sampling_design.records.file_io import from_json
 from sampling_design.records.record import Plain, short
 from sampling_design.schedules.files import read_schedule, write_schedule
@@ -211,7 +212,7 @@ class Bench:
                 if not isinstance(marks, list) or not all(isinstance(mark, dict) for mark in marks):
                     raise ArgumentError("`marks` must be a list of samples, each with t and on.")
                 self.schedule = self._scheduled(marks)
-            return {"ask": verb, **{key: _finite(value) for key, value in verbs[verb]().items()}}
+            return {"ask": verb, **{key: plain(value) for key, value in verbs[verb]().items()}}
         except SamplingDesignError as error:
             return {"ask": str(verb), "error": str(error)}
 
@@ -468,12 +469,3 @@ def _modes_said(modes: Sequence[complex]) -> list[str]:
 def _message(reply: Mapping[str, Plain]) -> str:
     """One line of JSON: no eye reads it, and a drag asks for sixty a second."""
     return json.dumps(reply, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
-
-
-def _finite(value: Plain) -> Plain:
-    """Plain data that a browser reads: what is no number becomes null."""
-    if isinstance(value, float):
-        return value if np.isfinite(value) else None
-    if isinstance(value, list):
-        return [_finite(each) for each in value]
-    return value

@@ -18,6 +18,7 @@ from sampling_design.nonlinear.region import own_box
 from sampling_design.nonlinear.simulation import Integrator
 from sampling_design.nonlinear.tightest_pairs import PairOutcome, SampledTrajectory, TightestPairs
 from sampling_design.nonlinear.weights import NonlinearWeights, scaled_weights
+from sampling_design.numerics.linalg import quadratic
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import Seed
@@ -340,11 +341,6 @@ def _grid(duration: float, step: float, samples: Array) -> Array:
     return grid if grid[0] == 0.0 else np.insert(grid, 0, 0.0)
 
 
-def _square(a: Array, W: Array) -> Array:
-    """Row by row, the quadratic form of W."""
-    return np.asarray(np.einsum("ki,ij,kj->k", a, W, a))
-
-
 def ratios(
     grid: Array,
     x: Array,
@@ -364,17 +360,17 @@ def ratios(
     eta = weights.eta
     right = np.empty(grid.size)
     gaps = np.diff(grid)
-    gain = _square(w[:-1], weights.Qw) * discounted_length(eta, gaps)
+    gain = quadratic(w[:-1], weights.Qw) * discounted_length(eta, gaps)
     jump = np.zeros(grid.size)
     for pattern in np.unique(measured[measured.any(axis=1)], axis=0):
         at = (measured == pattern).all(axis=1)
         Qv = marginal(weights.Qv, pattern) if v.shape[1] == pattern.size else weights.Qv
-        jump[at] = _square(y[at], marginal(weights.R, pattern)) + _square(v[at], Qv)
+        jump[at] = quadratic(y[at], marginal(weights.R, pattern)) + quadratic(v[at], Qv)
     total = float(x[0] @ weights.P2 @ x[0])
     for j in range(grid.size):
         if j:
             total = total * np.exp(-eta * gaps[j - 1]) + gain[j - 1]
         right[j] = total  # before the sample at this time, if there is one
         total += jump[j]
-    left = _square(x, P1)
+    left = quadratic(x, P1)
     return np.asarray(np.divide(right, left, out=np.full(grid.size, np.inf), where=left > 0))

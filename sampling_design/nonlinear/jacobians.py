@@ -18,7 +18,8 @@ from sampling_design.nonlinear.instructions import instructions
 from sampling_design.nonlinear.region import drawn
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
-from sampling_design.records.record import Plain, finite_or_nones, short
+from sampling_design.records.declarations import plain
+from sampling_design.records.record import Plain, short
 from sampling_design.uncertain.plants.inclusion import InclusionMembers, MemberHull
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ def model_of(plant: PlantEquations) -> dict[str, Plain]:
     ca, s = casadi(), symbols_of(plant)
     f, h = ca.Function("dynamics", [s.x, s.u, s.w], [s.f]), ca.Function("measurement", [s.x, s.u], [s.h])
     boxes: dict[str, Plain] = {
-        key: {"low": finite_or_nones(plant.bounds[name][0]), "high": finite_or_nones(plant.bounds[name][1])}
+        key: {"low": plain(plant.bounds[name][0]), "high": plain(plant.bounds[name][1])}
         for key, name in (("u", "inputs"), ("w", "disturbances"))
     }
     programs: dict[str, Plain] = {"f": instructions(f, ("x", "u", "w")), "h": instructions(h, ("x", "u"))}

@@ -12,7 +12,7 @@ from sampling_design.errors import SolverError
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.promise import InclusionPromise
-from sampling_design.nonlinear.simulation import Integrator, SpreadIntegrator
+from sampling_design.nonlinear.simulation import Integrator, SpreadIntegrator, unknown
 from sampling_design.nonlinear.weights import NonlinearWeights
 from sampling_design.records.arrays import Array
 
@@ -95,7 +95,7 @@ class NonlinearLoop:
 
     def ahead(self, state: EstimatorState, node: HistoryNode, t: float) -> OpenLoopPrediction:
         """Return the open loop from a node at t, in X; if even that fails, the node's estimate. The words say so."""
-        nothing = np.diag(np.full(node.x.size, np.inf))
+        nothing = unknown(node.x.size)
         try:
             x, Y = self.propagated(state, node.x, node.t, t, node.Y)
         except SolverError as error:

@@ -11,8 +11,8 @@ from sampling_design.checkers.half_spaces import holds_a_point
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.declarations import Converted, frozen
-from sampling_design.records.record import Plain, Record, finite_or_nones, short
+from sampling_design.records.declarations import Converted, frozen, plain
+from sampling_design.records.record import Plain, Record, short
 
 Box = tuple[Array, Array]
 
@@ -80,7 +80,7 @@ class StateRegion(Record):
     def to_dict(self) -> dict[str, Plain]:
         """Plain data; unbounded ends are None."""
         return {
-            "x": {"low": finite_or_nones(self.lower), "high": finite_or_nones(self.upper)},
+            "x": {"low": plain(self.lower), "high": plain(self.upper)},
             "rows": self.rows.tolist(),
             "offsets": self.offsets.tolist(),
         }

@@ -10,7 +10,8 @@ import numpy as np
 from sampling_design.checkers.strict import Tree
 from sampling_design.nonlinear.patient_run import SCHEMES, SPANS
 from sampling_design.records import checks
-from sampling_design.records.record import Record, finite_or_none, short
+from sampling_design.records.declarations import plain
+from sampling_design.records.record import Record, short
 
 PAPER_RMSE = {"standard": 0.2244, "sample_based": 0.2275}
 """Printed in the paper's Section VI."""
@@ -101,13 +102,13 @@ class ThyroidReport(Record):
         }
 
     def _case(self, case: str) -> Tree:
-        data: Tree = {"ratio": {span: finite_or_none(self.ratio(case, span)) for span in SPANS}}
+        data: Tree = {"ratio": {span: plain(self.ratio(case, span)) for span in SPANS}}
         for scheme in SCHEMES:
             seconds = self.seconds(case, scheme)
             values = {span: self.rmse(case, scheme, span) for span in SPANS}
             data[scheme] = {
-                "rmse": {span: finite_or_none(np.mean(value)) for span, value in values.items()},
-                "spread": {span: finite_or_none(np.std(value)) for span, value in values.items()},
+                "rmse": {span: plain(np.mean(value)) for span, value in values.items()},
+                "spread": {span: plain(np.std(value)) for span, value in values.items()},
                 "problems": int(seconds.size),
                 "seconds_mean": float(seconds.mean()),
                 "seconds_max": float(seconds.max()),

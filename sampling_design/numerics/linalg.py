@@ -234,6 +234,11 @@ def generalised_max(P: Array, Q: Array) -> float:
     return float(np.max(np.linalg.eigvalsh((full + np.swapaxes(full, -1, -2)) / 2)))
 
 
+def quadratic(z: Array, weight: Array) -> Array:
+    """Return z'Wz of each of a stack of vectors."""
+    return np.asarray(np.einsum("...i,ij,...j->...", z, weight, z))
+
+
 def symmetrise(matrix: Array) -> Array:
     """Return (M + M')/2 for a stack of matrices."""
     total: Array = matrix + matrix.swapaxes(-1, -2)

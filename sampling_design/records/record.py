@@ -10,7 +10,6 @@ HTML and `to_dict` are made from that. A record that computes a line overrides `
 from __future__ import annotations
 
 import inspect
-import math
 from abc import ABCMeta
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
@@ -22,7 +21,6 @@ import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError, MissingExtraError, UndecidedError
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Plain as Plain
 from sampling_design.records.declarations import said, selected
 from sampling_design.records.declarations import short as short
@@ -243,13 +241,3 @@ def draw(record: object, ax: object = None, **beside: object) -> Any:
 def counted(number: int, what: str) -> str:
     """Return "1 sample", "2 samples"."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
-
-
-def finite_or_none(value: float) -> float | None:
-    """A number for a file, where what is infinite or no number is None."""
-    return float(value) if np.isfinite(value) else None
-
-
-def finite_or_nones(values: Array) -> list[float | None]:
-    """The same for a row of numbers."""
-    return [value if math.isfinite(value) else None for value in values.tolist()]

@@ -9,6 +9,7 @@ import numpy as np
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.estimators.gap_flows.cost_weights import marginal
 from sampling_design.estimators.gap_flows.flows import discounted_length
+from sampling_design.numerics.linalg import quadratic
 from sampling_design.records.arrays import Array
 from sampling_design.validation.error_map import ErrorRows
 from sampling_design.validation.scenario import ErrorSources
@@ -33,7 +34,7 @@ class Promise:
     def along(self, line: Timeline, rows: ErrorRows, inputs: ErrorSources) -> Array:
         """Return the right side at every row, for every run: (r, R)."""
         samples = {int(b): j for j, b in enumerate(line.samples)}
-        total = _square(inputs.e0, self.prior)
+        total = quadratic(inputs.e0, self.prior)
         push = np.einsum("rci,ij,rcj->rc", inputs.w, self.w, inputs.w) * discounted_length(self.rate, line.lengths)
         noise = np.einsum("rji,jik,rjk->rj", inputs.v, self.sample_weights(line.masks), inputs.v)
         fade = np.exp(-self.rate * line.lengths)
@@ -64,10 +65,6 @@ class Promise:
     def size(self, e: Array) -> Array:
         """Return |root e|^2."""
         return np.asarray(np.sum((e @ self.root.T) ** 2, axis=-1))
-
-
-def _square(values: Array, weight: Array) -> Array:
-    return np.asarray(np.einsum("...i,ij,...j->...", values, weight, values))
 
 
 def promise_of(

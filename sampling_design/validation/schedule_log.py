@@ -14,8 +14,9 @@ from sampling_design.observability.windows.window_sigma import RTOL, WindowSigma
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.records.declarations import plain
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import Plain, Record, finite_or_nones, short
+from sampling_design.records.record import Plain, Record, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -92,7 +93,7 @@ class ScheduleLog(Record):
     def to_dict(self) -> dict[str, Plain]:
         """Plain data; a deviation of a missed sample is None."""
         found = self.contents()
-        return {key: finite_or_nones(value) if isinstance(value, np.ndarray) else value for key, value in found.items()}
+        return {key: plain(value) for key, value in found.items()}
 
     def contents(self) -> dict[str, Plain | Array]:
         """What `to_dict` holds, rows of numbers as arrays: NaN where a sample was missed."""

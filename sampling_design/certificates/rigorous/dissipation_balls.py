@@ -41,16 +41,24 @@ def detectability(c: Detectability, clock: Budget) -> Proven:
     return holds(INEQUALITY, decided(INEQUALITY, form, sizes), "every state and disturbance")
 
 
-def decided(name: str, form: Matrix, sizes: list[Ball]) -> float:
-    """Return a proven slack of form > 0 relative to `sizes`; Unproven where there is none."""
+def decided(
+    name: str, form: Matrix, sizes: list[Ball], when: float | None = None, shares: tuple[float, ...] = SHARES
+) -> float:
+    """Return a proven slack of form > 0 relative to `sizes`.
+
+    Raises
+    ------
+    Refused
+        If it certainly fails, at the time `when` if it is about one, or there is none at this precision.
+    """
     M = in_units(form, sizes)
-    slack = proven_slack(M, SHARES)
+    slack = proven_slack(M, shares)
     if slack is not None:
         return slack
-    vectors = np.linalg.eigh(floats(M))[1]
+    values, vectors = np.linalg.eigh(floats(M))
     found = downhill(M)
     if found is None:
-        raise Undecided(name, f"{name} could not be decided: it is tight or nearly so")
+        raise Undecided(name, f"{name} could not be decided: it is tight or nearly so", float(values[0]), when)
     value, z = found
     guess = matrix(vectors[:, :1])
     quotient = (guess.transpose() * M * guess)[0, 0] / (guess.transpose() * guess)[0, 0]
@@ -59,7 +67,7 @@ def decided(name: str, form: Matrix, sizes: list[Ball]) -> float:
     along = z / np.array([np.sqrt(float(size)) if size > 0 else 1.0 for size in sizes])
     amount, along = float(value.upper()), (along / np.linalg.norm(along)).tolist()
     reason = f"{name} fails by {-amount:.3g}, an eigenvalue relative to the size of its terms, along {short(along, 3)}"
-    raise Refused(name, reason, amount=amount, direction=along)
+    raise Refused(name, reason, amount, when, direction=along)
 
 
 def downhill(M: Matrix) -> tuple[Ball, Array] | None:

@@ -16,7 +16,8 @@ from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import Plain, PlainRecord, finite_or_none, short
+from sampling_design.records.declarations import plain
+from sampling_design.records.record import Plain, PlainRecord, short
 
 Status = Literal["prior", "ok", "predicted", "infeasible", "solver failed", "bounds disproved"]
 """How an estimate came about.
@@ -60,7 +61,7 @@ class Contradiction(NamedTuple):
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data; an infinite factor becomes None."""
-        return {**self._asdict(), "factor": finite_or_none(self.factor)}
+        return {**self._asdict(), "factor": plain(self.factor)}
 
     def __str__(self) -> str:
         sample = f"sample {self.number} at t = {self.t:.10g}, output {self.output}"

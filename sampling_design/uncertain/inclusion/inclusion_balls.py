@@ -13,7 +13,8 @@ from itertools import product
 import numpy as np
 
 from sampling_design.certificates.form.digest import RESOLUTION
-from sampling_design.certificates.rigorous.ball_problem import dissipation, in_units, positive_definite, proven_slack
+from sampling_design.certificates.rigorous.ball_problem import dissipation, positive_definite
+from sampling_design.certificates.rigorous.dissipation_balls import decided
 from sampling_design.checkers.cover import judge
 from sampling_design.checkers.inclusion import FLOW, SUBJECT, broken, pieces
 from sampling_design.checkers.inclusion_file import Box, Inclusion, Region, Vertices, moved
@@ -25,8 +26,6 @@ from sampling_design.records.budget import Budget
 from sampling_design.uncertain.inclusion.region_balls import JacobianCells, mid, parted
 
 Jumps = list[tuple[Matrix, Matrix, float]]
-SHARES = (0.9,)
-"""Parts of the guessed least eigenvalue that are tried as a proven slack."""
 PRICE = 200
 """Work, about microseconds, of one inequality, beside that of its size."""
 MOST_SETS = 2000
@@ -50,26 +49,14 @@ def inclusion(c: Inclusion, clock: Budget) -> Proven:
     for key, M in (("P1", P1), ("Qw", Qw), ("R", R), ("Qv", Qv)):
         positive_definite(key, M)
     low = P1 * (ball(1.0) + ball(w.margin))
-    slacks = [positive("(1 + margin) P1 < P(tau)", M - low, diagonal(M)) for M in P]
-    slacks += [positive("P(tau) < P2", P2 - M, diagonal(P2)) for M in P]
+    slacks = [decided("(1 + margin) P1 < P(tau)", M - low, diagonal(M)) for M in P]
+    slacks += [decided("P(tau) < P2", P2 - M, diagonal(P2)) for M in P]
     top = P1 * ball(w.lam)
-    slacks.append(positive("(1 - 1e-3) P2 < lam P1", top - P2 * (ball(1.0) - ball(RESOLUTION)), diagonal(top)))
+    slacks.append(decided("(1 - 1e-3) P2 < lam P1", top - P2 * (ball(1.0) - ball(RESOLUTION)), diagonal(top)))
     Rt = R * (R + Qv).solve(Qv)
     slacks.append(jumps(c, P, Rt, clock))
     slacks.append(flows(c, P, Qw, clock))
     return holds(name, min(slacks), SUBJECT)
-
-
-def positive(name: str, form: Matrix, sizes: list[Ball], when: float | None = None) -> float:
-    """A proven slack of form > 0 relative to `sizes`; Refused where there is none."""
-    M = in_units(form, sizes)
-    slack = proven_slack(M, SHARES)
-    if slack is not None:
-        return slack
-    guess = float(np.linalg.eigvalsh(floats(M))[0])
-    if definite(M) is False:
-        raise Refused(name, f"{name} certainly fails by {-guess:.3g}", amount=guess, time=when)
-    raise Undecided(name, f"{name} could not be decided: it is tight or nearly so", amount=guess, time=when)
 
 
 def diagonal(M: Matrix) -> list[Ball]:
@@ -119,7 +106,7 @@ def flows(c: Inclusion, P: list[Matrix], Qw: Matrix, clock: Budget) -> float:
     for A, G in members(c, "AG"):
         for p, slope, tau in every:
             clock.check(PRICE + (c.plant.n + len(c.weights.Qw)) ** 3)
-            slack = min(slack, positive(FLOW, *dissipation(p, slope, A, G, Qw, eta), tau))
+            slack = min(slack, decided(FLOW, *dissipation(p, slope, A, G, Qw, eta), tau))
     return slack
 
 
@@ -151,7 +138,7 @@ def multiplied(c: Inclusion, every: list[tuple[Matrix, Matrix, float]], Qw: Matr
             own = [ball(weights[k]) if j == k else ball(0.0) for j in range(m)]
             rows.append([*(-side[i] if i < n else ball(0.0) for i in range(n + q)), *own])
         try:
-            slack = min(slack, positive(FLOW, flint().arb_mat(rows), [*sizes, *map(ball, weights)], tau))
+            slack = min(slack, decided(FLOW, flint().arb_mat(rows), [*sizes, *map(ball, weights)], tau))
         except Refused as error:
             raise multipliers_fail(c, error) from None
     return slack
@@ -163,7 +150,7 @@ def multipliers_fail(c: Inclusion, error: Refused) -> Refused:
     try:
         broken(c, both, slope, size, taus, (c.weights.Qw + c.weights.Qw.T) / 2)
     except Refused as found:
-        return Refused(FLOW, found.reason.replace(" fails by", " certainly fails by"), amount=found.amount)
+        return Refused(FLOW, found.reason, amount=found.amount)
     return Undecided(FLOW, f"{FLOW} could not be decided: these multipliers do not prove it", error.amount, error.time)
 
 
@@ -180,7 +167,7 @@ def jumps(c: Inclusion, P: list[Matrix], Rt: Matrix, clock: Budget) -> float:
         ]
         if not seen.any():
             for later, base, tau in every:
-                slack = min(slack, positive(JUMP, later - base, diagonal(later + base), tau))
+                slack = min(slack, decided(JUMP, later - base, diagonal(later + base), tau))
         elif isinstance(c.model, Region):
             rows = np.flatnonzero(seen).tolist()
 
@@ -274,12 +261,12 @@ class OutputSets:
             exact = [gained + tangent(C, C, Y) for C in Cs]
             sizes = [later + base + tangent(C, C, Y) for C in Cs]
             if len(points) == 1:
-                slack = min(slack, positive(JUMP, exact[0], diagonal(sizes[0]), tau))
+                slack = min(slack, decided(JUMP, exact[0], diagonal(sizes[0]), tau))
                 continue
             least = [float(np.linalg.eigvalsh(floats(M))[0]) for M in exact]
             weakest = int(np.argmin(least))
             if definite(exact[weakest]) is False:
-                raise Refused(JUMP, f"{JUMP} certainly fails by {-least[weakest]:.3g}", amount=least[weakest], time=tau)
+                raise Refused(JUMP, f"{JUMP} fails by {-least[weakest]:.3g}", amount=least[weakest], time=tau)
             found = np.array([floats(C) for C in Cs])
             for B in (mid(Cs[weakest]), matrix(found.mean(axis=0))):
                 if all(definite(gained + tangent(C, B, Y)) is True for C in Cs):

@@ -338,13 +338,13 @@ def state_interval(
     ----------
     plant : Plant
     record : Measurements or iterable of (t, y, u)
-        In order of time; y is NaN where not measured, u holds from t on. An entry of y may be `Below(0.5)` or
-        `Above(8)` (a limit of detection) or `Mean(3.1, since=0.0)` (a composite sample).
+        In order of time; y is NaN where not measured, u holds from t on. An entry of y may be
+        `BelowDetection(0.5)`, `AboveRange(8)` (limits) or `CompositeReading(3.1, since=0.0)` (a composite sample).
     t : float, optional
         At or after the last sample; default the last sample.
     w_bound, v_bound : float, array, mapping, or for v a function of time
-        As for `accuracy`: a number bounds the norm, entries bound each, a mapping names them and may hold pairs
-        (lower, upper); `v_bound` may have a row for each sample.
+        As for `guaranteed_accuracy`: a number bounds the norm, entries bound each, a mapping names them and may hold
+        pairs (lower, upper); `v_bound` may have a row for each sample.
     initial_error : float or (n,) array, optional
         Bound on |x - prior| at `prior_time`, Euclidean or entry by entry. Default: nothing is known.
     prior : (n,) array, optional
@@ -352,7 +352,7 @@ def state_interval(
     prior_time : float, optional
         Not after the first sample; default the first sample.
     of : str, sequence of str, or (r, n) array, optional
-        As for `accuracy`.
+        As for `guaranteed_accuracy`.
 
     Returns
     -------

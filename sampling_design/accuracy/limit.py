@@ -145,7 +145,7 @@ def accuracy_limit(
     ----------
     plant : Plant
     w_bound, v_bound : float, array or mapping
-        As for `accuracy`; the noise of all sensors at any allowed time.
+        As for `guaranteed_accuracy`; the noise of all sensors at any allowed time.
     of : str, sequence of str, or (r, n) array, optional
         Names of states or outputs, or rows of a matrix. Default all states.
     zones : sequence of (begin, end), optional

@@ -206,7 +206,7 @@ class Readings:
     centre : (n,) array
     times : (K,) array
         Increasing; at each some rows (or none) were read.
-    rows : tuple of tuples of Row
+    rows : tuple of tuples of RowReading
         Those of each time; y less D u.
     ball : bool
         The sizes of the two-sided rows of one time bound a Euclidean norm together.

@@ -114,11 +114,11 @@ def bounds_from_record(
     plant : Plant
     record : Measurements or iterable of (t, y, u)
     w_bound, v_bound
-        The shape, as for `interval`: their multiples are looked at.
+        The shape, as for `state_interval`: their multiples are looked at.
     initial_error : float or (n,) array, optional
         Joins what grows where `grow` is "both". Default: nothing is known of the start.
     prior, prior_time
-        As for `interval`.
+        As for `state_interval`.
     grow : "both", "w" or "v"
         What is multiplied; the other stays as it is given.
 
@@ -130,7 +130,7 @@ def bounds_from_record(
     Raises
     ------
     ArgumentError
-        As `interval`, or if `grow` is unknown.
+        As `state_interval`, or if `grow` is unknown.
 
     Notes
     -----

@@ -37,7 +37,7 @@ class PatientRun(Record):
     outputs : (N, 3) array
         Noisy outputs; the standard estimator has them all, the sample-based one those where `sampled`.
     sampled : (N,) array of bool
-    solves_standard, solves_sample_based : tuples of Solve
+    solves_standard, solves_sample_based : tuples of SolverRun
     """
 
     case: str

@@ -29,7 +29,7 @@ class PlanBound:
 
     Attributes
     ----------
-    trajectories : tuple of HiddenMotion
+    trajectories : tuple of HiddenTrajectory
         Those that the proofs use.
     ratio : CostProof or None
         No plan of this cost has an accuracy below `ratio.level` times all tolerances: what was proven less 1e-5 of it,

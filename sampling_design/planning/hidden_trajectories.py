@@ -41,7 +41,7 @@ class HiddenTrajectory:
     peaks : (M, p) array
         For each step of the period, counted back from the end (0: the end itself), the largest ratio of output to
         bound over all periods; of a tangent, its slopes.
-    flight : Flight or None
+    flight : DisturbedTrajectory or None
         None for a tangent.
     point : (M, p) array or None
         Where a tangent touches, in steps back from the end.

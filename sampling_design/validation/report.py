@@ -134,8 +134,8 @@ class ValidationReport(YesOrNo, PlainRecord):
         What the a-priori theorem promises for the largest noise, in the report's norm.
     norm : str
         Norm of the errors in words: the certificate's |.|_P1, or states over their scales.
-    courses : tuple of Course
-    example : Example or None
+    courses : tuple of ErrorCurve
+    example : ExampleRun or None
     settings : dict
         Runs, duration, horizon, bounds, seed and versions.
     skipped : tuple of str

@@ -71,7 +71,7 @@ class BoundPart:
     "averaged". "placed" bounds all schedules, wherever their samples lie; `price` is its multiplier of the cost
     limit. "alone" bounds all schedules of one sample, which are one schedule shifted: its windows count from
     the sample. "local" bounds the schedules of small zones by windows that follow their samples: the rows of `tied`
-    (see `TiedWindows`) say which, `starts` are of no account, and `tilt` (k,) are the multipliers of the spacing.
+    (see `tied_windows`) say which, `starts` are of no account, and `tilt` (k,) are the multipliers of the spacing.
     Where cost is limited, `chosen` (k, p) says what each sample measures at most, in the schedules that are meant.
     """
 

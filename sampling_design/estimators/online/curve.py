@@ -29,7 +29,7 @@ class EstimateCurve(Record):
     ----------
     estimates : EstimateRecord
         At a sample twice: as predicted before it, and with it.
-    tube : Tube or None
+    tube : StateTube or None
         Every state lies in it, at all times between samples, if the bounds hold; None where nothing is proven.
     measurements : Measurements
     """

@@ -50,7 +50,7 @@ class Assumptions:
     noise : SetBounds
     error : StartError
         Of the prior.
-    state : tuple of Row
+    state : tuple of RowReading
         One-sided rows that the state keeps at all times.
     """
 

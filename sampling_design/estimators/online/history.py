@@ -195,7 +195,7 @@ class EstimatorState(NamedTuple):
 
     Attributes
     ----------
-    nodes : tuple of Node, by time; the first is the prior or the oldest snapshot kept.
+    nodes : tuple of HistoryNode, by time; the first is the prior or the oldest snapshot kept.
     inputs : InputHistory (t, u), by time; u holds from t on.
     reached : (a, b, drift) or None
         What the inputs add from the last node at a to the last input at b, so that many inputs cost each their own.

@@ -49,7 +49,7 @@ class EstimationWindow:
         Transitions.
     limits : (N+1, 2, p) or None
         What C x lies between where limits of detection were told, infinite elsewhere.
-    means : Means or None
+    means : MeanRows or None
         Composite samples.
     """
 

@@ -13,7 +13,7 @@ from sampling_design.certificates.certification import certify
 from sampling_design.certificates.exact.certificate import Certificate, SampledCertificate
 from sampling_design.certificates.exact.given_weights import NoiseWeights
 from sampling_design.certificates.existence.periodic import certificate_exists
-from sampling_design.certificates.families.certify_family import CandidateWeights, FamilySearch, certified
+from sampling_design.certificates.families.certify_family import FamilyProposal, FamilySearch, certified
 from sampling_design.certificates.families.family_certificate import FamilyCertificate
 from sampling_design.certificates.families.graphs import MOST_NODES, in_plant_terms
 from sampling_design.certificates.form.digest import RESOLUTION
@@ -168,7 +168,7 @@ class RobustnessSearch:
         self.plant, self.weights = c.plant, NoiseWeights(c.Qw, c.R, c.Qv)
         self.late = False
 
-    def judge(self, family: SamplingFamily, levels: Iterable[int]) -> tuple[float, CandidateWeights | None]:
+    def judge(self, family: SamplingFamily, levels: Iterable[int]) -> tuple[float, FamilyProposal | None]:
         """The lambda of a family, and its proposal if it survives; infinite where there is none."""
         best = np.inf
         for level in levels:
@@ -182,12 +182,12 @@ class RobustnessSearch:
             except SamplingDesignError:
                 break  # the graph of this level is too large, or the nominal schedule on the edge
             best = min(best, found.lam)
-            if isinstance(found, CandidateWeights) and found.lam / (1 - RESOLUTION) < self.limit:
+            if found.P is not None and found.lam / (1 - RESOLUTION) < self.limit:
                 return found.lam, found
         self.late = self.late or self.budget.over
         return best, None
 
-    def proven(self, family: SamplingFamily, found: CandidateWeights) -> FamilyCertificate:
+    def proven(self, family: SamplingFamily, found: FamilyProposal) -> FamilyCertificate:
         """The certificate of a proposal."""
         within = in_plant_terms(self.plant, family)
         return certified(self.plant, within, self.weights, self.certificate.P2, found)

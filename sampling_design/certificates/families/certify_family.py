@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -70,28 +71,25 @@ ROOM = 1.05
 
 
 @dataclass(frozen=True, eq=False)
-class CandidateWeights:
-    """Matrices of every node (P2 first) in the coordinates of `dynamics`, with the lambda that they reach."""
+class FamilyProposal:
+    """Matrices of every node (P2 first) in the coordinates of `dynamics`, for which every inequality is proven.
+
+    Where P is None there are none, and why: `kept` is the share of the nominal information that is kept, `gap` the one
+    that is worst. `lam` is what they reach; without them the least on the grid, proven for nothing (infinite: none).
+    """
 
     dynamics: StepDynamics
     graph: PathCompleteGraph
-    P: Array
+    P: Array | None
     lam: float
     solver: SolverRecord
-
-
-@dataclass(frozen=True)
-class InfeasibilityReason:
-    """Why there is no proposal: the share of the nominal information that is kept, and the gap that is worst.
-
-    `lam` is the least one on the grid, proven for nothing; infinite if there is none.
-    """
-
     kept: float
     gap: float | None
-    memory: int
-    eta: float
-    lam: float
+
+    @property
+    def horizon(self) -> float:
+        """ln(lam)/eta."""
+        return float(np.log(max(self.lam, 1.0)) / self.dynamics.eta)
 
 
 class FamilySearch:
@@ -148,7 +146,7 @@ class FamilySearch:
             lam = lam**2 * 2 if np.isinf(high) else float(np.sqrt(low * high))
         return (high, best, kept, seen) if best is not None else (np.inf, None, kept, record)
 
-    def propose(self, eta: float, memory: int, worst: float = LARGEST_LAM) -> CandidateWeights | InfeasibilityReason:
+    def propose(self, eta: float, memory: int, worst: float = LARGEST_LAM) -> FamilyProposal:
         """Return matrices for which every inequality is proven along its interval, or why there are none.
 
         A lambda above `worst` on the grid ends the search, and so does the budget.
@@ -162,7 +160,7 @@ class FamilySearch:
             edges = proven_along(program.dynamics, edge_conditions(program.dynamics, program.graph, P), self.budget)
             claimed, nodes = self._lam_of(program, P)
             if edges.proven and nodes.proven:
-                return CandidateWeights(program.dynamics, program.graph, P, claimed, record)
+                return FamilyProposal(program.dynamics, program.graph, P, claimed, record, kept, gap)
             gap = max(edges.failed.values(), key=lambda item: item[1])[0] if edges.failed else gap
             program.gain(edges.failed, nodes.failed)
             if (edges.tight or nodes.tight) and not program.widen():
@@ -175,7 +173,7 @@ class FamilySearch:
             if again is None:
                 lam, again, kept, record = self.least_lam(program, LAM_RTOL, start=min(lam * 2, LARGEST_LAM))
             P = again
-        return InfeasibilityReason(kept, gap, memory, eta, lam)
+        return FamilyProposal(program.dynamics, program.graph, None, lam, record, kept, gap)
 
     @staticmethod
     def _lam_of(program: FamilyProgram, P: Array) -> tuple[float, StepOutcome]:
@@ -204,34 +202,19 @@ class FamilySearch:
         return np.inf if P is None else float(np.log(max(lam, 1.0)) / eta)
 
     def rates(self, bounds: tuple[float, float], memory: int, report: Progress) -> list[float]:
-        """Rates in the order of the horizons that they promise: a scan, then its best neighbourhood halved."""
-        tried: dict[float, float] = {}
-        for rate in np.geomspace(*bounds, SCAN).tolist():
-            if self.late:
-                break
-            tried[rate] = self.horizon(rate, memory)
-        for k in range(GOLDEN):
-            report(0.1 + 0.1 * k, "choice of the rate")
-            ordered = sorted(tried)
-            best = min(tried, key=lambda rate: (tried[rate], -rate), default=np.nan)
-            if self.late or not np.isfinite(tried.get(best, np.inf)):
-                break
-            place = ordered.index(best)
-            for other in (ordered[max(place - 1, 0)], ordered[min(place + 1, len(ordered) - 1)]):
-                rate = float(np.sqrt(best * other))
-                if rate not in tried:
-                    tried[rate] = self.horizon(rate, memory)
-        return [rate for rate in sorted(tried, key=lambda rate: (tried[rate], rate)) if np.isfinite(tried[rate])]
+        """Rates in the order of the horizons that they promise."""
+        scan = np.geomspace(*bounds, SCAN).tolist()
+        return best_rates(scan, GOLDEN, lambda rate: self.horizon(rate, memory), lambda: self.late, report)
 
     def decide(
         self, bounds: tuple[float, float], levels: list[int], least: NearestFailure, report: Progress
-    ) -> CandidateWeights:
+    ) -> FamilyProposal:
         """Return the proposal with the least horizon at the least memory that has one; refuse, or say undecided."""
-        missed: list[InfeasibilityReason] = []
+        missed: list[FamilyProposal] = []
         for level in levels:
             report(0.1, f"memory level {level}")
             found = self.propose(bounds[0], level)  # what exists at some rate exists at the least
-            if isinstance(found, CandidateWeights):
+            if found.P is not None:
                 chosen = bounds[0] < bounds[1]
                 return self.best_of(bounds, level, found, report) if chosen else found
             missed.append(found)
@@ -245,22 +228,41 @@ class FamilySearch:
         raise _undecided(self, bounds[0], missed, least)
 
     def best_of(
-        self, bounds: tuple[float, float], memory: int, known: CandidateWeights, report: Progress
-    ) -> CandidateWeights:
+        self, bounds: tuple[float, float], memory: int, known: FamilyProposal, report: Progress
+    ) -> FamilyProposal:
         """The first of the most promising rates whose proposal is proven and better than `known`, else `known`.
 
         So it is where the time is over, or who asked interrupts: what is proven stays.
         """
         with suppress(KeyboardInterrupt):
             for rate in self.rates(bounds, memory, report)[:TRIED_RATES]:
-                found = None if self.late else self.propose(rate, memory)
-                if isinstance(found, CandidateWeights) and _horizon_of(found) < _horizon_of(known):
+                found = known if self.late else self.propose(rate, memory)
+                if found.P is not None and found.horizon < known.horizon:
                     return found
         return known
 
 
-def _horizon_of(found: CandidateWeights) -> float:
-    return float(np.log(max(found.lam, 1.0)) / found.dynamics.eta)
+def best_rates(
+    scan: list[float], halvings: int, horizon: Callable[[float], float], over: Callable[[], bool], report: Progress
+) -> list[float]:
+    """Rates in the order of their finite horizons: a scan, then halvings of its best neighbourhood, until `over`."""
+    tried: dict[float, float] = {}
+    for rate in scan:
+        if over():
+            break
+        tried[rate] = horizon(rate)
+        report(0.3 * len(tried) / len(scan), "choice of the rate")
+    for _ in range(halvings):
+        ordered = sorted(tried)
+        best = min(tried, key=lambda rate: (tried[rate], -rate), default=np.nan)
+        if over() or not np.isfinite(tried.get(best, np.inf)):
+            break
+        place = ordered.index(best)
+        for other in (ordered[max(place - 1, 0)], ordered[min(place + 1, len(ordered) - 1)]):
+            rate = float(np.sqrt(best * other))
+            if rate not in tried:
+                tried[rate] = horizon(rate)
+    return [rate for rate in sorted(tried, key=lambda rate: (tried[rate], rate)) if np.isfinite(tried[rate])]
 
 
 @checked
@@ -364,9 +366,10 @@ def _bearable(plant: Plant, longest: float, eta: float) -> None:
 
 
 def certified(
-    plant: Plant, family: SamplingFamily, weights: NoiseWeights, given: Array | None, found: CandidateWeights
+    plant: Plant, family: SamplingFamily, weights: NoiseWeights, given: Array | None, found: FamilyProposal
 ) -> FamilyCertificate:
     """The certificate of a proposal, judged by the independent checker."""
+    assert found.P is not None
     P: Array = np.stack([found.dynamics.outside(matrix) for matrix in found.P]).astype(np.float64)
     if given is not None:
         P[0] = given
@@ -395,9 +398,7 @@ def without_states(
     )
 
 
-def _undecided(
-    search: FamilySearch, eta: float, missed: list[InfeasibilityReason], least: NearestFailure
-) -> UndecidedError:
+def _undecided(search: FamilySearch, eta: float, missed: list[FamilyProposal], least: NearestFailure) -> UndecidedError:
     """The best of both sides: the largest part of the family that is certified, and the word that is seen worst."""
     if search.late:
         return UndecidedError(
@@ -414,7 +415,7 @@ def _undecided(
         found = FamilySearch(
             search.plant, smaller, search.weights, search.P2, search.noise_gain, search.budget
         ).propose(eta, 0)
-        low, high, part = (fraction, high, smaller) if isinstance(found, CandidateWeights) else (low, fraction, part)
+        low, high, part = (fraction, high, smaller) if found.P is not None else (low, fraction, part)
     best = max(missed, key=lambda item: item.kept, default=None)
     known = "" if part is None else f" Certified is: {part.explain()}"
     known += f" Of the search for a counterexample: {least.searched}." if least.searched else ""

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from sampling_design.certificates.exact.given_weights import above_one, certifiable_schedule, weights_of
 from sampling_design.certificates.existence.counterexample import find_counterexample
+from sampling_design.certificates.families.certify_family import best_rates
 from sampling_design.certificates.families.graphs import in_plant_terms
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
 from sampling_design.certificates.form.verdict import Verification
@@ -236,31 +237,17 @@ def in_terms(plant: LinearInclusion, schedule: object, **others: object) -> Sche
 
 
 def choose_rate(search: InclusionSearch, pieces: int, arrival: bool, report: Progress) -> float:
-    """The rate of the least horizon: a scan, then its best neighbourhood halved."""
-    mean = search.mean
-    tried: dict[float, float] = {}
+    """The rate of the least horizon; the fastest of the scan where none has one."""
 
     def horizon(rate: float) -> float:
         found = search.solve(rate, pieces, narrow=not arrival)
         lost = np.inf if found is None else (0.0 if arrival else np.log(max(found.lam, 1.0)))
         return float((lost + np.log(4.0)) / rate)
 
-    for rate in np.geomspace(3.0, 0.05, RATES) / mean:
-        if search.budget.over:
-            break
-        tried[float(rate)] = horizon(float(rate))
-        report(0.3 * len(tried) / RATES, "choice of the rate")
-    for _ in range(FINER_RATES):
-        ordered = sorted(tried)
-        best = min(tried, key=lambda rate: (tried[rate], rate))
-        if not np.isfinite(tried[best]):
-            break
-        place = ordered.index(best)
-        for other in (ordered[max(place - 1, 0)], ordered[min(place + 1, len(ordered) - 1)]):
-            rate = float(f"{np.sqrt(best * other):.4g}")
-            if rate not in tried and not search.budget.over:
-                tried[rate] = horizon(rate)
-    return min(tried, key=lambda rate: (tried[rate], rate), default=3.0 / mean)
+    scan = (np.geomspace(3.0, 0.05, RATES) / search.mean).tolist()
+    found = best_rates(scan, FINER_RATES, horizon, lambda: search.budget.over, report)
+    best = found[0] if found else scan[-1]
+    return best if best in scan else float(f"{best:.4g}")
 
 
 def refused(search: InclusionSearch, eta: float, verdict: Verification | None) -> CertificateError:

@@ -15,7 +15,7 @@ import numpy as np
 
 from sampling_design.accuracy.gains import ROUNDING, Gains, cleared, evaluated, filter_gains
 from sampling_design.accuracy.sample_chain import SampleChain
-from sampling_design.accuracy.start import StartSet
+from sampling_design.accuracy.start import StartSet, WindowStart
 from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED, ConeSolver
 from sampling_design.numerics.stage_programs import StageProgram
@@ -73,7 +73,7 @@ class ConeWindow:
         self,
         chain: SampleChain,
         nodes: list[int],
-        start: Array | StartSet,
+        start: WindowStart,
         data: list[Array] | None = None,
         tolerance: float = TOLERANCE,
     ):
@@ -91,16 +91,9 @@ class ConeWindow:
         gaps, samples = [chain.gaps[j] for j in self.nodes[:-1]], [chain.samples[j] for j in self.nodes]
         if self.data is not None or not boxed(chain, self.nodes) or not gaps:
             return None
-        if isinstance(start, StartSet):
-            if start.ball or start.S is None or start.S.shape[0] != start.S.shape[1]:
-                return None
-            S: Array | None = start.S
-        elif np.any(start == 0):
-            if np.any(start != 0):
-                return None
-            S = None
-        else:
-            S = np.diag(1 / start)
+        fits, S = start.staged()
+        if not fits:
+            return None
         n = chain.D.size
         B = [np.swapaxes(gap.cells, 0, 1).reshape(n, -1) for gap in gaps]
         return StageProgram([gap.F for gap in gaps], B, [s.H for s in samples], S)
@@ -117,11 +110,7 @@ class ConeWindow:
         table.flow(F, np.hstack([np.zeros((n, 0)), *B]), [own.shape[1] for own in B], 0, K * n)
         self._exact_at = [table.add(y[k][s.exact], (k * n, s.H[s.exact])) for k, s in enumerate(samples)]
         table.end("zero")
-        ball = isinstance(self.start, StartSet) and self.start.ball
-        if isinstance(self.start, StartSet) and not ball and self.start.S is not None:
-            table.box(0, self.start.S, np.ones(len(self.start.S)))
-        elif not isinstance(self.start, StartSet):
-            table.box(0, np.eye(n), self.start)
+        self.start.pose(table, ball=False)
         noisy = [(k * n, s.H[~s.exact], y[k][~s.exact]) for k, s in enumerate(samples)]
         round_v = [chain.bounds.v_ball and len(H) > 1 for _, H, _ in noisy]
         each = list(zip(noisy, round_v, strict=True))
@@ -130,8 +119,7 @@ class ConeWindow:
             table.unit_box(K * n, table.columns - K * n)
         table.end("nonnegative")
         self._ball_at = [table.ball(*one) if r else -1 for one, r in each]
-        if isinstance(self.start, StartSet) and self.start.S is not None and ball:
-            table.ball(0, self.start.S)
+        self.start.pose(table, ball=True)
         if chain.bounds.w_ball and q:
             table.unit_balls(K * n, q, (table.columns - K * n) // q)
         self._b, self._solver = table.b(), ConeSolver(table.matrix(), table.cones, tolerance=self._tolerance)
@@ -214,9 +202,7 @@ class ConeWindow:
             if k:
                 F = chain.gaps[self.nodes[k - 1]].F
                 true, meant = F.T @ (true - sample.H.T @ gains[k]), F.T @ ahead[k - 1]
-        if isinstance(self.start, StartSet) and self.start.rows < mu.size:
-            cleared(self.chain, self.nodes, self.start, mu, gains)
-        return gains
+        return gains if self.start.rows >= mu.size else cleared(self.chain, self.nodes, self.start, mu, gains)
 
     def upper(self, mu: Array, gains: list[Array]) -> Gains:
         """Return what any gains prove, for all real times."""
@@ -251,7 +237,7 @@ class ConeWindow:
         chain, at = self.chain, self.nodes[0]
         if isinstance(self.start, StartSet):
             return chain.admissible_start(z)
-        if not self.start.any() or chain.undriven is None:
+        if not self.start.reach.any() or chain.undriven is None:
             return np.zeros_like(z)
         x = chain.undriven.nearest(chain.D * (chain.L[at] @ z))
         return np.asarray(np.linalg.solve(chain.L[at], x / chain.D))

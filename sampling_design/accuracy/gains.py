@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sampling_design.accuracy.sample_chain import ChainGap, SampleChain, noise_cost
-from sampling_design.accuracy.start import StartSet
+from sampling_design.accuracy.start import StartSet, WindowStart
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.records.arrays import Array
 
@@ -30,7 +30,7 @@ class Gains:
 def evaluated(
     chain: SampleChain,
     nodes: list[int],
-    start: Array | StartSet,
+    start: WindowStart,
     mu: Array,
     gains: list[Array],
     data: list[Array] | None = None,
@@ -38,10 +38,7 @@ def evaluated(
     """Return what gains prove of mu'z_K: h_start(rest) + int h_W(G'g) + sum h_V(gains), plus their data."""
     cost, g, scale, _ = _followed_back(chain, nodes, mu[:, None], lambda k, _: gains[k][:, None])
     total = float(cost[0])
-    if isinstance(start, StartSet):
-        total += start.support(g[:, 0], float(scale[0]))
-    else:
-        total += float(np.abs(g[:, 0]) @ start)
+    total += start.support(g[:, 0], float(scale[0]))
     if data is not None:
         shown = [float(lam @ y) for lam, y in zip(gains, data, strict=True)]
         return Gains(sum(shown) + total * (1 + ROUNDING) + ROUNDING * float(np.abs(shown).sum()), tuple(gains))
@@ -93,14 +90,6 @@ def filter_gains(chain: SampleChain, nodes: list[int], mu: Array) -> list[Array]
     return gains
 
 
-def filtered(chain: SampleChain, nodes: list[int], start: Array | StartSet, mu: Array) -> Gains:
-    """Return the filter's gains for mu'z_K, corrected where the start is free, with what they prove."""
-    gains = filter_gains(chain, nodes, mu)
-    if isinstance(start, StartSet) and start.rows < mu.size:
-        cleared(chain, nodes, start, mu, gains)
-    return evaluated(chain, nodes, start, mu, gains)
-
-
 def filtered_bounds(chain: SampleChain, j: int, start: StartSet, known: list[Array | None], mu: Array) -> Array:
     """Return what the filter's gains prove of every column of mu'z_j, mu (n, k), in a chain with a start.
 
@@ -110,14 +99,15 @@ def filtered_bounds(chain: SampleChain, j: int, start: StartSet, known: list[Arr
     total, g, scale, reach = _followed_back(chain, nodes, mu, lambda k, g: chain.samples[k].K.T @ g, known)
     if reach is not None:
         return np.asarray((total + reach @ np.abs(g)) * (1 + ROUNDING))
-    if start.rows < len(mu):  # what is free at the start must not be touched: gains are corrected
-        return np.array([filtered(chain, nodes, start, column).value for column in mu.T])
+    if start.rows < len(mu):  # what is free at the start must not be touched
+        corrected = [cleared(chain, nodes, start, column, filter_gains(chain, nodes, column)) for column in mu.T]
+        return np.array([evaluated(chain, nodes, start, *each).value for each in zip(mu.T, corrected, strict=True)])
     total += [start.support(rest, float(size)) for rest, size in zip(g.T, scale, strict=True)]
     return np.asarray(total * (1 + ROUNDING))
 
 
-def cleared(chain: SampleChain, nodes: list[int], start: StartSet, mu: Array, gains: list[Array]) -> None:
-    """Change gains as little as can be so that nothing is left of what is free at the start."""
+def cleared(chain: SampleChain, nodes: list[int], start: WindowStart, mu: Array, gains: list[Array]) -> list[Array]:
+    """Return gains, changed as little as can be so that nothing is left of what is free at the start."""
     free = start.free(mu.size)
     seen, flow = [], free
     for k, j in enumerate(nodes):
@@ -130,7 +120,8 @@ def cleared(chain: SampleChain, nodes: list[int], start: StartSet, mu: Array, ga
             rest = rest - chain.samples[nodes[k]].H.T @ gains[k]
             rest = chain.gaps[nodes[k - 1]].F.T @ rest if k else rest
         change = np.linalg.lstsq(rows.T, free.T @ rest)[0]
-        gains[:] = [lam + more for lam, more in zip(gains, np.split(change, ends), strict=True)]
+        gains = [lam + more for lam, more in zip(gains, np.split(change, ends), strict=True)]
+    return gains
 
 
 def centre_offset(chain: SampleChain, row: Array, j: int, d: float, gains: tuple[Array, ...]) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
+from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -62,6 +63,52 @@ class StartSet:
             return 0.0
         inside = self.S @ z
         return float(np.linalg.norm(inside) if self.ball else np.max(np.abs(inside), initial=0.0))
+
+    def staged(self) -> tuple[bool, Array | None]:
+        """Whether a program over stages takes the set, and its rows."""
+        return not self.ball and self.S is not None and self.S.shape[0] == self.S.shape[1], self.S
+
+    def pose(self, table: ConeTable, *, ball: bool) -> None:
+        """Add the set to a program whose first variables are z, where it is of that kind."""
+        if self.S is not None and self.ball and ball:
+            table.ball(0, self.S)
+        elif self.S is not None and not self.ball and not ball:
+            table.box(0, self.S, np.ones(len(self.S)))
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorReach:
+    """|z| <= reach entry by entry before the first of some samples, by the gains of those before it; at rest: z = 0."""
+
+    reach: Array
+
+    @property
+    def rows(self) -> int:
+        """Every entry is bounded."""
+        return self.reach.size
+
+    def support(self, rest: Array, scale: float) -> float:
+        """h_start(rest)."""
+        return float(np.abs(rest) @ self.reach)
+
+    def free(self, n: int) -> Array:
+        """Nothing is free."""
+        return np.zeros((n, 0))
+
+    def staged(self) -> tuple[bool, Array | None]:
+        """Whether a program over stages takes the set, and its rows: none at rest."""
+        if self.reach.all():
+            return True, np.diag(1 / self.reach)
+        return not self.reach.any(), None
+
+    def pose(self, table: ConeTable, *, ball: bool) -> None:
+        """Add the set to a program whose first variables are z."""
+        if not ball:
+            table.box(0, np.eye(self.reach.size), self.reach)
+
+
+WindowStart: TypeAlias = StartSet | ErrorReach
+"""What is known before the first sample of a window: at the start of a record, or of the past of an endless one."""
 
 
 @dataclass(frozen=True, eq=False)

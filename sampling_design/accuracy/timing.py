@@ -22,6 +22,7 @@ from sampling_design.accuracy.gains import Gains
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.sample_chain import SampleChain
 from sampling_design.accuracy.search import TOLERANCE, ChainSearch, RowAdversary, RowSearch
+from sampling_design.accuracy.start import ErrorReach
 from sampling_design.accuracy.undetectable import DetectablePart
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, physical
 from sampling_design.accuracy.worst_witness import admissible
@@ -195,7 +196,7 @@ def moved_witness(
         until = float(found.opened[j].d[offset]) - shift[-1]
         opened = open_row(chain, at, found.row, until)
         nodes = chain.nodes(at, count)
-        start = np.zeros(chain.D.size) if chain.start is None or nodes[0] else chain.start
+        start = ErrorReach(np.zeros(chain.D.size)) if chain.start is None or nodes[0] else chain.start
         gains, adversary = ConeWindow(chain, nodes, start, tolerance=TOLERANCE).both(opened.mu[-1])
         witness = physical(found.row, opened, RowAdversary(at, adversary, chain), opened.d.size - 1)
         witness = admissible(witness, moved)

@@ -63,7 +63,7 @@ def test_the_oracle_agrees_at_a_sample_and_between():
     d = 0.5
     row = c @ OSCILLATOR.transition(d)
     low, *_ = oracle.adversary(A, C, G, times, row, 0.02, 0.4, cells=8)
-    value = low + oracle.propagated(A, G, c, d, 0.02)
+    value = low + oracle.flown(A, G, c, d, 0.02)
     edges = found.profile.edges
     k = int(np.searchsorted(edges, GAPS.times[last] + d)) - 1
     assert found.profile.lower[0, k] <= value * 1.002

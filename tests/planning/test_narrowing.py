@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.accuracy.start import ErrorReach
 from sampling_design.planning import sequence as sequences
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.discrete_plant import motion_of
@@ -72,7 +73,7 @@ def evaluated_at(chain, part, k):
     from sampling_design.accuracy.gains import evaluated
 
     nodes = chain.nodes(part.sample, len(part.gains[k]))
-    return evaluated(chain, nodes, chain.reach[nodes[0]], part.directions[k], list(part.gains[k])).value
+    return evaluated(chain, nodes, ErrorReach(chain.reach[nodes[0]]), part.directions[k], list(part.gains[k])).value
 
 
 def test_an_error_as_small_as_the_plans_leaves_its_gaps_as_they_are_and_a_larger_one_fades(week):

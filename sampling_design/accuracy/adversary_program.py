@@ -15,7 +15,7 @@ import numpy as np
 
 from sampling_design.accuracy.gains import ROUNDING, Gains, cleared, evaluated, filter_gains
 from sampling_design.accuracy.sample_chain import SampleChain
-from sampling_design.accuracy.start import StartSet, WindowStart
+from sampling_design.accuracy.start import ErrorBefore, StartSet
 from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED, ConeSolver
 from sampling_design.numerics.stage_programs import StageProgram
@@ -73,7 +73,7 @@ class ConeWindow:
         self,
         chain: SampleChain,
         nodes: list[int],
-        start: WindowStart,
+        start: ErrorBefore,
         data: list[Array] | None = None,
         tolerance: float = TOLERANCE,
     ):

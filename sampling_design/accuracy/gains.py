@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sampling_design.accuracy.sample_chain import ChainGap, SampleChain, noise_cost
-from sampling_design.accuracy.start import StartSet, WindowStart
+from sampling_design.accuracy.start import ErrorBefore, StartSet
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.records.arrays import Array
 
@@ -30,7 +30,7 @@ class Gains:
 def evaluated(
     chain: SampleChain,
     nodes: list[int],
-    start: WindowStart,
+    start: ErrorBefore,
     mu: Array,
     gains: list[Array],
     data: list[Array] | None = None,
@@ -106,7 +106,7 @@ def filtered_bounds(chain: SampleChain, j: int, start: StartSet, known: list[Arr
     return np.asarray(total * (1 + ROUNDING))
 
 
-def cleared(chain: SampleChain, nodes: list[int], start: WindowStart, mu: Array, gains: list[Array]) -> list[Array]:
+def cleared(chain: SampleChain, nodes: list[int], start: ErrorBefore, mu: Array, gains: list[Array]) -> list[Array]:
     """Return gains, changed as little as can be so that nothing is left of what is free at the start."""
     free = start.free(mu.size)
     seen, flow = [], free

@@ -13,7 +13,7 @@ from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenS
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.gains import Gains, centre_offset, evaluated
 from sampling_design.accuracy.sample_chain import CELL_LOSS, SampleChain
-from sampling_design.accuracy.start import ErrorReach, WindowStart
+from sampling_design.accuracy.start import ErrorBefore, ErrorReach
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
 
@@ -147,7 +147,7 @@ class ChainSearch:
         size = 1.0 if at is None else float(mu @ self.atoms[j].mu[at] / (self.atoms[j].mu[at] @ self.atoms[j].mu[at]))
         return tuple(size * lam for lam in gains.gains)
 
-    def past(self, j: int, count: int, from_zero: bool) -> tuple[list[int], WindowStart]:
+    def past(self, j: int, count: int, from_zero: bool) -> tuple[list[int], ErrorBefore]:
         """The last samples up to j, and what is known before the first of them."""
         nodes = self.chain.nodes(j, count)
         if self.chain.start is not None:

@@ -107,7 +107,7 @@ class ErrorReach:
             table.box(0, np.eye(self.reach.size), self.reach)
 
 
-WindowStart: TypeAlias = StartSet | ErrorReach
+ErrorBefore: TypeAlias = StartSet | ErrorReach
 """What is known before the first sample of a window: at the start of a record, or of the past of an endless one."""
 
 

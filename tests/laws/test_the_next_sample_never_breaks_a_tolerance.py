@@ -113,7 +113,7 @@ class Watch:
             if not self.asked(goal, end, times[-1]):
                 continue
             _, nodes, _, u = oracle.hidden(A, C, G, times, seen, goal.row, end, self.w, self.v)
-            x = oracle.propagated(A, G, nodes, u)
+            x = oracle.flown(A, G, nodes, u)
             excess = np.max(np.abs(u / self.w), initial=1.0)
             y = np.abs(x[: len(times)] @ C.T / self.v)[seen]
             worst = max(worst, float(goal.row @ x[-1]) / max(excess, float(y.max(initial=0.0))) / goal.tolerance)

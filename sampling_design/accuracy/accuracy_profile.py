@@ -12,20 +12,11 @@ from sampling_design.records.checks import freeze
 
 @dataclass(frozen=True, eq=False)
 class GapProof:
-    """Gains for some directions at one sample: what bounds every row from above over the gap that follows.
+    """Gains for some directions at one sample: what bounds every row from above over the gap that follows."""
 
-    Attributes
-    ----------
-    sample : int
-        Its place in the schedule's period.
-    directions : (m, n) array
-        In the coordinates of the chain.
-    gains : tuple of tuple of arrays
-        For each direction, the gains of the samples back in time, the latest last, in units of v_bound.
-    """
-
-    sample: int
-    directions: Array
+    sample: int  # its place in the schedule's period
+    directions: Array  # (m, n): in the coordinates of the chain
+    # for each direction, the gains of the samples back in time, the latest last, in units of v_bound
     gains: tuple[tuple[Array, ...], ...]
 
 

@@ -25,28 +25,15 @@ FINENESS = 0.1
 
 @dataclass(frozen=True, eq=False)
 class RowBetweenSamples:
-    """One wanted row after sample j, on a grid of offsets d.
+    """One wanted row after sample j, on a grid of offsets d."""
 
-    Attributes
-    ----------
-    d : (N+1,) array
-    mu, bend : (N+1, n) arrays
-        Phi(d)'c and its second derivative, in the coordinates of z_j.
-    third : (N, n) array
-        On each panel, bounds on the entries of its third derivative.
-    above, below : (N+1,) arrays
-        Bounds on int_0^d h_W(G'Phi(s)'c) ds.
-    slope : (N,) array
-        On each panel, a bound on |d/ds h_W(G'Phi(s)'c)|.
-    """
-
-    d: Array
-    mu: Array
+    d: Array  # (N+1,)
+    mu: Array  # mu, bend, (N+1, n): Phi(d)'c and its second derivative, in the coordinates of z_j
     bend: Array
-    third: Array
-    above: Array
+    third: Array  # (N, n): on each panel, bounds on the entries of its third derivative
+    above: Array  # above, below, (N+1,): bounds on int_0^d h_W(G'Phi(s)'c) ds
     below: Array
-    slope: Array
+    slope: Array  # (N,): on each panel, a bound on |d/ds h_W(G'Phi(s)'c)|
 
     def bound(self, atoms: BoundedDirections) -> tuple[Array, Array]:
         """Return bounds on rho at the nodes (N+1,) and all along the panels (N,)."""

@@ -36,23 +36,12 @@ class DirectionFit:
 
 @dataclass(eq=False)
 class BoundedDirections:
-    """Bounded directions after one sample.
+    """Bounded directions after one sample."""
 
-    Attributes
-    ----------
-    basis : (n, r) array
-        Orthonormal; what the samples determine. Other directions are not bounded at all.
-    reach : (r,) array
-        Bounds on rho of the columns of `basis`.
-    mu : (m, n) array
-    gains : list of Gains
-        What bounds them.
-    """
-
-    basis: Array
-    reach: Array
-    mu: Array = field(init=False)
-    gains: list[Gains] = field(default_factory=list)
+    basis: Array  # (n, r): orthonormal; what the samples determine. Other directions are not bounded at all.
+    reach: Array  # (r,): bounds on rho of the columns of `basis`
+    mu: Array = field(init=False)  # (m, n)
+    gains: list[Gains] = field(default_factory=list)  # what bounds them
 
     def __post_init__(self) -> None:
         self.mu = np.zeros((0, len(self.basis)))

@@ -23,23 +23,12 @@ Bound: TypeAlias = Given | None
 
 @dataclass(frozen=True, eq=False)
 class SignalBounds:
-    """|w(t)| <= w and |v_j| <= v_j in the Euclidean norm ("ball"), or entry by entry ("box").
+    """|w(t)| <= w and |v_j| <= v_j in the Euclidean norm ("ball"), or entry by entry ("box")."""
 
-    Attributes
-    ----------
-    w : (q,) array
-        Half-widths; equal ones for a ball.
-    w_ball : bool
-    v : (N, p) array
-        One row for each sample; infinite where an output is not measured.
-    v_ball : bool
-        The norm is over the outputs that a sample measures.
-    """
-
-    w: Array
+    w: Array  # (q,): half-widths; equal ones for a ball
     w_ball: bool
-    v: Array
-    v_ball: bool
+    v: Array  # (N, p): one row for each sample; infinite where an output is not measured
+    v_ball: bool  # the norm is over the outputs that a sample measures
     w_centre: Array | None = None
     v_centre: Array | None = None
 

@@ -146,10 +146,8 @@ def finite_atoms(chain: SampleChain, given: Sequence[Array] = ()) -> list[Bounde
 def _determined(free: Array, seen: list[Array]) -> Array:
     """Orthonormal columns that span what nothing free and unseen touches.
 
-    Raises
-    ------
-    UndecidedError
-        If something free has decayed so far that rounding hides whether it is seen, or where it points.
+    Raises UndecidedError if something free has decayed so far that rounding hides whether it is seen, or where it
+    points.
     """
     n = len(free)
     if not free.shape[1]:

@@ -42,30 +42,15 @@ GROWN = 1e70
 
 @dataclass(frozen=True, eq=False)
 class FlownGap:
-    """One gap; s runs back from its end.
+    """One gap; s runs back from its end."""
 
-    Attributes
-    ----------
-    F : (n, n) array
-    step : float
-        Length of a panel.
-    flown, bend : (N+1, n, q) arrays
-        e^{As}G and e^{As}A^2G at the ends of the panels.
-    third : (N,) array
-        On each panel a bound on |e^{As}A^3G|.
-    pieces : (N, n, q) array
-        int e^{As}G ds over the panels.
-    marks : (N,) array
-        Where each panel lies among coarse cells of one size.
-    """
-
-    F: Array
-    step: float
-    flown: Array
+    F: Array  # (n, n)
+    step: float  # length of a panel
+    flown: Array  # flown, bend, (N+1, n, q): e^{As}G and e^{As}A^2G at the ends of the panels
     bend: Array
-    third: Array
-    pieces: Array
-    marks: Array
+    third: Array  # (N,): on each panel a bound on |e^{As}A^3G|
+    pieces: Array  # (N, n, q): int e^{As}G ds over the panels
+    marks: Array  # (N,): where each panel lies among coarse cells of one size
     _cells: dict[int, Array] = field(default_factory=dict, repr=False)
 
     def cells(self, level: int) -> Array:

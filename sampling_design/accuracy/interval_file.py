@@ -87,13 +87,7 @@ def _or_nothing(values: Array) -> list[float | None]:
 
 
 def write_tree(data: dict[str, Plain], path: str | os.PathLike[str]) -> Path:
-    """Write such data as JSON, whole or not at all.
-
-    Raises
-    ------
-    ArgumentError
-        If the ending is not .json.
-    """
+    """Write such data as JSON, whole or not at all. Raises ArgumentError if the ending is not .json."""
     if Path(path).suffix.lower() != ".json":
         raise ArgumentError(f"`path` of an interval must end in .json, got {os.fspath(path)!r}.")
     return file_io.write_text(path, file_io.to_json(data))
@@ -102,10 +96,7 @@ def write_tree(data: dict[str, Plain], path: str | os.PathLike[str]) -> Path:
 def read_tree(path: str | os.PathLike[str]) -> tuple[OfInterval, Plant]:
     """Return what a file claims and the plant, every size compared.
 
-    Raises
-    ------
-    FileFormatError
-        If it is missing, cut off, altered, or holds something else.
+    Raises FileFormatError if it is missing, cut off, altered, or holds something else.
     """
     where = os.fspath(path)
     data = file_io.from_json(file_io.read_text(where), where)

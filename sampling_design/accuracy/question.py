@@ -22,32 +22,17 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 @dataclass(frozen=True, eq=False)
 class AccuracyQuestion:
-    """A plant, a schedule and bounds.
-
-    Attributes
-    ----------
-    bounds : SignalBounds
-        One row of v for each node.
-    initial : InitialSet or None
-        None: the schedule is endless.
-    nodes : (N,) array
-        Sample times of the period; of a finite schedule its start, which may be a sample, and its samples.
-    end : float
-        Of the period that begins at the first node, or of the finite schedule.
-    timing_tolerance : float
-        How early or late each sample may be.
-    result_delay : float
-        How long after its sample a result comes.
-    """
+    """A plant, a schedule and bounds."""
 
     plant: Plant
     schedule: Schedule | PeriodicSchedule
-    bounds: SignalBounds
-    initial: InitialSet | None
+    bounds: SignalBounds  # one row of v for each node
+    initial: InitialSet | None  # None: the schedule is endless
+    # (N,): sample times of the period; of a finite schedule its start, which may be a sample, and its samples
     nodes: Array
-    end: float
-    timing_tolerance: float = 0.0
-    result_delay: float = 0.0
+    end: float  # of the period that begins at the first node, or of the finite schedule
+    timing_tolerance: float = 0.0  # how early or late each sample may be
+    result_delay: float = 0.0  # how long after its sample a result comes
 
     @classmethod
     def of(

@@ -139,10 +139,7 @@ PartialReading: TypeAlias = BelowDetection | AboveRange | CompositeReading
 def with_censored(y: object, p: int) -> tuple[object, tuple[CensoredReading, ...]]:
     """Return measurements with NaN in place of limits and means, and those.
 
-    Raises
-    ------
-    ArgumentError
-        If a limit or the mean is not a finite number.
+    Raises ArgumentError if a limit or the mean is not a finite number.
     """
     y = [y] if isinstance(y, PartialReading) else y
     if not isinstance(y, (list, tuple)):
@@ -195,33 +192,16 @@ def _even_sizes(A: bytes, n: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """All that is known of a plant up to some time.
-
-    Attributes
-    ----------
-    plant : Plant
-    push : DisturbanceSet
-    start : StartError
-        Of x(times[0]) - centre.
-    centre : (n,) array
-    times : (K,) array
-        Increasing; at each some rows (or none) were read.
-    rows : tuple of tuples of RowReading
-        Those of each time; y less D u.
-    ball : bool
-        The sizes of the two-sided rows of one time bound a Euclidean norm together.
-    inputs : tuple of (t, u)
-        In order of time; u holds from t on, 0 before the first.
-    """
+    """All that is known of a plant up to some time."""
 
     plant: Plant
     push: DisturbanceSet
-    start: StartError
-    centre: Array
-    times: Array
-    rows: tuple[tuple[RowReading, ...], ...]
-    ball: bool
-    inputs: tuple[tuple[float, Array], ...] = ()
+    start: StartError  # of x(times[0]) - centre
+    centre: Array  # (n,)
+    times: Array  # (K,): increasing; at each some rows (or none) were read
+    rows: tuple[tuple[RowReading, ...], ...]  # those of each time; y less D u
+    ball: bool  # the sizes of the two-sided rows of one time bound a Euclidean norm together
+    inputs: tuple[tuple[float, Array], ...] = ()  # in order of time; u holds from t on, 0 before the first
 
     @cached_property
     def means(self) -> tuple[bytes, ...]:
@@ -371,10 +351,7 @@ def gathered(
 ) -> Readings:
     """Return the readings of rows in order of time; the start, and where a mean began, become times of their own.
 
-    Raises
-    ------
-    ArgumentError
-        If a mean began before the start, or two means of one row overlap.
+    Raises ArgumentError if a mean began before the start, or two means of one row overlap.
     """
     at: dict[float, tuple[RowReading, ...]] = dict(rows)
     spans: dict[bytes, float] = {}
@@ -406,10 +383,7 @@ class RecordRow(NamedTuple):
 def arrived(items: Iterable[object], p: int) -> list[RecordRow]:
     """Return the rows (t, y, u) of a record, checked one by one.
 
-    Raises
-    ------
-    ArgumentError
-        If a row has another form or number of outputs, or an output is infinite.
+    Raises ArgumentError if a row has another form or number of outputs, or an output is infinite.
     """
     return [_arrived(item, p) for item in items]
 

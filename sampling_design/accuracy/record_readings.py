@@ -37,10 +37,7 @@ def read_record(
 ) -> Readings:
     """Return what a record says of a plant under bounds as typed by a user.
 
-    Raises
-    ------
-    ArgumentError
-        If the record is empty or not in order, or a bound is missing or of another shape.
+    Raises ArgumentError if the record is empty or not in order, or a bound is missing or of another shape.
     """
     centre = checks.vector("prior", np.zeros(plant.n_states) if prior is None else prior, plant.n_states)
     items = arrived(record, plant.n_outputs)

@@ -110,10 +110,7 @@ class RootedPeriod:
     def settled(self, root: Array) -> list[Array]:
         """Return roots after each sample of the period that all come to, begun from a `root` of full rank.
 
-        Raises
-        ------
-        UndecidedError
-            If they do not settle in doubles.
+        Raises UndecidedError if they do not settle in doubles.
         """
         for _ in range(MOST_PERIODS):
             before = root

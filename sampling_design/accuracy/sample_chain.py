@@ -130,22 +130,7 @@ class ChainSample:
 
 @dataclass(frozen=True, eq=False)
 class SampleChain:
-    """Samples j = 0..N-1 and the gaps behind them; endless (without `start`): after the last comes the first.
-
-    Attributes
-    ----------
-    start : StartSet or None
-        Of z_0 in a finite chain.
-    last : float
-        How long a finite chain goes on after its last sample.
-    known : (n,) array of bool or None
-        Entries of x that are exactly their centre at the start.
-    hidden : int
-        How many of the last entries of every z no sample of an endless chain shows: they move on by themselves, and the
-        others are free of them.
-    late : float
-        How late samples may be: what follows from one is said from then on, and until the next one may be as late.
-    """
+    """Samples j = 0..N-1 and the gaps behind them; endless (without `start`): after the last comes the first."""
 
     plant: Plant
     bounds: SignalBounds
@@ -155,10 +140,13 @@ class SampleChain:
     G: Array
     samples: tuple[ChainSample, ...]
     gaps: tuple[ChainGap, ...]
-    start: StartSet | None = None
-    last: float = 0.0
-    known: Mask | None = None
+    start: StartSet | None = None  # of z_0 in a finite chain
+    last: float = 0.0  # how long a finite chain goes on after its last sample
+    known: Mask | None = None  # (n,): entries of x that are exactly their centre at the start
+    # how many of the last entries of every z no sample of an endless chain shows: they move on by themselves, and the
+    # others are free of them
     hidden: int = 0
+    # how late samples may be: what follows from one is said from then on, and until the next one may be as late
     late: float = 0.0
 
     @property
@@ -245,10 +233,7 @@ class SampleChain:
     def _filtered(self) -> list[tuple[int, Array, Array]]:
         """Of each sample: samples back until the error contracts, what noise and w cost till then, |rest| (r, r).
 
-        Raises
-        ------
-        UndecidedError
-            If it does not contract.
+        Raises UndecidedError if it does not contract.
         """
         count, r, found = len(self), self.determined, []
         for j in range(count):
@@ -281,10 +266,7 @@ class SampleChain:
 def refuse_growth(plant: Plant, gaps: Array, last: float = 0.0) -> None:
     """Refuse gaps over which a mode grows so far that no double tells what samples show of it; `last` comes after all.
 
-    Raises
-    ------
-    UndecidedError
-        If there is one.
+    Raises UndecidedError if there is one.
     """
     rate = float(np.max(np.linalg.eigvals(plant.A).real, initial=0.0))
     if rate * float(np.max(gaps, initial=0.0)) > FOLLOWED or rate * last > AHEAD:
@@ -418,10 +400,7 @@ def _by_roots(rooted: RootedPeriod, start: Array) -> tuple[list[Array], list[Arr
 def make_gap(table: GapTable, h: float, L: Array, following: Array, F: Array) -> ChainGap:
     """Return one gap from coordinates L to those of `following`; `table` keeps what gaps of one length share.
 
-    Raises
-    ------
-    UndecidedError
-        If what is between its panels has no bound in doubles.
+    Raises UndecidedError if what is between its panels has no bound in doubles.
     """
     flow = table.cut(h, PANEL)
     if not np.isfinite(flow.third).all():

@@ -113,23 +113,12 @@ ErrorBefore: TypeAlias = StartSet | ErrorReach
 
 @dataclass(frozen=True, eq=False)
 class InitialSet:
-    """The error x(start) - xbar: |S (e - centre)| <= 1, in the Euclidean norm or entry by entry.
+    """The error x(start) - xbar: |S (e - centre)| <= 1, in the Euclidean norm or entry by entry."""
 
-    Attributes
-    ----------
-    S : (k, n) array
-        In the plant's units; no rows: nothing is known.
-    ball : bool
-    exact : (n,) array of bool
-        Entries that are known exactly; S says nothing of them.
-    centre : (n,) array
-        0 where the bounds are symmetric.
-    """
-
-    S: Array
+    S: Array  # (k, n): in the plant's units; no rows: nothing is known
     ball: bool
-    exact: Mask
-    centre: Array
+    exact: Mask  # (n,): entries that are known exactly; S says nothing of them
+    centre: Array  # (n,): 0 where the bounds are symmetric
 
     @property
     def whole(self) -> bool:
@@ -221,10 +210,7 @@ def named_bounds(
 ) -> tuple[Array, Array]:
     """Return half-widths and centres of a mapping from names to numbers or pairs (lower, upper).
 
-    Raises
-    ------
-    ArgumentError
-        If a name is unknown, a number negative or a pair in the wrong order.
+    Raises ArgumentError if a name is unknown, a number negative or a pair in the wrong order.
     """
     checks.known_keys(f"`{argument}`", [str(key) for key in value], names)
     half, centre = np.full(len(names), missing), np.zeros(len(names))
@@ -237,10 +223,7 @@ def named_bounds(
 def half_and_centre(argument: str, entry: object) -> tuple[float, float]:
     """Return half-width and centre of a number (about 0) or a pair (lower, upper); what is one-sided is unbounded.
 
-    Raises
-    ------
-    ArgumentError
-        If the number is negative, or the pair in the wrong order.
+    Raises ArgumentError if the number is negative, or the pair in the wrong order.
     """
     if isinstance(entry, tuple):
         if len(entry) != 2:

@@ -89,10 +89,8 @@ def refuse_tolerance(question: AccuracyQuestion, spread: bool) -> None:
 def noise_enough(question: AccuracyQuestion, known: DetectablePart, budget: Budget) -> Array:
     """Return the noise u (N, p) that stands for the tolerance; 0 where an output is not measured.
 
-    Raises
-    ------
-    UndecidedError
-        If there is none: what a tolerance adds grows faster than itself, or a row that it takes is not known.
+    Raises UndecidedError if there is none: what a tolerance adds grows faster than itself, or a row that it takes is
+    not known.
     """
     before, tried = np.zeros_like(question.bounds.v), np.zeros_like(question.bounds.v)
     kept: tuple[Array, Array] | None = None

@@ -40,27 +40,14 @@ TOUCHED = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class DetectablePart:
-    """The plant without its unknown part: x = lift z + unknown.
+    """The plant without its unknown part: x = lift z + unknown."""
 
-    Attributes
-    ----------
-    plant : Plant
-        The plant itself where nothing is unknown.
-    lift : (n, r) array
-        x = lift z + unknown part: a row of x that the unknown part does not touch is row lift of z.
-    unknown : (n, n - r) array
-        What spans the unknown part.
-    modes : tuple of str
-        Its eigenvalues, in words.
-    moving : (n, m) array or None
-        What no sample shows, as it is at the first one, where that moves on (the samples come at a period of a mode
-        that the outputs see at other times): `plant` is then whole, and `unknown` all that it passes through.
-    """
-
-    plant: Plant
-    lift: Array
-    unknown: Array
-    modes: tuple[str, ...]
+    plant: Plant  # the plant itself where nothing is unknown
+    lift: Array  # (n, r): x = lift z + unknown part: a row of x that the unknown part does not touch is row lift of z
+    unknown: Array  # (n, n - r): what spans the unknown part
+    modes: tuple[str, ...]  # its eigenvalues, in words
+    # (n, m): what no sample shows, as it is at the first one, where that moves on (the samples come at a period of a
+    # mode that the outputs see at other times): `plant` is then whole, and `unknown` all that it passes through
     moving: Array | None = None
 
     def touches(self, row: Array) -> bool:

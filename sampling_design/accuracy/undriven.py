@@ -24,24 +24,13 @@ AMONG = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class UndrivenMotions:
-    """All that eigenvectors of modes that do not decay span.
+    """All that eigenvectors of modes that do not decay span."""
 
-    Attributes
-    ----------
-    scale : (n,) array
-        Of the states; balances A.
-    modes : (n, m) array
-        Eigenvectors of length one, in that scale.
-    shown : (p, m) array
-        What outputs show of each at most, in units of the least noise that a sample of the period bounds them by.
-    ball : bool
-        Whether the noise of a sample is bounded in the Euclidean norm.
-    """
-
-    scale: Array
-    modes: Complex
+    scale: Array  # (n,): of the states; balances A
+    modes: Complex  # (n, m): eigenvectors of length one, in that scale
+    # (p, m): what outputs show of each at most, in units of the least noise that a sample of the period bounds them by
     shown: Array
-    ball: bool
+    ball: bool  # whether the noise of a sample is bounded in the Euclidean norm
 
     @classmethod
     def of(cls, plant: Plant, bounds: SignalBounds) -> UndrivenMotions:

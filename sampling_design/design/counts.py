@@ -11,12 +11,8 @@ from sampling_design.plants.plant import Plant
 def rival_counts(plant: Plant, requirement: Requirement) -> list[int]:
     """The counts of samples to design for, largest first: those of which no larger one is always at least as good.
 
-    A further sample never lowers sigma, but spacing, closed times and costs may leave no room for it.
-
-    Raises
-    ------
-    InfeasibleRequirementError
-        If no count that is asked for can be met.
+    A further sample never lowers sigma, but spacing, closed times and costs may leave no room for it. Raises
+    InfeasibleRequirementError if no count that is asked for can be met.
     """
     wanted = requirement.samples
     if "exactly" in wanted:

@@ -21,10 +21,7 @@ _BYTES = 8.0  # of a double
 def check_size(problem: DesignProblem) -> None:
     """Refuse what overflows, and what takes more memory than `MOST_MEMORY`, with what it would take.
 
-    Raises
-    ------
-    ArgumentError
-        In one sentence, with what would be possible.
+    Raises ArgumentError in one sentence, with what would be possible.
     """
     _check_numbers(problem)
     for size, what in _sizes(problem):

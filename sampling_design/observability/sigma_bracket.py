@@ -89,10 +89,7 @@ def coordinates_of(has_scales: bool) -> str:
 def rtol_and_seconds(rtol: float, budget: float | None) -> tuple[float, float]:
     """Return the width of a bracket and the seconds for it, checked; no budget is no limit.
 
-    Raises
-    ------
-    ArgumentError
-        If a number is out of range.
+    Raises ArgumentError if a number is out of range.
     """
     width = checks.positive("rtol", rtol)
     if width >= 1:

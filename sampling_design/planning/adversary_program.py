@@ -36,24 +36,12 @@ BEYOND = 1 + 1e-4
 
 @dataclass(frozen=True, eq=False)
 class DisturbedTrajectory:
-    """A motion from rest, with w constant over each step.
+    """A motion from rest, with w constant over each step."""
 
-    Attributes
-    ----------
-    w : (T, q) array
-        In units of the bound.
-    knots : (K,) int array
-        Steps at which the state is given, the first 0.
-    states : (K, n) array
-        z there.
-    path : (T+1, n) array
-        z at every step, flown from the knots.
-    """
-
-    w: Array
-    knots: Index
-    states: Array
-    path: Array
+    w: Array  # (T, q): in units of the bound
+    knots: Index  # (K,): steps at which the state is given, the first 0
+    states: Array  # (K, n): z there
+    path: Array  # (T+1, n): z at every step, flown from the knots
 
     def size(self, ball: bool) -> float:
         """The largest |w|."""

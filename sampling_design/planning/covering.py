@@ -42,19 +42,11 @@ GRAIN = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class CoverModel:
-    """Variables: the samples n_i of every allowed step, then its measurements z_ij (left out if they are whole).
+    """Variables: the samples n_i of every allowed step, then its measurements z_ij (left out if they are whole)."""
 
-    Attributes
-    ----------
-    c : (k,) array
-    A : sparse (m, k)
-        All rows as A x >= b.
-    b : (m,) array
-    """
-
-    c: Array
-    A: sparse.csr_matrix
-    b: Array
+    c: Array  # (k,)
+    A: sparse.csr_matrix  # all rows as A x >= b
+    b: Array  # (m,)
 
 
 class CoveringRows:

@@ -42,31 +42,18 @@ STAYS = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class DiscretePlant:
-    """x = T z on the grid: z_{i+1} = F z_i + Gamma w_i, |w_i| <= 1, |H z_i| <= 1 where measured.
+    """x = T z on the grid: z_{i+1} = F z_i + Gamma w_i, |w_i| <= 1, |H z_i| <= 1 where measured."""
 
-    Attributes
-    ----------
-    T : (n, r) array
-        Fewer columns than states where the plant has parts that no sensor ever shows.
-    A, G : arrays
-        Per unit of time, G in units of the bound on w.
-    H : (p, n) array
-        In units of the noise bounds; 0 where there is none.
-    N, S : (n, q) and (p, n) arrays
-        G in units of the root of the noise's intensity, outputs in units of the noise's deviation.
-    step : float
-    ball : bool
-        Whether |w| is Euclidean.
-    """
-
-    T: Array
-    A: Array
+    T: Array  # (n, r): fewer columns than states where the plant has parts that no sensor ever shows
+    A: Array  # A, G: per unit of time, G in units of the bound on w
     G: Array
-    H: Array
+    H: Array  # (p, n): in units of the noise bounds; 0 where there is none
+    # N, S, (n, q) and (p, n): G in units of the root of the noise's intensity, outputs in units of the noise's
+    # deviation
     N: Array
     S: Array
     step: float
-    ball: bool
+    ball: bool  # whether |w| is Euclidean
     _flows: dict[int, Array] = field(default_factory=dict)
 
     @property
@@ -128,18 +115,10 @@ class DiscretePlant:
 
 @dataclass(frozen=True, eq=False)
 class UndetectedModes:
-    """Motions that do not fade and that a choice never sees.
+    """Motions that do not fade and that a choice never sees."""
 
-    Attributes
-    ----------
-    where : (M, p) array of bool
-        Where they show: any choice that measures nowhere on the mask hides them, too.
-    states : (n, k) array
-        z at step 0 of such motions, orthonormal.
-    """
-
-    where: Mask
-    states: Array
+    where: Mask  # (M, p): where they show: any choice that measures nowhere on the mask hides them, too
+    states: Array  # (n, k): z at step 0 of such motions, orthonormal
 
 
 def hidden_at(
@@ -196,12 +175,8 @@ def _even(rows: Array) -> Array:
 def motion_of(problem: PlanProblem) -> DiscretePlant:
     """Return the plant of a problem on its grid; coordinates from a spread-out schedule with every sensor.
 
-    Raises
-    ------
-    ArgumentError
-        If a mode grows so much in a step of the grid that no sample helps.
-    InfeasibleRequirementError
-        If a goal depends on what no sensor ever shows.
+    Raises ArgumentError if a mode grows so much in a step of the grid that no sample helps; InfeasibleRequirementError
+    if a goal depends on what no sensor ever shows.
     """
     plant = problem.plant
     fastest = max(np.linalg.eigvals(plant.A).tolist(), key=lambda value: value.real)

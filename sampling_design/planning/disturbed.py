@@ -24,10 +24,7 @@ MOST_LOST = 2
 def plan_robustness(plan: PlanFigures, work: Budget | None = None) -> PlanRobustness | None:
     """Return what a plan bears; None where it keeps nothing, or where nothing bounds what a change does.
 
-    Raises
-    ------
-    BudgetSpentError
-        If that takes more work than there is left.
+    Raises BudgetSpentError if that takes more work than there is left.
     """
     plan = plan.on_time
     if not plan.keeps:

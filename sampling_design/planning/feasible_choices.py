@@ -84,12 +84,8 @@ class FeasibleChoices:
     def cheapest(self, held: Iterable[Mask], everything: Mask) -> ProvenChoice:
         """The cheapest of what was held, and of all that is allowed, that is proven to keep the tolerances.
 
-        Or a choice that is cheaper still, made of one that is not: more of what is allowed joins it.
-
-        Raises
-        ------
-        UndecidedError
-            If nothing is proven to keep them.
+        Or a choice that is cheaper still, made of one that is not: more of what is allowed joins it. Raises
+        UndecidedError if nothing is proven to keep them.
         """
         cost, best = self.problem.cost, None
         choices = sorted([*held, everything], key=cost)
@@ -104,12 +100,8 @@ class FeasibleChoices:
     def _mended(self, chosen: Mask, everything: Mask, best: ProvenChoice | None) -> ProvenChoice:
         """More of what is allowed, spread out, until the tolerances are proven, as long as that is cheaper than `best`.
 
-        It is asked for where a motion that no disturbance drives neither fades nor is seen well.
-
-        Raises
-        ------
-        UndecidedError
-            If there is no `best`, and not even as much as spacings allow is proven to keep them.
+        It is asked for where a motion that no disturbance drives neither fades nor is seen well. Raises UndecidedError
+        if there is no `best`, and not even as much as spacings allow is proven to keep them.
         """
         more = np.argwhere(everything & ~chosen)
         more = more[np.argsort((np.arange(len(more)) * SPREAD) % 1.0, kind="stable")]

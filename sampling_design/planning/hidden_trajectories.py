@@ -28,32 +28,17 @@ class HiddenTrajectory:
 
     Of a motion, measurements see it or not. A tangent says that the variance is at least reach^2 less the sum of
     `peaks` over what is measured.
-
-    Attributes
-    ----------
-    goal : int
-    reach : float
-        What it does to the goal's row, over the tolerance.
-    end : int
-        The step (before any turn of the period) at which it does so.
-    at_sample : bool
-        Whether the step's own samples count (accuracy after a sample), else the time just before them.
-    peaks : (M, p) array
-        For each step of the period, counted back from the end (0: the end itself), the largest ratio of output to
-        bound over all periods; of a tangent, its slopes.
-    flight : DisturbedTrajectory or None
-        None for a tangent.
-    point : (M, p) array or None
-        Where a tangent touches, in steps back from the end.
     """
 
     goal: int
-    reach: float
-    end: int
-    at_sample: bool
+    reach: float  # what it does to the goal's row, over the tolerance
+    end: int  # the step (before any turn of the period) at which it does so
+    at_sample: bool  # whether the step's own samples count (accuracy after a sample), else the time just before them
+    # (M, p): for each step of the period, counted back from the end (0: the end itself), the largest ratio of output to
+    # bound over all periods; of a tangent, its slopes
     peaks: Array
-    flight: DisturbedTrajectory | None = None
-    point: Array | None = None
+    flight: DisturbedTrajectory | None = None  # None for a tangent
+    point: Array | None = None  # (M, p): where a tangent touches, in steps back from the end
 
     @property
     def touches(self) -> Array:

@@ -39,21 +39,11 @@ TIE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class HittingSet:
-    """What a search among so few samples came to.
+    """What a search among so few samples came to."""
 
-    Attributes
-    ----------
-    chosen : (M, p) array of bool or None
-        What sees every motion.
-    none : bool
-        Whether there is no such choice; neither if the search was given up.
-    proof : CostProof or None
-        That there is none; None also where it takes what a proof is not told of.
-    """
-
-    chosen: Mask | None = None
-    none: bool = False
-    proof: CostProof | None = None
+    chosen: Mask | None = None  # (M, p): what sees every motion
+    none: bool = False  # whether there is no such choice; neither if the search was given up
+    proof: CostProof | None = None  # that there is none; None also where it takes what a proof is not told of
 
 
 def smallest_hitting_set(

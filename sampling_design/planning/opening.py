@@ -36,12 +36,8 @@ def week_hours(name: str, value: object) -> WeekHours:
     """Return opening hours by weekday; days that are not named are closed.
 
     Keys are weekdays, or several of them: "Mon-Fri". Hours that end no later than they begin end on the next day:
-    ("22:00", "06:00") on Sun is until Mon 06:00.
-
-    Raises
-    ------
-    ArgumentError
-        If a day or a clock time is not understood, or an interval is empty.
+    ("22:00", "06:00") on Sun is until Mon 06:00. Raises ArgumentError if a day or a clock time is not understood, or an
+    interval is empty.
     """
     own: WeekHours = {}
     for key, spans in checks.mapping(name, value, "a table of spans by weekday").items():
@@ -213,19 +209,11 @@ class PlanClock:
     """What the clocks of a plan show beside the real time: both since its start [the plant's time unit].
 
     Without a calendar, and before the start, they are the same.
-
-    Attributes
-    ----------
-    calendar : OpeningCalendar or None
-    minutes : float
-        Of the plant's time unit.
-    until : float
-        Real time from which on the clocks are changed no more.
     """
 
     calendar: OpeningCalendar | None = None
-    minutes: float = 1.0
-    until: float = np.inf
+    minutes: float = 1.0  # of the plant's time unit
+    until: float = np.inf  # real time from which on the clocks are changed no more
 
     def elapsed(self, clock: npt.ArrayLike) -> Array:
         """Real times at which the clocks show so much for the first time."""
@@ -261,10 +249,7 @@ def _ahead(date: datetime, zero: datetime) -> float:
 def _local_start(start: str, zone: str) -> datetime:
     """The local clock time (naive) of a start, with an offset or without.
 
-    Raises
-    ------
-    ArgumentError
-        If it is no date, or not one that the clocks of the zone show once, with that offset.
+    Raises ArgumentError if it is no date, or not one that the clocks of the zone show once, with that offset.
     """
     parse_date("start", start)
     given = datetime.fromisoformat(str(start))

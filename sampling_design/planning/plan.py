@@ -179,10 +179,7 @@ def plan_samples(
 def plan_certificate(found: Plan, work: Budget | None = None) -> Certificate | None:
     """That the samples show the whole state, or else all that the rows of the goals need; or None.
 
-    Raises
-    ------
-    BudgetSpentError
-        If it takes more work than there is left.
+    Raises BudgetSpentError if it takes more work than there is left.
     """
     (work or Budget(counted=True)).add(CERTIFIED, found.samples * found.plant.n_states**2)
     try:
@@ -298,10 +295,7 @@ class _Planning:
     def interrupted(self) -> Plan:
         """The best of what the search holds, by proof, with the bound on its cost if that is proven already.
 
-        Raises
-        ------
-        KeyboardInterrupt
-            If it holds nothing yet.
+        Raises KeyboardInterrupt if it holds nothing yet.
         """
         held, work = self.search.held, self.oracle.work
         if not held and not self.kept:
@@ -329,10 +323,7 @@ class _Planning:
     def _nearest(self, best: ProvenChoice) -> Plan:
         """Where spacings and uses leave nothing that keeps the tolerances: the least ratio that they do allow.
 
-        Raises
-        ------
-        InfeasibleRequirementError
-            If that is above 1: it is what can be kept.
+        Raises InfeasibleRequirementError if that is above 1: it is what can be kept.
         """
         rival = self._better(best, self.problem.cost(best.chosen))
         best = self.held.sharpest(rival.held, best)
@@ -407,10 +398,7 @@ class _Planning:
     def _require_seen(self) -> None:
         """Refuse goals that not even all that is allowed shows.
 
-        Raises
-        ------
-        InfeasibleRequirementError
-            If a motion that never fades moves a goal and is hidden at every allowed time.
+        Raises InfeasibleRequirementError if a motion that never fades moves a goal and is hidden at every allowed time.
         """
         undetected = self.oracle.hidden(self.problem.allowed)
         if undetected is not None:
@@ -428,10 +416,7 @@ class _Planning:
     def _seeing(self, chosen: Mask) -> Mask:
         """The choice, or one within the limits that hides no motion that never fades.
 
-        Raises
-        ------
-        InfeasibleRequirementError
-            If the limits leave none.
+        Raises InfeasibleRequirementError if the limits leave none.
         """
         search = self.search
         while (undetected := self.oracle.hidden(chosen)) is not None:

@@ -51,46 +51,26 @@ class RowGoal:
 
 @dataclass(frozen=True, eq=False)
 class PlanProblem:
-    """Numbers of one plan, all times in steps of the grid.
-
-    Attributes
-    ----------
-    allowed : (M, p) array of bool
-        What may be measured at each step of the period.
-    step : float
-        Length of a step [the plant's time unit].
-    price : (p,) array
-    visit : float
-        Price of a sample, whatever it measures.
-    spacing : int
-        Least steps between two samples.
-    sensor_spacing, longest_use : (p,) int arrays
-    v_bound, v_deviation : (p,) arrays
-        Infinite for a sensor that has none: it says nothing of goals of that kind.
-    w_intensity : (q,) array
-        0 where no goal is a standard deviation.
-    initial : InitialSet
-        What is known of the state's error when the plan starts.
-    timing_tolerance : float
-        How early or late each sample may be [the plant's time unit]; samples are more than twice as far apart.
-    """
+    """Numbers of one plan, all times in steps of the grid."""
 
     plant: Plant
     requirement: PlanRequirement
     goals: tuple[RowGoal, ...]
-    step: float
-    allowed: Mask
-    price: Array
-    visit: float
-    spacing: int
-    sensor_spacing: Index
+    step: float  # length of a step [the plant's time unit]
+    allowed: Mask  # (M, p): what may be measured at each step of the period
+    price: Array  # (p,)
+    visit: float  # price of a sample, whatever it measures
+    spacing: int  # least steps between two samples
+    sensor_spacing: Index  # sensor_spacing, longest_use, (p,)
     longest_use: Index
+    # v_bound, v_deviation, (p,): infinite for a sensor that has none: it says nothing of goals of that kind
     v_bound: Array
     v_deviation: Array
-    w_intensity: Array
+    w_intensity: Array  # (q,): 0 where no goal is a standard deviation
     most_samples: float
     most_cost: float
-    initial: InitialSet
+    initial: InitialSet  # what is known of the state's error when the plan starts
+    # how early or late each sample may be [the plant's time unit]; samples are more than twice as far apart
     timing_tolerance: float = 0.0
 
     def asked_rows(self) -> list[str] | Array | None:
@@ -181,10 +161,7 @@ class PlanProblem:
     def chosen(self, schedule: PeriodicSchedule) -> Mask:
         """The choice that a schedule makes.
 
-        Raises
-        ------
-        ArgumentError
-            If its period is another, or a time is off the grid.
+        Raises ArgumentError if its period is another, or a time is off the grid.
         """
         at = np.round(schedule.times / self.step).astype(int)
         near = np.abs(schedule.times - at * self.step) <= WHOLE * self.step
@@ -206,12 +183,8 @@ def _apart(taken: Mask, least: int, steps: int) -> bool:
 def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
     """Return the numbers of a requirement for a plant.
 
-    Raises
-    ------
-    ArgumentError
-        If a name is unknown, a bound missing, or period and grid do not fit.
-    InfeasibleRequirementError
-        If nothing may be measured at any time.
+    Raises ArgumentError if a name is unknown, a bound missing, or period and grid do not fit;
+    InfeasibleRequirementError if nothing may be measured at any time.
     """
     unit = requirement.time_unit or plant.time_unit
     steps, step = _grid(plant, requirement, unit)
@@ -325,10 +298,7 @@ def _allowed(plant: Plant, requirement: PlanRequirement, terms: list[SensorTerms
 def _steps(name: str, value: float | str, unit: str, plant: Plant, steps: int, step: float) -> int:
     """Steps of the grid that hold a least time.
 
-    Raises
-    ------
-    ArgumentError
-        If it is longer than the period: then not even one sample a period keeps it.
+    Raises ArgumentError if it is longer than the period: then not even one sample a period keeps it.
     """
     least = duration(name, value, unit) * time_factor(unit, plant.time_unit)
     if least > (steps + WHOLE) * step:

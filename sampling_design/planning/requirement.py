@@ -31,10 +31,7 @@ _DURATION = re.compile(r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)\s*([a-z]+)", re.ASCI
 def duration(name: str, value: object, unit: str) -> float:
     """Return a time > 0 in `unit`, given as a number of them or as text with a unit of its own ("15 min").
 
-    Raises
-    ------
-    ArgumentError
-        If it is neither, or not positive.
+    Raises ArgumentError if it is neither, or not positive.
     """
     if not isinstance(value, str):
         return checks.positive(name, value)

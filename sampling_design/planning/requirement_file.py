@@ -129,10 +129,7 @@ def requirement_and_plant(path: str | os.PathLike[str]) -> tuple[PlanRequirement
 def plan_requirement_from_dict(data: Mapping[str, object], where: str = "requirement") -> PlanRequirement:
     """Return the requirement in a tree of plain data; the inverse of `PlanRequirement.to_dict`.
 
-    Raises
-    ------
-    FileFormatError
-        As for `read_plan_requirement`.
+    Raises FileFormatError as for `read_plan_requirement`.
     """
     with usable(where):
         tree = of_format(_TREE, data, FORMAT)

@@ -111,10 +111,7 @@ def _notes(dates: PlanDates) -> list[str]:
 def write_form(dates: PlanDates, path: str | os.PathLike[str]) -> Path:
     """Write the dates of a plan as a file of measurements whose values are still to be filled in.
 
-    Raises
-    ------
-    FileFormatError
-        If the file cannot be written.
+    Raises FileFormatError if the file cannot be written.
     """
     names = dates.plan.plant.outputs.names
     lines = [",".join(["date", *(_cell(name) for name in names)])]

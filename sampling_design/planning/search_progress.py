@@ -20,19 +20,11 @@ HALF = 30.0
 
 @dataclass(eq=False)
 class PlanProgress:
-    """The figures so far of one call, its coarser grids included.
-
-    Attributes
-    ----------
-    tell : Progress or None
-    problem : PlanProblem
-    work : Budget
-        That of the whole search.
-    """
+    """The figures so far of one call, its coarser grids included."""
 
     tell: Progress | None
     problem: PlanProblem
-    work: Budget
+    work: Budget  # that of the whole search
     best: str = ""
     reached: float = np.inf
     bound: float = 0.0

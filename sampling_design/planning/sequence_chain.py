@@ -39,10 +39,8 @@ LEAST = 1e-12
 def plan_chain(plan: PlanFigures) -> SampleChain:
     """The plan's samples with the filter whose gains bound the error once and for all.
 
-    Raises
-    ------
-    NotDetectableError
-        If the plan leaves a part of the state unknown for ever: then nothing bounds what a change does to it.
+    Raises NotDetectableError if the plan leaves a part of the state unknown for ever: then nothing bounds what a change
+    does to it.
     """
     assert plan.accuracy is not None
     known = plan.accuracy.question.known()

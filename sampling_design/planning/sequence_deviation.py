@@ -44,23 +44,12 @@ ORDINARY: PlanClock = PlanClock()
 
 @dataclass(frozen=True, eq=False)
 class SampleSequence:
-    """Sample times [the plant's time unit], what each measures, and the first that may differ from the plan.
+    """Sample times [the plant's time unit], what each measures, and the first that may differ from the plan."""
 
-    Attributes
-    ----------
-    times : (K,) array
-        Real times: what lies between two of them has passed, whatever the clocks showed.
-    seen : (K, p) array of bool
-    first : int
-        Index of the first sample that the plan does not have, or has otherwise, or after another gap.
-    clock : PlanClock
-        What the plan's clocks show at these times.
-    """
-
-    times: Array
-    seen: Mask
-    first: int
-    clock: PlanClock = ORDINARY
+    times: Array  # (K,): real times: what lies between two of them has passed, whatever the clocks showed
+    seen: Mask  # (K, p)
+    first: int  # index of the first sample that the plan does not have, or has otherwise, or after another gap
+    clock: PlanClock = ORDINARY  # what the plan's clocks show at these times
     begins: bool = False
     """Whether the plan starts at the first time, where its requirement says what is known; else it was followed."""
     wider: float = 1.0

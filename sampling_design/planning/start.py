@@ -65,10 +65,7 @@ class PlanStart(PlainRecord):
 def plan_start(plan: PlanFigures, work: Budget | None = None) -> PlanStart | None:
     """Return from when on a plan keeps its tolerances; None where it keeps none, or where that is not decided.
 
-    Raises
-    ------
-    BudgetSpentError
-        If that takes more work than there is left.
+    Raises BudgetSpentError if that takes more work than there is left.
     """
     plan = plan.on_time
     if not plan.keeps:

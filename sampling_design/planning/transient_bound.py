@@ -23,15 +23,9 @@ from sampling_design.records.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class CutGains:
-    """Of the directions that prove a gap: what their gains cost over the last 1, 2, ... samples, and what is left.
+    """Of the directions that prove a gap: what their gains cost over the last 1, 2, ... samples, and what is left."""
 
-    Attributes
-    ----------
-    cost, rest : (b, m) arrays
-        `rest` in what the plan's filter bounds.
-    """
-
-    cost: Array
+    cost: Array  # cost, rest, (b, m): `rest` in what the plan's filter bounds
     rest: Array
 
     def factor(self, wider: Array) -> float:

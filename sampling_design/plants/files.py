@@ -100,10 +100,7 @@ def write_plant(plant: Plant, path: str | os.PathLike[str]) -> Path:
 def plant_from_dict(data: Mapping[str, Any], where: str = "plant", time_unit: str | None = None) -> Plant:
     """Return the plant in a tree of the file format; `where` begins every message.
 
-    Raises
-    ------
-    FileFormatError
-        If a key is unknown or missing, or the data do not describe a plant.
+    Raises FileFormatError if a key is unknown or missing, or the data do not describe a plant.
     """
     try:
         return _plant_from_tree(data, time_unit)

@@ -42,12 +42,8 @@ class SchurForm:
 def balanced_schur(A: Array, C: Array | None = None) -> SchurForm:
     """Return the real Schur form of the balanced A (scaling only, by powers of two, so without rounding).
 
-    C scales states that A leaves free against each other.
-
-    Raises
-    ------
-    ArgumentError
-        If rates of A are so large or small that their products are no numbers any more.
+    C scales states that A leaves free against each other. Raises ArgumentError if rates of A are so large or small that
+    their products are no numbers any more.
     """
     d, order, speed = balance(A, C)
     moderate = balanced(A, d)[np.ix_(order, order)]

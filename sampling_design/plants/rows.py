@@ -75,10 +75,7 @@ def wanted_rows(plant: Plant, of: Wanted = None) -> WantedRows:
 def rows_asked(of: Wanted) -> tuple[str, ...] | Array | None:
     """Return what `of` asks for as names or as a matrix, before any plant is known; None as it is.
 
-    Raises
-    ------
-    ArgumentError
-        If it holds neither names alone nor rows of numbers, or nothing.
+    Raises ArgumentError if it holds neither names alone nor rows of numbers, or nothing.
     """
     if of is None:
         return None

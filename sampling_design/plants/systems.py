@@ -75,10 +75,8 @@ def is_system(value: object) -> bool:
 def parts_of(system: object) -> dict[str, object]:
     """The matrices of a system, and what else it knows of a plant: names, and all that `to_control` left with it.
 
-    Raises
-    ------
-    ArgumentError
-        If it is a discrete-time system, has a delay or is no linear system; if a transfer function is improper.
+    Raises ArgumentError if it is a discrete-time system, has a delay or is no linear system; if a transfer function is
+    improper.
     """
     check_system(system)
     if all(hasattr(system, key) for key in "ABCD"):
@@ -116,13 +114,7 @@ def _same(system: StateSpace, plant: Driven) -> bool:
 
 
 def check_system(system: object) -> None:
-    """Refuse what is no continuous-time linear system without delay.
-
-    Raises
-    ------
-    ArgumentError
-        If it is none.
-    """
+    """Refuse what is no continuous-time linear system without delay. Raises ArgumentError if it is none."""
     delayed = next((key for key in DELAYS if np.any(np.asarray(getattr(system, key, 0), dtype=object))), "")
     if delayed:
         raise ArgumentError(
@@ -160,12 +152,8 @@ def realised(num: list[list[Array]], den: list[list[Array]]) -> Realisation:
 
         y_i = x_1 + D u,    x_k' = -a_k x_1 + x_{k+1} + b_k u,    s^n + a_1 s^{n-1} + ... + a_n the poles of row i
 
-    What cancels within an entry is left out, and the entries of a row share their poles; rows do not.
-
-    Raises
-    ------
-    ArgumentError
-        If an entry has more zeros than poles.
+    What cancels within an entry is left out, and the entries of a row share their poles; rows do not. Raises
+    ArgumentError if an entry has more zeros than poles.
     """
     blocks = [_row(*row) for row in zip(num, den, strict=True)]
     sizes = [len(each[0]) for each in blocks]

@@ -250,10 +250,7 @@ FINITE_FAMILY = "`schedule` of the family must be a PeriodicSchedule: a finite o
 def period_of(schedule: AnySchedule, refusal: str = FINITE_FAMILY) -> PeriodicSchedule:
     """Return the schedule if it is endless.
 
-    Raises
-    ------
-    ArgumentError
-        If it is finite, with the sentence that says why that is refused.
+    Raises ArgumentError if it is finite, with the sentence that says why that is refused.
     """
     if not isinstance(schedule, PeriodicSchedule):
         raise ArgumentError(refusal)
@@ -270,12 +267,8 @@ def in_family_unit(schedule: AnySchedule, time_unit: str | None) -> AnySchedule:
 def extent(duration: float | None, samples: int | None, default: float, gap: float) -> tuple[float, int]:
     """Return (duration, samples) to draw: whichever is given, the other without effect.
 
-    `gap` is the longest that gaps may be on average: it says how many samples a duration takes at least.
-
-    Raises
-    ------
-    ArgumentError
-        If both are given, one is not positive, or so many samples are not drawn one by one.
+    `gap` is the longest that gaps may be on average: it says how many samples a duration takes at least. Raises
+    ArgumentError if both are given, one is not positive, or so many samples are not drawn one by one.
     """
     if duration is not None and samples is not None:
         raise ArgumentError("give `duration` or `samples`, not both.")

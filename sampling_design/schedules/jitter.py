@@ -245,10 +245,7 @@ def same_outputs(nominal: Schedule, schedule: Schedule) -> bool:
 def nominal_part(schedule: AnySchedule, duration: float | None, samples: int | None, default: float) -> Schedule:
     """Return the finite part of a nominal schedule that a draw follows.
 
-    Raises
-    ------
-    ArgumentError
-        If an extent is given for a finite schedule, or both are given.
+    Raises ArgumentError if an extent is given for a finite schedule, or both are given.
     """
     if not schedule.endless:
         if duration is not None or samples is not None:

@@ -93,10 +93,7 @@ def import_time_stamps(
 def parse_date(name: str, value: str | datetime, zone: str | None = None) -> datetime:
     """Return an ISO 8601 date with its offset; naive means in `zone` (its IANA name), by default UTC.
 
-    Raises
-    ------
-    ArgumentError
-        If it is no such date, there is no such zone, or the zone's clocks skip or repeat it.
+    Raises ArgumentError if it is no such date, there is no such zone, or the zone's clocks skip or repeat it.
     """
     try:
         date = value if isinstance(value, datetime) else datetime.fromisoformat(value)
@@ -117,13 +114,7 @@ def passed(since: datetime, date: datetime) -> timedelta:
 
 
 def time_zone(zone: str) -> ZoneInfo:
-    """Return a time zone by its IANA name.
-
-    Raises
-    ------
-    ArgumentError
-        If there is none of that name.
-    """
+    """Return a time zone by its IANA name. Raises ArgumentError if there is none of that name."""
     try:
         return ZoneInfo(zone)
     except (ZoneInfoNotFoundError, ValueError, TypeError, OSError):

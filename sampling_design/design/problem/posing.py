@@ -147,13 +147,9 @@ def pose(plant: Plant, requirement: Requirement, samples: int, check: bool = Tru
     """Return the numbers of the design with `samples` per period; `requirement` is resolved.
 
     With samples that come up to d early or late, no schedule has a larger sigma over windows of T than exact ones have
-    over windows of T - 2d, of the state d before these begin: of the plant (A, C e^{Ad}). Those planned within d of
-    a window's ends may be out of it, and all others on time.
-
-    Raises
-    ------
-    InfeasibleRequirementError
-        If no schedule meets it; names the obstacle and the nearest requirement that works.
+    over windows of T - 2d, of the state d before these begin: of the plant (A, C e^{Ad}). Those planned within d of a
+    window's ends may be out of it, and all others on time. Raises InfeasibleRequirementError if no schedule meets it;
+    names the obstacle and the nearest requirement that works.
     """
     names = plant.outputs.names
     checks.known_keys("`outputs` of the requirement", requirement.outputs, names)

@@ -95,12 +95,8 @@ def affordable(
 ) -> tuple[FoundSchedule, Mask]:
     """The best schedule within the limit from several starts, and what each of its samples measures.
 
-    Choices are looked at one by one where they are few, until sigma is `enough`: none can be better.
-
-    Raises
-    ------
-    InfeasibleRequirementError
-        If the outputs that are available at the times that were found all cost too much.
+    Choices are looked at one by one where they are few, until sigma is `enough`: none can be better. Raises
+    InfeasibleRequirementError if the outputs that are available at the times that were found all cost too much.
     """
     starts = [("all outputs", found.times)]
     for name, times in (("rounded", rounded(problem, relaxation, 0.5)), ("even", even(problem, 0.5))):

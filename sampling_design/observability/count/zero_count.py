@@ -188,10 +188,7 @@ def zero_count_bound(plant: Plant, duration: float, of: Wanted = None) -> ZeroCo
 def samples_above(value: float, duration: float) -> int:
     """Return floor(k*) + 1, the samples in a window of length `duration` that suffice.
 
-    Raises
-    ------
-    ArgumentError
-        If there are so many that the next whole number is no double.
+    Raises ArgumentError if there are so many that the next whole number is no double.
     """
     if not value < MOST_SAMPLES:
         raise ArgumentError(

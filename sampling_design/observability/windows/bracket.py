@@ -47,10 +47,7 @@ class WindowBracket:
 def require_moderate(plant: Plant) -> None:
     """Raise if products of the plant's entries are no numbers.
 
-    Raises
-    ------
-    ArgumentError
-        If the largest entry of A, squared, or of C leaves the range.
+    Raises ArgumentError if the largest entry of A, squared, or of C leaves the range.
     """
     for name, matrix, most in (("A", plant.A, np.sqrt(LARGEST)), ("C", plant.C, LARGEST)):
         largest = float(np.max(np.abs(matrix), initial=0.0))

@@ -132,6 +132,9 @@ def plant_of(read: Tree) -> Plant:
         part = read["part_of"]
         whole = plant_of({"time_unit": found.time_unit, **part["plant"]})
         check_part(found, whole, part["map"], part["rows"])
+        theirs, outputs = part["plant"].get("states", {}), part["plant"].get("outputs", {})
+        if (name := misnamed(part["map"], read.get("states", {}), theirs, outputs, whole.C)) is not None:
+            raise refuse("plant.states", f"calls {name!r} what is not that of the whole plant")
     return found
 
 
@@ -158,6 +161,21 @@ def not_carried(onto: Array, part: tuple[Array, Array, Array], whole: tuple[Arra
         "G": (onto @ G_whole - G, size @ np.abs(G_whole) + np.abs(G)),
     }
     return next((name for name, (off, of) in terms.items() if not np.all(np.abs(off) <= CARRIED * of)), None)
+
+
+def misnamed(onto: Array, states: Tree, whole: Tree, outputs: Tree, C: Array) -> str | None:
+    """The first state of a quotient with the name of a state or output of the whole plant that is another row, or has
+    another unit; None where there is none."""
+    known: dict[str, tuple[Array, str]] = {}
+    for group, rows in ((outputs, C), (whole, np.eye(onto.shape[1]))):
+        names = group.get("names", [])
+        known |= dict(zip(names, zip(rows, group.get("units") or [""] * len(names), strict=True), strict=True))
+    names = states.get("names", [])
+    for name, unit, own in zip(names, states.get("units") or [""] * len(names), onto, strict=False):
+        row, theirs = known.get(name, (own, unit))
+        if unit != theirs or np.max(np.abs(own - row)) > CARRIED * np.max(np.abs(row)):
+            return str(name)
+    return None
 
 
 def sized(M: Array, place: str, size: int) -> Array:

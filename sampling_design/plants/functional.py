@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import qr
 
-from sampling_design.checkers.parts import CARRIED, not_carried
+from sampling_design.checkers.parts import CARRIED, misnamed, not_carried
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.balancing import balance
 from sampling_design.plants.modes import ModalSplit, split_modes
@@ -85,6 +85,9 @@ class FunctionalPlant(Plant):
         apart = not_carried(onto, (self.A, self.C, driven[0]), (whole.A, whole.C, driven[1]))
         if apart is not None:
             raise ArgumentError(f"`map` does not carry `{apart}` of the whole plant, each entry to {CARRIED:g}.")
+        own, theirs, outputs = (signals.to_dict() for signals in (self.states, whole.states, whole.outputs))
+        if (name := misnamed(onto, own, theirs, outputs, whole.C)) is not None:
+            raise ArgumentError(f"`states` call {name!r} what is not that state or output of the whole plant.")
 
     @classmethod
     def of_part(cls, part: Plant, whole: Plant, onto: npt.ArrayLike, rows: int) -> FunctionalPlant:

@@ -68,8 +68,10 @@ def wanted_rows(plant: Plant, of: Wanted = None) -> WantedRows:
         found = [_named(plant, name) for name in asked]
         return WantedRows(freeze([row for row, _ in found]), asked, tuple(unit for _, unit in found))
     matrix = checks.matrix("of", of, None, plant.n_states)
-    count = matrix.shape[0]
-    return WantedRows(matrix, tuple(f"z{i + 1}" for i in range(count)), ("",) * count)
+    taken, letter = {*plant.states.names, *plant.outputs.names}, "z"
+    while taken & {f"{letter}{i + 1}" for i in range(len(matrix))}:  # of a part, whose states are called so
+        letter += "z"
+    return WantedRows(matrix, tuple(f"{letter}{i + 1}" for i in range(len(matrix))), ("",) * len(matrix))
 
 
 def rows_asked(of: Wanted) -> tuple[str, ...] | Array | None:

@@ -5,9 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from scipy.linalg import block_diag, expm
 
 from sampling_design import (
+    CostFunction,
+    KalmanFilter,
     PeriodicSchedule,
     PlanRequirement,
     Plant,
@@ -17,9 +19,11 @@ from sampling_design import (
     certificate_exists,
     certify,
     design_schedule,
+    guaranteed_accuracy,
     plan_samples,
     read_certificate,
     read_plan,
+    simulate_record,
     window_sigma,
 )
 from sampling_design.certificates.files import certificate_from_dict
@@ -242,6 +246,81 @@ def test_no_file_says_of_another_plant_what_holds_of_its_part(where, change):
         certificate_from_dict(data)
 
 
+def leaves(tree, path=()):
+    """Every entry of a file: numbers, texts and truths, with its path."""
+    if not isinstance(tree, (dict, list)):
+        yield path, tree
+    for key, value in tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ():
+        yield from leaves(value, (*path, key))
+
+
+def altered(value):
+    """Something else of the same kind."""
+    if isinstance(value, str):
+        return "x2" if value == "x1" else value + "x"
+    return not value if isinstance(value, bool) else 1.0 if value is None else value * 1.5 + 0.1
+
+
+def accepted(data):
+    """Whether the checker alone takes a file, and whether the house does."""
+    try:
+        return verdict(data).verdict == "proven", bool(certificate_from_dict(data).verify())
+    except (ArgumentError, FileFormatError):
+        return verdict(data).verdict == "proven", False
+
+
+NO_EVIDENCE = ("tool", "solver", "witness", "digest")
+WEAKER = {"P2", "R", "Qv", "lam", "lam_samples"}
+"""Fields of which a larger one claims less."""
+
+
+@pytest.mark.parametrize("part", few(range(8), 0, 5))
+def test_no_entry_of_a_certificate_of_rows_can_be_altered_unseen(part):
+    """As it is, by nobody; sealed again by a forger, only where what is then claimed holds. Both checkers agree."""
+    data = json.loads(json.dumps(certify(THREE, EVERY_SECOND, of="x1", eta=0.7, P2=np.eye(2)).to_dict()))
+    assert verdict(data).verdict == "proven"
+    entries = list(leaves(data))
+    assert len(entries) > 80
+    for path, value in entries[part::8]:
+        forged = json.loads(json.dumps(data))
+        place = forged
+        for key in path[:-1]:
+            place = place[key]
+        place[path[-1]] = altered(value)
+        assert accepted(forged) == (False, False)
+        alone, house = accepted(redigested(forged))
+        assert alone == house, path
+        # names that are nobody else's, and the dynamics of x2, which z does not hold, are no claim
+        harmless = path[0] in NO_EVIDENCE or path[-1] == "name" or "names" in path or path[-3:-1] == ("A", 1)
+        if alone and not harmless:
+            made = {key: np.array(forged[key]) for key in ("P1", "P2", "Qw", "R", "Qv")}
+            again = certify(THREE, EVERY_SECOND, of="x1", eta=0.7, **{k: made[k] for k in ("P2", "Qw", "R", "Qv")})
+            assert path[0] in WEAKER | {"P1", "Qw"}
+            assert again.lam <= forged["lam"] * (1 + 1e-3) / (1 - 1e-3)
+
+
+def test_a_row_is_not_called_by_the_name_of_another():
+    data = json.loads(json.dumps(certify(THREE, EVERY_SECOND, of="x1", eta=0.7, P2=np.eye(2)).to_dict()))
+    for group, key, value in (("names", 0, "x2"), ("names", 1, "y1"), ("units", 0, "km")):
+        forged = json.loads(json.dumps(data))
+        held = forged["plant"]["states"]
+        held.setdefault("units", ["", ""])[key if group == "units" else 0] = value if group == "units" else ""
+        if group == "names":
+            held["names"][key] = value
+        assert "calls" in verdict(redigested(forged)).reason
+        with pytest.raises((ArgumentError, FileFormatError), match="what is not that"):
+            certificate_from_dict(forged)
+    part = functional_plant(THREE, "x1")
+    given = {key: getattr(part, key) for key in ("A", "C", "G", "whole", "map", "rows")}
+    with pytest.raises(ArgumentError, match="`states` call 'x2' what is not that state or output of the whole plant"):
+        FunctionalPlant(**given, states=["x2", "x3"])
+
+
+def test_rows_of_a_part_have_names_of_their_own():
+    retained = Plant(np.diag([0.1, 0.2]), [[1.0, 1.0]], states=["z1", "z2"])
+    assert functional_plant(retained, [[1.0, 1.0]]).states.names[0] == "zz1"
+
+
 def test_a_map_of_another_shape_is_no_part():
     data = certify(THREE, EVERY_SECOND, of="x1").to_dict()
     part = {**data["plant"]["part_of"], "map": [[1.0, 0.0, 0.0]]}
@@ -312,3 +391,45 @@ def test_a_plan_for_rows_is_certified_for_them(tmp_path):
     assert again.certificate.plant.whole.same_dynamics(THREE)
     other = functional_plant(Plant(np.diag([0.1, 0.3, -1.0]), THREE.C), "x1")
     assert not replace(found, certificate=certify(other, found.schedule)).verify()
+
+
+TURN = 2 * np.pi
+ALIASED = Plant(
+    block_diag([[0.0, 1.0], [-1.0, 0.0]], [[0.0, 1 + TURN], [-1 - TURN, 0.0]], 0.1),
+    [[1.0, 0.0, 1.0, 0.0, 1.0]],
+    G=np.eye(5)[:, [0, 2, 4]],
+    states=["slow", "slow_quadrature", "fast", "fast_quadrature", "growing"],
+)
+"""Equal gaps of 1 do not tell the two oscillations apart: a = (1, 0, -1, 0, 0) is seen at no sample."""
+
+
+@pytest.mark.parametrize(
+    ("rows", "said", "at_samples", "between", "unit"),
+    [
+        ("growing", "growing is free of it at all times", True, True, 1e-9),
+        ([[1.0, 0, 1, 0, 0]], "z1 is free of it at the sample times, and not between", True, False, 1.0),
+        ("slow", "what is hidden enters slow", False, False, 1.0),
+    ],
+)
+def test_what_equal_gaps_hide_of_rows_is_said_and_true(rows, said, at_samples, between, unit):
+    units = np.array([1.0, unit, 1.0, 1 / unit, 1.0])
+    plant = Plant(
+        ALIASED.A * units / units[:, None], ALIASED.C * units, G=ALIASED.G / units[:, None], states=ALIASED.states
+    )
+    H, hidden = functional_plant(plant, rows).map[:1], np.array([1.0, 0, -1, 0, 0]) / units
+    z = [float((H @ expm(plant.A * t) @ hidden)[0]) for t in (1.0, 2.0, 3.0, 1.3, 2.6)]
+    assert np.allclose([(plant.C @ expm(plant.A * k) @ hidden)[0] for k in range(4)], 0, atol=1e-9)
+    assert (np.allclose(z[:3], 0, atol=1e-9), np.allclose(z, 0, atol=1e-9)) == (at_samples, between)
+    found = certificate_exists(plant, EVERY_SECOND, 0.1, of=rows)
+    assert not found
+    assert said in found.reason
+    with pytest.raises(CertificateError, match=r"is aliased with .*gaps\[0\] = 1 to ") as caught:
+        certify(plant, EVERY_SECOND, eta=0.1, of=rows)
+    assert said in str(caught.value)
+    limit = guaranteed_accuracy(plant, EVERY_SECOND, w_bound=0.02, v_bound=0.1, of=rows, rtol=0.1)
+    assert np.isfinite(limit.upper[0]) == between
+    filter = KalmanFilter(plant, cost=CostFunction(eta=0.1), w_bound=0.02, v_bound=0.1, initial_error=1.0, of=rows)
+    record = simulate_record(plant, EVERY_SECOND, 9.0, x0=0.3 * hidden, rng=1, w_bound=0.02, v_bound=0.1)
+    for each, x in zip(filter.run(record.measurements).estimates, record.truth, strict=True):
+        assert each.certified
+        assert abs((H @ x)[0] - each.x[0]) <= each.radii[0]

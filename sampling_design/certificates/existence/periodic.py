@@ -12,9 +12,10 @@ from sampling_design.numerics.balancing import balance, balanced, balanced_rows
 from sampling_design.numerics.filtering import measurement_update, propagate
 from sampling_design.numerics.linalg import expm_batch, positive_or_one
 from sampling_design.observability.alignment import meet
-from sampling_design.observability.count.functional import part_for
+from sampling_design.observability.count.functional import part_for, rows_between_samples
 from sampling_design.observability.count.period_modes import LeastObservedMode, PeriodModes, period_modes
 from sampling_design.plants.clusters import format_eigenvalue
+from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records.arrays import Array
@@ -178,6 +179,8 @@ def judged(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Existence:
         seen = f"every mode that does not fade by itself is seen, but barely (margin {short(sight.margin, 3)})"
         reason = f"{seen}: nearly, {reason}"
         return Existence(True, sight.margin, period=schedule.period, reason=reason)
+    if isinstance(plant, FunctionalPlant):
+        reason += rows_between_samples(plant, schedule, eta)
     return Existence(False, sight.margin, main, partners, schedule.period, reason)
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import qr
+from scipy.linalg import qr, schur
 
 from sampling_design.errors import ArgumentError, NotDetectableError
-from sampling_design.numerics.balancing import balance
-from sampling_design.numerics.linalg import positive_or_one
+from sampling_design.numerics.balancing import balance, balanced, balanced_rows
+from sampling_design.numerics.linalg import expm_batch, positive_or_one
 from sampling_design.observability.count.pbh import RANK_TOLERANCE, UnobservableModes, unobservable_modes
 from sampling_design.plants.functional import FunctionalPlant, without
 from sampling_design.plants.plant import Plant, Signals, replace_matrices
@@ -15,6 +15,12 @@ from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.signatures import checked
+from sampling_design.schedules.schedule import PeriodicSchedule
+
+MISSED = 1e-9
+"""Singular values of what a period shows below this, relative, count as zero: as where existence is decided."""
+ENTERS = 1e-6
+"""Share of a row from which on what is hidden enters it: the hidden directions are known to about `MISSED`."""
 
 
 @checked
@@ -81,6 +87,47 @@ def part_for(plant: Plant, of: Wanted, window: float | None = None, *, decay_rat
         return plant
     part = functional_plant(plant, of, decay_rate=max(decay_rate or 0.0, 0.0))
     return part if window is None else part.beside(window)
+
+
+def rows_between_samples(plant: FunctionalPlant, schedule: PeriodicSchedule, decay_rate: float) -> str:
+    """Say which rows asked for the modes enter that a period does not show and that do not decay.
+
+    Notes
+    -----
+    *Method.* What no period shows is the kernel of C_i e^{A tau_i} e^{A P k}, k < n, in balanced coordinates; its part
+    N+ that does not decay is invariant under e^{A P}, not under A. A row is free of it at all times if and only if
+    H A^k N+ = 0 for k < n, and at the sample times if H e^{A tau_i} N+ = 0.
+    """
+    n, d = plant.n_states, balance(plant.A, plant.C).d
+    A, C = balanced(plant.A, d), balanced_rows(plant.C, d)
+    C, growth = C / positive_or_one(np.linalg.norm(C, axis=1))[:, None], float(np.max(np.linalg.eigvals(A).real))
+    flows = expm_batch(A - growth * np.eye(n), np.append(schedule.times - schedule.times[0], schedule.period))
+    taken = np.ones((len(schedule), len(C)), bool) if schedule.outputs is None else schedule.outputs
+    shown = [np.vstack([C[mask] @ F for mask, F in zip(taken, flows, strict=False)])]
+    for _ in range(n - 1):
+        shown.append(shown[-1] @ flows[-1])
+    _, sizes, V = np.linalg.svd(np.vstack(shown))
+    N = V[np.count_nonzero(sizes > MISSED * sizes[0]) :].T
+    kept = np.exp((-decay_rate / 2 - growth) * schedule.period) * (1 - RANK_TOLERANCE)
+    _, Z, count = schur(N.T @ flows[-1] @ N, output="complex", sort=lambda mu: abs(mu) >= kept)
+    N = N @ Z[:, :count]
+    unit, powers = A / max(float(np.linalg.norm(A)), np.finfo(float).tiny), [N]
+    for _ in range(n - 1):
+        powers.append(unit @ powers[-1])
+    names = plant.wanted.names
+    always, sampled = (
+        np.max(np.abs(np.hstack(parts)[: len(names)]), axis=1, initial=0.0) <= ENTERS
+        for parts in (powers, flows[:-1] @ N)
+    )
+    said = {
+        "; what is hidden enters {}": ~sampled,
+        "; {} is free of it at the sample times, and not between": sampled & ~always,
+        "; {} is free of it at all times, which no certificate says and `guaranteed_accuracy` does": always,
+    }
+    listed = [
+        (text, ", ".join(name for name, one in zip(names, which, strict=True) if one)) for text, which in said.items()
+    ]
+    return "".join(text.format(them) for text, them in listed if them and count)
 
 
 def _with_rows(plant: Plant, H: Array) -> Plant:

@@ -132,8 +132,11 @@ def plant_of(read: Tree) -> Plant:
         part = read["part_of"]
         whole = plant_of({"time_unit": found.time_unit, **part["plant"]})
         check_part(found, whole, part["map"], part["rows"])
-        theirs, outputs = part["plant"].get("states", {}), part["plant"].get("outputs", {})
-        if (name := misnamed(part["map"], read.get("states", {}), theirs, outputs, whole.C)) is not None:
+        groups = [read.get("states", {}), *(part["plant"].get(key, {}) for key in ("states", "outputs"))]
+        names = [group.get("names", []) for group in groups]
+        units = [group.get("units") or [""] * len(own) for group, own in zip(groups, names, strict=True)]
+        held = [dict(zip(*labels, strict=True)) for labels in zip(names, units, strict=True)]
+        if (name := misnamed(part["map"], whole.C, *held)) is not None:
             raise refuse("plant.states", f"calls {name!r} what is not that of the whole plant")
     return found
 
@@ -163,18 +166,17 @@ def not_carried(onto: Array, part: tuple[Array, Array, Array], whole: tuple[Arra
     return next((name for name, (off, of) in terms.items() if not np.all(np.abs(off) <= CARRIED * of)), None)
 
 
-def misnamed(onto: Array, states: Tree, whole: Tree, outputs: Tree, C: Array) -> str | None:
-    """The first state of a quotient with the name of a state or output of the whole plant that is another row, or has
-    another unit; None where there is none."""
-    known: dict[str, tuple[Array, str]] = {}
-    for group, rows in ((outputs, C), (whole, np.eye(onto.shape[1]))):
-        names = group.get("names", [])
-        known |= dict(zip(names, zip(rows, group.get("units") or [""] * len(names), strict=True), strict=True))
-    names = states.get("names", [])
-    for name, unit, own in zip(names, states.get("units") or [""] * len(names), onto, strict=False):
+def misnamed(
+    onto: Array, C: Array, states: dict[str, str], whole: dict[str, str], outputs: dict[str, str]
+) -> str | None:
+    """The first state of a quotient called like a state or output of the whole plant that is another row, or has another
+    unit: None where there is none. Names with their units, in order."""
+    known = {name: (row, unit) for (name, unit), row in zip(outputs.items(), C, strict=False)}
+    known |= {name: (row, unit) for (name, unit), row in zip(whole.items(), np.eye(onto.shape[1]), strict=False)}
+    for (name, unit), own in zip(states.items(), onto, strict=False):
         row, theirs = known.get(name, (own, unit))
         if unit != theirs or np.max(np.abs(own - row)) > CARRIED * np.max(np.abs(row)):
-            return str(name)
+            return name
     return None
 
 

@@ -85,8 +85,8 @@ class FunctionalPlant(Plant):
         apart = not_carried(onto, (self.A, self.C, driven[0]), (whole.A, whole.C, driven[1]))
         if apart is not None:
             raise ArgumentError(f"`map` does not carry `{apart}` of the whole plant, each entry to {CARRIED:g}.")
-        own, theirs, outputs = (signals.to_dict() for signals in (self.states, whole.states, whole.outputs))
-        if (name := misnamed(onto, own, theirs, outputs, whole.C)) is not None:
+        held = [dict(zip(each.names, each.units, strict=True)) for each in (self.states, whole.states, whole.outputs)]
+        if (name := misnamed(onto, whole.C, *held)) is not None:
             raise ArgumentError(f"`states` call {name!r} what is not that state or output of the whole plant.")
 
     @classmethod

@@ -169,7 +169,7 @@ def not_carried(onto: Array, part: tuple[Array, Array, Array], whole: tuple[Arra
 def misnamed(
     onto: Array, C: Array, states: dict[str, str], whole: dict[str, str], outputs: dict[str, str]
 ) -> str | None:
-    """The first state of a quotient called like a state or output of the whole plant that is another row, or has another
+    """The first state of a quotient called like a state or output of the whole plant that is another row or has another
     unit: None where there is none. Names with their units, in order."""
     known = {name: (row, unit) for (name, unit), row in zip(outputs.items(), C, strict=False)}
     known |= {name: (row, unit) for (name, unit), row in zip(whole.items(), np.eye(onto.shape[1]), strict=False)}

@@ -74,12 +74,8 @@ def read_certificate(path: str | os.PathLike[str], plant: Plant | None = None) -
 def certificate_from_dict(data: Tree, where: str = "certificate") -> AnyCertificate:
     """Return the certificate in plain data.
 
-    Raises
-    ------
-    ArgumentError
-        If a key is missing or unknown, or a value is not exactly what it should be.
-    FileFormatError
-        If the digest does not fit.
+    Raises ArgumentError if a key is missing or unknown, or a value is not exactly what it should be; FileFormatError if
+    the digest does not fit.
     """
     try:
         found = claims.certificate(data)

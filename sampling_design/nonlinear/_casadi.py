@@ -9,13 +9,7 @@ from sampling_design.errors import MissingExtraError
 
 
 def casadi() -> ModuleType:
-    """Return the module casadi.
-
-    Raises
-    ------
-    MissingExtraError
-        If it is not installed; the message names the extra.
-    """
+    """Return the module casadi. Raises MissingExtraError if it is not installed; the message names the extra."""
     try:
         return import_module("casadi")
     except ImportError:

@@ -49,10 +49,7 @@ class SymbolicPlant(NamedTuple):
 def symbols_of(plant: PlantEquations) -> SymbolicPlant:
     """Return the plant's functions without noise.
 
-    Raises
-    ------
-    ArgumentError
-        If the noise is not added to the outputs, one to each.
+    Raises ArgumentError if the noise is not added to the outputs, one to each.
     """
     ca = casadi()
     x, u = ca.SX.sym("x", plant.n_states), ca.SX.sym("u", plant.n_inputs)
@@ -105,10 +102,8 @@ def jacobians_at(plant: PlantEquations, x: Array, u: Array, w: Array) -> tuple[A
 def members_of(plant: PlantEquations, rng: np.random.Generator) -> InclusionMembers:
     """Jacobians at points of the region, equal ones once.
 
-    Raises
-    ------
-    ArgumentError
-        If no point lies in the region or no Jacobian there is finite, or what has no bound makes them unbounded.
+    Raises ArgumentError if no point lies in the region or no Jacobian there is finite, or what has no bound makes them
+    unbounded.
     """
     points = points_of(plant, rng)
     AG, C = jacobians_at(plant, *points) if len(points[0]) else (np.zeros((0, 0, 0)), np.zeros((0, 0, 0)))

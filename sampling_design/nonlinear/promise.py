@@ -195,10 +195,7 @@ def _region_of(data: Mapping[str, Plain]) -> StateRegion:
 def cost_for(certificate: InclusionCertificate | None, cost: CostFunction | None) -> CostFunction:
     """The cost with a certificate's weights where none are given, and with its form; without one the paper's.
 
-    Raises
-    ------
-    ArgumentError
-        If the form or the arrival does not fit.
+    Raises ArgumentError if the form or the arrival does not fit.
     """
     given = CostFunction() if cost is None else cost
     if certificate is None:

@@ -105,10 +105,7 @@ def _side(key: str, value: object, size: int) -> Array:
 def own_box(key: str, box: object, size: int) -> Box:
     """Return (lower, upper) as frozen vectors; infinite where there is no bound.
 
-    Raises
-    ------
-    ArgumentError
-        If lengths differ, a bound is NaN, or lower exceeds upper.
+    Raises ArgumentError if lengths differ, a bound is NaN, or lower exceeds upper.
     """
     if box is None:
         box = (np.full(size, -np.inf), np.full(size, np.inf))

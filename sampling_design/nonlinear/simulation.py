@@ -195,13 +195,7 @@ def _reason(error: RuntimeError) -> str:
 
 
 def require_inside(plant: NonlinearPlant, name: str, x: Array) -> None:
-    """Refuse a state outside the plant's box.
-
-    Raises
-    ------
-    ArgumentError
-        If an entry lies outside; the message names it.
-    """
+    """Refuse a state outside the plant's box. Raises ArgumentError if an entry lies outside; the message names it."""
     lower, upper = plant.bounds["states"]
     outside = np.flatnonzero((x < lower) | (x > upper))
     if outside.size:

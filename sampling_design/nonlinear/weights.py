@@ -36,13 +36,9 @@ def scaled_weights(
 ) -> NonlinearWeights:
     """Return physical weights in scaled coordinates; the defaults are those of the linear estimator.
 
-    `name` is what the weight of states is called in messages.
-    Without a value: P2 = diag(1/s_x^2), Qw = diag(1/s_w^2), R = 2 diag(1/s_y^2), Qv = 2 diag(1/s_v^2).
-
-    Raises
-    ------
-    ArgumentError
-        If a weight has the wrong size or is not positive definite.
+    `name` is what the weight of states is called in messages. Without a value: P2 = diag(1/s_x^2), Qw = diag(1/s_w^2),
+    R = 2 diag(1/s_y^2), Qv = 2 diag(1/s_v^2). Raises ArgumentError if a weight has the wrong size or is not positive
+    definite.
     """
     kinds = {"P2": ("states", 1.0), "Qw": ("disturbances", 1.0), "R": ("outputs", 2.0), "Qv": ("noises", 2.0)}
     found = {}

@@ -114,10 +114,7 @@ def usable(record: SolverRecord) -> bool:
 def require(record: SolverRecord, what: str) -> SolverRecord:
     """Return `record` if there is a point worth checking.
 
-    Raises
-    ------
-    SolverError
-        If there is none; it carries the status.
+    Raises SolverError if there is none; it carries the status.
     """
     if not usable(record):
         raise SolverError(

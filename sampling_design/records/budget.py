@@ -109,10 +109,7 @@ class Budget:
     def spend(self, seconds: float) -> None:
         """Count what is about to be done, if seconds are counted.
 
-        Raises
-        ------
-        BudgetSpentError
-            If it does not fit in, and the limit is firm.
+        Raises BudgetSpentError if it does not fit in, and the limit is firm.
         """
         if not self.counted:
             return

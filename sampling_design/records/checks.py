@@ -48,10 +48,7 @@ def bound(name: str, value: object, length: int) -> Array:
 def real_array(name: str, value: object, ndim: int) -> Array:
     """Return `value` as a frozen real array of `ndim` dimensions.
 
-    Raises
-    ------
-    ArgumentError
-        If it is not numeric, complex, of another dimension, or holds NaN or infinity.
+    Raises ArgumentError if it is not numeric, complex, of another dimension, or holds NaN or infinity.
     """
     array = _as_reals(name, value)
     if array.ndim != ndim:
@@ -82,10 +79,7 @@ def _as_reals(name: str, value: object) -> npt.NDArray[Any]:
 def floats(name: str, value: object) -> Array:
     """Return `value` as a new float64 array of any shape, NaN and infinity as they are.
 
-    Raises
-    ------
-    ArgumentError
-        If it is not numeric, ragged or complex.
+    Raises ArgumentError if it is not numeric, ragged or complex.
     """
     return np.array(_as_reals(name, value), dtype=np.float64)
 
@@ -116,10 +110,7 @@ def described(value: object) -> str:
 def of_kind(name: str, value: object, kind: type[Instance], expected: str = "") -> Instance:
     """Return `value` if it is of a class.
 
-    Raises
-    ------
-    ArgumentError
-        If it is not; `expected` says what the class is where its name does not.
+    Raises ArgumentError if it is not; `expected` says what the class is where its name does not.
     """
     if not isinstance(value, kind):
         raise ArgumentError(f"`{name}` must be {expected or f'a {kind.__name__}'}, got {described(value)}.")
@@ -145,10 +136,7 @@ def matrix(name: str, value: object, rows: int | None = None, columns: int | Non
 def vector(name: str, value: object, length: int | None = None) -> Array:
     """Return `value` as a frozen real vector, of `length` entries where that is given.
 
-    Raises
-    ------
-    ArgumentError
-        If the length differs, or as in `real_array`.
+    Raises ArgumentError if the length differs, or as in `real_array`.
     """
     array = real_array(name, value, 1)
     if length is not None and array.size != length:
@@ -176,13 +164,7 @@ def number(name: str, value: object) -> float:
 
 
 def positive(name: str, value: object) -> float:
-    """Return `value` as a finite float > 0.
-
-    Raises
-    ------
-    ArgumentError
-        If it is not positive, or as in `number`.
-    """
+    """Return `value` as a finite float > 0. Raises ArgumentError if it is not positive, or as in `number`."""
     result = number(name, value)
     if result <= 0:
         raise ArgumentError(f"`{name}` must be positive, got {result!r}.")
@@ -190,13 +172,7 @@ def positive(name: str, value: object) -> float:
 
 
 def nonnegative(name: str, value: object) -> float:
-    """Return `value` as a finite float >= 0.
-
-    Raises
-    ------
-    ArgumentError
-        If it is negative, or as in `number`.
-    """
+    """Return `value` as a finite float >= 0. Raises ArgumentError if it is negative, or as in `number`."""
     result = number(name, value)
     if result < 0:
         raise ArgumentError(f"`{name}` must not be negative, got {result!r}.")
@@ -225,10 +201,7 @@ def at_least_one(name: str, value: object) -> int:
 def generator(rng: Seed) -> np.random.Generator:
     """Return the generator that was given, or the one with the seed that was.
 
-    Raises
-    ------
-    ArgumentError
-        If the seed is negative.
+    Raises ArgumentError if the seed is negative.
     """
     return rng if isinstance(rng, np.random.Generator) else np.random.default_rng(whole("rng", rng or 0))
 
@@ -236,10 +209,7 @@ def generator(rng: Seed) -> np.random.Generator:
 def increasing(name: str, value: object, slip: str = "") -> Array:
     """Return `value` as a frozen vector of strictly increasing, non-negative times.
 
-    Raises
-    ------
-    ArgumentError
-        If a time is negative, repeated or earlier than its predecessor; `slip` is appended.
+    Raises ArgumentError if a time is negative, repeated or earlier than its predecessor; `slip` is appended.
     """
     array = vector(name, value)
     hint = f" {slip}" if slip else ""
@@ -259,10 +229,7 @@ def increasing(name: str, value: object, slip: str = "") -> Array:
 def symmetric(name: str, value: object, size: int) -> Array:
     """Return `value` as a frozen symmetric matrix (relative tolerance 1e-12), exactly symmetrised.
 
-    Raises
-    ------
-    ArgumentError
-        If it is not symmetric, or as in `matrix`.
+    Raises ArgumentError if it is not symmetric, or as in `matrix`.
     """
     array = matrix(name, value, size, size)
     skew = float(np.max(np.abs(array - array.T), initial=0.0))
@@ -275,11 +242,8 @@ def definite(name: str, value: object, size: int, slip: str = "") -> Array:
     """Return `value` as a frozen symmetric positive definite matrix.
 
     Judged in units in which its diagonal is about one, so that the answer does not depend on those of the caller.
-
-    Raises
-    ------
-    ArgumentError
-        If an eigenvalue is not positive there beyond rounding, or as in `symmetric`; `slip` is appended.
+    Raises ArgumentError if an eigenvalue is not positive there beyond rounding, or as in `symmetric`; `slip` is
+    appended.
     """
     array = symmetric(name, value, size)
     hint = f" {slip}" if slip else ""
@@ -321,13 +285,7 @@ def names(name: str, value: Sequence[str] | None, length: int, prefix: str) -> t
 
 
 def mapping(name: str, value: object, expected: str = "a table of keys and values") -> Mapping[str, object]:
-    """Return `value` if it is a table, an empty one where nothing came.
-
-    Raises
-    ------
-    ArgumentError
-        If it is none.
-    """
+    """Return `value` if it is a table, an empty one where nothing came. Raises ArgumentError if it is none."""
     return of_kind(name, {} if value is None else value, Mapping, expected)  # type: ignore[type-abstract]
 
 
@@ -351,13 +309,7 @@ def record(name: str, value: object, kind: type[Instance]) -> Instance:
 
 
 def word(name: str, value: object, known: Iterable[str]) -> str:
-    """Return `value` if it is one of the known words.
-
-    Raises
-    ------
-    ArgumentError
-        If it is not.
-    """
+    """Return `value` if it is one of the known words. Raises ArgumentError if it is not."""
     words = list(known)
     if isinstance(value, str) and value in words:
         return value
@@ -369,10 +321,7 @@ def word(name: str, value: object, known: Iterable[str]) -> str:
 def known_keys(where: str, found: Iterable[str], known: Iterable[str]) -> None:
     """Refuse a key that is not known, naming the nearest known one, or all where none is near.
 
-    Raises
-    ------
-    ArgumentError
-        If a key is unknown.
+    Raises ArgumentError if a key is unknown.
     """
     allowed = list(known)
     for key in found:
@@ -383,10 +332,7 @@ def known_keys(where: str, found: Iterable[str], known: Iterable[str]) -> None:
 def output_mask(name: str, value: object, samples: int) -> Mask | None:
     """Return `value` as a frozen boolean (samples, outputs) mask; None means that every output is measured.
 
-    Raises
-    ------
-    ArgumentError
-        If the shape is wrong, entries are not 0/1, or a sample measures nothing.
+    Raises ArgumentError if the shape is wrong, entries are not 0/1, or a sample measures nothing.
     """
     if value is None:
         return None

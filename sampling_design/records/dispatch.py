@@ -60,10 +60,7 @@ def offered(verb: str, thing: object, result: type[Result]) -> Callable[..., Res
 def registered(verb: str, plant: object, result: type[Result]) -> Callable[..., Result]:
     """Return what `verb` does for a plant that is no `Plant`.
 
-    Raises
-    ------
-    ArgumentError
-        If no kind of plant that it is of takes part in that verb.
+    Raises ArgumentError if no kind of plant that it is of takes part in that verb.
     """
     found = offered(verb, plant, result)
     if found is None:

@@ -49,13 +49,7 @@ class Sweep(PlainRecord):
         return len(self.names)
 
     def __getitem__(self, name: str) -> dict[str, Plain]:
-        """Return the answer of that name.
-
-        Raises
-        ------
-        ArgumentError
-            If there is none; with the reason.
-        """
+        """Return the answer of that name. Raises ArgumentError if there is none; with the reason."""
         if name not in self.names:
             raise ArgumentError(f"`name` must be one of {', '.join(self.names)}, got {name!r}.")
         k = self.names.index(name)

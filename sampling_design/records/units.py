@@ -17,10 +17,7 @@ SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "wk": 6
 def check_time_unit(unit: object, name: str = "time_unit") -> str:
     """Return `unit` if it is one of the six known units, else raise.
 
-    Raises
-    ------
-    ArgumentError
-        If the unit is missing or unknown.
+    Raises ArgumentError if the unit is missing or unknown.
     """
     if unit is None or (isinstance(unit, str) and not unit):
         raise ArgumentError(f"`{name}` is missing. Give one of {', '.join(SECONDS)}.")

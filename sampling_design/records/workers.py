@@ -64,10 +64,7 @@ Workers = Executor | Client | int | str | None
 def check_workers(workers: Workers) -> None:
     """Refuse what is nobody's name.
 
-    Raises
-    ------
-    ArgumentError
-        If a number of processes is 0 or below -1, or no backend has that name.
+    Raises ArgumentError if a number of processes is 0 or below -1, or no backend has that name.
     """
     if workers is None or isinstance(workers, (Executor, Client)):
         return
@@ -90,15 +87,10 @@ def mapped(
     """Yield function(item) for every item, computed by `workers`; in order, or as they are finished.
 
     A worker that is killed takes nothing with it: what was finished stays, the rest is done by new processes, by this
-    one where the executor is not ours to renew, or by the other workers of a Dask cluster.
-
-    Raises
-    ------
-    ArgumentError
-        As `check_workers`.
-    SolverError
-        If processes keep being killed before they finish anything; if the scheduler of a cluster is lost, or its last
-        worker, or a job kills every worker that takes it up. What was finished by then has been yielded.
+    one where the executor is not ours to renew, or by the other workers of a Dask cluster. Raises ArgumentError as
+    `check_workers`; SolverError if processes keep being killed before they finish anything; if the scheduler of a
+    cluster is lost, or its last worker, or a job kills every worker that takes it up. What was finished by then has
+    been yielded.
     """
     found = numbered(function, items, workers)
     if not ordered:
@@ -121,10 +113,7 @@ def numbered(
 ) -> Iterator[tuple[int, Result]]:
     """Yield (number, function(item)) as they are finished; errors and workers as in `mapped`.
 
-    Raises
-    ------
-    ArgumentError
-        Likewise if a pool of processes cannot be told of the function.
+    Raises ArgumentError Likewise if a pool of processes cannot be told of the function.
     """
     check_workers(workers)
     todo = dict(enumerate(items))
@@ -293,12 +282,7 @@ def _finished(
 def cluster(address: str) -> Client:
     """Return a Dask client of a scheduler.
 
-    Raises
-    ------
-    ArgumentError
-        If none answers at that address.
-    MissingExtraError
-        If distributed is not installed.
+    Raises ArgumentError if none answers at that address; MissingExtraError if distributed is not installed.
     """
     try:
         from distributed import Client as DaskClient

@@ -75,30 +75,15 @@ class RunErrors(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ErrorMap:
-    """Error of an estimator with given weights and horizon along a timeline. Built by `build_error_map`.
-
-    Attributes
-    ----------
-    timeline : Timeline
-    F, decay : (K, n, n), (K,) arrays
-        Flow and discount between events.
-    windows : tuple of SolveWindow, one per sample
-    rows : ErrorRows
-    half : (R, n, n) array
-        |half e|^2 = |e|^2_Pi at each row.
-    H : (N, p, n), weigh : (N, p, p) arrays
-        Weighted rows of C and of v at each sample.
-    w_energy, prior_energy : float
-    eta : float
-    """
+    """Error of an estimator with given weights and horizon along a timeline. Built by `build_error_map`."""
 
     timeline: Timeline
-    F: Array
+    F: Array  # F, decay, (K, n, n), (K,): flow and discount between events
     decay: Array
     windows: tuple[SolveWindow, ...]
     rows: ErrorRows
-    half: Array
-    H: Array
+    half: Array  # (R, n, n): |half e|^2 = |e|^2_Pi at each row
+    H: Array  # (N, p, n): weighted rows of C and of v at each sample
     weigh: Array
     w_energy: float
     prior_energy: float

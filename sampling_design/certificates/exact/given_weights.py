@@ -34,13 +34,7 @@ def default_weights(plant: Plant) -> NoiseWeights:
 
 
 def above_one(name: str, value: float, what: str = "P2") -> float:
-    """Return a noise gain relative to its least, which no `what` attains.
-
-    Raises
-    ------
-    ArgumentError
-        If it is not above 1.
-    """
+    """Return a noise gain relative to its least, which no `what` attains. Raises ArgumentError if it is not above 1."""
     if not checks.number(name, value) > 1:
         raise ArgumentError(f"`{name}` must be above 1, got {value!r}: no {what} attains the least noise gain.")
     return float(value)
@@ -61,10 +55,7 @@ def weights_of(plant: Plant, Qw: object, R: object, Qv: object) -> NoiseWeights:
 def certifiable_schedule(plant: Plant, schedule: AnySchedule) -> AnySchedule:
     """Return the schedule in the plant's terms.
 
-    Raises
-    ------
-    ArgumentError
-        If they do not fit, or the schedule holds no sample later than time 0.
+    Raises ArgumentError if they do not fit, or the schedule holds no sample later than time 0.
     """
     schedule = meet(plant, schedule)
     # the period of an endless one comes again, though its first sample be at time 0

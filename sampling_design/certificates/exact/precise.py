@@ -177,12 +177,8 @@ def precisely_chosen(
 ) -> Certificate:
     """A certificate at the first rate, of few within `bounds` and below (internal units), at which balls prove one.
 
-    P2 is the best of the first guesses; lambda is stated with `ROOM` above the largest that was met.
-
-    Raises
-    ------
-    UndecidedError
-        If balls prove none, or are not installed.
+    P2 is the best of the first guesses; lambda is stated with `ROOM` above the largest that was met. Raises
+    UndecidedError if balls prove none, or are not installed.
     """
     rates = [(bounds[0] * bounds[1]) ** 0.5, bounds[0], bounds[0] / 10] if eta is None else [bounds[0]]
     dear = Work(whole.left / BALL_PRICE, whole, BALL_PRICE)

@@ -87,10 +87,7 @@ def paper_chain(detectability: DetectabilityCertificate, samples: SamplingHypoth
         Qw = [c_w + 2 e^{3 eta t*} alpha_w + 4 lambda_max(P) t* |G|^2 e^{(2 Lf + eta) t*}] I,
         R0 = 2 e^{3 eta t*} alpha_y
 
-    Raises
-    ------
-    CertificateError
-        If a factor leaves the range of floating point (stiff plants: Lf t* is the exponent).
+    Raises CertificateError if a factor leaves the range of floating point (stiff plants: Lf t* is the exponent).
     """
     plant, eta, t_star = detectability.plant, detectability.eta, samples.t_star
     n, T, kappa = plant.n_states, samples.window, samples.kappa
@@ -138,10 +135,7 @@ def tightened_chain(detectability: DetectabilityCertificate, samples: SamplingHy
         Qw = [c_w + 2 T c_2 (mu_bar sqrt(kappa) + 1)^2 k_w^2 f + 2 t* max_{s<=t*} e^{eta s} |e^{As} G|_P^2] I,
         R0 = 2 c_2 mu_bar^2 f
 
-    Raises
-    ------
-    CertificateError
-        If a factor leaves the range of floating point.
+    Raises CertificateError if a factor leaves the range of floating point.
     """
     plant, eta, t_star = detectability.plant, detectability.eta, samples.t_star
     T, kappa = samples.window, samples.kappa

@@ -26,14 +26,9 @@ def measure_hypotheses(
 ) -> SamplingHypotheses:
     """Return T, kappa(T), sigma_bar and d_max of a schedule for an observable plant.
 
-    Without `window`: the shortest sum of consecutive gaps (the largest over their position) with sigma_bar > 0.
-
-    Raises
-    ------
-    ArgumentError
-        If the schedule has no samples, or a given number is out of range.
-    CertificateError
-        If sigma_bar is 0 for the window given, or for every window tried.
+    Without `window`: the shortest sum of consecutive gaps (the largest over their position) with sigma_bar > 0. Raises
+    ArgumentError if the schedule has no samples, or a given number is out of range; CertificateError if sigma_bar is 0
+    for the window given, or for every window tried.
     """
     if not len(schedule):
         raise ArgumentError("`schedule` must have at least one sample.")

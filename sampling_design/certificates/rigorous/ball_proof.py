@@ -51,10 +51,7 @@ Period = tuple[Matrix, Matrix, Matrix]
 def settled(frame: ScheduleFrame, inflation: float, clock: Budget) -> tuple[list[Matrix], float]:
     """Return Y after each sample of the last period with inflated noise, midpoints, and its largest eigenvalue there.
 
-    Raises
-    ------
-    ArithmeticError
-        If it leaves I behind by far, or does not settle.
+    Raises ArithmeticError if it leaves I behind by far, or does not settle.
     """
 
     def near(before: Matrix, after: Matrix) -> bool:
@@ -78,11 +75,7 @@ def long_run(
     """Y after a period's last sample, in the long run of noise that is inflated; midpoints.
 
     Periods are composed, twice as many in each step, so that what settles over thousands of them costs a dozen maps.
-
-    Raises
-    ------
-    ArithmeticError
-        If it does not settle over 2^DOUBLINGS periods.
+    Raises ArithmeticError if it does not settle over 2^DOUBLINGS periods.
     """
     spend(frame.schedule.N)
     period = reduce(_then, [_sampled(frame, i, inflation) for i in range(frame.schedule.N)])

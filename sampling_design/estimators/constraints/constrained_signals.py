@@ -20,28 +20,19 @@ class ConstrainedSignal:
 
     where dx are the states' deviations from those that belong to `base`, and e_k is noise of its own, and where
     `here`, `before` or `own` is None: 1 (the state itself), 0, 0.
-
-    Attributes
-    ----------
-    times : (K,), base : (K, k), at : (K,), here, before : (K, k, n), own : (K, k, p)
-    entries : tuple of k str
-    sets : one set for all places, or one for each
-    unit : (k,)
-        What each entry is uncertain by, about: what is small is small beside it.
-    seen : (K, k) of bool, or None for all
     """
 
     name: str
-    times: Array
+    times: Array  # (K,)
     entries: tuple[str, ...]
     base: Array
     sets: Sequence[ConvexSet]
     at: Index
-    unit: Array
+    unit: Array  # (k,): what each entry is uncertain by, about: what is small is small beside it
     here: Array | None = None
     before: Array | None = None
     own: Array | None = None
-    seen: Mask | None = None
+    seen: Mask | None = None  # (K, k)
 
     @property
     def n(self) -> int:

@@ -24,17 +24,10 @@ def joined(tubes: Sequence[StateTube]) -> StateTube | None:
 
 @dataclass(frozen=True, eq=False)
 class StateTube:
-    """Ends (N, n) at some times; every state lies between the straight lines through them, at all times between.
+    """Ends (N, n) at some times; every state lies between the straight lines through them, at all times between."""
 
-    Attributes
-    ----------
-    times : (N,) array
-    lower, upper : (N, n) arrays
-        NaN where the data contradict the bounds.
-    """
-
-    times: Array
-    lower: Array
+    times: Array  # (N,)
+    lower: Array  # lower, upper, (N, n): NaN where the data contradict the bounds
     upper: Array
 
     @property

@@ -76,30 +76,13 @@ class SmootherKernel:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The minimiser of a window problem.
+    """The minimiser of a window problem."""
 
-    Attributes
-    ----------
-    nodes : (N+1, n)
-        Smoothed states.
-    covariance : (n, n)
-        Pi(t)^-1 at the last node.
-    cost, dual : float
-        Cost at the minimiser, and a lower bound on the least cost.
-    engine : str
-    spread : SolutionSpread
-        Every other trajectory relative to this one.
-    status : str
-        "ok", "infeasible" or "solver failed".
-    note : str
-        What could not be met.
-    """
-
-    nodes: Array
-    covariance: Array
-    cost: float
+    nodes: Array  # (N+1, n): smoothed states
+    covariance: Array  # (n, n): pi(t)^-1 at the last node
+    cost: float  # cost, dual: cost at the minimiser, and a lower bound on the least cost
     dual: float
     engine: str
-    spread: SolutionSpread
-    status: Status = "ok"
-    note: str = ""
+    spread: SolutionSpread  # every other trajectory relative to this one
+    status: Status = "ok"  # "ok", "infeasible" or "solver failed"
+    note: str = ""  # what could not be met

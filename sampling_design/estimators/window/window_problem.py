@@ -23,50 +23,25 @@ from sampling_design.records.arrays import Array, Index
 
 @dataclass(frozen=True, eq=False)
 class EstimationWindow:
-    """Data of one window problem, centred on a reference trajectory.
-
-    Attributes
-    ----------
-    times : (N+1,)
-        Nodes.
-    flows : N flows, one per gap between nodes.
-    reference : (N+1, n)
-        Any trajectory; reference[0] is the prior. Unknown is the deviation from it, so that numbers stay of
-        the size of the errors however far the state itself wanders.
-    defect : (N, n)
-        F_j reference_j + b_j - reference_{j+1}.
-    residual : (N+1, p)
-        y - D u - C reference where measured, else 0.
-    masks : (N+1, p)
-        1.0 where measured.
-    prior_root : (n, n)
-        S with S S' = P^-1.
-    discount : (N+1,)
-        e^{-eta(t - s_j)}.
-    y, feedthrough : (N+1, p)
-        Measurements (0 where missing) and D u.
-    F : (N, n, n)
-        Transitions.
-    limits : (N+1, 2, p) or None
-        What C x lies between where limits of detection were told, infinite elsewhere.
-    means : MeanRows or None
-        Composite samples.
-    """
+    """Data of one window problem, centred on a reference trajectory."""
 
     weights: CostWeights
-    times: Array
+    times: Array  # (N+1,): nodes
     flows: list[GapFlow]
+    # (N+1, n): any trajectory; reference[0] is the prior. Unknown is the deviation from it, so that numbers stay of the
+    # size of the errors however far the state itself wanders.
     reference: Array
-    defect: Array
-    residual: Array
-    masks: Array
-    prior_root: Array
-    discount: Array
-    y: Array
+    defect: Array  # (N, n): F_j reference_j + b_j - reference_{j+1}
+    residual: Array  # (N+1, p): y - D u - C reference where measured, else 0
+    masks: Array  # (N+1, p): 1.0 where measured
+    prior_root: Array  # (n, n): S with S S' = P^-1
+    discount: Array  # (N+1,): e^{-eta(t - s_j)}
+    y: Array  # y, feedthrough, (N+1, p): measurements (0 where missing) and D u
     feedthrough: Array
-    F: Array
+    F: Array  # (N, n, n): transitions
+    # (N+1, 2, p): what C x lies between where limits of detection were told, infinite elsewhere
     limits: Array | None = None
-    means: MeanRows | None = None
+    means: MeanRows | None = None  # composite samples
 
     @cached_property
     def joint(self) -> Array | None:

@@ -15,38 +15,21 @@ from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 @dataclass(frozen=True, eq=False)
 class BoxModel:
-    """A(theta) = A + sum_k (theta_k - nominal_k) A_k, likewise C, for low <= theta <= high; states x/s_x = unit z.
-
-    Attributes
-    ----------
-    A : (n, n) array
-    C : (p, n) array
-    parts_A : (m, n, n) array
-    parts_C : (m, p, n) array
-        What a change of a parameter by its own half-width adds; parameters that move neither are left out.
-    nominal, half : (m,) arrays
-        In the parameters' own units; theta = middle + half u with |u| <= 1.
-    middle : (m,) array
-    unit : (n,) array
-        The states of which z are the multiples.
-    states, outputs : (n,), (p,) arrays
-        What the plant's own states and outputs are multiples of: their scales.
-    place : (m,) array of int
-        Which parameters of the plant these are.
-    """
+    """A(theta) = A + sum_k (theta_k - nominal_k) A_k, likewise C, for low <= theta <= high; states x/s_x = unit z."""
 
     plant: UncertainPlant
-    A: Array
-    C: Array
-    parts_A: Array
+    A: Array  # (n, n)
+    C: Array  # (p, n)
+    parts_A: Array  # (m, n, n)
+    # (m, p, n): what a change of a parameter by its own half-width adds; parameters that move neither are left out
     parts_C: Array
-    nominal: Array
-    middle: Array
+    nominal: Array  # nominal, half, (m,): in the parameters' own units; theta = middle + half u with |u| <= 1
+    middle: Array  # (m,)
     half: Array
-    unit: Array
-    states: Array
+    unit: Array  # (n,): the states of which z are the multiples
+    states: Array  # states, outputs, (n,), (p,): what the plant's own states and outputs are multiples of: their scales
     outputs: Array
-    place: Integers
+    place: Integers  # (m,): which parameters of the plant these are
 
     @classmethod
     def of(cls, plant: UncertainPlant, name: str) -> BoxModel:
@@ -112,10 +95,7 @@ class BoxModel:
 def require_constant_box(plant: UncertainPlant, name: str) -> None:
     """Raise where a question about each plant of a box has no meaning.
 
-    Raises
-    ------
-    ArgumentError
-        If the plant lies between vertices, or its parameters vary.
+    Raises ArgumentError if the plant lies between vertices, or its parameters vary.
     """
     if plant.vertices:
         raise ArgumentError(

@@ -50,12 +50,7 @@ def table_flow(
     On a straight piece A_0 + A_1 s the coefficients of the flow obey (k + 1) F_{k+1} = A_0 F_k + A_1 F_{k-1}, those of
     the covariance (k + 1) W_{k+1} = sym(A_0 W_k + A_1 W_{k-1}) + Q_k. With norms in place of matrices the first
     recursion majorises itself, which bounds the terms left out; each product of matrices rounds by at most (n + 2) eps
-    of its factors' norms.
-
-    Raises
-    ------
-    SolverError
-        If the matrices are so large that the steps do not come to an end.
+    of its factors' norms. Raises SolverError if the matrices are so large that the steps do not come to an end.
     """
     n = A.stack.shape[1]
     F, W, error = np.eye(n), np.zeros((n, n)), 0.0

@@ -39,13 +39,7 @@ class IntegrationEffort:
     count, t = 0, 0.0
 
     def one_more(self, t: float) -> None:
-        """Count one.
-
-        Raises
-        ------
-        SolverError
-            If there were too many.
-        """
+        """Count one. Raises SolverError if there were too many."""
         self.count, self.t = self.count + 1, t
         if self.count > MOST_EVALUATIONS:
             raise self.stopped()

@@ -82,17 +82,52 @@ class RowReading(NamedTuple):
     since: float | None = None
 
 
+class UncertainTime(NamedTuple):
+    """A reading that was taken between two times, nobody knows when, and what it showed then."""
+
+    first: float
+    last: float
+    lower: float
+    upper: float
+
+
 class CensoredReading(NamedTuple):
-    """What an output is known to lie between, now or (`since`) in the mean from that time on."""
+    """What an output is known to lie between: now, in the mean from a time on (`since`), or at some time (`stamp`).
+
+    As it comes, one with a stamp has the ends that were read; where it is used, they are what it says of now.
+    """
 
     output: int
     lower: float
     upper: float
     since: float | None = None
+    stamp: UncertainTime | None = None
 
     def shifted(self, by: float) -> CensoredReading:
         """Return the same of a clock that shows `by` more."""
+        if self.stamp is not None:
+            moved = self.stamp._replace(first=self.stamp.first + by, last=self.stamp.last + by)
+            return self._replace(stamp=moved)
         return self if self.since is None else self._replace(since=self.since + by)
+
+    @property
+    def as_read(self) -> CensoredReading:
+        """The same with the ends that were read."""
+        return self if self.stamp is None else self._replace(lower=self.stamp.lower, upper=self.stamp.upper)
+
+    @property
+    def began(self) -> float | None:
+        """The earliest time that it tells of, where that is not now."""
+        return self.since if self.stamp is None else self.stamp.first
+
+    def within(self, start: float, stop: float) -> bool:
+        """Whether all that it tells of, but for now, lies between two times."""
+        return (self.began is None or self.began >= start) and (self.stamp is None or self.stamp.last <= stop)
+
+    @property
+    def span(self) -> tuple[float, float] | None:
+        """First and last time that it tells of, where that is not one time alone; None where it ends now."""
+        return None if self.stamp is None else (self.stamp.first, self.stamp.last)
 
 
 @dataclass(frozen=True)
@@ -150,8 +185,44 @@ def with_censored(y: object, p: int) -> tuple[object, tuple[CensoredReading, ...
     return [np.nan if k in found else value for k, value in enumerate(y)], tuple(found.values())
 
 
-def as_typed(found: CensoredReading) -> PartialReading:
+def time_or_span(t: object) -> tuple[float, tuple[float, float] | None]:
+    """Return a time as a user gives it and None, or for a pair (first, last) the time between them and the pair.
+
+    Raises
+    ------
+    ArgumentError
+        If it is neither, or `last` comes before `first`.
+    """
+    if not isinstance(t, (tuple, list, np.ndarray)) or np.ndim(t) == 0:
+        return checks.number("t", t), None
+    first, last = (float(end) for end in checks.vector("t", t, 2))
+    if first > last:
+        raise ArgumentError(f"`t` must be a time or a pair (first, last) in order, got ({first!r}, {last!r}).")
+    return first + (last - first) / 2, None if first == last else (first, last)
+
+
+def at_some_time(
+    y: Array, limits: tuple[CensoredReading, ...], span: tuple[float, float]
+) -> tuple[CensoredReading, ...]:
+    """Return numbers and limits that were read at some time of a span.
+
+    Raises
+    ------
+    ArgumentError
+        If a mean is among them.
+    """
+    if any(each.since is not None for each in limits):
+        raise ArgumentError(f"`t` = {span!r} of a mean must be one time, its end: give `since` and that.")
+    numbers = [CensoredReading(int(i), float(y[i]), float(y[i])) for i in np.flatnonzero(np.isfinite(y))]
+    found = sorted([*numbers, *limits], key=lambda each: each.output)
+    return tuple(each._replace(stamp=UncertainTime(*span, each.lower, each.upper)) for each in found)
+
+
+def as_typed(found: CensoredReading) -> PartialReading | float:
     """Return what is told of an output as a user gives it."""
+    found = found.as_read
+    if found.lower == found.upper and found.since is None:
+        return found.lower
     limit = BelowDetection(found.upper) if np.isinf(found.lower) else AboveRange(found.lower)
     if found.since is None:
         return limit
@@ -165,12 +236,11 @@ def rows_told(
     i, n = found.output, plant.n_states
     fed = float(plant.D[i] @ _mean_input(inputs, found.since, t, plant.n_inputs)) + centre
     H = plant.C[i]
-    if found.lower == found.upper:
+    if found.lower == found.upper and found.since is not None:
         return (RowReading(H, found.lower - fed, size, since=found.since),)
     assert H.shape == (n,)
-    if np.isfinite(found.upper):
-        return (RowReading(H, found.upper - fed, size, True, found.since),)
-    return (RowReading(-H, fed - found.lower, size, True, found.since),)
+    ends = ((H, found.upper - fed), (-H, fed - found.lower))
+    return tuple(RowReading(row, y, size, True, found.since) for row, y in ends if np.isfinite(y))
 
 
 def _mean_input(inputs: Sequence[tuple[float, Array]], since: float | None, t: float, count: int) -> Array:
@@ -391,7 +461,9 @@ def arrived(items: Iterable[object], p: int) -> list[RecordRow]:
 def _arrived(item: object, p: int) -> RecordRow:
     if not isinstance(item, (tuple, list)) or len(item) not in (2, 3):
         raise ArgumentError(f"`record` must hold rows (t, y, u), got {checks.described(item)}.")
-    t, u = checks.number("t", item[0]), item[2] if len(item) == 3 else None
+    (t, span), u = time_or_span(item[0]), item[2] if len(item) == 3 else None
+    if span is not None and (u is not None or item[1] is None):
+        raise ArgumentError(f"`t` = {span!r} is uncertain: an input needs its time, and there must be readings.")
     if item[1] is None:
         return RecordRow(t, None, u)
     plain, limits = with_censored(item[1], p)
@@ -401,4 +473,6 @@ def _arrived(item: object, p: int) -> RecordRow:
         y = np.full(p + 1, np.nan)
     if y.size != p or np.isinf(y).any():
         raise ArgumentError(f"`record` must hold {p} outputs a sample, finite or NaN, got {item[1]!r:.60} at {t!r}.")
+    if span is not None:
+        return RecordRow(t, np.full(p, np.nan), u, at_some_time(y, limits, span))
     return RecordRow(t, y, u, limits)

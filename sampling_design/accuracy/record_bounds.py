@@ -10,10 +10,11 @@ import numpy.typing as npt
 
 from sampling_design.accuracy.bounds import Bound
 from sampling_design.accuracy.gap_table import GapTable
-from sampling_design.accuracy.readings import Arrived, Readings
+from sampling_design.accuracy.readings import Arrived, Readings, time_or_span
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.accuracy.record_readings import read_record
 from sampling_design.accuracy.witness import KEPT
+from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -150,6 +151,9 @@ def bounds_from_record(
     (0.5, True)
     """
     checks.word("grow", grow, GROWS)
+    record = list(record)
+    if any(time_or_span(item[0])[1] for item in record if isinstance(item, (tuple, list)) and item):
+        raise ArgumentError("`record` must have exact times: what uncertain ones say rests on the bounds themselves.")
     readings = read_record(plant, record, w_bound, v_bound, initial_error, prior, prior_time)
     program = RecordProgram(readings)
     factor, enough, gains = program.least_multiple(GROWS[grow])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,8 @@ from sampling_design.accuracy.readings import (
     gathered,
     rows_told,
 )
+from sampling_design.accuracy.record_program import RecordProgram
+from sampling_design.accuracy.uncertain_times import resolved
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -41,8 +44,14 @@ def read_record(
     """
     centre = checks.vector("prior", np.zeros(plant.n_states) if prior is None else prior, plant.n_states)
     items = arrived(record, plant.n_outputs)
-    start = items[0][0] if prior_time is None and items else checks.number("prior_time", prior_time or 0.0)
+    spans = [each.stamp for come in items for each in come.told if each.stamp is not None]
+    begun = min([items[0].t, *(span.first for span in spans)]) if items else 0.0
+    start = begun if prior_time is None else checks.number("prior_time", prior_time)
     samples, inputs = _in_order(plant, items, start)
+    if spans and begun < start:
+        raise ArgumentError(f"`prior_time` = {start!r} must not lie after {begun!r}, where an uncertain time begins.")
+    if spans and callable(v_bound):
+        raise ArgumentError("`v_bound` must not depend on time where the time of a reading is uncertain.")
     if not samples:
         raise ArgumentError("`record` must hold at least one measurement, got none.")
     y, times = np.array([come.y for come in samples]), np.array([come.t for come in samples])
@@ -53,16 +62,29 @@ def read_record(
     centre_w = np.zeros(plant.n_disturbances) if bounds.w_centre is None else bounds.w_centre
     push = DisturbanceSet(freeze(centre_w), freeze(np.diag(bounds.w)), bounds.w_ball)
     centre_v = np.zeros(y.shape) if bounds.v_centre is None else bounds.v_centre
-    rows = []
+    error = StartError.of(plant, initial_error)
+    rows: list[tuple[float, tuple[RowReading, ...]]] = []
+
+    def read(t: float | None = None) -> Readings:
+        some = rows if t is None else [*rows, (t, ())]
+        return gathered(plant, push, error, centre, start, some, ball=bounds.v_ball, inputs=inputs)
+
     for come, values, size, middle in zip(samples, y - centre_v, bounds.v, centre_v, strict=True):
         seen = np.flatnonzero(np.isfinite(size) & np.isfinite(values))
         own = [RowReading(plant.C[i], values[i], size[i]) for i in seen]
-        for each in come.told:
+        for each in resolved(plant, push, inputs, come.t, come.told, partial(_known, read, come.t)):
             i = each.output
             own += rows_told(plant, come.t, each, float(size[i]), float(middle[i]), inputs)
         rows.append((come.t, tuple(row for row in own if np.isfinite(row.size))))
-    error = StartError.of(plant, initial_error)
-    return gathered(plant, push, error, centre, start, rows, ball=bounds.v_ball, inputs=inputs)
+    return read()
+
+
+def _known(read: Callable[[float], Readings], t: float, rows: Array) -> tuple[Array, Array]:
+    """Ends of rows of x(t), by the readings before; NaN where these contradict the bounds."""
+    program = RecordProgram(read(t))
+    ends = [program.solve(t, row) for row in rows]
+    found = np.array([(-down.value, up.value) for up, down in ends]).T
+    return (found[0], found[1]) if not program.infeasible else (found[0] * np.nan, found[1] * np.nan)
 
 
 def _in_order(

@@ -286,10 +286,10 @@ def estimates_along(
         if k % AHEAD == 0:
             estimator.expect(record.times[k : k + AHEAD])
         if curve is not None:
-            curve.before(t)
+            curve.before(float(record.times[k]))
         found.append(as_written(estimator.update(t, y, u), kind))
         if curve is not None:
-            curve.after(t, found[-1])
+            curve.after(float(record.times[k]), found[-1])
         last = k + 1 == len(record)
         if last or (k + 1) % every == 0:
             report((k + 1) / len(record), f"{k + 1} of {len(record)} rows")

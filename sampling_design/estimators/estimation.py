@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.accuracy.readings import time_or_span
 from sampling_design.estimators.online.estimator import EstimateRecord, Estimator, estimate_from
 from sampling_design.estimators.online.in_order import listed, triple
 from sampling_design.observability.count.functional import part_for
@@ -65,4 +66,4 @@ def estimate(
     begin = checks.vector("prior", np.zeros(n) if prior is None else prior, n)
     estimator.start(begin, checks.number("prior_time", prior_time))
     taken = [(estimator.update(s.t, s.y, s.u), s.t) for s in samples]  # type: ignore[arg-type]  # as it came
-    return EstimateRecord.collect(plant, [estimate_from(found, t, n) for found, t in taken])
+    return EstimateRecord.collect(plant, [estimate_from(found, time_or_span(t)[0], n) for found, t in taken])

@@ -36,8 +36,8 @@ def _panel(ax: Axes, record: Measurements, i: int, label: str) -> Axes:
             at = each.lower if np.isfinite(each.lower) else each.upper
             mark = "_" if np.isfinite([each.lower, each.upper]).all() else "^" if np.isfinite(each.lower) else "v"
             marks[mark].append((time, at))
-            if each.since is not None:
-                means.append((at, each.since, time))
+            if each.began is not None:
+                means.append((at, *(each.span or (each.began, time))))
     style.points(ax, record.times, record.y[:, i], ".", 6, "measured")
     for mark, told in marks.items():
         if told:

@@ -36,7 +36,7 @@ def test_semicolons_and_dates(tmp_path):
     )
     record = sd.read_measurements(path, TANK)
     assert record.told[0][0].upper == 0.5
-    assert record.told[1][0] == (1, 3.1, 3.1, 0.0)
+    assert record.told[1][0] == CensoredReading(1, 3.1, 3.1, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -123,7 +123,7 @@ def test_the_moving_horizon_estimator_and_a_whole_record(tmp_path):
 
 def test_what_cannot_be_used_is_refused():
     plain = sd.KalmanFilter(WALK)
-    with pytest.raises(ArgumentError, match="`w_bound` and `v_bound` must be given for the limit or mean"):
+    with pytest.raises(ArgumentError, match="`w_bound` and `v_bound` must be given for the limit, mean or"):
         plain.update(1.0, [BelowDetection(0.5)])
     assert plain.state.last.t == 0.0
     bounded = sd.KalmanFilter(WALK, **GIVEN)

@@ -242,3 +242,66 @@ def test_samples_are_left_out_by_the_numbers_that_a_contradiction_names(tmp_path
     for number in (3, 0):
         with pytest.raises(ArgumentError, match="`numbers` must be of the 2 samples, counted from 1, got"):
             blind.without(number)
+
+
+def test_a_date_without_an_hour_and_a_row_until_are_times_that_are_not_known(tmp_path):
+    text = (
+        "date,date_until,gauge,flow,pump\n2026-01-05T12:00,,1,,0\n2026-01-06,,2,<3,\n2026-01-07T00:00,2026-01-08,,4,\n"
+    )
+    found = read_measurements(written(tmp_path, text), PLANT, origin="2026-01-05")
+    assert found.times.tolist() == [12.0, 36.0, 72.0]
+    assert [found.span_of(k) for k in range(3)] == [None, (24.0, 48.0), (48.0, 96.0)]
+    assert [row[0] for row in found] == [12.0, (24.0, 48.0), (48.0, 96.0)]
+    assert [row[2] is None for row in found] == [False, True, True]
+    assert found.measured.tolist() == [[True, False], [True, True], [False, True]]
+    assert found.samples(numbers=True)[0].tolist() == [12.0]
+    again = read_measurements(write_measurements(found, tmp_path / "again.csv"), PLANT)
+    assert list(map(str, again)) == list(map(str, found))
+    assert found.start == 12.0
+    assert found.shifted(2.0).start == 14.0
+    assert found.shifted(2.0).span_of(1) == (26.0, 50.0)
+    assert found.between(24.0, 90.0).times.tolist() == [24.0, 36.0]  # the last reading may lie outside
+    assert found.between(24.0, 90.0).u.tolist()[0] == [0.0]
+    both = found.merged(found.shifted(0.0))
+    assert both.told == found.told
+
+
+def test_a_summer_day_of_the_clocks_has_twenty_three_hours(tmp_path):
+    text = "date,gauge,flow,pump\n2026-03-29,1,,\n"
+    found = read_measurements(
+        written(tmp_path, text),
+        Plant([[0.0]], np.ones((2, 1)), outputs=["gauge", "flow"], B=[[1.0]], inputs=["pump"], time_unit="h"),
+        zone="Europe/Berlin",
+    )
+    assert found.span_of(0) == (0.0, 23.0)
+
+
+def test_dates_of_a_frame_are_times_though_all_of_them_are_midnights():
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame({"gauge": [1.0, 2.0]}, index=pandas.to_datetime(["2026-01-05", "2026-01-06"]))
+    found = read_measurements(frame, Plant([[0.0]], [[1.0]], outputs=["gauge"], time_unit="h"))
+    assert found.times.tolist() == [0.0, 24.0]
+    assert found.span_of(1) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("time,time_until,gauge,flow,pump\n2,1,1,,0\n", "line 2 ends before it begins: '1'"),
+        ("time,time_until,gauge,flow,pump\n0,,1,,0\n1,2,1,,3\n", "line 3 changes an input at a time that is not known"),
+        ("time,time_until,gauge,gauge_since,flow,pump\n0,,1,,,0\n1,2,1,0.5,,\n", "line 3 holds a mean, whose end must"),
+        ("time,date_until,gauge,flow,pump\n1,2,1,,0\n", "unknown column"),
+    ],
+)
+def test_a_row_whose_time_is_not_known_is_refused_in_a_sentence(tmp_path, text, words):
+    with pytest.raises(FileFormatError, match=words):
+        read_measurements(written(tmp_path, text), PLANT)
+
+
+def test_measurements_of_uncertain_times_made_by_hand():
+    found = Measurements(BLIND, [[1.0, 1.0], [2.0, 4.0]], [[5.0], [6.0]])
+    assert found.times.tolist() == [1.0, 3.0]
+    assert list(found)[1] == ((2.0, 4.0), [6.0], None)
+    assert len(MovingHorizonEstimator(BLIND, horizon=9.0, w_bound=0.1, v_bound=0.1, initial_error=9.0).run(found)) == 2
+    with pytest.raises(ArgumentError, match=r"`times` = \(1.0, 2.0\) is uncertain, and an input needs its time"):
+        Measurements(PLANT, [[1.0, 2.0]], [[1.0, np.nan]], [[3.0]])

@@ -189,7 +189,9 @@ def test_without_bounds_a_mean_is_taken_and_a_limit_is_not():
     estimator = made("filter", 0.1)
     estimator.update(1.0, [0.3, np.nan])
     assert estimator.update(2.0, [CompositeReading(0.4, 0.5), np.nan]).status == "ok"
-    with pytest.raises(sd.ArgumentError, match="`w_bound` and `v_bound` must be given for the limit or mean at t = 3"):
+    with pytest.raises(
+        sd.ArgumentError, match="`w_bound` and `v_bound` must be given for the limit, mean or uncertain time at t = 3"
+    ):
         estimator.update(3.0, [CompositeReading(BelowDetection(0.4), 2.5), np.nan])
 
 

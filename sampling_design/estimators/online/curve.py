@@ -133,7 +133,7 @@ def estimate_curve(
     Estimates between and at 4 samples; the tube holds every state at all times, if the bounds do.
     """
     following = CurveCollector(estimator, checks.whole("points", points, 1), start=checks.number("start", start))
-    for t, y, u in measurements:
+    for t, (stamp, y, u) in zip(measurements.times.tolist(), measurements, strict=True):
         following.before(t)
-        following.after(t, estimator.update(t, y, u))
+        following.after(t, estimator.update(stamp, y, u))
     return following.curve(measurements)

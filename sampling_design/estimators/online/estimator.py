@@ -26,9 +26,12 @@ class GuaranteeWarning(UserWarning):
 
 
 class Sample(NamedTuple):
-    """A time stamp with what came at it: y (NaN where not measured; None for no measurement) and u from then on."""
+    """A time stamp with what came at it: y (NaN where not measured; None for no measurement) and u from then on.
 
-    t: float
+    A pair t = (first, last) says that y was measured at some time in between, nobody knows when.
+    """
+
+    t: float | tuple[float, float]
     y: object = None
     u: object = None
 

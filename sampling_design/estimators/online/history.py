@@ -99,6 +99,10 @@ class HistoryNode(NamedTuple):
     loose: float = 0.0
     branch: Branch | None = None
 
+    def told_after(self, t: float) -> bool:
+        """Whether a reading of it may have been taken at t or later."""
+        return any(each.stamp is not None and each.stamp.last >= t for each in self.sample.told)
+
     @property
     def contradiction(self) -> Contradiction | None:
         """What contradicts the bounds up to here, whichever proof said so."""

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.readings import CensoredReading, RecordRow, with_censored
+from sampling_design.accuracy.readings import CensoredReading, RecordRow, at_some_time, time_or_span, with_censored
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.online.estimate import Estimate
@@ -22,6 +22,7 @@ from sampling_design.estimators.records.measurements import DataFrame, read_meas
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
+from sampling_design.records.checks import freeze
 from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked_methods
 
@@ -52,6 +53,11 @@ class OnlineEstimator(ABC):
     @abstractmethod
     def _advance(self, state: EstimatorState, sample: RecordRow) -> HistoryNode:
         """Return the node of a checked sample that is later than all nodes of `state` (or at the prior's time)."""
+
+    def _resolved(self, state: EstimatorState, sample: RecordRow) -> RecordRow:
+        """Return a sample with what readings of uncertain times say of its time."""
+        del state
+        return sample
 
     @abstractmethod
     def _predict(self, state: EstimatorState, t: float) -> Estimate:
@@ -91,11 +97,11 @@ class OnlineEstimator(ABC):
         checked = self._check(sample, state)
         if checked.u is not None:
             state = with_input(state, checked)
-        if checked.t > state.last.t:
+        if checked.t > state.last.t and not (checked.u is not None and _touched(state, checked.t)):
             if checked.y is None:
                 state = self._after_input(state, checked.t)
                 return state, self._predict(state, checked.t)
-            state = EstimatorState((*state.nodes, self._advance(state, checked)), state.inputs)
+            state = EstimatorState((*state.nodes, self._advance(state, self._resolved(state, checked))), state.inputs)
             state = state.trimmed(self.memory, self.remembered)
             return state, self._handed_out(state, len(state.nodes) - 1)
         return self._late(state, checked)
@@ -119,22 +125,28 @@ class OnlineEstimator(ABC):
             first, at = [merged], at - 1
         elif sample.y is None:
             first = []
-        return self._replay(state, at, first, sample.t, disproved=sample.u is None)
+        return self._replay(state, at, first, sample.t, forced=sample.u is not None)
 
     def _replay(
-        self, state: EstimatorState, at: int, first: list[RecordRow], t: float, *, disproved: bool
+        self, state: EstimatorState, at: int, first: list[RecordRow], t: float, *, forced: bool, taken: bool = False
     ) -> tuple[EstimatorState, Estimate]:
-        """Go on from the node `at` with other samples at t; `disproved`: what contradicted the bounds still does."""
+        """Go on from the node `at` with other samples at t, `forced` with another input from then on.
+
+        What contradicted the bounds still does, if nothing is `taken` away and the input is what it was.
+        """
+        back = min([at, *(k - 1 for k in _touched(state, t) if forced)])
+        first, at = [*(node.sample for node in state.nodes[back + 1 : at + 1]), *first], back
         if at < 0:
             raise ArgumentError(f"`t` = {t!r} is the oldest snapshot kept: there is nothing before it to replay from.")
         later = [node.sample for node in state.nodes[at + 1 :] if node.t > t]
         replayed = EstimatorState(state.nodes[: at + 1], state.inputs)
         for item in [*first, *later]:
-            replayed = EstimatorState((*replayed.nodes, self._advance(replayed, item)), state.inputs)
+            node = self._advance(replayed, self._resolved(replayed, item))
+            replayed = EstimatorState((*replayed.nodes, node), state.inputs)
         replayed = replayed.trimmed(self.memory, self.remembered)
         old, new = state.last.branch, replayed.last.branch
         if (
-            disproved
+            not (taken or forced)
             and old is not None
             and new is not None
             and (proven := old.contradiction(state.last.number)) is not None
@@ -143,10 +155,17 @@ class OnlineEstimator(ABC):
         return replayed, self._handed_out(replayed, len(replayed.nodes) - 1)
 
     def _check(self, sample: Sample, state: EstimatorState) -> RecordRow:
-        t = sample.t if type(sample.t) is float and math.isfinite(sample.t) else checks.number("t", sample.t)
+        t, span = (sample.t, None) if type(sample.t) is float and math.isfinite(sample.t) else time_or_span(sample.t)
         self._refuse_too_late(t, state)
         y, limits = (sample.y, ()) if type(sample.y) is np.ndarray else with_censored(sample.y, self.plant.n_outputs)
         y = None if y is None else self._check_y(y, t, bool(limits))
+        if span is not None:
+            if y is None or sample.u is not None:
+                raise ArgumentError(
+                    f"`t` = {span!r} is uncertain: an input needs its time, and there must be readings."
+                )
+            limits = at_some_time(y, limits, span)
+            y = freeze(np.full(len(y), np.nan))
         if limits:
             self._check_censored(state, t, limits)
         if sample.u is None:
@@ -172,7 +191,9 @@ class OnlineEstimator(ABC):
             )
 
     def _check_censored(self, state: EstimatorState, t: float, limits: tuple[CensoredReading, ...]) -> None:
-        """Refuse limits and means that say nothing here."""
+        """Refuse limits, means and uncertain times that say nothing here."""
+        if limits[0].stamp is not None:
+            raise ArgumentError(f"`t` = {limits[0].span!r} is uncertain: this estimator takes exact times only.")
         raise ArgumentError(f"`y` holds a limit or a mean at t = {t!r}: this estimator takes plain numbers only.")
 
     def _check_y(self, value: object, t: float, limited: bool) -> Array:
@@ -197,12 +218,12 @@ class OnlineEstimator(ABC):
         y.flags.writeable = False
         return y
 
-    def update(self, t: float, y: object = None, u: object = None) -> Estimate:
+    def update(self, t: float | tuple[float, float], y: object = None, u: object = None) -> Estimate:
         """Take in a sample and return the estimate at the latest sample; see `step`. On an error nothing changes."""
         self.state, estimate = self._taken_in(self.state, Sample(t, y, u))
         return estimate
 
-    def correct(self, t: float, y: object = None, u: object = None) -> Estimate:
+    def correct(self, t: float | tuple[float, float], y: object = None, u: object = None) -> Estimate:
         """Replace what was said of a time, and return the estimate at the latest sample: as if it had come so at first.
 
         Parameters
@@ -234,10 +255,10 @@ class OnlineEstimator(ABC):
                 first, at = [state.nodes[at].sample], at - 1
         else:
             first, at = [corrected(self._sample_at(state, at, sample.t), sample)], at - 1
-        self.state, estimate = self._replay(state, at, first, sample.t, disproved=False)
+        self.state, estimate = self._replay(state, at, first, sample.t, forced=sample.u is not None, taken=True)
         return estimate
 
-    def withdraw(self, t: float, output: str | None = None) -> Estimate:
+    def withdraw(self, t: float | tuple[float, float], output: str | None = None) -> Estimate:
         """Take back a sample, and return the estimate at the latest one: as if it had never come.
 
         Parameters
@@ -257,7 +278,7 @@ class OnlineEstimator(ABC):
         On an error nothing changes. What contradicted the bounds only together with this sample, no longer does:
         `withdraw(found.t, found.output)` leaves out what a `Contradiction` names.
         """
-        when = checks.number("t", t)
+        when, _ = time_or_span(t)
         self._refuse_too_late(when, self.state)
         at = self.state.node_before(when)
         rest = self._sample_at(self.state, at, when)
@@ -266,7 +287,7 @@ class OnlineEstimator(ABC):
         else:
             names = self.plant.outputs.names
             first = without(rest, names.index(checks.word("output", output, names)), output)
-        self.state, estimate = self._replay(self.state, at - 1, first, when, disproved=False)
+        self.state, estimate = self._replay(self.state, at - 1, first, when, forced=False, taken=True)
         return estimate
 
     @staticmethod
@@ -345,9 +366,17 @@ class OnlineEstimator(ABC):
         return EstimateRecord.collect(self.plant, found)
 
 
+def _touched(state: EstimatorState, t: float) -> list[int]:
+    """The nodes before t with readings that may have been taken at t or later."""
+    nodes = state.nodes[: state.node_before(t) + 1] if np.isfinite(state.last.limited) else ()
+    return [k for k, node in enumerate(nodes) if node.told_after(t)]
+
+
 def _stamp(item: object) -> float:
-    """The time stamp of a sample; NaN where it says nothing."""
+    """The time stamp of a sample, the middle of one that is uncertain; NaN where it says nothing."""
     t = item[0] if isinstance(item, (tuple, list)) and item else None
+    if isinstance(t, (tuple, list)) and len(t) == 2 and all(isinstance(end, (int, float)) for end in t):
+        return float(t[0] + (t[1] - t[0]) / 2)
     return float(t) if isinstance(t, (int, float)) else np.nan
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.readings import CensoredReading
+from sampling_design.accuracy.readings import CensoredReading, RecordRow
+from sampling_design.accuracy.uncertain_times import nothing_said, resolved
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.error_bounds import ErrorBounds
 from sampling_design.estimators.online.estimate import Estimate
@@ -16,6 +17,7 @@ from sampling_design.estimators.online.open_loop import OpenLoop
 from sampling_design.estimators.online.recorder import Recorder, SampleReader
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.records import checks
+from sampling_design.records.arrays import Array
 
 
 class LinearPlantEstimator(OnlineEstimator):
@@ -88,13 +90,33 @@ class LinearPlantEstimator(OnlineEstimator):
         a = state.last.t
         return state._replace(reached=(a, t, self.loop.drift.between(state, a, t)))
 
+    def _resolved(self, state: EstimatorState, sample: RecordRow) -> RecordRow:
+        if all(each.stamp is None for each in sample.told):
+            return sample
+        assumed = self.recorder.assumed
+        assert assumed is not None  # or the sample was refused
+        if not state.last.stands:
+            return sample._replace(told=nothing_said(sample.told))
+
+        def known(rows: Array) -> tuple[Array, Array]:
+            found = self._predict(state, sample.t).interval(rows)
+            return found.lower, found.upper
+
+        inputs = tuple(state.inputs)
+        return sample._replace(told=resolved(self.plant, assumed.push, inputs, sample.t, sample.told, known))
+
     def _check_censored(self, state: EstimatorState, t: float, limits: tuple[CensoredReading, ...]) -> None:
         exact = self.weighs_means and all(each.since is not None and each.lower == each.upper for each in limits)
         if self.recorder.assumed is None and not exact:
             raise ArgumentError(
-                f"`w_bound` and `v_bound` must be given for the limit or mean at t = {t!r} to say anything."
+                f"`w_bound` and `v_bound` must be given for the limit, mean or uncertain time at t = {t!r} to say "
+                "anything."
             )
         for each in limits:
+            if each.stamp is not None and each.stamp.first < state.nodes[0].t:
+                raise ArgumentError(
+                    f"`t` = {each.span!r} must not begin before {state.nodes[0].t!r}, the oldest time kept."
+                )
             if each.since is None:
                 continue
             begin = state.nodes[0].t

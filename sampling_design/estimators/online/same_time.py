@@ -77,8 +77,9 @@ def corrected_inputs(inputs: InputHistory, sample: RecordRow) -> InputHistory:
 
 def said(sample: RecordRow) -> dict[int, float | CensoredReading]:
     """What a sample says of each output that it reads."""
+    found = {each.output: each.as_read for each in sample.told}
     y = {output: float(sample.y[output]) for output in np.flatnonzero(np.isfinite(sample.y)).tolist()}
-    return y | {each.output: each for each in sample.told}
+    return y | found
 
 
 def as_given(sample: RecordRow) -> list[object]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterator
-from datetime import UTC, datetime, timedelta, tzinfo
+from datetime import UTC, date, datetime, time, timedelta, tzinfo
 from itertools import islice
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from sampling_design.accuracy.readings import CensoredReading
+from sampling_design.accuracy.readings import CensoredReading, at_some_time, time_or_span
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.plant import Signals
 from sampling_design.records import checks, file_io
@@ -22,6 +22,9 @@ Numbered = tuple[int, str]
 
 SINCE = "_since"
 """Ending of the column that says where a composite sample of an output began."""
+
+UNTIL = "_until"
+"""Ending of the column that says until when a row may have been measured."""
 
 BLOCK = 4096
 """Lines that are held as text at a time; what they say is held as numbers."""
@@ -69,7 +72,7 @@ def read_table(
     own = {*plant.outputs.names, *plant.inputs.names}
     header = [name.lower() if name.lower() in ("time", "date") and name not in own else name for name in found]
     stamp = _check_header(where, header, plant)
-    clock = _Clock(where, plant, None if origin is None else date_of(where, 0, origin), zone)
+    clock = _Clock(where, plant, None if origin is None else date_of(where, 0, origin), zone, stamp)
     table = MeasurementTable(where, plant, header, mark, clock, stamp)
     while block := list(islice(held, BLOCK)):
         table.add_block(block)
@@ -83,7 +86,8 @@ class _Clock:
     whether there was one, and `place` where it was taken to be.
     """
 
-    def __init__(self, where: str, plant: MeasuredPlant, zero: datetime | None, zone: str | None):
+    def __init__(self, where: str, plant: MeasuredPlant, zero: datetime | None, zone: str | None, stamp: str):
+        self.stamp = stamp
         self.where, self.unit, self.zero, self.naive = where, SECONDS[plant.time_unit], zero, False
         self.zone: tzinfo = UTC if zero is None or zero.tzinfo is None else zero.tzinfo
         self.place = str(self.zone)
@@ -95,6 +99,20 @@ class _Clock:
 
     def date(self, line: int, cell: str) -> float:
         return self.since(line, cell, date_of(self.where, line, cell, None))
+
+    def span(self, line: int, cell: str, until: str) -> tuple[float, tuple[float, float] | None]:
+        """A time, and its span where it is uncertain: until another one, or some time of a day without an hour."""
+        dated, end = self.stamp == "date", until or cell
+        first = (self.date if dated else self.time)(line, cell)
+        last = first if not until else (self.date if dated else self.time)(line, until)
+        if dated and (day := _day(end)) is not None:
+            last = self.since(line, end, datetime.combine(day + timedelta(days=1), time()))
+        try:
+            return time_or_span((first, last))
+        except ArgumentError:
+            raise FileFormatError(
+                f"{self.where}: line {line} ends before it begins: {until!r:.60}.", self.where
+            ) from None
 
     def since(self, line: int, cell: str, date: datetime) -> float:
         """Time of a date, with or without a zone of its own; elapsed time, whatever the clocks did meanwhile."""
@@ -159,7 +177,7 @@ class MeasurementTable:
                     f"{self.where}: line {number} has {len(cells)} cells, expected {len(self.header)}.", self.where
                 )
             cell = dict(zip(self.header, cells, strict=True))
-            self._add(number, self.read(number, cell[self.stamp]), cell)
+            self._add(number, *self.clock.span(number, cell[self.stamp], cell.get(self.stamp + UNTIL, "")), cell)
         self._close()
 
     def _plain(self, lines: list[Numbered]) -> tuple[Array, Array, Array] | None:
@@ -174,8 +192,8 @@ class MeasurementTable:
         times = self._stamps(columns[self.stamp])
         if times is None or not times[0] > self._latest or not (np.diff(times) > 0).all():
             return None
-        names = self.plant.outputs.names
-        if any(cell.strip() for name in names for cell in columns.get(name + SINCE, ())):
+        more = [self.stamp + UNTIL, *(name + SINCE for name in self.plant.outputs.names)]
+        if any(cell.strip() for name in more for cell in columns.get(name, ())):
             return None
         outputs, inputs = (
             [self._column(columns[name]) for name in signals.names]
@@ -191,6 +209,8 @@ class MeasurementTable:
     def _stamps(self, cells: tuple[str, ...]) -> Array | None:
         if self.stamp == "time":
             return self._column(cells, blank=False)
+        if any(_day(cell.strip()) for cell in cells):
+            return None
         try:
             dates = [datetime.fromisoformat(cell.strip()) for cell in cells]
         except ValueError:
@@ -203,7 +223,7 @@ class MeasurementTable:
     def _column(self, cells: tuple[str, ...], blank: bool = True) -> Array | None:
         return file_io.decimals([cell.strip() for cell in cells], self.mark != ",", blank)
 
-    def _add(self, line: int, t: float, cell: dict[str, str]) -> None:
+    def _add(self, line: int, t: float, span: tuple[float, float] | None, cell: dict[str, str]) -> None:
         outputs: list[float] = []
         told: list[CensoredReading] = []
         for i, name in enumerate(self.plant.outputs.names):
@@ -220,8 +240,11 @@ class MeasurementTable:
                 told.append(CensoredReading(i, *ends, since))
             outputs.append(np.nan if limit or since is not None else value)
         inputs = [_number(self.where, line, name, cell[name], blank=True) for name in self.plant.inputs.names]
-        inputs = self._filled(line, inputs)
-        if np.isnan(outputs).all() and not told and not inputs:
+        if span is not None:
+            self._refuse_input(line, inputs, told)
+            told, outputs = list(at_some_time(np.array(outputs), tuple(told), span)), [np.nan] * len(outputs)
+        inputs = self._filled(line, inputs) if span is None else inputs
+        if np.isnan(outputs).all() and not told and (span is not None or not inputs):
             return  # a visit that was missed, or is still to come
         content = _content(outputs, inputs, told)
         if self._seen is None and t <= self._latest:
@@ -231,9 +254,20 @@ class MeasurementTable:
                 _check_twin(self.where, line, content, self._seen[t])
                 return
             self._seen[t] = (line, content)
-        self._latest, self._held = max(t, self._latest), np.array(inputs)
+        self._latest, self._held = max(t, self._latest), self._held if span is not None else np.array(inputs)
         self._rows.add(t, outputs, inputs, line)
         self.told.append(tuple(told))
+
+    def _refuse_input(self, line: int, inputs: list[float], told: list[CensoredReading]) -> None:
+        """Refuse what needs a time in a row that has none."""
+        if any(each.since is not None for each in told):
+            raise FileFormatError(f"{self.where}: line {line} holds a mean, whose end must be one time.", self.where)
+        if any(not np.isnan(value) and value != held for value, held in zip(inputs, self._held, strict=True)):
+            raise FileFormatError(
+                f"{self.where}: line {line} changes an input at a time that is not known. Give it a row of its own.",
+                self.where,
+            )
+        inputs[:] = [np.nan] * len(inputs)
 
     def _filled(self, line: int, inputs: list[float]) -> list[float]:
         """Fill empty input cells with the value that holds."""
@@ -294,7 +328,8 @@ class _Rows:
 
 
 def _content(outputs: list[float], inputs: list[float], told: list[CensoredReading]) -> tuple[float, ...]:
-    return (*outputs, *inputs, *(np.nan if x is None else x for each in told for x in each))
+    flat = [x for each in told for x in (*each[:4], *(each.stamp or ()))]
+    return (*outputs, *inputs, *(np.nan if x is None else x for x in flat))
 
 
 def _beside(columns: list[Array | None], rows: int) -> Array | None:
@@ -336,7 +371,7 @@ def _check_header(where: str, header: list[str], plant: MeasuredPlant) -> str:
     if twice:
         raise FileFormatError(f"{where}: column {twice[0]!r} occurs twice.", where)
     try:
-        known = [stamps[0], *wanted, *(name + SINCE for name in plant.outputs.names)]
+        known = [stamps[0], stamps[0] + UNTIL, *wanted, *(name + SINCE for name in plant.outputs.names)]
         checks.known_keys("the header", header, known)
     except ArgumentError as error:
         slip = f" Take a column that is neither out; the plant names {', '.join(wanted)}."
@@ -354,6 +389,14 @@ def _number(where: str, line: int, name: str, cell: str, blank: bool = False) ->
             hint = " Dates stand in a column named date."
         raise FileFormatError(f"{where}: {name} in line {line} is not a number: {cell!r:.60}.{hint}", where)
     return value
+
+
+def _day(cell: str) -> date | None:
+    """A date without an hour."""
+    try:
+        return date.fromisoformat(cell)
+    except ValueError:
+        return None
 
 
 def date_of(where: str, line: int, cell: str, zone: tzinfo | None = UTC) -> datetime:

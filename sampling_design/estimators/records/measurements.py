@@ -13,10 +13,11 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from sampling_design.accuracy.readings import CensoredReading, as_typed
+from sampling_design.accuracy.readings import CensoredReading, as_typed, at_some_time, time_or_span
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.records.measurement_table import (
     SINCE,
+    UNTIL,
     MeasuredPlant,
     date_of,
     dated,
@@ -26,6 +27,7 @@ from sampling_design.estimators.records.measurement_table import (
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks, file_io
 from sampling_design.records.arrays import Array, Mask
+from sampling_design.records.checks import freeze
 from sampling_design.records.record import Record, counted, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import SECONDS
@@ -42,7 +44,7 @@ class DataFrame(Protocol):
     def rename(self, *, columns: dict[object, str]) -> DataFrame: ...
     def rename_axis(self, mapper: str) -> DataFrame: ...
     def reset_index(self) -> DataFrame: ...
-    def to_csv(self, *, index: bool) -> str: ...
+    def to_csv(self, *, index: bool, date_format: str) -> str: ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -52,7 +54,9 @@ class Measurements(Record):
     Parameters
     ----------
     plant : Plant
-    times : (N,) array [the plant's time unit]
+    times : (N,) or (N, 2) array [the plant's time unit]
+        Two columns: each row was measured at some time from the first to the second, nobody knows when; where both are
+        one, that is the time. `times` of the record are their middles then, what was read stands in `told`.
     y : (N, p) array
         NaN where not measured.
     u : (N, m) array, optional
@@ -88,7 +92,8 @@ class Measurements(Record):
     def __post_init__(self) -> None:
         if not isinstance(self.plant, MeasuredPlant):
             raise ArgumentError(f"`plant` must be a Plant, got {checks.described(self.plant)}.")
-        times = checks.vector("times", self.times)
+        spans = checks.matrix("times", self.times, columns=2) if checks.dimensions(self.times) == 2 else None
+        times = checks.vector("times", self.times if spans is None else spans.mean(axis=1))
         shapes = {"y": (self.y, self.plant.n_outputs), "u": (self.u, self.plant.n_inputs)}
         owned = {"times": times}
         for key, (value, width) in shapes.items():
@@ -112,6 +117,25 @@ class Measurements(Record):
         ):
             raise ArgumentError("`told` must have an entry for each row, and y be NaN where it says something.")
         object.__setattr__(self, "told", rows)
+        if spans is not None:
+            self._take_spans(spans)
+
+    def _take_spans(self, spans: Array) -> None:
+        """Put the middles in place of times that are not known, and what was read then among what is told."""
+        y, told, middles = np.array(self.y), list(self.told), np.empty(len(spans))
+        for k, pair in enumerate(spans):
+            middles[k], span = time_or_span(pair)
+            if span is None:
+                continue
+            if np.isfinite(self.u[k]).any():
+                raise ArgumentError(f"`times` = {span!r} is uncertain, and an input needs its time.")
+            told[k], y[k] = at_some_time(y[k], told[k], span), np.nan
+        for key, value in {"times": middles, "y": y, "told": tuple(told)}.items():
+            object.__setattr__(self, key, freeze(value) if isinstance(value, np.ndarray) else value)
+
+    def span_of(self, k: int) -> tuple[float, float] | None:
+        """First and last time at which row k may have been measured, where that is uncertain."""
+        return self.told[k][0].span if self.told[k] else None
 
     def __len__(self) -> int:
         return self.times.size
@@ -140,7 +164,7 @@ class Measurements(Record):
     @property
     def start(self) -> float:
         """The earliest time that a row tells of: its own, or the beginning of its mean; 0 without rows."""
-        begun = [each.since for row in self.told for each in row if each.since is not None]
+        begun = [each.began for row in self.told for each in row if each.began is not None]
         return min([*begun, float(self.times.min())]) if len(self) else 0.0
 
     def shifted(self, by: float) -> Measurements:
@@ -175,20 +199,24 @@ class Measurements(Record):
     def between(self, start: float, stop: float) -> Measurements:
         """Return the rows from `start` to `stop`, both included; the first one says which inputs hold.
 
-        A mean that began before `start` tells of a time outside, and is left out.
+        What tells of a time outside, a mean that began before `start` or a reading that may lie outside, is left out.
         """
         start, stop = checks.number("start", start), checks.number("stop", stop)
         ordered = self.in_order()
         within = np.flatnonzero((ordered.times >= start) & (ordered.times <= stop))
-        told = tuple(
-            tuple(each for each in ordered.told[k] if each.since is None or each.since >= start) for k in within
-        )
+        told = tuple(tuple(each for each in ordered.told[k] if each.within(start, stop)) for k in within)
         u = held_on(ordered.u)[within]
         says = np.isfinite(ordered.y[within]).any(axis=1) | np.isfinite(ordered.u[within]).any(axis=1)
         says |= np.array([bool(row) for row in told], dtype=bool)
         some = tuple(row for row, kept in zip(told, says, strict=True) if kept)
-        rows = within[says]
-        return replace(ordered, times=ordered.times[rows], y=ordered.y[rows], u=u[says], told=some)
+        rows, u = within[says], u[says]
+        times, y = ordered.times[rows], ordered.y[rows]
+        spanned = [bool(row) and row[0].stamp is not None for row in some]
+        if any(spanned[:1]) and np.isfinite(u[0]).any():  # an input needs its time
+            times, y, some = np.append(start, times), np.vstack([y[:1] * np.nan, y]), ((), *some)
+            u, spanned = np.vstack([u[:1], u]), [False, *spanned]
+        u[spanned] = np.nan
+        return replace(ordered, times=times, y=y, u=u, told=some)
 
     def without(self, *numbers: int) -> Measurements:
         """Return the rows in order of time without some samples, numbered from 1 as a `Contradiction` numbers them.
@@ -261,7 +289,7 @@ class Measurements(Record):
         some = tuple(told[k] for k in rows.tolist())
         return replace(both, times=both.times[rows], y=y[rows], u=u[rows], told=some)
 
-    def __iter__(self) -> Iterator[tuple[float, object, Array | None]]:
+    def __iter__(self) -> Iterator[tuple[float | tuple[float, float], object, Array | None]]:
         measured, applied = (np.asarray(np.isfinite(each).any(axis=1)) for each in (self.y, self.u))
         for k, told in enumerate(self.told):
             y: object = self.y[k] if measured[k] else None
@@ -270,7 +298,7 @@ class Measurements(Record):
                 for each in told:
                     cells[each.output] = as_typed(each)
                 y = cells
-            yield float(self.times[k]), y, self.u[k] if applied[k] else None
+            yield self.span_of(k) or float(self.times[k]), y, self.u[k] if applied[k] else None
 
     def _rows(self) -> list[tuple[str, str]]:
         counts = np.sum(self.measured, axis=0)
@@ -299,13 +327,14 @@ def read_measurements(
     Parameters
     ----------
     path : path or DataFrame
-        Header `time` (in the plant's time unit) or `date` (ISO 8601), then the plant's
-        output names, then its input names, in any order. An empty output cell is "not measured" (a row that measures
-        nothing is a visit that was missed or is to come), an empty input cell "unchanged"; "<0.5" and ">8" are limits
-        of detection. A column NAME_since beside an output NAME holds where a composite sample began, in the unit of the
-        first column: the output is the mean from then on. Lines that start with # are comments. Of a frame, `time` or
-        `date` may be the index, as may dates without a name; a column of dates is one of dates whatever its name says,
-        and NaN is what an empty cell is.
+        Header `time` (in the plant's time unit) or `date` (ISO 8601; a date without an hour is some time of that day),
+        then the plant's output names, then its input names, in any order. An empty output cell is "not measured" (a row
+        that measures nothing is a visit that was missed or is to come), an empty input cell "unchanged"; "<0.5" and
+        ">8" are limits of detection. A column `time_until` or `date_until` says until when a row may have been
+        measured, where its time is not known; empty where it is. A column NAME_since beside an output NAME holds where
+        a composite sample began, in the unit of the first column: the output is the mean from then on. Lines that start
+        with # are comments. Of a frame, `time` or `date` may be the index, as may dates without a name; a column of
+        dates is one of dates whatever its name says, and NaN is what an empty cell is.
     plant : Plant
     origin : str, optional
         Date of time 0 in a file of dates. Default: the date of the first row.
@@ -343,7 +372,8 @@ def _lines_of(source: str | os.PathLike[str] | DataFrame) -> tuple[str, Iterator
         if kind == "M" or index in (*known, "t"):
             columns = source.rename_axis("date" if kind == "M" else known.get(index, "time")).reset_index()
     stamps = {name: "date" for name in columns.columns if str(name).lower() in known and _kind(columns[name]) == "M"}
-    return "the frame", iter(str(columns.rename(columns=stamps).to_csv(index=False)).splitlines())
+    hours = "%Y-%m-%dT%H:%M:%S.%f%z"  # of days alone, too: a frame's dates are times
+    return "the frame", iter(str(columns.rename(columns=stamps).to_csv(index=False, date_format=hours)).splitlines())
 
 
 def _kind(column: object) -> str:
@@ -366,17 +396,21 @@ def write_measurements(measurements: Measurements, path: str | os.PathLike[str])
         The file, written whole or not at all.
     """
     plant = measurements.plant
+    spans = [measurements.span_of(k) for k in range(len(measurements))]
+    stamps = ["time", *(["time" + UNTIL] if any(spans) else [])]
     means = sorted({each.output for row in measurements.told for each in row if each.since is not None})
-    header = ["time", *plant.outputs.names, *(plant.outputs.names[i] + SINCE for i in means), *plant.inputs.names]
+    header = [*stamps, *plant.outputs.names, *(plant.outputs.names[i] + SINCE for i in means), *plant.inputs.names]
     body = []
-    for t, y, u, told in zip(measurements.times, measurements.y, measurements.u, measurements.told, strict=True):
+    table = zip(measurements.times.tolist(), spans, measurements.y, measurements.u, measurements.told, strict=True)
+    for t, span, y, u, told in table:
+        when = [repr(t), ""] if span is None else [repr(end) for end in span]
         cells, begun = [cell_of(v) for v in y], dict.fromkeys(means, "")
         for each in told:
             limit = "<" if np.isinf(each.lower) else ">" if np.isinf(each.upper) else ""
             cells[each.output] = limit + cell_of(each.lower if np.isfinite(each.lower) else each.upper)
             if each.since is not None:
                 begun[each.output] = cell_of(each.since)
-        body.append([repr(float(t)), *cells, *begun.values(), *(cell_of(v) for v in u)])
+        body.append([*when[: len(stamps)], *cells, *begun.values(), *(cell_of(v) for v in u)])
     return write_csv(path, header, body)
 
 

@@ -1,0 +1,202 @@
+"""Readings whose time is known only to an interval: what is said holds for every time in it, and for no less.
+
+The times are those that a search finds worst, the truth is that of a linear program of the whole record at those times,
+w, v and the start at their worst: no end of it lies outside, and the record with its times believed is outside.
+"""
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.accuracy.readings import CompositeReading
+from sampling_design.errors import ArgumentError
+from tests.cases import few
+from tests.oracles.records import WholeRecord
+
+ROUNDED = 1e-6
+"""Share of the width that rounding and the solvers may take."""
+
+
+WITHIN = 0.01
+"""Share of the width that an interval may be wider: what its cells and its solver leave open."""
+
+
+class Case:
+    """A random plant with inputs, exact and uncertain readings, in random units, and the program of any real times."""
+
+    def __init__(self, seed):
+        rng = np.random.default_rng(seed)
+        n, p, q, m = (int(rng.integers(1, high)) for high in (4, 3, 3, 2))
+        m = m if rng.uniform() < 0.5 else 0
+        A, B, C, D, G = (rng.normal(size=s) for s in ((n, n), (n, m), (p, n), (p, m), (n, q)))
+        A = A - np.eye(n) * (np.linalg.eigvals(A).real.max() + rng.choice([-0.2, 0.0, 0.5]))
+        self.plain, self.start = (A, B, C, D, G), rng.uniform(0.3, 2, n)
+        self.w, self.v, self.c = rng.uniform(0.01, 0.3, q), rng.uniform(0.02, 0.2, p), rng.normal(size=n)
+        self.x, self.y, self.t = (
+            10.0 ** rng.integers(-6, 7, n),
+            10.0 ** rng.integers(-6, 7, p),
+            10.0 ** rng.integers(-3, 4),
+        )
+        if rng.uniform() < 0.5:
+            self.x, self.y, self.t = np.ones(n), np.ones(p), 1.0
+        self.origin = 1.7e9 if self.t >= 1 and rng.uniform() < 0.3 else 0.0
+        middles = np.cumsum(rng.uniform(0.4, 1.2, 4))
+        half = np.where(rng.uniform(size=4) < 0.6, rng.uniform(0.02, 0.4, 4), 0.0)
+        half[rng.integers(4)] = 0.3
+        self.spans, self.end = np.array([middles - half, middles + half]).T, float(middles[-1] + 0.5)
+        self.spans[0] = np.maximum(self.spans[0], 0.0)
+        self.inputs = [(float(s), rng.normal(size=m)) for s in rng.uniform(0, self.end, 2) if m]
+        self.inputs.sort(key=lambda pair: pair[0])
+        self.outputs, real = rng.integers(p, size=4), rng.uniform(*self.spans.T)
+        whole = self.whole(real)
+        most = np.concatenate([self.start, np.resize(self.w, whole.width - n)])
+        truth = np.append(most * rng.choice([-1, -0.3, 0.5, 1], most.size), 1.0)
+        noise = self.v[self.outputs] * rng.uniform(-1, 1, 4)
+        self.read = [whole.row(s, i) @ truth + e for s, i, e in zip(real, self.outputs, noise, strict=True)]
+
+    def whole(self, times):
+        marks = sorted({0.0, self.end, *map(float, times), *(s for s, _ in self.inputs)})
+        return WholeRecord(*self.plain, marks, np.zeros(len(self.start)), self.inputs, 6)
+
+    def ends(self, times):
+        """What those times leave possible of c'x at the end; None where they contradict the bounds."""
+        whole = self.whole(times)
+        rows = [
+            (whole.row(s, i), y - self.v[i], y + self.v[i])
+            for s, i, y in zip(map(float, times), self.outputs, self.read, strict=True)
+        ]
+        size = np.concatenate([self.start, np.resize(self.w, whole.width - len(self.start))])
+        return whole.ends(self.c, self.end, rows, [(-a, a) for a in size])
+
+    def worst(self, sign):
+        """The end that is farthest out over all real times: the ends and middles of each, then one at a time."""
+
+        def far(times):
+            found = self.ends(times)
+            return -np.inf if found is None else sign * found[sign > 0]
+
+        grid = [np.unique([a, (a + b) / 2, b]) for a, b in self.spans]
+        best = max((np.array(times) for times in product(*grid)), key=far)
+        for k in np.flatnonzero(np.ptp(self.spans, axis=1)):
+            for share in (0.25, 0.75, 0.9, 0.1):
+                moved = best.copy()
+                moved[k] = self.spans[k] @ [1 - share, share]
+                best = moved if far(moved) > far(best) else best
+        return sign * far(best)
+
+    def plant(self):
+        (A, B, C, D, G), x = self.plain, self.x[:, None]
+        more = {"B": B * x / self.t, "D": D * self.y[:, None]} if B.shape[1] else {}
+        return sd.Plant(A * x / self.x / self.t, C / self.x * self.y[:, None], G=G * x / self.t, **more)
+
+    def bounds(self):
+        return {"w_bound": self.w, "v_bound": self.v * self.y, "initial_error": self.start * self.x}
+
+    def rows(self, exact=False):
+        """As typed; inputs are rows of their own."""
+        p, clock = len(self.v), lambda s: self.origin + s * self.t
+        rows = [(clock(s), None, u) for s, u in self.inputs]
+        for (a, b), i, y in zip(self.spans, self.outputs, self.read, strict=True):
+            when = clock((a + b) / 2) if exact else (clock(a), clock(b))
+            rows.append((when, [y * self.y[i] if j == i else np.nan for j in range(p)], None))
+        return sorted(rows, key=lambda row: np.mean(row[0]))
+
+
+def makers(case):
+    given, prior = case.bounds(), {"prior_time": case.origin}
+    yield sd.SetMembershipEstimator(case.plant(), **given, **prior)
+    cost = sd.CostFunction(eta=0.2 / case.t)
+    yield sd.MovingHorizonEstimator(case.plant(), horizon=50 * case.t, cost=cost, **given, **prior)
+
+
+@pytest.mark.parametrize("seed", few(range(200), 0, 1, 5))
+def test_no_real_times_and_no_noise_lead_out_of_what_is_said(seed):
+    case = Case(seed)
+    low, high = case.worst(-1), case.worst(1)
+    room, last = ROUNDED * (high - low), case.origin + case.end * case.t
+    row = (case.c / case.x)[None]
+    batch = sd.state_interval(case.plant(), case.rows(), last, of=row, prior_time=case.origin, **case.bounds())
+    assert batch.verify()
+    said = [batch]
+    for estimator in makers(case):
+        for t, y, u in case.rows():
+            estimator.update(t, y, u)
+        found = estimator.predict(last)
+        assert found.certified
+        said.append(found.interval(row))
+        reach = np.sqrt(found.radius * np.vdot(row[0], found.covariance @ row[0]))
+        assert row[0] @ found.x - reach <= low + room
+        assert row[0] @ found.x + reach >= high - room
+    for found in said:
+        assert found.lower <= low + room
+        assert found.upper >= high - room
+        assert found.upper - found.lower <= 20 * (high - low)
+
+
+def test_a_time_that_is_believed_is_outside_and_a_walk_is_held_exactly():
+    """x' = w: v + w h about the reading at the middle, v + w (t - first) later. A swing read late is missed."""
+    walk, bounds = sd.Plant([[0.0]], [[1.0]]), {"w_bound": 0.1, "v_bound": 0.3, "initial_error": 5.0}
+    estimator = sd.SetMembershipEstimator(walk, **bounds)
+    assert estimator.update((1.0, 2.0), [1.0]).radii == pytest.approx([0.35], rel=1e-6)
+    assert estimator.predict(2.0).radii == pytest.approx([0.4], rel=1e-6)
+    swing, bounds = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), {"w_bound": 1e-3, "v_bound": 1e-2}
+    truth, c = lambda t: np.array([np.cos(t), -np.sin(t)]), np.eye(2)
+    rows = [((t, t + 0.5), [truth(t + 0.5)[0]]) for t in (1.0, 3.0, 4.5)]
+    given = bounds | {"initial_error": 0.5, "prior": [1.0, 0.0], "prior_time": 0.0, "of": c}
+    assert sd.state_interval(swing, rows, 6.0, **given).holds(truth(6.0))
+    assert not sd.state_interval(swing, [(t[0] + 0.25, y) for t, y in rows], 6.0, **given).holds(truth(6.0))
+
+
+@pytest.mark.parametrize("seed", few(range(30), 0, 3))
+def test_late_corrected_and_withdrawn_readings_of_uncertain_times_are_as_in_order(seed):
+    """Also an input that is told of afterwards, in the middle of a time that is uncertain."""
+    case = Case(seed)
+    rows, rng = case.rows(), np.random.default_rng(seed)
+    for straight, shuffled in zip(makers(case), makers(case), strict=True):
+        if isinstance(shuffled, sd.KalmanFilter):
+            shuffled = sd.SetMembershipEstimator(
+                case.plant(), **case.bounds(), prior_time=case.origin, maximum_delay=20 * case.t
+            )
+        for t, y, u in rows:
+            straight.update(t, y, u)
+        for k in rng.permutation(len(rows)):
+            t, y, u = rows[k]
+            shuffled.update(t, y if y is None else [2 * each for each in y], u)
+        for t, y, _ in rows:
+            if y is not None:
+                shuffled.correct(t, y)
+        shuffled.update(case.origin + (case.end + 1) * case.t, [1e3 * case.y[0], *[np.nan] * (len(case.y) - 1)])
+        found = shuffled.withdraw(case.origin + (case.end + 1) * case.t)
+        last = case.origin + case.end * case.t
+        assert found.t == max(np.mean(t) for t, y, _ in rows if y is not None)
+        one, other = straight.predict(last).interval(), shuffled.predict(last).interval()
+        np.testing.assert_array_less(np.abs(one.lower - other.lower), WITHIN * (one.upper - one.lower))
+        np.testing.assert_array_less(np.abs(one.upper - other.upper), WITHIN * (one.upper - one.lower))
+
+
+def test_where_nothing_is_known_or_a_time_is_needed_it_is_said():
+    swing = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], B=[[0.0], [1.0]])
+    free = sd.SetMembershipEstimator(swing, w_bound=0.1, v_bound=0.1)
+    known = sd.SetMembershipEstimator(swing, w_bound=0.1, v_bound=0.1, initial_error=1.0, prior_time=1.0)
+    plain = sd.MovingHorizonEstimator(swing, horizon=5.0, cost=sd.CostFunction(eta=0.1))
+    mean = CompositeReading(0.5, 1.0)
+    exact = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
+    for call, words in (
+        (lambda: free.update((1.0, 2.0), [1.0]), "nothing that is known by then bounds how far y1 may move"),
+        (lambda: known.update((0.5, 2.0), [1.0]), "must not begin before 1.0, the oldest time kept"),
+        (lambda: known.update((2.0, 1.0), [1.0]), r"a time or a pair \(first, last\) in order, got \(2.0, 1.0\)"),
+        (lambda: known.update((1.0, 2.0), [1.0], [0.0]), "an input needs its time"),
+        (lambda: known.update((1.0, 2.0), [mean]), "of a mean must be one time, its end"),
+        (lambda: plain.update((1.0, 2.0), [1.0]), "must be given for the limit, mean or uncertain time"),
+        (lambda: sd.state_interval(swing, [((1.0, 2.0), [1.0], [0.0])], **exact), "an input needs its time"),
+        (lambda: sd.state_interval(swing, [((1.0, 2.0), [1.0])], prior_time=1.5, **exact), "where an uncertain time"),
+        (
+            lambda: sd.state_interval(swing, [((1.0, 2.0), [1.0])], **exact | {"v_bound": lambda t: 0.1}),
+            "`v_bound` must not depend on time",
+        ),
+        (lambda: sd.accuracy.bounds_from_record(swing, [((1.0, 2.0), [1.0])], **exact), "must have exact times"),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            call()

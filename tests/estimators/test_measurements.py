@@ -3,6 +3,7 @@
 import csv
 
 import numpy as np
+import pandas
 import pytest
 
 from sampling_design import Measurements, MovingHorizonEstimator, Plant, read_measurements
@@ -277,7 +278,6 @@ def test_a_summer_day_of_the_clocks_has_twenty_three_hours(tmp_path):
 
 
 def test_dates_of_a_frame_are_times_though_all_of_them_are_midnights():
-    pandas = pytest.importorskip("pandas")
     frame = pandas.DataFrame({"gauge": [1.0, 2.0]}, index=pandas.to_datetime(["2026-01-05", "2026-01-06"]))
     found = read_measurements(frame, Plant([[0.0]], [[1.0]], outputs=["gauge"], time_unit="h"))
     assert found.times.tolist() == [0.0, 24.0]

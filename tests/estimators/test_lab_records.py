@@ -1,0 +1,55 @@
+"""The cases of the page on what laboratories do, each against the record that is right from the start."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+PAGE = Path(__file__).parents[2] / "docs" / "lab_records.md"
+
+
+@pytest.fixture(scope="module")
+def page():
+    names = {}
+    for cell in re.findall(r"```\{code-cell\} python\n(.*?)```", PAGE.read_text(), re.DOTALL):
+        exec(cell, names)
+    return names
+
+
+def check_same(found, wanted):
+    assert found.t == wanted.t
+    np.testing.assert_allclose(found.x, wanted.x, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(found.radius, wanted.radius, rtol=1e-12)
+
+
+def test_corrected_withdrawn_and_old_results_give_the_estimate_of_the_right_record(page):
+    check_same(page["after"], page["batch"][-1])
+    for said, gone in ((page["rest"], {(2.0, 1)}), (page["mended"], {(3.0, 0)})):
+        straight = page["estimator"]()
+        for t, y in page["rows"]:
+            wanted = straight.update(t, [np.nan if (t, i) in gone else y[i] for i in range(2)])
+        check_same(said, wanted)
+    straight = page["estimator"]()
+    for t in range(1, 20):
+        wanted = straight.update(float(t), page["truth"](t))
+    check_same(page["last"], wanted)
+
+
+def test_a_wild_reading_is_named_and_the_rest_stands(page):
+    assert (page["named"].t, page["named"].output) == (3.0, "gauge")
+    assert not page["found"].certified
+    assert page["mended"].certified
+
+
+def test_a_date_without_an_hour_holds_the_truth_and_a_believed_one_does_not(page):
+    some, believed = page["some_time"], page["believed"]
+    assert some.certified
+    assert some.interval().holds(page["truth"](some.t))
+    assert not (believed.certified and believed.interval().holds(page["truth"](believed.t)))
+
+
+def test_past_states_are_held(page):
+    smoothed = page["smoothed"]
+    for t, x, radii in zip(smoothed.times, smoothed.x, smoothed.radii, strict=True):
+        assert np.all(np.abs(x - page["truth"](t)) <= radii)

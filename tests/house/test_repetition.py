@@ -5,6 +5,7 @@ purpose what the rest computes by another route.
 """
 
 import ast
+import re
 from collections import defaultdict
 from pathlib import Path
 
@@ -63,6 +64,29 @@ def test_a_kind_of_array_is_named_once():
     own = [path for path in SOURCES if path.relative_to(PACKAGE).parts[0] != "checkers" and path != named]
     texts = {str(path): path.read_text() for path in own}
     assert [(path, kind) for path, text in texts.items() for kind in kinds if kind in text] == []
+
+
+LISTED = {
+    "AccuracyProfile", "Assumptions", "Contradiction", "DateException", "ErrorBounds", "EstimatorState", "GoalDue",
+    "HorizonRow", "MeanRows", "OptimalTrajectory", "PlanBound", "Timeline",  # what users and authors of estimators get
+    "Budget", "CostWeights", "GapFlow", "ModalFlow", "RecordCones", "SpacedRows", "StageSolution",
+}  # fmt: skip
+"""Inner classes whose docstring lists attributes: users meet them, or no field stands in the class."""
+
+
+def test_fields_of_inner_records_are_said_once():
+    """Beside the field: a list of them in the docstring says every name again, and lags behind."""
+    offered = set(re.findall(r"\w+", " ".join(path.read_text() for path in PACKAGE.rglob("__init__.py*"))))
+    found = {
+        node.name
+        for path in SOURCES
+        for node in nodes(path)
+        if isinstance(node, ast.ClassDef) and node.name not in offered
+        if all(ast.unparse(base) == "NamedTuple" for base in node.bases)
+        and "Attributes\n" in (ast.get_docstring(node) or "")
+    }
+    assert found - LISTED == set()
+    assert len(found) > 5  # they were read
 
 
 @pytest.mark.parametrize(("shared", "found"), [(MOST, []), (MOST + 1, ["a:1 and b:2"])])

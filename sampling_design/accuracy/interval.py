@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +13,11 @@ import numpy.typing as npt
 from sampling_design.accuracy import interval_file
 from sampling_design.accuracy.bounds import Bound
 from sampling_design.accuracy.gap_table import GapTable
+from sampling_design.accuracy.outliers import left_out
 from sampling_design.accuracy.readings import (
     Arrived,
     Readings,
+    arrived,
 )
 from sampling_design.accuracy.record_program import DISPROVED, SPREADS, RecordProgram, RowEnd
 from sampling_design.accuracy.record_readings import read_record
@@ -138,6 +140,9 @@ class Interval(PlainRecord):
         the end.
     disproof : Disproof or None
         Where the data contradict the bounds; the ends are NaN then.
+    cases : tuple of Interval
+        Where some samples may be wild: the interval without each set of them, of which this one holds all that the
+        rest does not contradict; its own gains are 0.
     """
 
     readings: Readings
@@ -149,6 +154,7 @@ class Interval(PlainRecord):
     scales: Array = field(repr=False)
     outer: Array | None = None
     disproof: Disproof | None = None
+    cases: tuple[Interval, ...] = field(default=(), repr=False)
 
     _plain = "t rows{names matrix} lower upper contradiction gains disproof"
 
@@ -204,8 +210,10 @@ class Interval(PlainRecord):
         Raises
         ------
         ArgumentError
-            If the ending is another one.
+            If the ending is another one, or samples may be wild.
         """
+        if self.cases:
+            raise ArgumentError("`save` writes one proof: where samples may be wild each of the `cases` has its own.")
         return interval_file.write_tree(self._sealed(), path)
 
     @classmethod
@@ -259,6 +267,8 @@ class Interval(PlainRecord):
             With every rounding bounded, as the standalone checkers do it, for the ends that `save` writes (wider by a
             millionth; those of the gains alone where an ellipsoid is tighter).
         """
+        if self.cases:
+            return all(case.verify(rigorous) for case in self.cases) and _holds_all(self, self.cases)
         if rigorous:
             return verdict(self._sealed()).passed
         if self.disproof is not None:
@@ -331,6 +341,7 @@ def state_interval(
     prior: npt.ArrayLike | None = None,
     prior_time: float | None = None,
     of: Wanted = None,
+    outliers: int | tuple[int, int] = 0,
 ) -> Interval:
     """Return the values of wanted rows that the data leave possible, with gains that prove them.
 
@@ -353,6 +364,9 @@ def state_interval(
         Not after the first sample; default the first sample.
     of : str, sequence of str, or (r, n) array, optional
         As for `guaranteed_accuracy`.
+    outliers : int or (int, int)
+        At most so many samples (of the last so many) may show anything. The work is that of one interval for each
+        set that may be left out.
 
     Returns
     -------
@@ -365,10 +379,10 @@ def state_interval(
 
     Notes
     -----
-    *Assumptions.* w, v and the initial error keep their bounds. *Claim.* Each row lies in its interval, and every value
-    in it is possible up to the width of the cells on which w is constant. If the data contradict the bounds, the gains
-    prove it. *Method.* The adversary's program with the data in place of zeros; its multipliers are gains, evaluated
-    without the solver.
+    *Assumptions.* w, v (but for `outliers`) and the initial error keep their bounds. *Claim.* Each row lies in its
+    interval, and every value in it is possible up to the width of the cells on which w is constant. If the data
+    contradict the bounds, the gains prove it. *Method.* The adversary's program with the data in place of zeros; its
+    multipliers are gains, evaluated without the solver.
 
     References
     ----------
@@ -382,12 +396,47 @@ def state_interval(
     >>> found.lower.round(6), found.upper.round(6)
     (array([1.2]), array([1.4]))
     """
-    readings = read_record(plant, record, w_bound, v_bound, initial_error, prior, prior_time)
-    last = float(readings.times[-1])
+    items = list(record)
+    readings = read_record(plant, items, w_bound, v_bound, initial_error, prior, prior_time)
+    last, rows = float(readings.times[-1]), wanted_rows(plant, of)
     at = last if t is None else checks.number("t", t)
     if at < last:
         raise ArgumentError(f"`t` must not lie before the last sample {last!r}, got {at!r}.")
-    return prove(RecordProgram(readings), at, wanted_rows(plant, of))
+    if outliers == 0:
+        return prove(RecordProgram(readings), at, rows)
+    begun = float(readings.times[0]) if prior_time is None else prior_time
+    samples = [
+        k
+        for k, row in enumerate(arrived(items, plant.n_outputs))
+        if row.told or (row.y is not None and np.isfinite(row.y).any())
+    ]
+    cases = []
+    for out in left_out(outliers, len(samples)):
+        gone = {samples[k] for k in out}
+        rest = [item for k, item in enumerate(items) if k not in gone]
+        noise = np.delete(np.asarray(v_bound), out, axis=0) if np.ndim(v_bound) == 2 else v_bound  # type: ignore[arg-type]
+        read = read_record(plant, rest, w_bound, noise, initial_error, prior, begun)
+        cases.append(prove(RecordProgram(read), at, rows))
+    return _united(readings, tuple(cases))
+
+
+def _united(readings: Readings, cases: tuple[Interval, ...]) -> Interval:
+    """The interval that holds all cases that do not contradict themselves; the mildest contradiction where all do."""
+    possible = [case for case in cases if case.disproof is None]
+    if not possible:
+        mildest = min(cases, key=lambda case: case.contradiction)
+        return replace(mildest, cases=cases)
+    lower, upper = np.min([case.lower for case in possible], axis=0), np.max([case.upper for case in possible], axis=0)
+    first, gains = possible[0], freeze(np.zeros((len(lower), 2, len(readings.y))))
+    return Interval(readings, first.t, first.rows, freeze(lower), freeze(upper), gains, first.scales, cases=cases)
+
+
+def _holds_all(found: Interval, cases: Sequence[Interval]) -> bool:
+    """Whether an interval holds those of the cases that do not contradict themselves; without one, it has no ends."""
+    possible = [case for case in cases if case.disproof is None]
+    if not possible:
+        return found.disproof is not None and bool(np.isnan(found.upper).all())
+    return all(bool(np.all((found.lower <= case.lower) & (case.upper <= found.upper))) for case in possible)
 
 
 def _ends(pairs: Sequence[tuple[float | None, float | None]]) -> tuple[Array, Array]:

@@ -53,3 +53,19 @@ def test_past_states_are_held(page):
     smoothed = page["smoothed"]
     for t, x, radii in zip(smoothed.times, smoothed.x, smoothed.radii, strict=True):
         assert np.all(np.abs(x - page["truth"](t)) <= radii)
+
+
+def test_with_one_wild_reading_the_truth_is_held_without_naming_it(page):
+    assert page["among"].holds(page["truth"](4.0))
+    assert page["among"].verify()
+
+
+def test_what_is_proven_for_the_times_that_were_is_less_than_the_plan_promised_and_help_is_named(page):
+    """The times that really were: late and missed samples are told, the error that was possible is, and what to do."""
+    assert page["log"].missed.size == 1
+    assert page["log"].largest_deviation == pytest.approx(0.4)
+    assert page["log"].kept < 1
+    assert page["was"].upper[0] > page["plan"].reached[0]
+    assert page["was"].verify()
+    assert page["advice"].now == page["stamps"][-1]
+    assert page["advice"].kept_from > page["advice"].now

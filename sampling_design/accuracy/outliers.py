@@ -1,0 +1,25 @@
+"""Which samples may be wild, where at most so many of the last so many are."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+
+from sampling_design.errors import ArgumentError
+
+MOST_CASES = 3000
+"""Sets of samples that may be left out: some seconds for a small plant."""
+
+
+def left_out(outliers: int | tuple[int, int], count: int) -> list[tuple[int, ...]]:
+    """The sets of samples, counted from 0, that may be wild: those of the largest size hold the others."""
+    most, among = (outliers, count) if isinstance(outliers, int) else outliers
+    among = min(among, count)
+    if not 0 <= most <= among or most >= count:
+        raise ArgumentError(f"`outliers` must be of the {count} samples and leave one of them, got {outliers!r}.")
+    if math.comb(among, most) > MOST_CASES:
+        raise ArgumentError(
+            f"`outliers` = {outliers!r} of {count} samples may be {math.comb(among, most)} sets, more than "
+            f"{MOST_CASES}: say of how many of the last samples, (1, 10)."
+        )
+    return list(combinations(range(count - among, count), most))

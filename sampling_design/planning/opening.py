@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
+from functools import cached_property
 from itertools import pairwise
 from typing import TypeAlias
 
@@ -120,10 +121,15 @@ class OpeningCalendar(PlainRecord):
         start = _local_start(self.start, self.zone).isoformat(timespec="minutes")
         self._hold(start=start, holidays=tuple(sorted(_day(day).isoformat() for day in self.holidays)))
 
-    @property
+    @cached_property
     def first(self) -> datetime:
         """Local clock time (naive) at which the first period begins."""
         return datetime.fromisoformat(self.start)
+
+    @cached_property
+    def begun(self) -> datetime:
+        """The real time of the start, with its offset."""
+        return self.instant(0.0)
 
     def open_hours(self) -> WeekHours:
         """Hours by weekday."""
@@ -145,20 +151,20 @@ class OpeningCalendar(PlainRecord):
     def elapsed(self, clock: float) -> float:
         """Real minutes from the start to a clock time."""
         there = self.local(clock).replace(tzinfo=time_zone(self.zone))
-        return clock - _ahead(there, self.instant(0.0))
+        return clock - _ahead(there, self.begun)
 
     def elapsed_at(self, date: datetime) -> float:
         """Real minutes from the start to a date that has an offset."""
-        return passed(self.instant(0.0), date) / timedelta(minutes=1)
+        return passed(self.begun, date) / timedelta(minutes=1)
 
     def date(self, elapsed: float) -> datetime:
         """The local date, with its offset, so many real minutes after the start."""
-        real = self.instant(0.0).astimezone(UTC) + timedelta(minutes=elapsed)
+        real = self.begun.astimezone(UTC) + timedelta(minutes=elapsed)
         return real.astimezone(time_zone(self.zone))
 
     def clock(self, elapsed: float) -> float:
         """Minutes of clock since the start at which so many real minutes have passed."""
-        return elapsed + _ahead(self.date(elapsed), self.instant(0.0))
+        return elapsed + _ahead(self.date(elapsed), self.begun)
 
     def is_skipped(self, clock: float) -> bool:
         """Whether the clocks are put forward over a clock time, so that it names no time of its day."""

@@ -34,6 +34,7 @@ def test_every_public_class_and_function_has_its_place(pages):
     assert [n for n in missing if getattr(sampling_design, n).__module__ != "sampling_design.errors"] == []
 
 
+@pytest.mark.long
 def test_every_constant_that_tunes_says_what_it_trades(pages):
     """They stand together on one page, room by room; none is without its line (a checker says it once, at its head)."""
     package = ROOT / "sampling_design"

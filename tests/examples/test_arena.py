@@ -64,6 +64,7 @@ def test_quick_arena_writes_every_section_figure_and_version(arena):
     assert page.COMMAND in text
 
 
+@pytest.mark.long
 def test_a_missing_peer_is_a_row_of_its_own_and_the_others_agree(monkeypatch):
     for module in ("do_mpc", "filterpy"):
         monkeypatch.setitem(sys.modules, module, None)

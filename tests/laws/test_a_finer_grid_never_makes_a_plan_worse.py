@@ -17,7 +17,7 @@ HOURS = {"start": "2026-03-02", "zone": "UTC", "hours": {"Mon-Fri": [["08:00", "
 TANK = sd.Plant([[0.0]], [[1.0]], time_unit="h", states=["level"], outputs=["gauge"])
 WEEK = {"accuracy": {"level": 1.8}, "w_bound": 0.02, "sensors": {"gauge": {"noise_bound": 0.1}}, "calendar": HOURS}
 REFINED = [
-    (OSCILLATOR, {"accuracy": {"position": 0.35}, **GIVEN}, (0.8, 0.8 / 3), 0.3),
+    (OSCILLATOR, {"accuracy": {"position": 0.35}, **GIVEN}, (0.8, 0.8 / 3), 0.1),
     (OSCILLATOR, {"accuracy": {"position": 0.35}, **GIVEN}, (0.4, 0.1, 0.4 / 12), 4),
     (TANK, WEEK, ("1 h", "15 min", "5 min"), 2),
     (TANK, WEEK, ("1 h", "15 min", "1 min"), 8),
@@ -45,12 +45,12 @@ def test_a_finer_grid_is_never_worse(plant, wanted, grids, seconds):
 @pytest.mark.usefixtures("looked_at")
 def test_the_most_accurate_plan_is_as_good_as_those_it_starts_from():
     wanted = sd.PlanRequirement({"position": 0.35}, samples=3, grid=0.8 / 3, **GIVEN)
-    run = room._Planning(pose_plan(OSCILLATOR, wanted), 1.0, None)
+    run = room._Planning(pose_plan(OSCILLATOR, wanted), 0.3, None)
     starts = run.started()
     assert starts
     assert all(not start[np.arange(24) % 3 > 0].any() for start in starts)
     best = min(run.held.proven(start).worst for start in starts)
-    assert sd.plan_samples(OSCILLATOR, wanted, search_seconds=1, **BARE).ratio <= best * (1 + 1e-9)
+    assert sd.plan_samples(OSCILLATOR, wanted, search_seconds=0.3, **BARE).ratio <= best * (1 + 1e-9)
 
 
 @pytest.mark.usefixtures("looked_at")

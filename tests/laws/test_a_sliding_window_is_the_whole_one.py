@@ -7,7 +7,7 @@ digits, wherever the sliding window answers at all. Under constraints it answers
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -18,6 +18,7 @@ from sampling_design.estimators.constraints.constraints import Constraints
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
+from tests.cases import few
 from tests.rescale import Units
 
 SAME = 1e-9
@@ -114,8 +115,7 @@ def sets(plant, size):
 CONSTRAINED = ("irregular", "regular, inputs", "from samples, the paper's", "lost outputs", "a far clock")
 
 
-@pytest.mark.parametrize("case", CONSTRAINED)
-@pytest.mark.parametrize("kind", sets(spring(), 1.0))
+@pytest.mark.parametrize(("kind", "case"), few(product(sets(spring(), 1.0), CONSTRAINED), *range(0, 40, 6)))
 def test_under_constraints_that_never_act(case, kind, monkeypatch):
     """No window is put together to find that out, but those that a free one needs."""
     plant, drawn, given = CASES[case]
@@ -134,7 +134,7 @@ def test_under_constraints_that_never_act(case, kind, monkeypatch):
     assert watched.worst < SAME
 
 
-@pytest.mark.parametrize("kind", sets(spring(), 1.0))
+@pytest.mark.parametrize("kind", few(sets(spring(), 1.0), 0, 3, 7))
 def test_under_constraints_that_act_now_and_then(kind):
     """Where the window slides no constraint acts in the whole one, and it slides wherever none does."""
     plant, _, given = CASES["lost outputs"]
@@ -233,12 +233,12 @@ def test_a_sample_at_the_prior_and_late_ones():
 def test_histories_side_by_side_and_one_twice():
     plant = spring()
     mhe, alone = Watched(plant, **settings(plant, {})), []
-    runs = [record(plant, 25, seed=seed) for seed in range(3)]
+    runs = [record(plant, 12, seed=seed) for seed in range(2)]
     for rows in runs:
         mhe.start()
         alone.append(mhe.run(rows).x)
     states = [mhe.initial_state() for _ in runs]
-    for k in range(25):
+    for k in range(12):
         for i, rows in enumerate(runs):
             _, first = mhe.step(states[i], rows[k])
             mhe.step(states[i], (rows[k][0] + 0.01, rows[k][1] + 1.0))

@@ -30,7 +30,7 @@ VERBS = {
     "worst case, box": ("spaced_sphere.py", lambda: sd.worst_case_sigma(BOX, FEW, 0.1)),
 }
 """Where each searches, and the call."""
-PLACES = 6
+PLACES = 4
 
 
 class Interrupt:

@@ -36,7 +36,7 @@ def test_rank_is_full(frequencies, rates, T, positions, clustered, on_zeros):
     assert oracle.rank(A, C, times, tolerance=1e-40) == len(spectrum)
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(st.integers(0, 10**6), st.floats(0.1, 4.0))
 def test_rank_is_full_with_two_outputs(seed, T):
     rng = np.random.default_rng(seed)
@@ -52,6 +52,7 @@ def test_rank_is_full_with_two_outputs(seed, T):
     assert bound.samples_least <= bound.samples
 
 
+@settings(max_examples=20)
 @given(st.floats(0.2, 4.0), st.integers(1, 6))
 def test_one_sample_less_may_lose_it(omega, half_turns):
     """The printed minimum, taken with ceil, is one sample short where k* is whole."""

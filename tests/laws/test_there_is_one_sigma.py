@@ -148,7 +148,7 @@ def test_the_command_line_states_it_too(name, tmp_path, capsys, monkeypatch):
     worst = told("worst-case", file, *rule)
     assert worst["upper"] == worst_case_sigma(retained, SpacedWindows(1.0, 3, 0.5)).upper
     asked = ("--window", 4.0, "--spacing", 0.5, "--samples", 2)
-    design = told("design", file, *asked, "--branches", 0, "-o", tmp_path)
+    design = told("design", file, *asked, "--branches", 0, "--no-picture", "-o", tmp_path)
     again = told("sigma", file, tmp_path / "schedule.csv", "--window", 4.0)
     assert (design["sigma"], design["coordinates"]) == (again["lower"], again["coordinates"])
 

@@ -28,7 +28,7 @@ from tests.benchmarks.baselines import standard_mhe
 from tests.cases import few
 from tests.rescale import Units
 
-GAPS, SEEDS = np.array([0.5, 1.25, 0.75, 1.0, 0.25, 1.5]), range(6)
+GAPS, SEEDS = np.array([0.5, 1.25, 0.75, 1.0, 0.25, 1.5]), range(3)
 RELATIVE = 1e-6
 
 
@@ -162,7 +162,7 @@ def test_filter_smoother_and_standard_estimator(eta):
         assert np.max(np.abs(b.x / units.states - a.x) / spread) < RELATIVE
 
 
-@pytest.mark.parametrize("offset", [1.7e9, 1.7e9 + 86400.0])
+@pytest.mark.parametrize("offset", few([1.7e9, 1.7e9 + 86400.0], 0))
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_clocks_zero(kind, offset):
     make = moving_horizon(kind)

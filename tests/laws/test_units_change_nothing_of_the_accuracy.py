@@ -1,5 +1,7 @@
 """The least guaranteed error in other units is the same error, every row by its own factor."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -9,8 +11,7 @@ from tests.cases import few
 from tests.rescale import Units
 
 
-@pytest.mark.parametrize("seed", few(range(2), 0))
-@pytest.mark.parametrize("name", ["double_integrator", "triple_integrator"])
+@pytest.mark.parametrize(("name", "seed"), few(product(["double_integrator", "triple_integrator"], range(2)), 0))
 def test_units_change_nothing_of_the_accuracy(name, seed):
     plant = library.named_plant(name)
     gaps = [1.0, 0.6, 1.4]

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -218,6 +219,12 @@ def test_a_certificate_of_rows_keeps_the_whole_plant_and_refuses_another(tmp_pat
     assert certificate_exists(THREE, EVERY_SECOND, 0.1, of="x1")
 
 
+@cache
+def of_one_row():
+    """The text of a certificate of one row of a plant of three states."""
+    return json.dumps(certify(THREE, EVERY_SECOND, of="x1").to_dict())
+
+
 @pytest.mark.parametrize(
     ("where", "change"),
     [
@@ -234,7 +241,7 @@ def test_a_certificate_of_rows_keeps_the_whole_plant_and_refuses_another(tmp_pat
     ],
 )
 def test_no_file_says_of_another_plant_what_holds_of_its_part(where, change):
-    data = json.loads(json.dumps(certify(THREE, EVERY_SECOND, of="x1").to_dict()))
+    data = json.loads(of_one_row())
     place = data["plant"]["part_of"]
     for key in where[:-1]:
         place = place[key]

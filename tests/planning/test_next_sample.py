@@ -109,7 +109,7 @@ def drifting(tolerance, holidays):
 @pytest.mark.parametrize("holidays", few([[], ["2026-06-08"], ["2026-06-05", "2026-06-08"], ["2026-06-24"]], 0, 2))
 def test_no_promise_rests_on_a_sample_on_a_day_that_is_known_to_be_closed(holidays):
     plan, taken = drifting(1.35, holidays), [9.0]
-    while taken[-1] < 600:
+    while taken[-1] < 300:
         found = sd.next_sample(plan, [(t, [0.0], None) for t in taken], now=taken[-1])
         assert found.proven
         assert found.keeps
@@ -128,8 +128,8 @@ def test_a_closed_day_that_no_sample_makes_good_is_told_before_it_comes():
     assert found.kept_from == 8 * 24 + 9.0
     assert 180 <= found.due.time <= 188  # 75 h after Friday's sample at nine, or one more at four
     assert "No single sample keeps every tolerance from now on: after one at Wed" in found.explain()
-    far = sd.next_sample(drifting(1.35, ["2027-06-09"]), now=9.0)
-    assert far.date(far.judged_until).date().isoformat() == "2027-06-09"
+    far = sd.next_sample(drifting(1.35, ["2026-09-09"]), now=9.0)
+    assert far.date(far.judged_until).date().isoformat() == "2026-09-09"
 
 
 def test_what_is_known_after_a_miss_is_said():

@@ -53,7 +53,9 @@ def test_sigma_is_drawn_with_its_proven_bound():
 
 
 def test_a_design_has_two_rows_and_its_bounds(tmp_path):
-    design = sd.design_schedule(OSCILLATOR, sd.Requirement(window=4.0, samples=3, forbidden=[[1.0, 1.5]]))
+    design = sd.design_schedule(
+        OSCILLATOR, sd.Requirement(window=4.0, samples=3, forbidden=[[1.0, 1.5]]), starts=1, branches=1
+    )
     top, bottom = plotting.draw(design)
     assert top.figure is bottom.figure
     assert top.figure.get_suptitle().count(f"{design.sigma:.4g}") == 1

@@ -9,6 +9,7 @@ from sampling_design.validation.error_map import build_error_map
 from sampling_design.validation.scenario import ScenarioBounds, draw_inputs
 from sampling_design.validation.timeline import build_timeline
 from sampling_design.validation.trials import driven, extent, real_run, true_run
+from tests.cases import few
 from tests.oracles.validation import integrate
 
 UNSTABLE = Plant([[0.0, 1.0], [2.0, 0.5]], [[1.0, 0.0]], B=[[0.0], [1.0]], D=[[1.0]])
@@ -19,7 +20,7 @@ def line_of(plant, duration, first):
     return build_timeline(plant, PeriodicSchedule([0.4, 0.6], first=first), duration, 2.0)
 
 
-@pytest.mark.parametrize("first", [0.0, 0.4])
+@pytest.mark.parametrize("first", few([0.0, 0.4], 1))
 def test_an_unstable_truth_is_steered_and_the_estimator_is_told(first):
     line = line_of(UNSTABLE, 30.0, first)
     inputs = draw_inputs(line, ScenarioBounds.of(UNSTABLE, 0.1, 0.1, 1.0), np.random.SeedSequence(0).spawn(1))

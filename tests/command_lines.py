@@ -25,7 +25,6 @@ import numpy as np
 import sampling_design as sd
 from sampling_design.cli.app import loaded
 from sampling_design.cli.settings import flags_of
-from sampling_design.planning.files import save_plan
 from sampling_design.planning.requirement_file import write_plan_requirement
 from tests.front_door import EXAMPLES, MEMORY
 
@@ -52,7 +51,7 @@ def files() -> dict[str, Path]:
     terms = {"position": {"noise_bound": 0.2}}
     wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, grid=0.8, w_bound=0.02, sensors=terms)
     made["wanted.toml"] = write_plan_requirement(wanted, place / "wanted.toml")
-    made["planned.json"] = save_plan(sd.plan_samples(plant, wanted, search_seconds=5.0), place / "planned.json")
+    made["planned.json"] = sd.plan_samples(plant, wanted, search_seconds=5.0).save(place / "planned.json")
     for name, path in list(made.items()):
         made |= _broken(place, name, path.read_bytes())
     made |= {"missing": place / "nosuch.toml", "folder": place, "device": Path("/dev/null"), "": Path("")}
@@ -109,7 +108,7 @@ COMMANDS = {
         ("plant", "requirement"),
         {"--w": "0.1", "--v": "0.2", "--tolerance": "0.1,0.2", "--schedule": "SCHEDULE", "--port": "0"},
     ),
-    "survive": (("plant", "certificate"), {"--longest": "2", "--horizon": "8"}),
+    "robustness": (("plant", "certificate"), {"--longest": "2", "--horizon": "8"}),
     "verify": (("certificate",), {"--plant": "PLANT", "--rigorous": None}),
     "estimate": (
         ("plant", "measurements"),
@@ -117,7 +116,7 @@ COMMANDS = {
          "--certificate": "CERTIFICATE", "--horizon": "8"},
     ),
     "validate": (("plant", "schedule"), {"--runs": "2", "--duration": "4", "--workers": "1", "--eta": "0.4"}),
-    "log": (("plant", "schedule", "measurements"), {"--window": "4"}),
+    "compare": (("plant", "schedule", "measurements"), {"--window": "4"}),
     "thyroid": ((), {"--days": "0.1", "--runs": "1", "--workers": "1", "--reading": "per_day"}),
 }  # fmt: skip
 """Each command, the kinds of its files, and flags with right values."""
@@ -129,7 +128,7 @@ USUAL = {
 VALUES = ["nan", "inf", "-1", "0", "1e308", "1e-308", "abc", "", "1,2", "1e18", "2.5", "9" * 400, "é", "--json", "0x10"]
 ALWAYS = {"thyroid": ["--days", "0.1", "--runs", "1", "--workers", "1"], "validate": ["--runs", "2"],
           "worst-case": ["--window", "4", "--count", "3", "--spacing", "0.5"], "pareto": ["--counts", "2,3"],
-          "survive": ["--longest", "2"], "design": ["--branches", "1"],
+          "robustness": ["--longest", "2"], "design": ["--branches", "1"],
           "explore": ["--idle", "0.2", "--no-browser"],
           "new": [tempfile.mkdtemp(), "--force", "--oscillation", "24"]}  # fmt: skip
 

@@ -138,9 +138,8 @@ def _small_plan() -> Any:
 
 @functools.cache
 def _plan_file() -> Path:
-    from sampling_design.planning.files import save_plan
 
-    return save_plan(_small_plan(), folder() / "plan.json")
+    return _small_plan().save(folder() / "plan.json")
 
 
 @functools.cache
@@ -463,7 +462,7 @@ def wrong() -> dict[str, Callable[[], Any]]:
         "family certificate": lambda: t["family"], "requirement": lambda: t["requirement"],
         "detectability": lambda: t["detectability"],
         "scipy system": lambda: scipy.signal.StateSpace([[0.0]], [[1.0]], [[1.0]], [[0.0]]),
-        "discrete system": lambda: scipy.signal.StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=0.1),
+        "discrete system": lambda: scipy.signal.StateSpace([[-0.5]], [[1.0]], [[1.0]], [[0.0]], dt=0.1),
         "empty schedule": lambda: sd.Schedule([]), "nothing to see": lambda: sd.Plant([[1.0]], [[0.0]]),
         "no states": lambda: sd.Plant(np.zeros((0, 0)), np.zeros((1, 0))),
         "folder": lambda: str(folder()), "module": lambda: np, "range": lambda: range(3),

@@ -19,17 +19,19 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import WantedRows
 from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.record import CurveRecord, PlainRecord, Variable, short
+from sampling_design.records.record import CurveRecord, PlainRecord, TableRecord, Variable, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 
-class AccuracyBracket(PlainRecord):
+class AccuracyBracket(TableRecord, PlainRecord):
     """The least guaranteed error of each wanted row, bracketed: `lower` attained, `upper` guaranteed."""
 
     rows: WantedRows
     lower: Array
     upper: Array
     closed: Mask
+
+    _frame = "row:rows.names unit:rows.units lower upper closed"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

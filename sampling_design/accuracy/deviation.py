@@ -21,7 +21,7 @@ from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import PlainRecord, short
+from sampling_design.records.record import PlainRecord, TableRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -45,7 +45,7 @@ REFINED = 60
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StandardDeviation(PlainRecord):
+class StandardDeviation(TableRecord, PlainRecord):
     """The least standard deviation of wanted rows for white noise, over a whole schedule.
 
     Attributes
@@ -73,6 +73,7 @@ class StandardDeviation(PlainRecord):
     times: Array
     profile: Array
 
+    _frame = "row:rows.names unit:rows.units worst worst_at mean"
     _plain = "rows:rows.names worst worst_at mean times profile"
 
     def _rows(self) -> list[tuple[str, str]]:

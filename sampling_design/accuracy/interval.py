@@ -30,7 +30,7 @@ from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import Plain, PlainRecord, short
+from sampling_design.records.record import Plain, PlainRecord, TableRecord, short
 from sampling_design.records.signatures import checked
 
 MOSTLY = 0.9
@@ -119,7 +119,7 @@ def _grown(factor: float) -> str:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Interval(PlainRecord):
+class Interval(TableRecord, PlainRecord):
     """The values that the data leave possible, for each wanted row.
 
         lower <= z <= upper,    upper = c'xbar + min over gains of sum lambda'y + b(lambda),   lower = -upper(-c)
@@ -156,6 +156,7 @@ class Interval(PlainRecord):
     disproof: Disproof | None = None
     cases: tuple[Interval, ...] = field(default=(), repr=False)
 
+    _frame = "row:rows.names unit:rows.units lower upper centre radius:radii"
     _plain = "t rows{names matrix} lower upper contradiction gains disproof"
 
     @property

@@ -21,7 +21,7 @@ from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import PlainRecord, short
+from sampling_design.records.record import PlainRecord, TableRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 
@@ -61,7 +61,7 @@ class LimitWitness:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class AccuracyLimit(PlainRecord):
+class AccuracyLimit(TableRecord, PlainRecord):
     """A lower bound on the least guaranteed error of each row that holds for every schedule of the allowed times.
 
     Attributes
@@ -90,6 +90,7 @@ class AccuracyLimit(PlainRecord):
     witnesses: tuple[LimitWitness, ...]
     unknown: tuple[str, ...]
 
+    _frame = "row:rows.names unit:rows.units lower"
     _plain = "rows:rows.names lower zones period unknown witnesses:_trajectories"
 
     def _trajectories(self) -> tuple[AccuracyWitness | None, ...]:

@@ -69,8 +69,8 @@ PANELS = {
             "prove.verify",
             "Check a certificate or an interval from its data alone.",
         ),
-        "survive": Command(
-            "what_if.survive",
+        "robustness": Command(
+            "what_if.robustness",
             "Say how late samples may come, and how many may be lost, before a certificate no longer holds.",
         ),
         "accuracy": Command(
@@ -89,8 +89,8 @@ PANELS = {
             "track.validate",
             "Certify a schedule, then try to break the promise: random and worst noise, constraints, inequality (16).",
         ),
-        "log": Command(
-            "track.log",
+        "compare": Command(
+            "track.compare",
             "Compare planned with actual sample times: what came late, what was missed, and what that costs.",
         ),
         "thyroid": Command(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import tomllib
 from collections.abc import Callable, Sequence
@@ -59,23 +60,39 @@ class PlantModes:
     oscillation: Annotated[str, typer.Option(help="Periods of undamped oscillations, with commas between.")] = ""
     decay: Annotated[str, typer.Option(help="Times in which a decaying mode falls to a third, commas between.")] = ""
     level: Annotated[bool, typer.Option("--level/--no-level", help="A level that stays, or none.")] = True
+    half_life: Annotated[str, typer.Option(help="Times in which a decaying mode halves, commas between.")] = ""
+    names: Annotated[
+        str, typer.Option(help="What the modes are called: the level, oscillations, decaying ones, commas between.")
+    ] = ""
     sensors: Annotated[str, typer.Option(help="Names of the sensors; each shows the sum of all modes.")] = "sensor"
+    units: Annotated[str, typer.Option(help="Unit of what the sensors show, or one for each: mg/l,mg/l.")] = ""
+
+    @property
+    def decays(self) -> list[float]:
+        """Times in which each decaying mode falls to a third."""
+        halves = positive_numbers("--half-life", self.half_life)
+        return [*positive_numbers("--decay", self.decay), *(half * math.log(3.0, 2.0) for half in halves)]
 
     def plant(self) -> sd.Plant:
         """The sum of a level, oscillations and decaying modes."""
         oscillations = positive_numbers("--oscillation", self.oscillation)
-        decays = positive_numbers("--decay", self.decay)
-        if not oscillations and not decays:
-            raise ArgumentError("`new` needs to know what moves: give --oscillation PERIODS, --decay TIMES, or both.")
-        sensors = [sensor.strip() for sensor in self.sensors.split(",")]
-        return sd.plants.plant_of_modes(
-            oscillations, decays, level=self.level, sensors=sensors, time_unit=self.unit, name=self.name
+        if not oscillations and not self.decays:
+            raise ArgumentError(
+                "`new` needs to know what moves: give --oscillation PERIODS, --decay or --half-life TIMES, or both."
+            )
+        sensors, names, units = (
+            [each.strip() for each in text.split(",") if each.strip()]
+            for text in (self.sensors, self.names, self.units)
         )
+        return sd.plants.plant_of_modes(
+            oscillations, self.decays, level=self.level, sensors=sensors, units=units, names=names,
+            time_unit=self.unit, name=self.name,
+        )  # fmt: skip
 
     def span(self) -> float:
         """The longest oscillation, or twice the longest decay."""
         oscillations = positive_numbers("--oscillation", self.oscillation)
-        return max(oscillations) if oscillations else 2.0 * max(positive_numbers("--decay", self.decay))
+        return max(oscillations) if oscillations else 2.0 * max(self.decays)
 
 
 def new(
@@ -90,10 +107,10 @@ def new(
     With --within, --noise and --disturbance (and --prices, --start, --zone) also plan.toml, for
     `plan`.
 
-    Example: sampling-design new out/mine --oscillation 24 --decay 2 --sensors blood --samples 4 --open 7-22
+    Example: sampling-design new out/mine --oscillation 24 --half-life 2 --sensors blood --samples 4 --open 7-22
     """
     modes = replace(modes, name=modes.name or target.name, unit=check_time_unit(modes.unit))
-    if not modes.oscillation and not modes.decay and sys.stdin.isatty() and not settings.quiet:
+    if not (modes.oscillation or modes.decay or modes.half_life) and sys.stdin.isatty() and not settings.quiet:
         modes, asked = _asked(modes, asked)
     plant, span = modes.plant(), modes.span()
     wanted, planned = requirement(asked, plant.time_unit, span), plan_requirement(asked, plant, span)

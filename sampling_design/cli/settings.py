@@ -61,8 +61,8 @@ COMMON_FLAGS: dict[str, tuple[object, object]] = {
 
 ONLY: dict[str, tuple[str, ...]] = {
     "seed": ("design", "pareto", "losses", "validate", "thyroid"),
-    "budget": ("design", "losses", "sigma", "worst-case", "certify", "verify", "survive", "log"),
-    "decay_rate": ("info", "design", "pareto", "losses", "sigma", "worst-case", "log", "explore"),
+    "budget": ("design", "losses", "sigma", "worst-case", "certify", "verify", "robustness", "compare"),
+    "decay_rate": ("info", "design", "pareto", "losses", "sigma", "worst-case", "compare", "explore"),
     "of": (
         "info",
         "design",
@@ -71,10 +71,10 @@ ONLY: dict[str, tuple[str, ...]] = {
         "sigma",
         "worst-case",
         "certify",
-        "survive",
+        "robustness",
         "estimate",
         "validate",
-        "log",
+        "compare",
     ),
 }
 """Flags of those commands alone that draw at random; that end early with what they have (the others' work is given by

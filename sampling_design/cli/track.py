@@ -208,7 +208,7 @@ def _check_origins(record: sd.Measurements, schedule: sd.Schedule | sd.PeriodicS
         )
 
 
-def log(
+def compare(
     settings: Settings,
     plant_file: PlantFile,
     schedule_file: ScheduleFile,
@@ -219,7 +219,7 @@ def log(
 
     With -o DIR: log.json and log.png.
 
-    Example: sampling-design log examples/plants/oscillator.toml out/schedule.csv examples/data/oscillator.csv -o out
+    Example: sampling-design compare examples/plants/oscillator.toml out/schedule.csv examples/data/oscillator.csv
     """
     plant = settings.part(reading.plant(plant_file))
     schedule = schedule_for(settings, plant, schedule_file)

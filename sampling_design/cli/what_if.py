@@ -155,7 +155,7 @@ def _counts(text: str) -> list[int]:
     return found
 
 
-def survive(
+def robustness(
     settings: Settings,
     plant_file: PlantFile,
     certificate_file: Annotated[Path, typer.Argument(metavar="CERTIFICATE", help="Certificate file (.json).")],
@@ -164,11 +164,11 @@ def survive(
 ) -> None:
     """Say how late samples may come, and how many may be lost, before a certificate no longer holds.
 
-    Example: sampling-design survive examples/plants/oscillator.toml out/certificate.json --budget 3 -o out
+    Example: sampling-design robustness examples/plants/oscillator.toml out/certificate.json --budget 3 -o out
     """
     plant = settings.part(reading.plant(plant_file))
     certificate = sampling_certificate(certificate_file, plant)
-    with settings.progress("survive") as progress:
+    with settings.progress("robustness") as progress:
         result = sd.robustness(
             plant, certificate, length=horizon, longest=longest, budget=settings.budget, progress=progress
         )

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.design.count_problem import bounded
 from sampling_design.design.design import design_schedule
@@ -68,8 +66,7 @@ class SampleLosses(TableRecord):
         """Index of the sample whose loss hurts most."""
         return int(np.argmin(self.lower))
 
-    def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:
-        return {"time": self.times, "lower": self.lower, "upper": self.upper, "bound": self.bound, "price": self.price}
+    _frame = "time:times lower upper bound price"
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data, one entry per sample."""

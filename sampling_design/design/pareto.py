@@ -6,12 +6,11 @@ import copy
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.checkers.strict import Tree
 from sampling_design.design.design import design_schedule
@@ -23,7 +22,7 @@ from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed
 from sampling_design.records.file_io import from_json, read_text, to_json, write_text
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import PlainRecord, TableRecord, counted, short
+from sampling_design.records.record import ListRecord, PlainRecord, counted, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.workers import Workers, check_workers, mapped
 
@@ -45,7 +44,7 @@ class ParetoPoint:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ParetoFront(TableRecord, PlainRecord):
+class ParetoFront(ListRecord[ParetoPoint], PlainRecord):
     """Sigma and its bound over the number of samples per period.
 
     Attributes
@@ -67,9 +66,10 @@ class ParetoFront(TableRecord, PlainRecord):
                 kept.append(point)
         return tuple(kept)
 
-    def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:
-        names = ("samples", "sigma", "upper_bound", "times", "obstacle")
-        return {name: [getattr(point, name) for point in self.points] for name in names}
+    _frame = "points{samples sigma upper_bound times obstacle}"
+
+    def _entries(self) -> tuple[ParetoPoint, ...]:
+        return self.points
 
     def _rows(self) -> list[tuple[str, str]]:
         return [

@@ -14,15 +14,17 @@ from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.posing import pose
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.search.fedorov_exchange import is_admissible
-from sampling_design.observability.count.zero_count import ZeroCountBound
+from sampling_design.observability.count.default_window import default_window
+from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
 from sampling_design.observability.sigma_bracket import coordinates_of
 from sampling_design.observability.windows.window_sigma import WindowSigma, window_sigma
-from sampling_design.plants.modes import ModalSplit
+from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import rows_in_words
 from sampling_design.records.evidence import Claim, SolverRecord
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, PlainRecord, counted, short
+from sampling_design.records.units import spoken
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 
@@ -191,7 +193,7 @@ class ScheduleDesign(PlainRecord):
 
     def _rows(self) -> list[tuple[str, str]]:
         if self.schedule is None:
-            return [("schedule", "no samples needed"), ("ask for more with", "decay_rate")]
+            return [("schedule", "no samples needed"), *self._unobserved().items()]
         unit = self.plant.time_unit
         rows = [
             ("samples per period", str(len(self.schedule))),
@@ -211,15 +213,35 @@ class ScheduleDesign(PlainRecord):
             rows.append(("cost of a period", short(self.cost) + ("" if limit is None else f" of {short(limit)}")))
         return rows
 
+    def _unobserved(self) -> dict[str, str]:
+        """Where no samples are needed: how fast an error dies by itself, what samples buy, and what to type."""
+        plant, unit = self.split.plant, self.plant.time_unit
+        slowest = max((float(each.value.real) for each in self.split.clusters), default=-np.inf)
+        if not slowest > -np.inf:
+            return {"by itself": "there is no state"}
+        length = spoken(float(f"{np.log(10) / -slowest:.3g}"), unit)
+        pushed = np.abs(np.linalg.solve(plant.A, plant.G)) @ plant.disturbances.scales
+        left = [f"{name} {short(by, 3)}" for name, by in zip(plant.states.labels(), pushed, strict=True)]
+        more = split_modes(plant, float(f"{-2.2 * slowest:.2g}"))
+        window = default_window(more) or 1.0
+        count = zero_count_bound(more.retained, window).samples_needed
+        return {
+            "an error falls by itself": f"to a tenth within {length}",
+            "disturbances of typical size that stay leave, without samples": ", ".join(left[:6]),
+            "with samples": (
+                f"{count} in every {short(window, 3)} {unit}, wherever they lie, determine the slow modes: ask "
+                f"for them with decay_rate={more.decay_rate:g} (--decay-rate {more.decay_rate:g})"
+            ),
+            "how well the state is then known": "guaranteed_accuracy(plant, schedule, w_bound=..., v_bound=...)",
+        }
+
     def explain(self) -> str:
         """Say what was designed and how good it is."""
         rows = "" if self.requirement.of is None else rows_in_words(self.requirement.of)
         if self.schedule is None:
             entering = rows and f" that enters {rows}"
-            return (
-                f"No samples needed: every mode{entering} decays by itself at the rate asked for. "
-                "Ask for a faster decay with `decay_rate` (--decay-rate) to have slow modes observed."
-            )
+            told = ". ".join(f"{what[0].upper()}{what[1:]}: {value}" for what, value in self._unobserved().items())
+            return f"No samples needed: every mode{entering} decays by itself at the rate asked for. {told}."
         asked, unit = self.requirement.timing_tolerance, self.plant.time_unit
         many = f"{counted(len(self.schedule), 'sample')} every {short(self.schedule.period)} {self.plant.time_unit}"
         if not self.sigma > 0:

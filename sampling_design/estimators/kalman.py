@@ -11,7 +11,7 @@ from sampling_design.accuracy.readings import RecordRow
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.estimators.gap_flows.cost_weights import build_weights
+from sampling_design.estimators.gap_flows.cost_weights import WeighedBounds, build_weights
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.error_bounds import ErrorBounds
 from sampling_design.estimators.online.estimate import Contradiction, Estimate
@@ -100,7 +100,7 @@ class KalmanFilter(WindowedEstimator):
             raise ArgumentError(
                 '`cost` must have the form "certificate" here: a filter keeps no window of the paper\'s.'
             )
-        weights = build_weights(plant, certificate, cost)
+        weights = build_weights(plant, certificate, cost, WeighedBounds(w_bound, v_bound, initial_error))
         self.memory = self.maximum_delay = checks.nonnegative("maximum_delay", maximum_delay)
         self.horizon = np.inf
         bounds = ErrorBounds(weights, w_bound, v_bound, initial_error)

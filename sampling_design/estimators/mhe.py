@@ -19,7 +19,7 @@ from sampling_design.estimators.constraints.qp import solve_constrained
 from sampling_design.estimators.constraints.reference import problem_as_written
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.estimators.gap_flows.cost_weights import build_weights
+from sampling_design.estimators.gap_flows.cost_weights import WeighedBounds, build_weights
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.error_bounds import ErrorBounds
 from sampling_design.estimators.online.estimate import Contradiction
@@ -164,8 +164,9 @@ class MovingHorizonEstimator(WindowedEstimator):
     ):
         plant, cost = part_for(plant, rows.get("of")), CostFunction() if cost is None else cost
         self.certificate, self.arrival_cost, self.begins = certificate, cost.arrival, cost.begins
-        weights = build_weights(plant, certificate, cost)
         self.horizon, note = choose_horizon(certificate, horizon, cost, "paper" if cost.form == "paper" else "sharp")
+        weighed = WeighedBounds(w_bound, v_bound, initial_error)
+        weights = build_weights(plant, certificate, cost, weighed, self.horizon)
         given = Constraints() if constraints is None else constraints
         table = FlowTable(weights, given.w_model == "constant" and given.w is not None)
         covered = None if certificate is None else certificate.covers

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.nlp import WindowData
@@ -15,6 +13,7 @@ from sampling_design.nonlinear.window_search import WindowAnswer
 from sampling_design.nonlinear.window_spread import smoothed_covariances
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
+from sampling_design.records.declarations import Column
 from sampling_design.records.record import CurveRecord, TableRecord, Variable, short
 
 
@@ -65,7 +64,7 @@ class SmoothedWindow(TableRecord, CurveRecord):
         """Standard deviations of the states, (K+1, n)."""
         return np.asarray(np.sqrt(np.einsum("kii->ki", self.covariance)))
 
-    def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:
+    def _columns(self) -> dict[str, Column]:
         names, outputs = self.plant.states.names, self.plant.outputs.names
         spread = self.deviation
         return {

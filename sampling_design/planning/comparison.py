@@ -9,12 +9,13 @@ from sampling_design.errors import ArgumentError
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import RowGoal
 from sampling_design.planning.robustness import LOST
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.declarations import Column
+from sampling_design.records.record import ListRecord, Plain, short
 from sampling_design.records.units import spoken, time_factor
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PlanComparison(Record):
+class PlanComparison(ListRecord[tuple[str, tuple[str, str]]]):
     """Two plans for the same plant, side by side.
 
     Attributes
@@ -26,6 +27,13 @@ class PlanComparison(Record):
     first: PlanFigures
     second: PlanFigures
     names: tuple[str, str] = ("first", "second")
+
+    def _entries(self) -> list[tuple[str, tuple[str, str]]]:
+        return self.lines()
+
+    def _columns(self) -> dict[str, Column]:
+        labels, said = zip(*self.lines(), strict=True)
+        return {"": labels, **dict(zip(self.names, zip(*said, strict=True), strict=True))}
 
     def __post_init__(self) -> None:
         if not self.shared() or self.first.plant.states.names != self.second.plant.states.names:

@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from sampling_design.errors import ArgumentError
-from sampling_design.planning.plan_record import Plan
+from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.sequence import gap_ratios, proven_ratio, settles
 from sampling_design.planning.sequence_deviation import (
     GRAIN,
@@ -27,7 +27,7 @@ from sampling_design.planning.sequence_deviation import (
 from sampling_design.planning.start import plan_start
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
-from sampling_design.records.record import PlainRecord, counted, short
+from sampling_design.records.record import ListRecord, PlainRecord, counted, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken
 from sampling_design.schedules.schedule import Schedule
@@ -80,7 +80,7 @@ class DateException:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PlanDates(PlainRecord):
+class PlanDates(ListRecord[PlannedDate], PlainRecord):
     """A plan written out on real dates.
 
     Attributes
@@ -94,12 +94,16 @@ class PlanDates(PlainRecord):
         plant's time unit]: 0 where the requirement's `initial_error` is small enough, infinite where nothing is proven.
     """
 
-    plan: Plan
+    plan: PlanFigures
     entries: tuple[PlannedDate, ...]
     exceptions: tuple[DateException, ...]
     kept_from: float = 0.0
 
+    _frame = "entries{date time outputs added}"
     _plain = "entries{date time outputs added} kept_from exceptions{what date proven ratio}"
+
+    def _entries(self) -> tuple[PlannedDate, ...]:
+        return self.entries
 
     @property
     def keeps(self) -> bool:
@@ -155,7 +159,7 @@ class PlanDates(PlainRecord):
 
 
 @checked
-def plan_dates(plan: Plan, periods: int = 1, *, prove: bool = True) -> PlanDates:
+def plan_dates(plan: PlanFigures, periods: int = 1, *, prove: bool = True) -> PlanDates:
     """Return a plan on real dates, with every change of the clocks and every holiday in it judged together.
 
     Parameters
@@ -206,7 +210,7 @@ class _Closed:
 class _Dating:
     """Dates of one plan: what is left out, what is added, and what is proven of the whole; times of the clock."""
 
-    def __init__(self, plan: Plan, periods: int, prove: bool):
+    def __init__(self, plan: PlanFigures, periods: int, prove: bool):
         assert plan.requirement.calendar is not None
         self.plan, self.calendar, self.prove = plan, plan.requirement.calendar, prove
         self.end, self.known = (count * plan.schedule.period for count in (periods, periods + 1))

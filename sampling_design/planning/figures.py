@@ -22,12 +22,48 @@ from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.robustness import PlanRobustness
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.record import Record
-from sampling_design.records.units import SECONDS
+from sampling_design.records.record import PlainRecord, TableRecord, short
+from sampling_design.records.units import SECONDS, spoken
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 RTOL = 0.005
 """Width of the brackets that prove a plan."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PlanStart(PlainRecord):
+    """From when on a plan keeps its tolerances after its start, proven.
+
+    Attributes
+    ----------
+    time_unit : str
+    from_time : float
+        Since the start; 0 where they are kept from the start on, infinite where nothing is proven.
+    ratio : float
+        Accuracy over tolerance from then on.
+    bounded : bool
+        Whether that rests on `initial_error`; else it holds whatever the error was, up to a million times what the
+        plan's filter leaves of it later on. Of standard deviations nothing is known at the start, in either case.
+    """
+
+    time_unit: str
+    from_time: float
+    ratio: float
+    bounded: bool
+    _table = {"followed from its start": "{since}"}
+
+    def since(self) -> str:
+        """From when on, in words."""
+        if not np.isfinite(self.from_time):
+            return "not proven to keep the tolerances at any time"
+        any_ = "whatever the error is then, up to a million times what samples leave"
+        what = "where the error is within `initial_error` then" if self.bounded else any_
+        when = f"{spoken(self.from_time, self.time_unit)} after it" if self.from_time else "the start"
+        return f"the tolerances are kept from {when} on, {what}"
+
+    def explain(self) -> str:
+        """Say from when on the tolerances are kept."""
+        return f"Of a plan that is followed from its start on: {self.since()} ({short(self.ratio, 3)} of them)."
 
 
 def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy | None:
@@ -46,8 +82,17 @@ def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy | None:
     )  # fmt: skip
 
 
+LEFT_OUT: dict[str, str] = {
+    "bound": "how much more accurate a plan of this cost could be",
+    "certificate": "a certificate that the samples show the whole state",
+    "robustness": "how late samples may be and how many may be lost",
+    "start": "from when on the tolerances are kept after the start",
+}
+"""What a search that is cut short may leave out, in words."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class PlanFigures(Record):
+class PlanFigures(TableRecord, PlainRecord):
     """The entries of a `Plan`, which says what they mean, and what follows from them."""
 
     plant: Plant
@@ -61,6 +106,11 @@ class PlanFigures(Record):
     robustness: PlanRobustness | None = None
     deviation: StandardDeviation | None = None
     left_out: tuple[str, ...] = ()
+    start: PlanStart | None = None
+
+    def missing(self) -> str:
+        """What was asked for and left out, in words."""
+        return "; ".join(LEFT_OUT[name] for name in self.left_out)
 
     @cached_property
     def problem(self) -> PlanProblem:

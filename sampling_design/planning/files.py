@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
@@ -32,16 +31,16 @@ from sampling_design.checkers.strict import (
 from sampling_design.planning.cost_proof import CostBranch, CostLeaf, CostProof, CostTree
 from sampling_design.planning.discrete_plant import DiscretePlant, motion_of
 from sampling_design.planning.evidence import PlanBound, trajectory_of
-from sampling_design.planning.plan_record import FORMAT, LEFT_OUT, Plan, same_samples
+from sampling_design.planning.figures import LEFT_OUT, PlanStart
+from sampling_design.planning.plan_record import FORMAT, Plan, same_samples
 from sampling_design.planning.problem import PlanProblem, pose_plan
 from sampling_design.planning.proven_choice import proven_plan
 from sampling_design.planning.requirement_file import plan_requirement_from_dict
 from sampling_design.planning.robustness import PlanRobustness
-from sampling_design.planning.start import PlanStart
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.functional import is_about
 from sampling_design.records.checks import freeze
-from sampling_design.records.file_io import from_json, read_text, to_json, usable, write_text
+from sampling_design.records.file_io import from_json, read_text, usable
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.files import schedule_from_dict
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -101,28 +100,6 @@ _TREE: Reader = table(
     },
     whole="the plan",
 )
-
-
-@checked
-def save_plan(plan: Plan, path: str | os.PathLike[str]) -> Path:
-    """Write a plan as JSON, whole or not at all; return the path.
-
-    Parameters
-    ----------
-    plan : Plan
-    path : path
-
-    Returns
-    -------
-    Path
-        Where it was written.
-
-    Raises
-    ------
-    FileFormatError
-        If the file cannot be written.
-    """
-    return write_text(path, to_json(plan.to_dict()))
 
 
 @checked

@@ -6,10 +6,10 @@ import os
 from pathlib import Path
 
 from sampling_design.planning.dates import PlanDates
-from sampling_design.planning.files import save_plan
-from sampling_design.planning.plan_record import Plan
+from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.sampling_sheet import write_form, write_sheet
 from sampling_design.plants.files import write_plant
+from sampling_design.records.file_io import to_json, write_text
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.calendar import write_calendar_csv, write_ics
 from sampling_design.schedules.files import write_schedule
@@ -17,7 +17,7 @@ from sampling_design.schedules.files import write_schedule
 
 @checked
 def write_plan(
-    plan: Plan, folder: str | os.PathLike[str], dates: PlanDates | None = None, *, person: str = ""
+    plan: PlanFigures, folder: str | os.PathLike[str], dates: PlanDates | None = None, *, person: str = ""
 ) -> tuple[list[Path], list[str]]:
     """Write plan.json, plant.toml, schedule.csv and the certificate; where there are dates calendars, sheet and form.
 
@@ -42,7 +42,7 @@ def write_plan(
     """
     place, notes = Path(folder), list[str]()
     files = [
-        save_plan(plan, place / "plan.json"),
+        write_text(place / "plan.json", to_json(plan.to_dict())),
         write_plant(plan.plant, place / "plant.toml"),
         write_schedule(plan.schedule, place / "schedule.csv"),
     ]

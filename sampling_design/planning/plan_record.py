@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
+from itertools import compress
+from pathlib import Path
 
 import numpy as np
 
@@ -11,16 +14,19 @@ from sampling_design.accuracy.deviation import StandardDeviation, standard_devia
 from sampling_design.errors import NotDetectableError
 from sampling_design.planning.comparison import PlanComparison
 from sampling_design.planning.covering import CoveringRows
+from sampling_design.planning.dates import PlanDates, plan_dates
 from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.disturbed import bears
 from sampling_design.planning.evidence import holds, proof_to_dict, trajectory_to_dict
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.filter_deviation import GridFilter
+from sampling_design.planning.plan_folder import write_plan
 from sampling_design.planning.problem import PlanProblem
-from sampling_design.planning.start import PlanStart, starts
+from sampling_design.planning.start import starts
 from sampling_design.plants.functional import FunctionalPlant, is_about
 from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.declarations import plain, selected
+from sampling_design.records.declarations import Column, plain, selected
+from sampling_design.records.file_io import to_json, write_text
 from sampling_design.records.record import Plain, counted, short
 from sampling_design.records.units import spoken
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -31,14 +37,6 @@ SAME = 1e-6
 """Figures worked out anew agree to this share."""
 
 UNSTARTED = " This is said of a plan that has been followed for ever; of its start nothing is proven."
-
-LEFT_OUT = {
-    "bound": "how much more accurate a plan of this cost could be",
-    "certificate": "a certificate that the samples show the whole state",
-    "robustness": "how late samples may be and how many may be lost",
-    "start": "from when on the tolerances are kept after the start",
-}
-"""What a search that is cut short may leave out, in words."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,8 +70,6 @@ class Plan(PlanFigures):
         been followed for ever. None where that is not decided.
     """
 
-    start: PlanStart | None = None
-
     def compare(self, other: Plan, names: tuple[str, str] = ("first", "second")) -> PlanComparison:
         """Return this plan and another one side by side: accuracy, cost, samples, robustness.
 
@@ -83,6 +79,60 @@ class Plan(PlanFigures):
             If it is no plan for the same states with a goal in common.
         """
         return PlanComparison(self, other, names)
+
+    def dates(self, periods: int = 4, *, prove: bool = True) -> PlanDates:
+        """Return the samples on real dates from the calendar's start on: clock changes and holidays judged together.
+
+        Parameters
+        ----------
+        periods : int
+        prove : bool
+            Prove the whole sequence over all real times; else it is judged in floats, on the grid.
+
+        Raises
+        ------
+        ArgumentError
+            If the plan has no calendar.
+        """
+        return plan_dates(self, periods, prove=prove)
+
+    def save(self, path: str | os.PathLike[str], *, periods: int = 4, person: str = "") -> Path:
+        """Write the plan (a path that ends in .json), or a folder with all that the command `plan` writes.
+
+        Parameters
+        ----------
+        path : path
+            Into a folder go plan.json, plant.toml, schedule.csv and the certificate; where there is a calendar also
+            plan.ics and calendar.csv, dates.csv, form.csv and sheet.html.
+        periods : int
+            Periods that the calendar is written out for.
+        person : str
+            Who takes the samples, for the sheet.
+
+        Returns
+        -------
+        Path
+            Where it was written.
+
+        Raises
+        ------
+        FileFormatError
+            If a file cannot be written.
+        """
+        if Path(path).suffix == ".json":
+            return write_text(path, to_json(self.to_dict()))
+        Path(path).mkdir(parents=True, exist_ok=True)
+        dated = self.keeps and self.requirement.calendar is not None
+        write_plan(self, path, self.dates(periods) if dated else None, person=person)
+        return Path(path)
+
+    def _columns(self) -> dict[str, Column]:
+        """The samples of a period: their dates where there is a calendar, and which sensors are read."""
+        read = [", ".join(compress(self.plant.outputs.names, row)) for row in self.chosen[self.chosen.any(axis=1)]]
+        calendar, found = self.requirement.calendar, dict[str, Column]()
+        if calendar is not None:
+            found["date"] = [calendar.date(self.minutes(t)) for t in self.schedule.times]
+        return {**found, "time": self.schedule.times, "outputs": read}
 
     def verify(self) -> bool:
         """Work out every claim anew without a solver: hours, accuracy, and both bounds."""
@@ -165,10 +215,6 @@ class Plan(PlanFigures):
         """What was asked for and left out, in words."""
         why = "interrupted" if self.status == "interrupted" else "`search_seconds` were spent; give more"
         return f"{self.missing()}: {why}"
-
-    def missing(self) -> str:
-        """The same for whoever has no command to give."""
-        return "; ".join(LEFT_OUT[name] for name in self.left_out)
 
     def explain(self) -> str:
         """Say what the plan keeps, and what no other can."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sampling_design.records.arrays import Array
-from sampling_design.records.record import PlainRecord, short
+from sampling_design.records.record import PlainRecord, TableRecord, short
 from sampling_design.records.units import spoken
 
 LOST = ("none", "any one", "any two in a row")
@@ -15,7 +15,7 @@ LOST = ("none", "any one", "any two in a row")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PlanRobustness(PlainRecord):
+class PlanRobustness(TableRecord, PlainRecord):
     """How late samples may be, and how many may be lost, before a tolerance breaks.
 
     Attributes
@@ -43,6 +43,8 @@ class PlanRobustness(PlainRecord):
     late_ratio: Array
     lost: int
     lost_ratio: Array
+
+    _frame = "time:times late late_ratio lost_ratio"
 
     @property
     def least_late(self) -> float:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sampling_design.errors import FileFormatError
 from sampling_design.planning.dates import PlanDates
-from sampling_design.planning.plan_record import Plan
+from sampling_design.planning.figures import PlanFigures
 from sampling_design.records.file_io import write_text
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
@@ -20,14 +20,14 @@ body { font: 11pt/1.35 sans-serif; color: #111; margin: 1.5em auto; max-width: 1
 h1 { font-size: 15pt; margin: 0 0 .2em; } p { margin: .2em 0 .8em; }
 table { border-collapse: collapse; width: 100%; } thead { display: table-header-group; }
 th, td { border: 1px solid #777; padding: .32em .5em; text-align: left; } th { background: #eee; }
-tr { break-inside: avoid; } td.box { text-align: center; width: 3.2em; } td.no { background: #ddd; }
+tr { break-inside: avoid; } td.value { min-width: 5em; } td.no { background: #ddd; }
 td.day { font-weight: bold; } td.blank { min-width: 7em; } .note { font-size: 9pt; color: #333; }
 """
 
 
 @checked
 def write_sheet(dates: PlanDates, path: str | os.PathLike[str], *, person: str = "") -> Path:
-    """Write the dates of a plan as a page that prints on A4: one line for each sample, a box for each sensor.
+    """Write the dates of a plan as a page that prints on A4: a line for each sample with a cell for each value.
 
     Parameters
     ----------
@@ -51,15 +51,13 @@ def write_sheet(dates: PlanDates, path: str | os.PathLike[str], *, person: str =
         raise FileFormatError(f"{path}: a sheet ends in .html, got {Path(path).suffix!r}.", os.fspath(path))
     plan, names = dates.plan, dates.plan.plant.outputs.names
     assert plan.requirement.calendar is not None
-    head = "".join(f"<th>{escape(name)}</th>" for name in names)
+    head = "".join(f"<th>{escape(label)}</th>" for label in plan.plant.outputs.labels())
     lines = []
     for day, entries in groupby(dates.entries, key=lambda entry: entry.date.date()):
         today = list(entries)
         for k, entry in enumerate(today):
             first = f"<td class='day' rowspan='{len(today)}'>{day:%a %d %b %Y}</td>" if k == 0 else ""
-            cells = "".join(
-                "<td class='box'>&#9744;</td>" if name in entry.outputs else "<td class='no'></td>" for name in names
-            )
+            cells = "".join(f"<td class='{'value' if name in entry.outputs else 'no'}'></td>" for name in names)
             note = " (extra)" if entry.added else ""
             time = f"<td>{entry.date:%H:%M}{note}</td>"
             lines.append(f"<tr>{first}{time}{cells}<td class='blank'></td><td class='blank'></td></tr>")
@@ -80,7 +78,7 @@ def write_sheet(dates: PlanDates, path: str | os.PathLike[str], *, person: str =
     return write_text(path, text)
 
 
-def _promised(plan: Plan) -> str:
+def _promised(plan: PlanFigures) -> str:
     """What the samples keep and what they do not, each goal with its tolerance."""
     said: dict[bool, list[str]] = {True: [], False: []}
     for goal, reached in zip(plan.goals, plan.reached.tolist(), strict=True):

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from sampling_design.errors import NotDetectableError, UndecidedError
-from sampling_design.planning.figures import PlanFigures
+from sampling_design.planning.figures import PlanFigures, PlanStart
 from sampling_design.planning.opening import PlanClock
 from sampling_design.planning.sequence import proven_ratio, settled_since, settles
 from sampling_design.planning.sequence_deviation import GRAIN, ORDINARY, SampleSequence, planned
 from sampling_design.records.budget import Budget
-from sampling_design.records.record import PlainRecord, short
-from sampling_design.records.units import spoken
 
 LONGER = 2
 """How often the time that a plan takes to settle is doubled, at most, until its start is forgotten."""
@@ -24,42 +21,6 @@ LARGER = 1 + 1e-3
 
 SAME_ANEW = 1e-4
 """Figures worked out anew may be larger by this share: solvers of other machines."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class PlanStart(PlainRecord):
-    """From when on a plan keeps its tolerances after its start, proven.
-
-    Attributes
-    ----------
-    time_unit : str
-    from_time : float
-        Since the start; 0 where they are kept from the start on, infinite where nothing is proven.
-    ratio : float
-        Accuracy over tolerance from then on.
-    bounded : bool
-        Whether that rests on `initial_error`; else it holds whatever the error was, up to a million times what the
-        plan's filter leaves of it later on. Of standard deviations nothing is known at the start, in either case.
-    """
-
-    time_unit: str
-    from_time: float
-    ratio: float
-    bounded: bool
-    _table = {"followed from its start": "{since}"}
-
-    def since(self) -> str:
-        """From when on, in words."""
-        if not np.isfinite(self.from_time):
-            return "not proven to keep the tolerances at any time"
-        any_ = "whatever the error is then, up to a million times what samples leave"
-        what = "where the error is within `initial_error` then" if self.bounded else any_
-        when = f"{spoken(self.from_time, self.time_unit)} after it" if self.from_time else "the start"
-        return f"the tolerances are kept from {when} on, {what}"
-
-    def explain(self) -> str:
-        """Say from when on the tolerances are kept."""
-        return f"Of a plan that is followed from its start on: {self.since()} ({short(self.ratio, 3)} of them)."
 
 
 def plan_start(plan: PlanFigures, work: Budget | None = None) -> PlanStart | None:

@@ -338,6 +338,8 @@ def plant_of_modes(
     *,
     level: bool = True,
     sensors: Sequence[str] = ("sensor",),
+    units: Sequence[str] = (),
+    names: Sequence[str] = (),
     time_unit: str = "h",
     name: str = "",
 ) -> Plant:
@@ -351,8 +353,10 @@ def plant_of_modes(
         Times in which a decaying mode falls to a third.
     level : bool
         Whether there is a level that stays.
-    sensors : sequence of str
-        Names of the outputs.
+    sensors, units : sequence of str
+        Names of the outputs, and their units: one for each, or one for all, which the states then have too.
+    names : sequence of str
+        Of the level, the oscillations and the decaying modes, in this order, instead of level, oscillation_1, ...
     time_unit, name : str
 
     Returns
@@ -362,7 +366,7 @@ def plant_of_modes(
     Raises
     ------
     ArgumentError
-        If nothing moves, or a time is not positive.
+        If nothing moves, a time is not positive, or there is another number of names or units.
 
     Examples
     --------
@@ -376,10 +380,14 @@ def plant_of_modes(
     turning = [np.array([[0.0, rate], [-rate, 0.0]]) for rate in rates]
     A = block_diag(*[np.zeros((1, 1))] * level, *turning, *[np.array([[-rate]]) for rate in losses])
     row = np.concatenate([[1.0] * level, [1.0, 0.0] * len(rates), [1.0] * len(losses)])
-    turns = [f"oscillation_{k}{part}" for k in range(1, len(rates) + 1) for part in ("", "_quadrature")]
-    states = [*["level"] * level, *turns, *[f"decaying_{k}" for k in range(1, len(losses) + 1)]]
-    C = np.tile(row, (len(sensors), 1))
-    return Plant(A, C, time_unit=time_unit, states=states, outputs=Signals(sensors), name=name)
+    usual = [*["level"] * level, *[f"oscillation_{k + 1}" for k in range(len(rates))]]
+    usual += [f"decaying_{k + 1}" for k in range(len(losses))]
+    called = checks.names("names", list(names) or usual, len(usual), "")
+    turns = [f"{mode}{part}" for mode in called[level : level + len(rates)] for part in ("", "_quadrature")]
+    states = [*called[:level], *turns, *called[level + len(rates) :]]
+    C, shared = np.tile(row, (len(sensors), 1)), units[0] if len(set(units)) == 1 else ""
+    outputs = Signals(sensors, [shared] * len(sensors) if len(units) == 1 else units)
+    return Plant(A, C, time_unit=time_unit, states=Signals(states, [shared] * len(states)), outputs=outputs, name=name)
 
 
 PLANTS: dict[str, Callable[[], Plant]] = {

@@ -22,7 +22,7 @@ from sampling_design.plants.plant import Plant, Signals, replace_matrices
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Complex
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import PlainRecord, short
+from sampling_design.records.record import PlainRecord, TableRecord, short
 from sampling_design.records.signatures import checked
 
 __all__ = ["EigenvalueCluster", "ModalSplit", "eigenvalue_clusters", "split_modes"]
@@ -31,7 +31,7 @@ OFFSET = 1e-8  # stability margin in units of |A|: the spread of a double eigenv
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ModalSplit(PlainRecord):
+class ModalSplit(TableRecord, PlainRecord):
     """A plant split into a retained and a residual part.
 
         x = basis_retained z_r + basis_residual z_s,    z_r = left_retained x,    z_s = left_residual x
@@ -81,6 +81,7 @@ class ModalSplit(PlainRecord):
     clusters: tuple[EigenvalueCluster, ...]
     retained_clusters: tuple[EigenvalueCluster, ...]
 
+    _frame = "clusters{eigenvalue:value multiplicity index radius uncertainty}"
     _plain = (
         "decay_rate retained_states:retained.n_states residual_states:residual.n_states "
         "modes:_modes near_line separation condition"

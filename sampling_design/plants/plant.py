@@ -104,8 +104,9 @@ class Plant(Record):
     Parameters
     ----------
     A : (n, n) array [1/time_unit], or a system
-        A continuous-time system of `control` or `scipy.signal`, given alone, brings A, B, C and D, and the names that
-        it knows; a transfer function its observer form.
+        A system of `control` or `scipy.signal`, given alone, brings A, B, C and D, and the names that it knows; a
+        transfer function its observer form; a discrete-time one the plant that has its samples, with inputs held in
+        between, where a real logarithm says which (`source` names it).
     C : (p, n) array
     B : (n, m) array, optional
         By name, as all that follows. Default: no inputs.
@@ -125,13 +126,13 @@ class Plant(Record):
     ------
     ArgumentError
         If a matrix has the wrong shape, is complex, or holds NaN or infinity; if C is missing or has no row; if a
-        system is a discrete-time one, or comes with matrices beside it.
+        system comes with matrices beside it, has a delay, or is a discrete-time one that no plant has as its samples.
     CallError
         If more than A and C are given by place.
 
     Notes
     -----
-    *Assumptions.* Continuous time; a discrete-time model is refused. *Numerical aspects.* Arrays are copied, float64
+    *Assumptions.* Continuous time. *Numerical aspects.* Arrays are copied, float64
     and read-only. Matrices are physical; scales say how large each entry typically is (x~ = x/s_x) and are never
     applied silently.
 
@@ -349,7 +350,7 @@ class Plant(Record):
 
     @classmethod
     def from_control(cls, system: object, **details: Any) -> Plant:
-        """Return the plant of a continuous-time system of `control`; `details` as for `Plant` (time_unit, ...).
+        """Return the plant of a system of `control`; `details` as for `Plant` (time_unit, ...).
 
         What `to_control` made comes back whole, with G, units and scales. A transfer function becomes its observer
         form: the first state of each output is that output without D u.
@@ -357,7 +358,8 @@ class Plant(Record):
         Raises
         ------
         ArgumentError
-            If it is a discrete-time system, has a delay, is neither linear nor a transfer function, or is improper.
+            If it has a delay, is neither linear nor a transfer function, is improper, or is a discrete-time system that
+            no plant has as its samples.
         """
         check_system(system)
         return cls(system, **details)  # type: ignore[arg-type]
@@ -371,7 +373,7 @@ class Plant(Record):
 
     @classmethod
     def from_scipy(cls, system: object, **details: Any) -> Plant:
-        """Return the plant of a continuous-time system of `scipy.signal`, as `from_control`.
+        """Return the plant of a system of `scipy.signal`, as `from_control`.
 
         Raises
         ------

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
+from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import described
 
@@ -19,6 +21,10 @@ PARTS = ("A", "C", "B", "D", "G", "time_unit", "name", "states", "outputs", "inp
 SAME_POLE = 1e-6
 """Poles of one output are one, and a zero cancels a pole, within this part of their size: a double root of a polynomial
 is known to about the root of the rounding, 1.5e-8."""
+DEAD = 1e-8
+"""A pole of a discrete system this small beside the largest is zero: double zeros are known to about 1.5e-8."""
+SAME_FLOW = 1e-8
+"""A discrete system is given back by its logarithm to this share of its norm, in balanced coordinates."""
 DELAYS = ("delay", "delays", "iodelay", "ioDelay", "input_delay", "output_delay", "InputDelay", "OutputDelay")
 
 
@@ -75,8 +81,8 @@ def is_system(value: object) -> bool:
 def parts_of(system: object) -> dict[str, object]:
     """The matrices of a system, and what else it knows of a plant: names, and all that `to_control` left with it.
 
-    Raises ArgumentError if it is a discrete-time system, has a delay or is no linear system; if a transfer function is
-    improper.
+    Raises ArgumentError if it has a delay or is no linear system; if a transfer function is improper; if it is a
+    discrete-time system without a sampling interval, or no continuous one has its samples.
     """
     check_system(system)
     if all(hasattr(system, key) for key in "ABCD"):
@@ -91,6 +97,8 @@ def parts_of(system: object) -> dict[str, object]:
         place = [found.outputs[:k].count(i) for k, i in enumerate(found.outputs)]
         states = [f"{names[i]}_{k + 1}" for i, k in zip(found.outputs, place, strict=True)]
         parts |= {"states": states, "outputs": names, "source": "transfer function, in observer form"}
+    if getattr(system, "dt", None) not in (None, 0, 0.0):
+        parts |= continuous(parts, float(system.dt))  # type: ignore[attr-defined]
     for mine, theirs in (("states", "state_labels"), ("outputs", "output_labels"), ("inputs", "input_labels")):
         labels = getattr(system, theirs, None)
         if labels:
@@ -129,12 +137,61 @@ def check_system(system: object) -> None:
             f"`system` must be a state-space system or a transfer function, got {type(system).__name__}: linearise it "
             "first (system.linearize), or fit a model to its frequency response."
         )
-    if getattr(system, "dt", None) not in (None, 0, 0.0):
+    if getattr(system, "dt", None) is True:
         raise ArgumentError(
-            f"`system` must be continuous-time, got a discrete one with dt = {getattr(system, 'dt', None)}. Sample "
-            "times are what this package chooses; give the plant before it was discretised, or A = "
-            "scipy.linalg.logm(A)/dt where that is real."
+            "`system` must say how long its sampling interval is, got a discrete one with dt = True: with it, as in "
+            "control.ss(A, B, C, D, 0.1), the plant between the samples is found."
         )
+
+
+def continuous(parts: Mapping[str, object], dt: float) -> dict[str, object]:
+    """A, B and the source of the plant whose samples, dt apart with inputs held in between, a discrete system gives.
+
+        A = log(A_d)/dt,    int_0^dt e^{A s} ds B = B_d
+
+    Raises ArgumentError if the real logarithm does not exist, is not unique, or is lost in rounding.
+
+    Notes
+    -----
+    The principal logarithm: of all plants with these samples the one whose oscillations are the slowest, below half a
+    cycle per dt.
+    """
+    from scipy.linalg import expm, logm, matrix_balance
+
+    stepped, B_d = (checks.matrix(key, parts[key]) for key in "AB")
+    n, m = len(stepped), len(B_d.T)
+    balanced, T = matrix_balance(stepped, permute=False)
+    poles = np.linalg.eigvals(balanced)
+    size = float(np.max(np.abs(poles), initial=0.0))
+    lost = [p for p in poles if abs(p) <= DEAD * size or (p.real < 0 and abs(p.imag) <= SAME_POLE * abs(p))]
+    if lost:
+        value = float(lost[0].real)
+        why = "what is forgotten within one sample, or delayed by whole samples, follows no differential equation"
+        if abs(lost[0]) > DEAD * size:
+            why = "a sign that changes with each sample is an oscillation of half a cycle per sample or faster, which "
+            why += "these samples do not determine"
+        raise ArgumentError(
+            f"`system` must have a real logarithm, got a discrete one with the pole {value:.6g}: {why}. Give the plant "
+            "before it was discretised."
+        )
+    with warnings.catch_warnings(), np.errstate(all="ignore"):  # a poor logarithm is judged by its flow
+        warnings.simplefilter("ignore", RuntimeWarning)
+        scale = np.diag(T)
+        try:
+            rate = np.real(logm(balanced))
+        except ValueError:  # its own estimate of its error overflows
+            rate = np.zeros((n, n))
+        finite = np.nan_to_num(rate, nan=0.0, posinf=0.0, neginf=0.0)
+        flow = expm(np.block([[finite, np.eye(n)], [np.zeros((n, 2 * n))]]))
+    if not np.allclose(flow[:n, :n], balanced, rtol=0, atol=SAME_FLOW * float(np.linalg.norm(balanced, 2))):
+        raise ArgumentError(
+            "`system` must have a logarithm that doubles hold, got a discrete one that its own does not give back to "
+            f"{SAME_FLOW:g}. Give the plant before it was discretised."
+        )
+    A = scale[:, None] * rate / scale / dt
+    B = scale[:, None] * np.linalg.solve(flow[:n, n:], B_d / scale[:, None]) / dt if m else B_d
+    source = f"discrete-time system with dt = {dt:g}, inputs held in between; the plant that oscillates slowest"
+    return {"A": A, "B": B, "source": source}
 
 
 def _polynomials(system: object) -> tuple[list[list[Array]], list[list[Array]]]:

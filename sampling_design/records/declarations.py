@@ -16,6 +16,9 @@ import numpy.typing as npt
 Plain: TypeAlias = "str | float | bool | Sequence[Plain] | Mapping[str, Plain] | None"
 """Plain data, as it stands in a file: texts, numbers, and lists and tables of them."""
 
+Column: TypeAlias = "Sequence[object] | npt.NDArray[np.generic]"
+"""One column of a table."""
+
 Converting = TypeVar("Converting")
 Held = TypeVar("Held")
 RecordClass = TypeVar("RecordClass")
@@ -91,6 +94,25 @@ def selected(record: object, what: str) -> dict[str, Plain]:
     return dict(_selection(record, what))
 
 
+def columns(record: object, what: str) -> dict[str, Column]:
+    """Return some attributes as the columns of a table, each as it is.
+
+    Parameters
+    ----------
+    record : object
+    what : str
+        "time:times lower upper", as `selected` reads names; of "points{samples sigma}" a column for each name.
+    """
+    found: dict[str, Column] = {}
+    for key, _, path, inner in ITEM.findall(what):
+        value = cast("Sequence[object]", _reached(record, path or key))
+        if not inner:
+            found[key] = value
+        for name, _, own, _ in ITEM.findall(inner):
+            found[name] = [_reached(each, own or name) for each in value]
+    return found
+
+
 def _selection(record: object, what: str) -> Iterator[tuple[str, Plain]]:
     for key, optional, path, inner in ITEM.findall(what):
         value = _reached(record, path or key)
@@ -114,7 +136,7 @@ def _reached(value: object, path: str) -> object:
 
 
 def _empty(value: object) -> bool:
-    return value is None or (hasattr(value, "__len__") and not len(value))
+    return value is None or (hasattr(value, "__len__") and getattr(value, "shape", None) != () and not len(value))
 
 
 def short(value: object, digits: int = 6) -> str:

@@ -11,18 +11,18 @@ from __future__ import annotations
 
 import inspect
 from abc import ABCMeta
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from html import escape
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError, MissingExtraError, UndecidedError
 from sampling_design.records import checks
+from sampling_design.records.declarations import Column, columns, said, selected
 from sampling_design.records.declarations import Plain as Plain
-from sampling_design.records.declarations import said, selected
 from sampling_design.records.declarations import short as short
 from sampling_design.records.dispatch import offered
 from sampling_design.records.signatures import checked_methods, misfit, within
@@ -30,6 +30,9 @@ from sampling_design.records.signatures import checked_methods, misfit, within
 if TYPE_CHECKING:
     from pandas import DataFrame
     from xarray import Dataset
+
+
+Listed = TypeVar("Listed")
 
 
 class _Kind(ABCMeta):
@@ -52,28 +55,11 @@ class _Kind(ABCMeta):
                 raise misfit(cls.__init__, (cls, *arguments), options, error) from None
 
 
-class Record(metaclass=_Kind):
-    """Base of the frozen records: `repr` one line, `str` a small table, `_repr_html_` for notebooks.
-
-    Every public method of a record has a door before it (see `signatures`).
-    """
-
-    def __init_subclass__(cls, **options: object) -> None:
-        super().__init_subclass__(**options)
-        checked_methods(cls)
+class Shown:
+    """What shows itself: `repr` in one line, `str` as a small table, `_repr_html_` for notebooks."""
 
     _table: ClassVar[Mapping[str, str]] = {}
     """Label and value of each line, templates as `said` reads them."""
-
-    def _hold(self, **values: object) -> None:
-        """Set fields of a record that is being made; afterwards it is frozen."""
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
-
-    def _check(self, **asked: Callable[[str, object], object]) -> None:
-        """Hold each of these fields as its check returns it; None, where nothing was said, stays None."""
-        said = {name: getattr(self, name) for name in asked}
-        self._hold(**{name: asked[name](name, value) for name, value in said.items() if value is not None})
 
     def _rows(self) -> list[tuple[str, str]]:
         """Label and value of each line of the table, in order; a line about what is None is left out."""
@@ -84,14 +70,6 @@ class Record(metaclass=_Kind):
 
     def _title(self) -> str:
         return type(self).__name__
-
-    def explain(self) -> str:
-        """Say in one or two sentences what this record means."""
-        raise NotImplementedError
-
-    def plot(self, ax: object = None, **beside: object) -> Any:
-        """Draw this record on `ax` (a new figure if None) and return the axes; `beside`: what else it shows."""
-        return draw(self, ax, **beside)
 
     def __repr__(self) -> str:
         inside = ", ".join(f"{label.replace(' ', '_')}={value}" for label, value in self._rows()[:4])
@@ -108,6 +86,35 @@ class Record(metaclass=_Kind):
             for label, value in self._rows()
         )
         return f"<table><caption>{escape(self._title())}</caption>{body}</table>"
+
+
+class Record(Shown, metaclass=_Kind):
+    """Base of the frozen records: `repr` one line, `str` a small table, `_repr_html_` for notebooks.
+
+    Every public method of a record has a door before it (see `signatures`).
+    """
+
+    def __init_subclass__(cls, **options: object) -> None:
+        super().__init_subclass__(**options)
+        checked_methods(cls)
+
+    def _hold(self, **values: object) -> None:
+        """Set fields of a record that is being made; afterwards it is frozen."""
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    def _check(self, **asked: Callable[[str, object], object]) -> None:
+        """Hold each of these fields as its check returns it; None, where nothing was said, stays None."""
+        said = {name: getattr(self, name) for name in asked}
+        self._hold(**{name: asked[name](name, value) for name, value in said.items() if value is not None})
+
+    def explain(self) -> str:
+        """Say in one or two sentences what this record means."""
+        raise NotImplementedError
+
+    def plot(self, ax: object = None, **beside: object) -> Any:
+        """Draw this record on `ax` (a new figure if None) and return the axes; `beside`: what else it shows."""
+        return draw(self, ax, **beside)
 
 
 class PlainRecord(Record):
@@ -165,9 +172,12 @@ class YesOrNo(Record):
 class TableRecord(Record):
     """Base of the records that are a table, one row per estimate, sample, count or window."""
 
-    def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:
+    _frame: ClassVar[str] = ""
+    """The columns, as `columns` reads them; a record that computes one overrides `_columns`."""
+
+    def _columns(self) -> Mapping[str, Column]:
         """Every column by its name, all of one length; the first one tells the rows apart."""
-        raise NotImplementedError
+        return columns(self, self._frame)
 
     def to_frame(self) -> DataFrame:
         """Return the rows as a pandas DataFrame (extra `dataframes`), indexed by the first column, in physical units.
@@ -183,6 +193,23 @@ class TableRecord(Record):
             raise MissingExtraError("pandas", "dataframes") from None
         columns = self._columns()
         return pandas.DataFrame(columns).set_index(next(iter(columns)))
+
+
+class ListRecord(TableRecord, Generic[Listed]):
+    """Base of the records that are a list: `len(record)`, `record[-1]`, `for each in record`."""
+
+    def _entries(self) -> Sequence[Listed]:
+        """What is counted and iterated."""
+        raise NotImplementedError
+
+    def __len__(self) -> int:
+        return len(self._entries())
+
+    def __iter__(self) -> Iterator[Listed]:
+        return iter(self._entries())
+
+    def __getitem__(self, place: int) -> Listed:
+        return self._entries()[place]
 
 
 class Variable(NamedTuple):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import field
 from typing import ClassVar, Literal, TypedDict, Unpack
 
@@ -13,7 +13,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.declarations import Converted, frozen
-from sampling_design.records.record import Plain, Record, counted, short
+from sampling_design.records.record import Plain, TableRecord, counted, short
 from sampling_design.records.units import check_time_unit, time_factor
 
 MOST_TIMES = 20_000_000
@@ -30,7 +30,7 @@ class ScheduleDetails(TypedDict, total=False):
 
 
 @frozen
-class _Sampled(Record):
+class _Sampled(TableRecord):
     """Details that every schedule may carry besides its times."""
 
     time_unit: str | None = field(default=None, kw_only=True)
@@ -85,6 +85,13 @@ class _Sampled(Record):
 
     def _details(self) -> ScheduleDetails:
         return {"time_unit": self.time_unit, "origin": self.origin, "output_names": self.output_names}
+
+    def _table_of(self, times: Array, mask: Mask | None) -> dict[str, Array | Mask]:
+        """The times, and of each output whether it is measured; all of them where nothing is said."""
+        names = tuple(self.output_names or ())
+        read = np.full((times.size, len(names)), fill_value=True) if mask is None else mask
+        names = names or tuple(f"y{i + 1}" for i in range(read.shape[1]))
+        return {"time": times, **{name: read[:, i] for i, name in enumerate(names)}}
 
     def _plain(self, mask: Mask | None, **times: Plain) -> dict[str, Plain]:
         names = None if self.output_names is None else list(self.output_names)
@@ -147,6 +154,9 @@ class Schedule(_Sampled):
             raise ArgumentError(f"`gaps` must not be negative, got gaps[0] = {float(owned[0])!r}.")
         _positive_gaps(owned[1:], offset=1)
         return cls(np.cumsum(owned), **details)
+
+    def _columns(self) -> Mapping[str, Array | Mask]:
+        return self._table_of(self.times, self.outputs)
 
     def __len__(self) -> int:
         return self.times.size
@@ -285,6 +295,9 @@ class PeriodicSchedule(_Sampled):
         # times and period as given, not as sums of gaps, so that a file of times comes back to the last bit
         schedule._own(times=owned, period=length)
         return schedule
+
+    def _columns(self) -> Mapping[str, Array | Mask]:
+        return self._table_of(self.times, self.outputs)
 
     def __len__(self) -> int:
         return self.gaps.size

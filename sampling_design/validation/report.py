@@ -11,7 +11,7 @@ import numpy as np
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Strength
-from sampling_design.records.record import Plain, PlainRecord, YesOrNo, short
+from sampling_design.records.record import ListRecord, Plain, PlainRecord, YesOrNo, short
 
 ROUNDING = 1e-8
 """A promise counts as kept while it is exceeded by no more than this share: the rounding of a long run."""
@@ -119,7 +119,7 @@ class ExampleRun:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ValidationReport(YesOrNo, PlainRecord):
+class ValidationReport(YesOrNo, ListRecord[Finding], PlainRecord):
     """What a plant's schedule and certificate promised, and whether it came true.
 
     True if every promise held, false if one was broken; neither where none was, and not all were checked.
@@ -156,6 +156,10 @@ class ValidationReport(YesOrNo, PlainRecord):
         "format:_format plant:plant.name passed findings skipped settings norm times bound courses{name largest median}"
     )
     _format = "sampling-design/validation/1"
+    _frame = "findings{claim scenario verdict predicted observed margin source strength}"
+
+    def _entries(self) -> tuple[Finding, ...]:
+        return self.findings
 
     @property
     def passed(self) -> bool:

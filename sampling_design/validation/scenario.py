@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -15,8 +15,8 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import Seed
-from sampling_design.records.declarations import selected
-from sampling_design.records.record import Plain, Record, counted, short
+from sampling_design.records.declarations import Column, selected
+from sampling_design.records.record import Plain, TableRecord, counted, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.timeline import Timeline, build_timeline, exact_flow
@@ -198,7 +198,7 @@ def initial_inputs(line: Timeline, bounds: ScenarioBounds) -> ErrorSources:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SimulatedRecord(Record):
+class SimulatedRecord(TableRecord):
     """A record whose truth is known.
 
     Attributes
@@ -221,6 +221,13 @@ class SimulatedRecord(Record):
     w: Array
     v: Array
     noise: str = "independent"
+
+    def _columns(self) -> dict[str, Column]:
+        record = self.measurements
+        plant = cast("Plant", record.plant)
+        read = {name: record.y[record.measured.any(axis=1), i] for i, name in enumerate(plant.outputs.names)}
+        truth = {f"true {name}": self.truth[:, i] for i, name in enumerate(plant.states.names)}
+        return {"time": self.times[self.at], **read, **truth}
 
     @property
     def truth(self) -> Array:

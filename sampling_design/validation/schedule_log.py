@@ -16,7 +16,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.declarations import plain
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import Plain, TableRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -32,7 +32,7 @@ AROUND = 400
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ScheduleLog(Record):
+class ScheduleLog(TableRecord):
     """What became of a schedule.
 
     Attributes
@@ -59,6 +59,8 @@ class ScheduleLog(Record):
     actual_sigma: WindowSigma | None
     time_unit: str
     decays: bool = False
+
+    _frame = "planned:planned.times deviation:deviations lacking"
 
     @property
     def deviations(self) -> Array:

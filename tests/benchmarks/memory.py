@@ -21,7 +21,7 @@ from tests.benchmarks.pages import MeasuredPage, Table
 
 HERE = Path(__file__).parents[2]
 COMMANDS = ("new", "info", "design", "pareto", "losses", "plan", "next", "explore", "sigma", "worst-case", "certify")
-COMMANDS += ("survive", "verify", "accuracy", "estimate", "validate", "log", "thyroid")
+COMMANDS += ("robustness", "verify", "accuracy", "estimate", "validate", "compare", "thyroid")
 ENDING = {"explore": ["--idle", "0.5", "--no-browser"]}
 """A server ends by itself only when nobody asks for long."""
 GAUGE, SATELLITE = (f"examples/plants/{name}.toml" for name in ("tidal_gauge", "satellite"))
@@ -37,17 +37,17 @@ LARGEST = {
     "sigma": f"sigma {GAUGE} out/schedule.csv --window 720",
     "worst-case": f"worst-case {SATELLITE} --window 5400 --count 12 --spacing 120 --budget 20",
     "certify": f"certify {SATELLITE} out/orbit/schedule.csv -o out/orbit",
-    "survive": f"survive {SATELLITE} out/orbit/certificate.json --budget 20 -o out/orbit",
+    "robustness": f"robustness {SATELLITE} out/orbit/certificate.json --budget 20 -o out/orbit",
     "verify": "verify out/orbit/certificate.json --rigorous",
     "accuracy": f"accuracy {SATELLITE} out/orbit/schedule.csv --w 1e-6 --v 30 --budget 20 -o out/orbit",
     "estimate": f"estimate {SATELLITE} examples/data/satellite.csv -o out",
     "validate": f"validate {SATELLITE} out/orbit/schedule.csv --runs 50 -o out/orbit",
     "thyroid": "thyroid --runs 1 --days 5 --reading per_day -o out",
 }
-"""Eleven tides read in a month, an orbit, a patient; `new` and `log` do not depend on the size of the plant."""
+"""Eleven tides read in a month, an orbit, a patient; `new` and `compare` do not depend on the size of the plant."""
 RECORDS = {
     f"{command}, {rows:,} rows": (command, rows)
-    for command, sizes in {"log": (10_000, 100_000, 1_000_000), "estimate": (10_000, 100_000)}.items()
+    for command, sizes in {"compare": (10_000, 100_000, 1_000_000), "estimate": (10_000, 100_000)}.items()
     for rows in sizes
 }
 OSCILLATOR = HERE / "examples" / "plants" / "oscillator.toml"
@@ -61,7 +61,7 @@ def recorded(command: str, rows: int, path: Path) -> None:
     with path.open("w") as file:
         file.write("time,position,force_per_mass\n0.0,,0.0\n")
         for k in range(1, rows + 1):
-            t = k + rng.uniform(-0.1, 0.1) if command == "log" else t + rng.uniform(0.8, 1.6)
+            t = k + rng.uniform(-0.1, 0.1) if command == "compare" else t + rng.uniform(0.8, 1.6)
             if command == "estimate" or rng.random() > 1e-3:
                 y = math.sin(t) + (rng.gauss(0.0, 0.05) if command == "estimate" else 0.0)
                 file.write(f"{t!r},{y!r},0.0\n")
@@ -117,7 +117,7 @@ def of_record(name: str) -> list[str]:
     place = folder(name)
     recorded(command, rows, place / "record.csv")
     (place / "schedule.csv").write_text(SCHEDULE)
-    plan = ["schedule.csv"] if command == "log" else []
+    plan = ["schedule.csv"] if command == "compare" else []
     seconds, size = spent([command, str(OSCILLATOR), *plan, "record.csv", "-o", "out"], place)
     return [seconds, f"{1e6 * float(seconds) / rows:.0f}", size]
 

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 
 import sampling_design as sd
-from sampling_design.planning.files import save_plan
 from sampling_design.planning.requirement_file import requirement_and_plant
 from tests.benchmarks import plan_gaps, plan_search
 from tests.benchmarks.pages import MeasuredPage, Table
@@ -39,7 +38,7 @@ def example(name):
 def measured_anew(found):
     """What the other program finds of each goal; it knows no disturbances that share a ball."""
     with tempfile.TemporaryDirectory() as folder:
-        data = json.loads(save_plan(found, Path(folder) / "plan.json").read_text())
+        data = json.loads(found.save(Path(folder) / "plan.json").read_text())
     if "w_intensity" in data["requirement"]:
         goals = deviations(data)
     elif np.ndim(data["requirement"]["w_bound"]) == 0 and found.plant.G.shape[1] > 1:

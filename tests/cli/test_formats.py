@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from sampling_design import PlanRequirement, Plant, certify, plan_samples, read_plant, read_schedule
-from sampling_design.planning.files import save_plan
 from sampling_design.planning.requirement_file import write_plan_requirement
 from sampling_design.plants import write_plant
 
@@ -28,16 +27,16 @@ COMMANDS = {
     "certify": (OSCILLATOR, "schedule.csv", "--eta", 0.4),
     "verify": ("certificate.json",),
     "accuracy": (OSCILLATOR, "schedule.csv", "--w", 0.02, "--v", 0.4),
-    "survive": (OSCILLATOR, "certificate.json", "--longest", 2, "--budget", 0.5),
+    "robustness": (OSCILLATOR, "certificate.json", "--longest", 2, "--budget", 0.5),
     "estimate": (OSCILLATOR, "readings.csv", "--horizon", 3),
     "validate": (OSCILLATOR, "schedule.csv", "--runs", 3, "--eta", 0.4, "--duration", 6),
-    "log": (OSCILLATOR, "schedule.csv", "readings.csv"),
+    "compare": (OSCILLATOR, "schedule.csv", "readings.csv"),
 }
 NAMED = {
     "design": "design",
     "certify": "certificate",
     "validate": "validation",
-    "log": "schedule-log",
+    "compare": "schedule-log",
     "estimate": "estimate",
 }
 
@@ -54,7 +53,7 @@ def made(tmp_path_factory):
     wanted = PlanRequirement({"level": 0.52}, period=8.0, grid=1.0, w_bound=0.1, sensors=read)
     write_plant(tank, made / "tank.toml")
     write_plan_requirement(wanted, made / "wanted.toml")
-    save_plan(plan_samples(tank, wanted, certificate=False, robustness=False), made / "plan.json")
+    plan_samples(tank, wanted, certificate=False, robustness=False).save(made / "plan.json")
     certify(read_plant(OSCILLATOR), read_schedule(made / "schedule.csv")).save(made / "certificate.json")
     return made
 

@@ -25,4 +25,4 @@ def test_the_examples_of_all_commands_are_one_story(monkeypatch, tmp_path, shell
         assert done.code == 0, f"{example}: {done.err or done.out}"
         assert done.out
     written = {path.name for path in (tmp_path / "out").iterdir()}
-    assert {"schedule.csv", "certificate.json", "estimates.csv", "report.md", "log.json", "thyroid.md"} <= written
+    assert {"schedule.csv", "certificate.json", "estimates.csv", "report.md", "thyroid.md"} <= written

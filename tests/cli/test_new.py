@@ -30,6 +30,18 @@ def test_what_it_writes_is_what_was_said(shell, tmp_path):
     assert (requirement.period, requirement.samples) == (24.0, {"exactly": 6})
 
 
+def test_half_lives_names_and_units_are_taken(shell, tmp_path):
+    flags = ("--oscillation", 24, "--half-life", "6, 12", "--decay", 2, "--sensors", "blood,urine", "--units", "mg/l")
+    assert shell("new", tmp_path, *flags, "--names", "mean, daily, fast, slow, slower").code == 0
+    plant = sd.read_plant(tmp_path / "plant.toml")
+    assert plant.states.names == ("mean", "daily", "daily_quadrature", "fast", "slow", "slower")
+    assert set(plant.states.units) == set(plant.outputs.units) == {"mg/l"}
+    assert plant.transition(6.0)[4, 4] == pytest.approx(0.5)
+    assert plant.transition(12.0)[5, 5] == pytest.approx(0.5)
+    refused = shell("new", tmp_path / "x", "--half-life", 6, "--names", "one")
+    assert "`names` must have 2 entries, got 1" in refused.err
+
+
 def test_nobody_copies_thirty_closed_nights_by_hand(shell, tmp_path):
     done = shell("new", tmp_path, "--oscillation", "12.42", "--period", 720, "--open", "7-19", "--json")
     assert json.loads(done.out)["requirement"]["forbidden"][:2] == [[0.0, 7.0], [19.0, 31.0]]
@@ -134,7 +146,7 @@ def test_from_flags_to_an_estimate_nobody_edits_a_file_but_the_form(shell, tmp_p
     assert "Tue 03 Mar" in said.out
     taken = [f"{line}1.0" for line in form[1:-1]]  # the last sample is not taken yet: its line stays empty
     (tmp_path / "filled.csv").write_text("\n".join([form[0], *taken, form[-1], ""]))
-    log = shell("log", "lab/out/plant.toml", "lab/out/dates.csv", "filled.csv")
+    log = shell("compare", "lab/out/plant.toml", "lab/out/dates.csv", "filled.csv")
     assert log.code == 0
     bounds = ("--schedule", "lab/out/schedule.csv", "--w", 0.01, "--v", 0.1, "--initial-error", 5)
     done = shell("estimate", "lab/out/plant.toml", "filled.csv", *bounds, "-o", "lab/out")

@@ -135,10 +135,12 @@ def test_a_certificate_is_made_and_no_horizon_is_compared_unless_asked(shell, tm
     assert not (tmp_path / "horizons.png").exists()
 
 
-def test_survive_finds_a_timing_error_and_draws_it(shell, tmp_path):
+def test_robustness_finds_a_timing_error_and_draws_it(shell, tmp_path):
     write_schedule(PeriodicSchedule([1.0], time_unit="s"), tmp_path / "even.csv")
     assert shell("certify", OSCILLATOR, tmp_path / "even.csv", "--eta", 0.8, "-o", tmp_path).code == 0
-    result = shell("survive", OSCILLATOR, tmp_path / "certificate.json", "--longest", 2, "-o", tmp_path, "--budget", 20)
+    result = shell(
+        "robustness", OSCILLATOR, tmp_path / "certificate.json", "--longest", 2, "-o", tmp_path, "--budget", 20
+    )
     assert result.code == 0
     data = json.loads((tmp_path / "robustness.json").read_text())
     assert data["radius"] > 0.05
@@ -231,7 +233,7 @@ def test_commands_that_need_samples_refuse_a_detectability_file(shell, tmp_path)
     for arguments in (
         ("estimate", OSCILLATOR, tmp_path / "seen.csv", "--certificate", file),
         ("validate", OSCILLATOR, tmp_path / "even.csv", "--certificate", file),
-        ("survive", OSCILLATOR, file),
+        ("robustness", OSCILLATOR, file),
     ):
         result = shell(*arguments, "--quiet")
         assert result.code == 2, arguments

@@ -49,7 +49,7 @@ PLANTS, REQUIREMENTS, DATA, PLANS = (OSCILLATOR.parents[1] / folder for folder i
         (("sigma", OSCILLATOR, DATA / "satellite.csv"), "is a measurement file, expected a schedule file"),
         (("estimate", PLANTS / "satellite.toml", OSCILLATOR), "is a plant file, expected a measurement file"),
         (("certify", DATA / "satellite.csv", OSCILLATOR), "is a measurement file, expected a plant file"),
-        (("survive", OSCILLATOR, OSCILLATOR), "is a plant file, expected a certificate file"),
+        (("robustness", OSCILLATOR, OSCILLATOR), "is a plant file, expected a certificate file"),
         (("verify", REQUIREMENTS / "oscillator.toml"), "is a requirement file, expected a certificate file"),
     ],
 )

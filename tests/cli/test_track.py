@@ -183,7 +183,7 @@ def test_log_says_what_deviations_cost(shell, tmp_path):
     plan = sd.PeriodicSchedule([5554.0 / 12], first=0.0, time_unit="s")
     sd.schedules.write_schedule(plan, tmp_path / "plan.csv")
     flags = ("--window", 5554, "-o", tmp_path / "out")
-    result = shell("log", plant("satellite"), tmp_path / "plan.csv", DATA / "satellite.csv", *flags)
+    result = shell("compare", plant("satellite"), tmp_path / "plan.csv", DATA / "satellite.csv", *flags)
     assert result.code == 0, result.err
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"log.json", "log.png"}
     data = json.loads((tmp_path / "out" / "log.json").read_text())
@@ -199,7 +199,7 @@ def test_limits_and_means_are_taken_samples(shell, tmp_path, schedule):
     (tmp_path / "y.csv").write_text(
         "time,position,position_since,force_per_mass\n" + "".join(f"{each},0\n" for each in cells)
     )
-    found = shell("log", OSCILLATOR, schedule, tmp_path / "y.csv", "--window", "3", "--json")
+    found = shell("compare", OSCILLATOR, schedule, tmp_path / "y.csv", "--window", "3", "--json")
     assert json.loads(found.out)["missed"] == []
     assert json.loads(found.out)["lacking"] == []
     assert "Limits and means count as taken" in found.err
@@ -216,7 +216,10 @@ def test_limits_and_means_are_taken_samples(shell, tmp_path, schedule):
         (("estimate", OSCILLATOR, "EMPTY"), "holds no measurement"),
         (("validate", OSCILLATOR, "nowhere.csv"), "no such file"),
         (("validate", OSCILLATOR, "SCHEDULE", "--runs", "0"), "`runs` must be a whole number"),
-        (("log", OSCILLATOR, "SCHEDULE", "EMPTY", "--window", "3"), "`times` must hold at least one sample"),
+        (
+            ("compare", OSCILLATOR, "SCHEDULE", "EMPTY", "--window", "3"),
+            "`times` must hold at least one sample",
+        ),
     ],
 )
 def test_bad_input_is_one_sentence_and_exit_code_2(shell, tmp_path, schedule, arguments, words):
@@ -239,7 +242,7 @@ def test_refusals_carry_their_sentence(tmp_path):
 
 
 def test_every_command_teaches_by_an_example(shell):
-    for command in ("estimate", "validate", "log"):
+    for command in ("estimate", "validate", "compare"):
         text = shell(command, "--help").out
         assert "Example: sampling-design" in text
 
@@ -258,7 +261,7 @@ def test_dates_are_laid_over_a_schedule_by_its_origin(shell, tmp_path):
     assert sd.read_schedule(tmp_path / "schedule.csv").origin == "2026-01-05T00:00:00+00:00"
     plan = sd.PeriodicSchedule([1.0, 1.2], time_unit="s", origin="2026-01-05T00:00:00+00:00")
     path = sd.schedules.write_schedule(plan, tmp_path / "plan.csv")
-    found = shell("log", OSCILLATOR, path, dated(tmp_path / "data.csv"), "--window", 2, "--json")
+    found = shell("compare", OSCILLATOR, path, dated(tmp_path / "data.csv"), "--window", 2, "--json")
     assert found.code == 0, found.err
     assert json.loads(found.out)["largest_deviation"] < 1e-9
     done = shell("estimate", OSCILLATOR, tmp_path / "data.csv", "-o", tmp_path)
@@ -296,7 +299,7 @@ def test_calendars_of_a_design_are_in_its_zone(shell, tmp_path):
     assert not (tmp_path / "none" / "design.json").exists()
 
 
-@pytest.mark.parametrize("command", ["log", "estimate"])
+@pytest.mark.parametrize("command", ["compare", "estimate"])
 def test_dates_and_times_without_dates_are_not_mixed(shell, tmp_path, schedule, command):
     data = dated(tmp_path / "data.csv")
     plan = sd.PeriodicSchedule([1.0, 1.2], time_unit="s", origin="2026-01-05T00:00:00+00:00")
@@ -305,7 +308,7 @@ def test_dates_and_times_without_dates_are_not_mixed(shell, tmp_path, schedule, 
         (schedule, data, "`SCHEDULE` does not say which date its time 0 is"),
         (with_origin, write_readings(tmp_path / "plain.csv"), "`MEASUREMENTS` hold times without dates"),
     ):
-        given = [path, readings] if command == "log" else [readings, "--schedule", path]
+        given = [path, readings] if command == "compare" else [readings, "--schedule", path]
         result = shell(command, OSCILLATOR, *given)
         assert result.code == 2
         assert words in " ".join(result.err.split())

@@ -1,6 +1,7 @@
 """design_schedule end to end: proven sigma below the bound, constraints kept, defaults told."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -44,8 +45,22 @@ def test_nothing_retained_needs_no_samples():
     design = design_schedule(Plant([[-1.0]], [[1.0]]))
     assert design.schedule is None
     assert design.status == "no samples needed"
-    assert "decay_rate" in design.explain()
     assert design.verify()
+
+
+@pytest.mark.parametrize("seconds", [1.0, 3600.0])
+def test_a_plant_that_needs_no_samples_says_what_happens_without_and_what_samples_buy(seconds):
+    """A time constant of 5 h is a tenth after 11.5 h in either unit; at the rate that it names a mode is observed."""
+    unit = "s" if seconds > 1 else "h"
+    plant = Plant(np.array([[-1.0, 0.3], [0.0, -0.2]]) / seconds, [[1.0, 0.0]], time_unit=unit)
+    text = design_schedule(plant).explain()
+    assert "falls by itself: to a tenth within 11" in text
+    rate = float(re.search(r"--decay-rate ([\d.e-]+)", text)[1])
+    asked = design_schedule(plant, Requirement(decay_rate=rate), starts=1, branches=1)
+    assert asked.split.retained.n_states == 1
+    assert len(asked.schedule) == int(re.search(r"(\d+) in every", text)[1])
+    left = np.abs(np.linalg.solve(plant.A, plant.G)).sum(axis=1)
+    assert f"x1 {left[0]:.3g}, x2 {left[1]:.3g}" in text
 
 
 def test_a_plant_or_requirement_of_another_type_is_refused():

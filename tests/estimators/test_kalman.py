@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import sampling_design as sd
 from sampling_design import (
     KalmanFilter,
     PeriodicSchedule,
@@ -81,3 +82,37 @@ def test_equal_cost_means_equal_number():
     assert periodic_at_equal_cost(Schedule([1.0, 2.0, 5.0])).gaps[0] == 2.0
     with pytest.raises(ArgumentError, match="`schedule` must hold at least two samples"):
         periodic_at_equal_cost(Schedule([1.0]))
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-12, 1e12])
+@pytest.mark.parametrize("kind", [sd.MovingHorizonEstimator, sd.KalmanFilter])
+def test_weights_are_those_of_the_bounds_that_are_given(kind, unit):
+    """A first error of 3 and noise of .3: the data say [.9, 1.5], and the estimate lies near the middle."""
+    more = {"horizon": 5.0} if kind is sd.MovingHorizonEstimator else {}
+    bounds = {"w_bound": 0.01 * unit, "v_bound": 0.3 * unit, "initial_error": 3.0 * unit}
+    found = kind(sd.Plant([[0.0]], [[1.0]]), **more, **bounds).update(0.0, [1.2 * unit])
+    assert abs(found.x[0] / unit - 1.2) < 0.05 * 0.3
+    assert found.radii[0] / unit < 1.05 * 0.3
+    assert found.centred().x[0] / unit == pytest.approx(1.2, abs=1e-6)
+
+
+def test_weights_of_the_bounds_are_those_that_one_may_write_out():
+    plant, bounds = sd.named_plant("oscillator"), {"w_bound": 0.1, "v_bound": [0.2], "initial_error": [1.0, 2.0]}
+    by_hand = sd.CostFunction(**sd.certificates.weights_from_bounds(plant, 0.5, **bounds), eta=0.5)
+    schedule = sd.PeriodicSchedule([0.7, 1.1])
+    record = sd.simulate_record(plant, schedule, 6.0, w_bound=0.1, v_bound=[0.2], rng=1).measurements
+    one, two = (
+        sd.MovingHorizonEstimator(plant, horizon=4.0, cost=cost, **bounds).run(record)
+        for cost in (by_hand, sd.CostFunction(eta=0.5))
+    )
+    np.testing.assert_array_equal(one.x, two.x)
+    weights = sd.MovingHorizonEstimator(plant, horizon=4.0, w_bound=0.0, v_bound=1e150, initial_error=2.0).weights
+    assert (weights.w.tolist(), weights.prior.tolist()) == (np.eye(2).tolist(), (np.eye(2) / 4).tolist())
+
+
+def test_estimators_show_themselves():
+    mhe = sd.MovingHorizonEstimator(sd.named_plant("oscillator"), horizon=5.0, w_bound=0.1, v_bound=[0.1])
+    assert repr(mhe) == "MovingHorizonEstimator(plant=oscillator, states=position, velocity, horizon=5 s, latest=0 s)"
+    assert "No radius: initial_error not given" in str(mhe)
+    assert "<th" in mhe._repr_html_()
+    assert repr(sd.KalmanFilter(sd.named_plant("oscillator"))).startswith("KalmanFilter(plant=oscillator")

@@ -74,3 +74,13 @@ def test_the_exit_codes_are_the_same_everywhere():
     assert {int(code) for code in re.findall(r"^\| (\d+) \|", table, flags=re.MULTILINE)} == codes
     for text in (README.split("Exit codes:")[1].split("\n\n")[0], app.info.epilog.split("Exit codes:")[1]):
         assert {int(code) for code in re.findall(r"\b(\d+) [a-z]", text)} == codes
+
+
+def test_a_command_is_called_as_its_function():
+    """By the words of the verb that it calls, or some of them; those that call none, or a verb of a room, are named."""
+    import sampling_design as sd
+    from sampling_design.cli.app import COMMANDS
+
+    verbs = [set(name.split("_")) for name in sd.__all__ if name.islower()]
+    alone = [name for name in COMMANDS if not any(set(name.split("-")) <= verb for verb in verbs)]
+    assert alone == ["new", "info", "explore", "verify", "estimate", "thyroid"]

@@ -16,7 +16,6 @@ import pytest
 import sampling_design as sd
 from sampling_design.cli import app
 from sampling_design.errors import FileFormatError
-from sampling_design.planning.files import save_plan
 from sampling_design.planning.work_prices import AFTER
 from sampling_design.records.budget import Budget
 from tests import command_lines
@@ -182,7 +181,7 @@ def test_a_plan_ends_with_its_work_and_says_what_did_not_fit(tight, monkeypatch,
     missing = {name for name in ("certificate", "robustness", "start") if getattr(found, name) is None}
     assert missing == set(found.left_out) - {"bound"} == ({"certificate", "robustness", "start"} if tight else set())
     assert ("left out" in str(found)) == ("Left out: " in found.explain()) == tight
-    path = save_plan(found, tmp_path / "plan.json")
+    path = found.save(tmp_path / "plan.json")
     again = sd.read_plan(path)
     assert again.left_out == found.left_out
     assert ("left out" in str(found.compare(again))) == tight
@@ -213,10 +212,10 @@ COMMANDS = {
     "worst-case": ["worst-case", "plant.toml", "--window", "20", "--count", "12", "--spacing", "0.5", "--rtol", "1e-9"],
     "pareto": ["pareto", "plant.toml", "requirement.toml", "--counts", "16-20"],
     "losses": ["losses", "plant.toml", "requirement.toml"],
-    "survive": ["survive", "oscillator.toml", "certificate.json"],
+    "robustness": ["robustness", "oscillator.toml", "certificate.json"],
     "verify": ["verify", "certificate.json", "--rigorous"],
     "accuracy": ["accuracy", "oscillator.toml", "schedule.csv", "--w", "0.1", "--v", "0.1", "--rtol", "1e-6"],
-    "log": ["log", "plant.toml", "schedule.csv", "measurements.csv", "--window", "100"],
+    "compare": ["compare", "plant.toml", "schedule.csv", "measurements.csv", "--window", "100"],
 }
 
 

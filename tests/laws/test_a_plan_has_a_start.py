@@ -8,11 +8,11 @@ import pytest
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.planning.dates import plan_dates
-from sampling_design.planning.files import save_plan
+from sampling_design.planning.figures import PlanStart
 from sampling_design.planning.requirement_file import plan_requirement_from_dict
 from sampling_design.planning.sequence import looks_back
 from sampling_design.planning.sequence_deviation import planned
-from sampling_design.planning.start import PlanStart, from_start, plan_start
+from sampling_design.planning.start import from_start, plan_start
 from tests.cases import few
 
 BARE = {"certificate": False, "robustness": False}
@@ -189,7 +189,7 @@ def test_a_file_that_says_more_of_the_start_is_refused(plans, tmp_path):
     plan = plans["oscillator"]
     assert plan.start.from_time > 0
     assert "Of a plan that is followed from its start on: the tolerances are kept from" in plan.explain()
-    path = save_plan(plan, tmp_path / "plan.json")
+    path = plan.save(tmp_path / "plan.json")
     again = sd.read_plan(path)
     assert again.start.to_dict() == plan.start.to_dict()
     assert again.verify()
@@ -198,5 +198,5 @@ def test_a_file_that_says_more_of_the_start_is_refused(plans, tmp_path):
     never = replace(plan, start=PlanStart(plan.plant.time_unit, np.inf, np.inf, False))
     assert never.start.to_dict()["from_time"] is None
     assert "not proven to keep the tolerances at any time" in never.explain()
-    assert sd.read_plan(save_plan(never, tmp_path / "never.json")).start.from_time == np.inf
+    assert sd.read_plan(never.save(tmp_path / "never.json")).start.from_time == np.inf
     assert "followed for ever; of its start nothing is proven" in replace(plan, start=None).explain()

@@ -22,7 +22,7 @@ def test_random_command_lines_end_in_order(seed, tmp_path, monkeypatch):
     assert raw(lines) == {}
 
 
-QUICK = {"info", "verify", "log"}
+QUICK = {"info", "verify", "compare"}
 """Commands that end at once."""
 
 

@@ -16,10 +16,9 @@ import typer
 import sampling_design as sd
 from sampling_design.cli.planning import next_sample as next_command
 from sampling_design.cli.settings import Settings
-from sampling_design.cli.track import log
+from sampling_design.cli.track import compare
 from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.evidence import PlanBound
-from sampling_design.planning.files import save_plan
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import proven_plan
 from sampling_design.planning.sampling_sheet import write_form
@@ -108,8 +107,8 @@ def test_the_form_that_was_filled_in_is_on_schedule(year, tmp_path):
     (tmp_path / "measured.csv").write_text("\n".join([head, *(line.replace(",", ",1.5") for line in lines)]) + "\n")
     sd.plants.write_plant(plan.plant, tmp_path / "plant.toml")
     sd.schedules.write_schedule(dates.schedule(), tmp_path / "dates.csv")
-    log(
-        Settings("log", output=tmp_path, quiet=True),
+    compare(
+        Settings("compare", output=tmp_path, quiet=True),
         *(tmp_path / f for f in ("plant.toml", "dates.csv", "measured.csv")),
     )
     told = json.loads((tmp_path / "log.json").read_text())
@@ -144,7 +143,7 @@ def test_the_next_sample_is_as_late_as_the_hours_that_pass_allow(year, clocks):
 @pytest.mark.parametrize("clocks", few(["forward", "back"], 1))
 def test_now_as_a_local_date_is_the_time_that_passed(year, clocks, tmp_path):
     plan, dates = year
-    save_plan(plan, tmp_path / "plan.json")
+    plan.save(tmp_path / "plan.json")
     taken, zero = following(dates, clocks)
     monday = (taken[-1].date + timedelta(days=7 - taken[-1].date.weekday())).replace(hour=9, minute=0)
     form = ["date,gauge", *(f"{entry.date.isoformat()},1.5" for entry in taken)]

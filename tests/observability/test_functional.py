@@ -37,7 +37,6 @@ from sampling_design.errors import (
     NotObservableError,
 )
 from sampling_design.observability import functional_plant, unobservable_modes
-from sampling_design.planning.files import save_plan
 from sampling_design.plants import FunctionalPlant, read_plant, write_plant
 from tests.cases import few
 from tests.checkers.test_sampled import redigested
@@ -393,7 +392,7 @@ def test_a_plan_for_rows_is_certified_for_them(tmp_path):
     found = plan_samples(THREE, wanted, robustness=False)
     assert found.certificate.plant.wanted.names == ("x1",)
     assert "the samples show x1; rate" in str(found)
-    again = read_plan(save_plan(found, tmp_path / "plan.json"))
+    again = read_plan(found.save(tmp_path / "plan.json"))
     assert again.verify()
     assert again.certificate.plant.whole.same_dynamics(THREE)
     other = functional_plant(Plant(np.diag([0.1, 0.3, -1.0]), THREE.C), "x1")

@@ -8,11 +8,10 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.cli.settings import Settings
-from sampling_design.cli.track import log
+from sampling_design.cli.track import compare
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.evidence import PlanBound
-from sampling_design.planning.files import save_plan
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import proven_plan
 from sampling_design.planning.robustness import PlanRobustness
@@ -54,7 +53,7 @@ def test_an_hour_across_the_change_is_an_hour_less(dates):
 def test_a_sheet_has_a_line_for_each_sample(dates, tmp_path):
     text = write_sheet(dates, tmp_path / "sheet.html", person="A <b>").read_text()
     assert text.count("<tr><td") + text.count("<tr>\n") >= len({e.date for e in dates.entries})
-    assert text.count("&#9744;") == sum(len(e.outputs) for e in dates.entries)
+    assert text.count("class='value'") == sum(len(e.outputs) for e in dates.entries)
     assert "A &lt;b&gt;" in text
     with pytest.raises(FileFormatError, match=r"a sheet ends in \.html"):
         write_sheet(dates, tmp_path / "sheet.pdf")
@@ -118,7 +117,7 @@ def test_two_closed_days_with_a_sample_between_them_are_judged_together():
 
 
 def test_a_plan_file_comes_back_proven_and_is_not_believed(week, tmp_path):
-    path = save_plan(week, tmp_path / "plan.json")
+    path = week.save(tmp_path / "plan.json")
     back = sd.read_plan(path)
     assert back.verify()
     assert back.to_dict()["schedule"] == week.to_dict()["schedule"]
@@ -151,7 +150,7 @@ def test_a_plan_file_comes_back_proven_and_is_not_believed(week, tmp_path):
 
 
 def test_a_schedule_outside_its_hours_is_refused(week, tmp_path):
-    path = save_plan(week, tmp_path / "plan.json")
+    path = week.save(tmp_path / "plan.json")
     data = json.loads(path.read_text())
     data["requirement"]["calendar"]["hours"] = {"Sun": [["09:00", "10:00"]]}
     path.write_text(json.dumps(data))
@@ -160,7 +159,7 @@ def test_a_schedule_outside_its_hours_is_refused(week, tmp_path):
 
 
 def test_a_forged_bound_does_not_verify(week, tmp_path):
-    path = save_plan(week, tmp_path / "plan.json")
+    path = week.save(tmp_path / "plan.json")
     data = json.loads(path.read_text())
     data["no_cheaper_than"]["value"] += 1.0
     path.write_text(json.dumps(data))
@@ -177,7 +176,7 @@ def test_what_is_written_is_taken_by_log_as_it_is(week, dates, tmp_path):
     sd.plants.write_plant(week.plant, tmp_path / "plant.toml")
     sd.schedules.write_schedule(dates.schedule(), tmp_path / "dates.csv")
     files = [tmp_path / name for name in ("plant.toml", "dates.csv", "measured.csv")]
-    log(Settings("log", output=tmp_path, quiet=True), *files)
+    compare(Settings("compare", output=tmp_path, quiet=True), *files)
     told = json.loads((tmp_path / "log.json").read_text())
     assert len(told["planned"]) == len(told["actual"]) == len(lines)
     assert max(map(abs, told["deviations"])) < 1e-6  # on both sides of the change of the clocks

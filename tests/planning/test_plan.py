@@ -11,7 +11,6 @@ import sampling_design as sd
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.evidence import PlanBound
-from sampling_design.planning.files import save_plan
 from sampling_design.records.budget import Budget
 from tests.cases import few
 from tests.oracles import planning as oracle
@@ -159,7 +158,7 @@ def test_an_interrupt_leaves_what_the_search_holds_and_what_is_proven(words, lim
     if not limit:  # the first that was told, the densest, or what was found, with its bound
         assert (found.bound.cost is None) == (words == "samples")
     assert found.explain().endswith("after the start: interrupted.")
-    back = sd.read_plan(save_plan(found, tmp_path / "plan.json"))
+    back = sd.read_plan(found.save(tmp_path / "plan.json"))
     assert back.verify()
     assert back.status == "interrupted"
 

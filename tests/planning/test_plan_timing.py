@@ -7,7 +7,6 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, UndecidedError
-from sampling_design.planning.files import save_plan
 from sampling_design.planning.problem import pose_plan
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["fix"])
@@ -51,7 +50,7 @@ def test_samples_on_time_alone_would_not_be_enough(plan):
 
 
 def test_its_file_says_the_same(plan, tmp_path):
-    found = sd.read_plan(save_plan(plan, tmp_path / "plan.json"))
+    found = sd.read_plan(plan.save(tmp_path / "plan.json"))
     assert found.requirement.timing_tolerance == 0.2
     assert np.allclose(found.reached, plan.reached, rtol=1e-6)
     assert found.verify()

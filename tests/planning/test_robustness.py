@@ -13,7 +13,6 @@ from sampling_design.errors import FileFormatError
 from sampling_design.planning import accuracy_oracle as judges
 from sampling_design.planning import disturbed, files
 from sampling_design.planning.disturbed import plan_robustness, without
-from sampling_design.planning.files import save_plan
 from sampling_design.planning.plan import plan_certificate
 from sampling_design.planning.sequence import worst_ratio
 from tests.oracles import planning as oracle
@@ -54,7 +53,7 @@ def test_so_late_is_kept_and_a_lost_sample_is_told(whole):
 
 @pytest.mark.long
 def test_it_is_in_the_file_and_proven_again(whole, tmp_path):
-    path = save_plan(whole, tmp_path / "plan.json")
+    path = whole.save(tmp_path / "plan.json")
     back = sd.read_plan(path)
     assert back.robustness.to_dict() == whole.robustness.to_dict()
     assert back.certificate.to_dict() == whole.certificate.to_dict()

@@ -13,7 +13,7 @@ from sampling_design.planning import sequence_deviation
 from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.disturbed import plan_robustness
 from sampling_design.planning.evidence import PlanBound
-from sampling_design.planning.files import read_plan, save_plan
+from sampling_design.planning.files import read_plan
 from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.plan_record import deviation_of
 from sampling_design.planning.problem import pose_plan
@@ -166,7 +166,7 @@ def test_both_kinds_are_planned_together():
 
 
 def test_files_hold_tangents_and_are_not_believed(found, tmp_path):
-    path = save_plan(found, tmp_path / "plan.json")
+    path = found.save(tmp_path / "plan.json")
     again = read_plan(path)
     assert again.verify()
     assert again.bound.cost.value == found.bound.cost.value

@@ -253,17 +253,44 @@ def test_a_matrix_alone_or_beside_a_system_is_refused():
 
 
 @pytest.mark.parametrize(
-    "system",
+    ("system", "words"),
     [
-        control.ss(A, [[0.0], [1.0]], C, [[0.0]], 0.1),
-        control.ss(A, [[0.0], [1.0]], C, [[0.0]], True),
-        scipy.signal.StateSpace(A, [[0.0], [1.0]], C, [[0.0]], dt=0.5),
+        (control.ss(A, [[0.0], [1.0]], C, [[0.0]], True), "must say how long its sampling interval is"),
+        (control.ss([[-0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1), r"with the pole -0\.5: a sign that changes"),
+        (control.tf([1.0], [1.0, 0.0, 0.0], 0.1), "with the pole 0: what is forgotten within one sample"),
+        (
+            scipy.signal.StateSpace(np.eye(2, k=1) + 0.5 * np.eye(2) * [1, -1], [[0.0], [1.0]], C, [[0.0]], dt=0.5),
+            "real",
+        ),
+        *[
+            (control.ss(near @ np.diag([0.9, 0.2]) @ np.linalg.inv(near), [[0.0], [1.0]], C, [[0.0]], 1e-3), "doubles")
+            for near in (np.array([[1.0, 1.0], [1.0, 1.0 + apart]]) for apart in (1e-6, 1e-9))
+        ],
     ],
 )
-def test_discrete_systems_are_refused(system):
-    for make in (Plant.from_control if isinstance(system, control.StateSpace) else Plant.from_scipy, Plant):
-        with pytest.raises(ArgumentError, match="`system` must be continuous-time, got a discrete one with dt"):
+def test_discrete_systems_that_no_plant_has_as_its_samples_are_refused(system, words):
+    for make in (Plant.from_control if isinstance(system, control.InputOutputSystem) else Plant.from_scipy, Plant):
+        with pytest.raises(ArgumentError, match=words):
             make(system)
+
+
+@pytest.mark.parametrize("dt", [0.1, 1e-9, 1e9])
+def test_a_discrete_system_is_the_plant_that_has_its_samples(dt):
+    """Held inputs, an integrator, a defective pole, a growing one, and states in units far apart."""
+    for slow in (
+        [[0.0, 1.0], [-1.0, -0.1]],
+        [[0.0, 1.0], [0.0, 0.0]],
+        [[-0.5, 1.0], [0.0, -0.5]],
+        [[0.3, 0.2], [0, -1]],
+    ):
+        units = np.diag([1.0, 1e6])
+        plant = control.ss(units @ np.array(slow) @ np.linalg.inv(units) / dt, units @ [[1.0], [0.5]] / dt, C, [[2.0]])
+        found = Plant(control.c2d(plant, dt))
+        for mine, theirs in ((found.A, plant.A), (found.B, plant.B)):
+            np.testing.assert_allclose(mine * dt, theirs * dt, rtol=1e-7, atol=1e-7 * np.abs(theirs * dt).max())
+        np.testing.assert_array_equal(found.C, plant.C)
+        assert found.D.tolist() == [[2.0]]
+        assert "the plant that oscillates slowest" in found.source
 
 
 def test_words_and_tables():

@@ -1,15 +1,25 @@
 """Records that are tables become pandas frames, and frames of measurements are read like files."""
 
+import importlib
+import pkgutil
 import sys
+from functools import cache
 
 import numpy as np
 import pandas
 import pytest
 
+import sampling_design
 import sampling_design as sd
+from sampling_design import plotting
+from sampling_design.accuracy.deviation import standard_deviation
+from sampling_design.accuracy.limit import accuracy_limit
+from sampling_design.certificates.compare.robustness import FamilyTrial, Robustness
 from sampling_design.certificates.compare.tradeoff import tradeoff_curve
+from sampling_design.certificates.exact.information import information_curve
 from sampling_design.errors import ArgumentError, FileFormatError, MissingExtraError
 from sampling_design.records.record import CurveRecord, TableRecord
+from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
 
 OSCILLATOR = sd.plants.library.oscillator()
 SCHEDULE = sd.PeriodicSchedule([0.7, 1.6, 0.9], time_unit="s")
@@ -31,10 +41,80 @@ def smoothed():
     return mhe.smoothed()
 
 
+TANK = sd.Plant([[0.0]], [[1.0]], time_unit="h", name="tank", outputs=["gauge"])
+
+
+@cache
+def certificate():
+    return sd.certify(OSCILLATOR, SCHEDULE, eta=0.2, P2=np.eye(2))
+
+
+@cache
+def plan(start=None):
+    wanted = sd.PlanRequirement(
+        {"x1": 1.0}, period=24.0 if start is None else "1 d", grid="6 h", w_bound=0.05,
+        sensors={"gauge": {"noise_bound": 0.5, "price": 1.0}}, calendar=start and {"start": start},
+    )  # fmt: skip
+    return sd.plan_samples(TANK, wanted, certificate=False)
+
+
+def record():
+    return sd.simulate_record(OSCILLATOR, SCHEDULE, 5.0, w_bound=0.1, v_bound=0.1, rng=1)
+
+
+def design():
+    return sd.design_schedule(OSCILLATOR, REQUIREMENT)
+
+
 MAKERS = {
+    "Schedule": lambda: sd.Schedule([0.5, 1.0, 2.5]),
+    "PeriodicSchedule": lambda: sd.PeriodicSchedule([1.0, 2.0], outputs=[[1, 0], [1, 1]], output_names=["a", "b"]),
+    "ModalSplit": lambda: sd.plants.split_modes(OSCILLATOR),
+    "Measurements": lambda: record().measurements,
+    "SimulatedRecord": record,
+    "Interval": lambda: estimates()[-1].interval(),
+    "Accuracy": lambda: sd.guaranteed_accuracy(OSCILLATOR, SCHEDULE, w_bound=0.1, v_bound=0.1, rtol=0.2),
+    "StandardDeviation": lambda: standard_deviation(OSCILLATOR, SCHEDULE, w_intensity=0.1, v_deviation=0.1),
+    "AccuracyLimit": lambda: accuracy_limit(OSCILLATOR, w_bound=0.1, v_bound=0.1),
+    "AccuracyOverBox": lambda: sd.guaranteed_accuracy(
+        sd.UncertainPlant(TANK, [sd.UncertainParameter("k", -0.1, 0.0, A=[[1.0]])]),
+        sd.PeriodicSchedule([1.0], time_unit="h"),
+        w_bound=[0.1],
+        v_bound=[0.1],
+        rtol=0.5,
+        of=[[1.0], [2.0]],
+    ),
+    "AccuracyAlong": lambda: sd.guaranteed_accuracy(
+        TimeVaryingPlant.from_table([0.0, 5.0], [TANK.A] * 2, [TANK.C] * 2, [TANK.G] * 2),
+        sd.Schedule([1.0, 2.0]),
+        w_bound=0.1,
+        v_bound=0.1,
+        of=[[1.0], [2.0]],
+        rtol=0.5,
+    ),
+    "InformationCurve": lambda: information_curve(certificate(), 6.0),
+    "ScheduleLog": lambda: sd.compare_schedule(OSCILLATOR, SCHEDULE.between(0, 8), SCHEDULE.between(0, 8).times, 4.0),
+    "Robustness": lambda: Robustness(
+        certificate(),
+        length=1.0,
+        limit=1.0,
+        radius=0.1,
+        broken=0.2,
+        losses=(),
+        jittered=None,
+        thinned=(),
+        others=(),
+        trials=tuple(FamilyTrial(sd.Jitter(SCHEDULE, late), lam, lam < 3) for late, lam in ((0.1, 2.0), (0.2, np.inf))),
+        closed=True,
+    ),
+    "ValidationReport": lambda: sd.validate(OSCILLATOR, SCHEDULE, horizon=5.0, runs=2, rng=0, **BOUNDS),
+    "Plan": plan,
+    "PlanRobustness": lambda: plan().robustness,
+    "PlanDates": lambda: plan("2026-03-23").dates(2),
+    "PlanComparison": lambda: plan().compare(plan()),
     "EstimateRecord": estimates,
     "ParetoFront": lambda: sd.pareto_front(OSCILLATOR, REQUIREMENT, [2, 3]),
-    "SampleLosses": lambda: sd.sample_losses(sd.design_schedule(OSCILLATOR, REQUIREMENT)),
+    "SampleLosses": lambda: sd.sample_losses(design()),
     "FourHorizons": lambda: sd.certificates.four_horizons(OSCILLATOR, SCHEDULE),
     "WindowSigma": lambda: sd.window_sigma(OSCILLATOR, SCHEDULE, 4.0),
     "SmoothedWindow": smoothed,
@@ -58,7 +138,29 @@ def test_a_frame_has_the_columns_of_its_record(kind):
 
 def test_every_table_is_in_this_list():
     assert callable(sd.NonlinearMovingHorizonEstimator)  # a room opens on first use
-    assert {c.__name__ for c in TableRecord.__subclasses__()} == set(MAKERS)
+    for room in pkgutil.walk_packages(sampling_design.__path__, "sampling_design."):
+        importlib.import_module(room.name) if not room.name.endswith("__main__") else None
+    kinds, open_ = set(), [TableRecord]
+    while open_:
+        below = open_.pop().__subclasses__()
+        kinds |= {kind.__name__ for kind in below if not kind.__subclasses__() or kind.__name__ in MAKERS}
+        open_ += below
+    assert kinds == set(MAKERS)
+
+
+def test_what_is_drawn_can_be_had_as_numbers():
+    """A picture whose record is no table and no curve is named here with what has its numbers."""
+    elsewhere = {
+        "SamplingFamily", "Projection", "Certificate", "FamilyCertificate", "InclusionCertificate", "Counterexample",
+        "WorstCaseSigma", "ScheduleDesign", "EstimateCurve", "EstimateEnvelope", "PatientRun", "PatientFigure",
+    }  # fmt: skip
+    assert set(plotting._PICTURES) - set(MAKERS) - set(CURVES) == elsewhere
+
+
+def test_a_list_is_counted_indexed_and_iterated():
+    found = estimates()
+    assert len(found) == len(list(found)) == 3
+    assert found[-1] is found.estimates[-1]
 
 
 def test_estimates_and_proofs_stand_in_their_rows():

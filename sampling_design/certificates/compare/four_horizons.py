@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-
-import numpy as np
-import numpy.typing as npt
 
 from sampling_design.certificates.certification import certify
 from sampling_design.certificates.compare.contraction import least_contracting, spectral_radius
@@ -15,7 +11,7 @@ from sampling_design.certificates.form.horizon import Horizon
 from sampling_design.certificates.paper.proof_constants import ProofConstants, constants_from_proof
 from sampling_design.errors import ArgumentError, SamplingDesignError, UndecidedError
 from sampling_design.plants.plant import Plant, first_difference
-from sampling_design.records.record import TableRecord, short
+from sampling_design.records.record import ListRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule
 
@@ -41,7 +37,7 @@ class HorizonRow:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FourHorizons(TableRecord):
+class FourHorizons(ListRecord[HorizonRow]):
     """Four horizons of one plant on one schedule.
 
     Attributes
@@ -61,10 +57,10 @@ class FourHorizons(TableRecord):
     proof: ProofConstants | None
     radius: float | None
 
-    def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:
-        gains = {f"C_{x}": [row.horizon and getattr(row.horizon, f"C_{x}") for row in self.rows] for x in "xwv"}
-        plain = {name: [getattr(row, name) for row in self.rows] for name in ("name", "source", "minimum", "note")}
-        return {**plain, **gains}
+    _frame = "rows{name source minimum note C_x:horizon.C_x C_w:horizon.C_w C_v:horizon.C_v}"
+
+    def _entries(self) -> tuple[HorizonRow, ...]:
+        return self.rows
 
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.certificate.plant.time_unit

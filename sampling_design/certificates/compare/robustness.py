@@ -24,7 +24,7 @@ from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import PlainRecord, short
+from sampling_design.records.record import PlainRecord, TableRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily, period_of
 from sampling_design.schedules.jitter import Jitter
@@ -64,7 +64,7 @@ class FamilyTrial(Generic[Family]):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Robustness(PlainRecord):
+class Robustness(TableRecord, PlainRecord):
     """Timing errors and losses under which a certificate survives.
 
     It survives if a family certificate with the same P2, Qw, R, Qv and eta holds whose lambda still lets the same
@@ -108,6 +108,7 @@ class Robustness(PlainRecord):
     others: tuple[FamilyTrial[SamplingFamily], ...]
     closed: bool
 
+    _frame = "trials{amount:family.timing_tolerance lam survives}"
     _plain = (
         "horizon:length limit radius broken tolerated trials{amount:family.timing_tolerance lam survives} "
         "losses{most:family.most of:family.of lam survives} families:others{family lam survives} closed"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,8 +45,7 @@ class TradeoffCurve(TableRecord):
     lam: Array
     certificates: tuple[Certificate, ...]
 
-    def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:
-        return {key: getattr(self, key) for key in ("noise_gains", "horizons", "C_w", "C_v", "lam")}
+    _frame = "noise_gains horizons C_w C_v lam"
 
     def _rows(self) -> list[tuple[str, str]]:
         columns = zip(self.noise_gains, self.horizons, self.C_w, self.C_v, strict=True)

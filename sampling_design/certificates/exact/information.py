@@ -14,12 +14,12 @@ from sampling_design.numerics.filtering import measurement_update, propagate
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.record import Record, short
+from sampling_design.records.record import TableRecord, short
 from sampling_design.records.signatures import checked
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class InformationCurve(Record):
+class InformationCurve(TableRecord):
     """Least eigenvalue of the information Pi(t) relative to P1, along one window.
 
     Attributes
@@ -40,6 +40,8 @@ class InformationCurve(Record):
     start: float
     samples: Array
     time_unit: str
+
+    _frame = "time:t least"
 
     def _rows(self) -> list[tuple[str, str]]:
         at = int(np.argmin(self.least))

@@ -22,6 +22,9 @@ from sampling_design.records.arrays import Array, Index
 BASE = 64
 """Pieces of one size that are remembered: one level of them covers |A| h up to 8 at least, three up to 3e4."""
 
+STILL = 1e-150
+"""A plant in which nothing moves counts as one this slow: what is divided by it, disturbances, stays a number."""
+
 FEW = 4
 """Gaps up to which each is a product of its own with the polynomial around its piece."""
 
@@ -55,7 +58,7 @@ class ComposedFlow:
         self._moved = np.concatenate([moved, moved, spread], axis=1)
         A, noise = A / moved, noise / spread
         shifted = A + (eta / 2) * np.eye(n)
-        self._norm = max(float(np.linalg.norm(M, 1)) for M in (A, shifted, np.full((1, 1), 1e-300)))
+        self._norm = max(float(np.linalg.norm(M, 1)) for M in (A, shifted, np.full((1, 1), STILL)))
         self._A, self._n, self._eta = A, n, eta
         self._unit = float(np.exp2(np.floor(np.log2(SHORT / self._norm))))  # a power of two: counting is exact
         powers = exponential_terms(A, self._norm)

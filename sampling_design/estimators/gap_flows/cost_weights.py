@@ -14,10 +14,12 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
+from sampling_design.certificates.exact.bound_weights import LARGEST, weights_from_bounds
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.estimators.gap_flows.cost_function import MATRICES, CostFunction
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.records import checks
@@ -25,6 +27,14 @@ from sampling_design.records.arrays import Array, Mask
 
 INVERTED = 1e-15
 """Relative error of a weight in units of its diagonal: its inverse is off by as much times its condition."""
+
+
+class WeighedBounds(NamedTuple):
+    """Bounds on w, v and the first error: a number bounds the norm, a vector each entry; None where nothing is said."""
+
+    w: npt.ArrayLike | None = None
+    v: npt.ArrayLike | None = None
+    initial: npt.ArrayLike | None = None
 
 
 class SampleWeights(NamedTuple):
@@ -209,8 +219,13 @@ def build_weights(
     plant: Plant,
     certificate: SampledCertificate | None,
     cost: CostFunction,
+    bounds: WeighedBounds | None = None,
+    horizon: float = np.inf,
 ) -> CostWeights:
-    """Return the effective weights: those of the cost, else the certificate's, else those of the plant's scales.
+    """Return the effective weights: the cost's, else the certificate's; of neither the bounds', else the scales'.
+
+    Bounds weigh so that each of the three terms is at most about one within a horizon (`weights_from_bounds`), which
+    puts an estimate near the middle of what data and bounds leave possible.
 
     Raises
     ------
@@ -224,20 +239,35 @@ def build_weights(
         "R": 2 * plant.outputs.scales**-2.0,
         "Qv": 2 * plant.outputs.scales**-2.0,
     }
+    theirs = 0.0 if certificate is None else certificate.eta
+    rate = checks.nonnegative("eta", theirs if cost.eta is None else cost.eta)
+    by_hand = certificate is not None or any(key in MATRICES for key in cost.given)
+    known = {} if bounds is None or by_hand else _weighed(plant, bounds, rate or 1 / horizon or 1.0)
     matrices = {}
     for key, diagonal in inverse.items():
         value = getattr(cost, key)
         if value is None and certificate is not None:
             value = getattr(certificate, key)
-        matrices[key] = checks.definite(key, np.diag(diagonal) if value is None else value, diagonal.size)
-    theirs = 0.0 if certificate is None else certificate.eta
-    rate = checks.nonnegative("eta", theirs if cost.eta is None else cost.eta)
+        ours = known.get(key, np.diag(diagonal))
+        matrices[key] = checks.definite(key, ours if value is None else value, diagonal.size)
     form = cost.form or "certificate"
     twice = 2.0 if form == "paper" else 1.0
     kept = twice * matrices["Qv"]
     together = symmetrise(matrices["R"] @ np.linalg.solve(matrices["R"] + kept, kept))
     prior, w = twice * matrices["P2"], twice * matrices["Qw"]
     return CostWeights(plant, prior, w, R=matrices["R"], v=kept, y=together, eta=rate, cost=form)
+
+
+def _weighed(plant: Plant, bounds: WeighedBounds, rate: float) -> dict[str, Array]:
+    """The weights of the bounds that are given; of one that is zero, or that no weight in doubles says, none."""
+    sizes = {"w_bound": plant.n_disturbances, "v_bound": plant.n_outputs, "initial_error": plant.n_states}
+    given = zip(sizes, bounds, strict=True)
+    read = {name: checks.bound(name, value, sizes[name]) for name, value in given if value is not None}
+    usable = {name for name, bound in read.items() if np.all((bound >= 1 / LARGEST) & (bound <= LARGEST))}
+    asked = [read[name] if name in usable else 1.0 for name in sizes]
+    found = weights_from_bounds(plant, rate, *asked)
+    belong = {"P2": "initial_error", "Qw": "w_bound", "R": "v_bound", "Qv": "v_bound"}
+    return {key: found[key] for key, name in belong.items() if name in usable}
 
 
 def _refuse_what_is_not_its_own(plant: Plant, certificate: SampledCertificate | None) -> None:

@@ -18,7 +18,8 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import CurveRecord, PlainRecord, TableRecord, Variable
+from sampling_design.records.declarations import Column
+from sampling_design.records.record import CurveRecord, ListRecord, PlainRecord, Variable
 
 
 class GuaranteeWarning(UserWarning):
@@ -37,7 +38,7 @@ class Sample(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class EstimateRecord(TableRecord, CurveRecord, PlainRecord):
+class EstimateRecord(ListRecord[Estimate], CurveRecord, PlainRecord):
     """Estimates in order of time, as arrays.
 
     Attributes
@@ -96,8 +97,8 @@ class EstimateRecord(TableRecord, CurveRecord, PlainRecord):
             estimates=tuple(found),
         )
 
-    def __len__(self) -> int:
-        return self.times.size
+    def _entries(self) -> tuple[Estimate, ...]:
+        return self.estimates
 
     def centred(self) -> EstimateRecord:
         """Return the estimates moved into the middle of their intervals, as `Estimate.centred`."""
@@ -140,7 +141,7 @@ class EstimateRecord(TableRecord, CurveRecord, PlainRecord):
             "on_schedule": Variable(("time",), self.on_schedule),
         }
 
-    def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:
+    def _columns(self) -> dict[str, Column]:
         names = self.plant.states.names
         return {
             "time": self.times,

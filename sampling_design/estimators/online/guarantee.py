@@ -45,7 +45,7 @@ def choose_horizon(
     if certificate is None:
         if horizon is None:
             raise ArgumentError("`horizon` must be given where there is no certificate to take it from.")
-        return checks.positive("horizon", horizon), "No a-priori claim: the weights were given by hand."
+        return checks.positive("horizon", horizon), "No a-priori claim: no certificate was given."
     own = certificate.horizon(theorem)
     length = own.length if horizon is None else checks.positive("horizon", horizon)
     differ = [key for key in cost.given if not np.array_equal(getattr(cost, key), getattr(certificate, key))]

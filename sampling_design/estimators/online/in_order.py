@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -24,6 +24,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 from sampling_design.records.progress import Progress
+from sampling_design.records.record import Shown
 from sampling_design.records.signatures import checked_methods
 
 AHEAD = 512
@@ -31,7 +32,7 @@ AHEAD = 512
 
 
 @checked_methods
-class OnlineEstimator(ABC):
+class OnlineEstimator(Shown, ABC):
     """Base of the estimators: a pure `step(state, sample)`, and `update`, `predict`, `run`, `stream` around it."""
 
     _order: ClassVar[str] = "Times and values make one record: Measurements(times, y)."
@@ -45,6 +46,13 @@ class OnlineEstimator(ABC):
     state: EstimatorState
     remembered: int = 0
     """Nodes that are kept beside those that `memory` [time] keeps."""
+
+    _table: ClassVar[Mapping[str, str]] = {
+        "plant": "{plant.name:or -}",
+        "states": "{plant.states.names}",
+        "horizon": "{horizon} {plant.time_unit}",
+        "latest": "{state.last.t} {plant.time_unit}",
+    }
 
     def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import numpy as np
 import numpy.typing as npt
 
@@ -35,6 +38,12 @@ class LinearPlantEstimator(OnlineEstimator):
         Whether what a certificate says holds of the samples so far.
     reader : SampleReader
     """
+
+    _table: ClassVar[Mapping[str, str]] = {
+        **OnlineEstimator._table,
+        "largest w, v": "{bounds.w:or not given}, {bounds.v:or not given}",
+        "radii": "{bounds.note:or guaranteed where these bounds hold}",
+    }
 
     recorder: Recorder
     loop: OpenLoop

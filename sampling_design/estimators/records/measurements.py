@@ -28,7 +28,8 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks, file_io
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import Record, counted, short
+from sampling_design.records.declarations import Column
+from sampling_design.records.record import TableRecord, counted, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import SECONDS
 
@@ -48,7 +49,7 @@ class DataFrame(Protocol):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Measurements(Record):
+class Measurements(TableRecord):
     """Rows of a measurement file, in the order in which they came.
 
     Parameters
@@ -299,6 +300,13 @@ class Measurements(Record):
                     cells[each.output] = as_typed(each)
                 y = cells
             yield self.span_of(k) or float(self.times[k]), y, self.u[k] if applied[k] else None
+
+    def _columns(self) -> dict[str, Column]:
+        signals = ((self.plant.outputs.names, self.y), (self.plant.inputs.names, self.u))
+        zero = date_of("origin", 0, self.origin) if self.origin else None
+        dates = [date_of("origin", 0, dated(zero, t, self.plant.time_unit)) for t in self.times] if zero else None
+        cells = {name: values[:, i] for names, values in signals for i, name in enumerate(names)}
+        return {**({"time": self.times} if dates is None else {"date": dates}), **cells}
 
     def _rows(self) -> list[tuple[str, str]]:
         counts = np.sum(self.measured, axis=0)

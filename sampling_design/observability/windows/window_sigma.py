@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import meet
@@ -26,6 +24,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Integers
+from sampling_design.records.declarations import Column
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import CurveRecord, TableRecord, Variable, short
@@ -149,7 +148,7 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
             "proven": Variable(("piece",), profile.lower),
         }
 
-    def _columns(self) -> dict[str, Sequence[object] | npt.NDArray[np.generic]]:
+    def _columns(self) -> dict[str, Column]:
         profile = self.profile
         proven = profile.lower[np.searchsorted(np.unique(profile.piece), profile.piece)]
         return {"window_end": profile.t, "sigma": profile.sigma, "piece": profile.piece, "proven": proven}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -69,6 +69,11 @@ class AccuracyAlong(AccuracyBracket):
     proven: bool
 
     _plain = "rows{names matrix} times time_unit:plant.time_unit lower upper worst known_from closed error claim"
+
+    def _columns(self) -> Mapping[str, Sequence[object] | Array]:
+        sides = {"": self.upper, " at least": self.lower}
+        names = self.rows.names
+        return {"time": self.times, **{n + of: side[k] for of, side in sides.items() for k, n in enumerate(names)}}
 
     @property
     def claim(self) -> Claim:

@@ -347,16 +347,12 @@ def plant_of_modes(
 
     Parameters
     ----------
-    oscillations : sequence of float [time]
-        Periods of undamped oscillations.
-    decays : sequence of float [time]
-        Times in which a decaying mode falls to a third.
+    oscillations, decays : sequence of float [time]
+        Periods of undamped oscillations, and times in which a decaying mode falls to a third.
     level : bool
-        Whether there is a level that stays.
-    sensors, units : sequence of str
-        Names of the outputs, and their units: one for each, or one for all, which the states then have too.
-    names : sequence of str
-        Of the level, the oscillations and the decaying modes, in this order, instead of level, oscillation_1, ...
+    sensors, units, names : sequence of str
+        The outputs; units of each, or one for all, which the states then have too; names of the level, the oscillations
+        and the decaying modes, in this order, instead of level, oscillation_1, ...
     time_unit, name : str
 
     Returns
@@ -377,12 +373,11 @@ def plant_of_modes(
         raise ArgumentError("`oscillations` or `decays` must name a time, or nothing moves.")
     rates = [2 * np.pi / checks.positive(f"oscillations[{k}]", length) for k, length in enumerate(oscillations)]
     losses = [np.log(3.0) / checks.positive(f"decays[{k}]", time) for k, time in enumerate(decays)]
-    turning = [np.array([[0.0, rate], [-rate, 0.0]]) for rate in rates]
-    A = block_diag(*[np.zeros((1, 1))] * level, *turning, *[np.array([[-rate]]) for rate in losses])
+    turning = [[[0.0, rate], [-rate, 0.0]] for rate in rates]
+    A = block_diag(*[[[0.0]]] * level, *turning, *[[[-rate]] for rate in losses])
     row = np.concatenate([[1.0] * level, [1.0, 0.0] * len(rates), [1.0] * len(losses)])
-    usual = [*["level"] * level, *[f"oscillation_{k + 1}" for k in range(len(rates))]]
-    usual += [f"decaying_{k + 1}" for k in range(len(losses))]
-    called = checks.names("names", list(names) or usual, len(usual), "")
+    usual = [f"{kind}_{k + 1}" for kind, of in (("oscillation", rates), ("decaying", losses)) for k in range(len(of))]
+    called = checks.names("names", list(names) or ["level"] * level + usual, level + len(usual), "")
     turns = [f"{mode}{part}" for mode in called[level : level + len(rates)] for part in ("", "_quadrature")]
     states = [*called[:level], *turns, *called[level + len(rates) :]]
     C, shared = np.tile(row, (len(sensors), 1)), units[0] if len(set(units)) == 1 else ""

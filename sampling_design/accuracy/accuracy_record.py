@@ -261,7 +261,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
             when += f", with results {short(self.result_delay)} {self.plant.time_unit} after their samples"
         return (
             f"{text}{when}, some estimator guarantees {', '.join(parts)}; none guarantees less than "
-            f"{short(low, 4)} ({within})."
+            f"{short(low if low.size > 1 else low[0], 4)} ({within})."
             + (f" {self.notice}" if self.notice else "")
             + ("" if self.deviation is None else f" {self.deviation.explain()}")
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +16,7 @@ from sampling_design.cli.settings import Settings, end_bracket, end_unseen, reco
 from sampling_design.design.schedule_design import ScheduleDesign
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.default_window import default_window
+from sampling_design.observability.sigma_bracket import coordinates_in
 from sampling_design.plants.clusters import format_eigenvalue
 from sampling_design.plants.functional import split_needed, weighed_over
 from sampling_design.plants.modes import ModalSplit
@@ -200,4 +202,4 @@ def sigma(
             split.retained, schedule, length, budget=settings.budget, progress=progress, rigorous=rigorous,
             timing_tolerance=timing_tolerance,
         )  # fmt: skip
-    end_bracket(settings, result, "sigma")
+    end_bracket(settings, replace(result, coordinates=coordinates_in(split)), "sigma")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -23,6 +24,7 @@ from sampling_design.cli.settings import (
 )
 from sampling_design.design.pareto import NO_NEED, NO_TIME
 from sampling_design.errors import ArgumentError
+from sampling_design.observability.sigma_bracket import coordinates_in
 from sampling_design.plants.functional import split_needed, weighed_over
 from sampling_design.records.checks import positive
 
@@ -41,16 +43,16 @@ def worst_case(
     Example: sampling-design worst-case examples/plants/oscillator.toml --window 4 --count 3 --spacing 0.5
     """
     split = split_needed(settings.part(reading.plant(plant_file)), settings.decay_rate or 0.0)
-    retained = weighed_over(split, positive("window", window)).retained
-    if not retained.n_states:
+    split = weighed_over(split, positive("window", window))
+    if not split.retained.n_states:
         settings.show({"lower": None}, "No samples needed: every mode decays. Ask for more with --decay-rate.")
         return
     family = sd.SpacedWindows(window, count, spacing)
     with settings.progress("worst case") as progress:
         result = sd.worst_case_sigma(
-            retained, family, rtol, budget=settings.budget, progress=progress, rigorous=rigorous
+            split.retained, family, rtol, budget=settings.budget, progress=progress, rigorous=rigorous
         )
-    end_bracket(settings, result, "worst_case")
+    end_bracket(settings, replace(result, coordinates=coordinates_in(split)), "worst_case")
 
 
 def pareto(

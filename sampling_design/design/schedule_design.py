@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,7 +16,7 @@ from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.search.fedorov_exchange import is_admissible
 from sampling_design.observability.count.default_window import default_window
 from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
-from sampling_design.observability.sigma_bracket import coordinates_of
+from sampling_design.observability.sigma_bracket import coordinates_in
 from sampling_design.observability.windows.window_sigma import WindowSigma, window_sigma
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant
@@ -99,7 +99,7 @@ class ScheduleDesign(PlainRecord):
     @property
     def coordinates(self) -> str:
         """Which coordinates sigma, the bound and the gap refer to."""
-        return coordinates_of(self.split.retained.has_scales)
+        return coordinates_in(self.split)
 
     @property
     def cost(self) -> float:
@@ -282,10 +282,11 @@ def prove(
     budget: float | None = None,
 ) -> WindowSigma:
     """Sigma of the retained part over all real window positions."""
-    return window_sigma(
+    found = window_sigma(
         split.retained, schedule, float(requirement.window or 0), rtol, budget, progress,
         timing_tolerance=requirement.timing_tolerance,
     )  # fmt: skip
+    return replace(found, coordinates=coordinates_in(split))
 
 
 def _cost(requirement: Requirement, name: str) -> float:

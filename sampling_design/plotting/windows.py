@@ -28,6 +28,7 @@ def draw_window_sigma(result: WindowSigma, ax: Axes | None = None, *, columns: i
     ax.plot([result.witness.t], [result.upper], "o", color=style.ATTAINED, markerfacecolor=face, label=worst)
     style.from_below(ax, min(result.lower, float(profile.sigma.min())), float(profile.sigma.max()))
     ax.set_xlabel(style.time_label(result.time_unit, f"end of the window of length {short(result.window)}"))
-    ax.set_ylabel("sigma (state at window's start)" if result.coordinates == "physical" else "sigma (scaled, at start)")
+    kind = result.coordinates
+    ax.set_ylabel("sigma (state at window's start)" if kind == "physical" else f"sigma ({kind}, at start)")
     style.legend(ax, columns)
     return ax

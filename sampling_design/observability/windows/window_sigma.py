@@ -20,6 +20,7 @@ from sampling_design.observability.sigma_bracket import (
 from sampling_design.observability.windows.bracket import WindowBracket, bracket_sigma
 from sampling_design.observability.windows.pieces import Pieces, WindowWitness, window_pieces
 from sampling_design.observability.windows.timing import MOST_TRIED, moved_window
+from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
@@ -335,7 +336,9 @@ def sigma_of_pieces(
     """
     own = plant.scaled() if plant.has_scales else plant
     found = bracket_sigma(own, pieces, rtol, seconds, progress, np.inf if reached is None else reached.upper)
-    result = record_of(found, rtol, plant.time_unit, coordinates_of(plant.has_scales))
+    result = record_of(
+        found, rtol, plant.time_unit, coordinates_of(plant.has_scales, isinstance(plant, FunctionalPlant))
+    )
     if pieces.timing_tolerance:
         return _with_tolerance(result, own, found)
     if rigorous:

@@ -21,6 +21,7 @@ from sampling_design.observability.worst_case.periodicity import within_periods
 from sampling_design.observability.worst_case.spaced_rows import SpacedRows
 from sampling_design.observability.worst_case.spaced_search import LEAST_CELLS, AttainedSchedule, search_worst, worst_of
 from sampling_design.observability.worst_case.spaced_sphere import MOST_STATES, SphereBounds, prove_worst
+from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
@@ -87,7 +88,8 @@ class WorstCaseSigma(SigmaBracket):
     family : SpacedWindows
     profile : WorstCaseProfile
     coordinates : str
-        Which both bounds and `direction` refer to: "scaled" where the plant has scales, else "physical".
+        Which both bounds and `direction` refer to: "functional" for rows, "modal" for a part,
+        "scaled" where the plant has scales, else "physical".
     time_unit : str
     rigorous : bool
         Whether `lower` is proven in ball arithmetic, a theorem about the stated doubles.
@@ -249,7 +251,9 @@ def worst_case_sigma(
 
         proof = prove_worst_sigma(own, result.family, result.lower, result.witness, seconds)
         result = in_balls(result, proof)
-    return replace(result, family=family, coordinates=coordinates_of(plant.has_scales))
+    return replace(
+        result, family=family, coordinates=coordinates_of(plant.has_scales, isinstance(plant, FunctionalPlant))
+    )
 
 
 def asked(plant: OpenPlant, family: SpacedWindows, rtol: float, budget: float | None) -> tuple[float, float]:

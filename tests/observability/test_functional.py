@@ -187,6 +187,8 @@ def test_sigma_of_a_design_is_that_of_the_rows_on_what_does_not_decay(rows, unit
     )
     assert found.sigma == pytest.approx(exact, rel=2e-3)
     assert found.verify()
+    assert "(functional coordinates, state at the window's start)" in str(found)
+    assert found.window.coordinates == "functional"
 
 
 def test_rows_into_which_only_decaying_modes_enter_need_no_samples():
@@ -434,6 +436,7 @@ def test_what_equal_gaps_hide_of_rows_is_said_and_true(rows, said, at_samples, b
     assert said in str(caught.value)
     limit = guaranteed_accuracy(plant, EVERY_SECOND, w_bound=0.02, v_bound=0.1, of=rows, rtol=0.1)
     assert np.isfinite(limit.upper[0]) == between
+    assert "[" not in limit.explain()
     filter = KalmanFilter(plant, cost=CostFunction(eta=0.1), w_bound=0.02, v_bound=0.1, initial_error=1.0, of=rows)
     record = simulate_record(plant, EVERY_SECOND, 9.0, x0=0.3 * hidden, rng=1, w_bound=0.02, v_bound=0.1)
     for each, x in zip(filter.run(record.measurements).estimates, record.truth, strict=True):

@@ -39,6 +39,18 @@ def test_the_eight_lines_run(monkeypatch, capsys):
     assert "sigma" in printed
 
 
+def test_a_plant_becomes_a_calendar_and_visits_become_estimates_in_fifteen_lines(monkeypatch, tmp_path, capsys):
+    code = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)[1]
+    assert len([line for line in code.splitlines() if line]) <= 15
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    exec(compile(code, "README.md", "exec"), names)
+    assert {path.name for path in (tmp_path / "out" / "tank").iterdir()} >= {"plan.ics", "sheet.html", "plan.json"}
+    assert "gauge" in (tmp_path / "out" / "tank" / "plan.ics").read_text()
+    assert len(names["estimates"]) == len(names["visits"]) == names["plan"].samples > 1
+    assert "level radius" in capsys.readouterr().out
+
+
 def test_the_table_of_commands_is_the_command_line():
     from sampling_design.cli.app import COMMANDS
 

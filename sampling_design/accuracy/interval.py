@@ -248,6 +248,8 @@ class Interval(TableRecord, PlainRecord):
         return cls(readings, found.t, rows, lower, upper, freeze(found.gains), scales, disproof=disproof)
 
     def _sealed(self) -> dict[str, Plain]:
+        if self.t < self.readings.times[-1]:
+            raise ArgumentError("A file of an interval is of its last sample or later: of earlier times call verify().")
         readings, found = self.readings, self.disproof
         lower, upper = np.full(len(self.rows), -np.inf), np.full(len(self.rows), np.inf)
         if found is None:
@@ -353,7 +355,7 @@ def state_interval(
         In order of time; y is NaN where not measured, u holds from t on. An entry of y may be
         `BelowDetection(0.5)`, `AboveRange(8)` (limits) or `CompositeReading(3.1, since=0.0)` (a composite sample).
     t : float, optional
-        At or after the last sample; default the last sample.
+        From the start on, before the last sample what all samples say of that time; default the last sample.
     w_bound, v_bound : float, array, mapping, or for v a function of time
         As for `guaranteed_accuracy`: a number bounds the norm, entries bound each, a mapping names them and may hold
         pairs (lower, upper); `v_bound` may have a row for each sample.
@@ -376,7 +378,7 @@ def state_interval(
     Raises
     ------
     ArgumentError
-        If a bound is missing or of another shape, the record is empty or not in order, or `t` lies before its end.
+        If a bound is missing or of another shape, the record is empty or not in order, or `t` lies before its start.
 
     Notes
     -----
@@ -397,12 +399,10 @@ def state_interval(
     >>> found.lower.round(6), found.upper.round(6)
     (array([1.2]), array([1.4]))
     """
-    items = list(record)
-    readings = read_record(plant, items, w_bound, v_bound, initial_error, prior, prior_time)
-    last, rows = float(readings.times[-1]), wanted_rows(plant, of)
-    at = last if t is None else checks.number("t", t)
-    if at < last:
-        raise ArgumentError(f"`t` must not lie before the last sample {last!r}, got {at!r}.")
+    items, at = list(record), None if t is None else checks.number("t", t)
+    readings = read_record(plant, items, w_bound, v_bound, initial_error, prior, prior_time, at)
+    rows = wanted_rows(plant, of)
+    at = float(readings.times[-1]) if at is None else at
     if outliers == 0:
         return prove(RecordProgram(readings), at, rows)
     begun = float(readings.times[0]) if prior_time is None else prior_time
@@ -416,7 +416,7 @@ def state_interval(
         gone = {samples[k] for k in out}
         rest = [item for k, item in enumerate(items) if k not in gone]
         noise = np.delete(np.asarray(v_bound), out, axis=0) if np.ndim(v_bound) == 2 else v_bound  # type: ignore[arg-type]
-        read = read_record(plant, rest, w_bound, noise, initial_error, prior, begun)
+        read = read_record(plant, rest, w_bound, noise, initial_error, prior, begun, at)
         cases.append(prove(RecordProgram(read), at, rows))
     return _united(readings, tuple(cases))
 

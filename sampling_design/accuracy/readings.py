@@ -366,9 +366,9 @@ class Readings:
         return np.array(found)
 
     def nominal_at(self, t: float) -> Array:
-        """Return that state at t, at or after the last time."""
-        if t == self.times[-1]:
-            return np.asarray(self.nominal[-1][: self.plant.n_states])
+        """Return that state at one of the times, or after the last one."""
+        if t <= self.times[-1]:
+            return np.asarray(self.nominal[int(np.searchsorted(self.times, t))][: self.plant.n_states])
         x, gap = self.nominal[-1], self._pieces(float(self.times[-1]), t)
         for flow, (_, force) in zip(self._flows([length for length, _ in gap]), gap, strict=True):
             x = flow @ np.concatenate([x, force])

@@ -16,8 +16,6 @@ class RecordCones:
     Attributes
     ----------
     columns : int
-    last : slice
-        The columns of the state at the last time.
     b : (m,) array
     solver : ConeSolver
     """
@@ -42,7 +40,6 @@ class RecordCones:
         self._cells = int(sum(len(own) for own in cells))
         self._w_at = self._starts + self._K * self._n
         self.columns = self._w_at + self._q * self._cells
-        self.last = slice(self._w_at - self._n, self._w_at)
         self._grown: list[tuple[int, Array, str]] = []  # rows of b that are bounds, and whose
         self._found: dict[str, tuple[Array | None, float]] = {}
         self._kinds()
@@ -58,6 +55,10 @@ class RecordCones:
         self.b, self._A, self._cones = table.b(), table.matrix(), table.cones
         interior = not self._exact.size  # without one the last digits of every step count
         self.solver = ConeSolver(self._A, self._cones, tolerance=tolerance, scaled=interior)
+
+    def state(self, k: int) -> slice:
+        """Return the columns of the state at a time."""
+        return slice(self._starts + k * self._n, self._starts + (k + 1) * self._n)
 
     def _kinds(self) -> None:
         """Which rows are exact, two-sided one by one, one-sided, or two-sided together."""

@@ -119,8 +119,9 @@ class RecordProgram:
             self.F = self.F * readings.kept[:-1, None, :]
         self.H = readings.H * table.D
         self.infeasible = False
+        self._aim = len(readings.times) - 1  # the time of the row that was asked for last
         self._multiples: dict[int, float] = {}
-        self._run_back: tuple[bytes, Array] | None = None
+        self._run_back: tuple[tuple[bytes, int], Array] | None = None
 
     @cached_property
     def _quadrature(self) -> DisturbanceQuadrature:
@@ -245,7 +246,7 @@ class RecordProgram:
         last = np.flatnonzero((read.nodes == len(read.times) - 1) & ~read.below)
         few = np.count_nonzero(~read.below) < len(row)
         asked = self._grown or (few and read.start.root is None)
-        if t > read.times[-1] or not (asked and last.size):
+        if t != read.times[-1] or not (asked and last.size):
             return found
         own, gains = read.H[last, : row.size], np.zeros(len(read.H))
         gains[last] = np.round(np.linalg.lstsq(own.T, row, rcond=None)[0], PLAIN)
@@ -255,7 +256,9 @@ class RecordProgram:
         return plain if plain.value <= found.value + ALIKE * plain.width else found
 
     def _ahead(self, t: float, row: Array) -> tuple[Array, float]:
-        """The row in the coordinates of the last time, and a bound on what w adds until t."""
+        """The row in the coordinates of its time or the last one before, and a bound on what w adds from there to t."""
+        times = self.readings.times
+        self._aim = min(int(np.searchsorted(times, t)), len(times) - 1)
         longer = np.zeros(len(self.table.D))
         longer[: row.size] = row
         c, last = longer * self.table.D, float(self.readings.times[-1])
@@ -274,7 +277,7 @@ class RecordProgram:
         if size == 0 or not np.isfinite(size):
             return nothing
         cost = np.zeros(posed.columns)
-        cost[posed.last] = -mu / size
+        cost[posed.state(self._aim)] = -mu / size
         x, y, status = posed.solver.solve(cost, posed.b)
         self.infeasible = status == INFEASIBLE
         if self.infeasible and self._multiple(level) <= COARSE:  # gains of larger bounds prove these, too
@@ -283,7 +286,9 @@ class RecordProgram:
             return nothing
         if self.infeasible:  # nobody knows what is attained
             return -np.inf, *posed.read(np.asarray(y * size, dtype=np.float64))
-        return -float(cost @ x) * size + float(c @ self._near[-1]), *posed.read(np.asarray(y * size, dtype=np.float64))
+        return -float(cost @ x) * size + float(c @ self._near[self._aim]), *posed.read(
+            np.asarray(y * size, dtype=np.float64)
+        )
 
     def _multiple(self, level: int) -> float:
         """The least multiple of all bounds under which the program of a level has a solution."""
@@ -317,7 +322,10 @@ class RecordProgram:
     def _meant(self, c: Array, ahead: Array) -> tuple[Array, Array]:
         """The costates (K-1, n) that multipliers stand for just after each gap, and those (K, n) before each time."""
         meant = np.asarray(np.linalg.solve(self.L.T, ahead.T).T) if len(ahead) else ahead
-        return meant, np.concatenate([np.matmul(np.swapaxes(self.F, 1, 2), meant[:, :, None])[:, :, 0], c[None]])
+        begun = np.zeros((len(self.readings.times), len(c)))
+        begun[:-1] = np.matmul(np.swapaxes(self.F, 1, 2), meant[:, :, None])[:, :, 0]
+        begun[self._aim] += c
+        return meant, begun
 
     @cached_property
     def _grown(self) -> bool:
@@ -334,8 +342,9 @@ class RecordProgram:
         solved = np.where(read.below, np.maximum(gains, 0.0), gains), self._meant(c, ahead)[1]
         nothing = np.zeros_like(gains), np.zeros_like(solved[1])
         for start, meant in (solved, nothing):
-            own, g = start.copy(), c
+            own, g = start.copy(), np.zeros_like(c)
             for k in range(len(meant) - 1, -1, -1):
+                g = g + c if k == self._aim else g
                 rows = slice(*read.offsets[k : k + 2])
                 own[rows] += filter_[rows] @ (g - meant[k])
                 g = g - (self.H[rows] * own[rows, None]).sum(axis=0)
@@ -351,7 +360,7 @@ class RecordProgram:
 
     def _begun(self, c: Array) -> Array:
         """A target, run back to the start; what was asked for last is kept."""
-        key = c.tobytes()
+        key = c.tobytes(), self._aim
         if self._run_back is None or self._run_back[0] != key:
             self._run_back = key, self._costates(c, np.zeros(len(self.H)))[1]
         return self._run_back[1]
@@ -403,7 +412,8 @@ class RecordProgram:
     def _costates(self, c: Array, gains: Array) -> tuple[Array, Array]:
         """(K-1, n) costates just after each gap, and the rest at the start."""
         steps = self._per_time(self.H * gains[:, None])
-        found, g = np.empty_like(self.F[:, 0]), c
+        steps[self._aim] -= c
+        found, g = np.empty_like(self.F[:, 0]), np.zeros_like(c)
         for step, costate, F in zip(steps[:0:-1], found[::-1], self.F[::-1], strict=True):
             np.subtract(g, step, costate)
             g = costate.dot(F)

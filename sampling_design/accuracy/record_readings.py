@@ -37,8 +37,9 @@ def read_record(
     initial_error: npt.ArrayLike | None,
     prior: npt.ArrayLike | None,
     prior_time: float | None,
+    also: float | None = None,
 ) -> Readings:
-    """Return what a record says of a plant under bounds as typed by a user.
+    """Return what a record says of a plant under bounds as typed by a user; `also` becomes one of its times.
 
     Raises ArgumentError if the record is empty or not in order, or a bound is missing or of another shape.
     """
@@ -76,7 +77,9 @@ def read_record(
             i = each.output
             own += rows_told(plant, come.t, each, float(size[i]), float(middle[i]), inputs)
         rows.append((come.t, tuple(row for row in own if np.isfinite(row.size))))
-    return read()
+    if also is not None and also < start:
+        raise ArgumentError(f"`t` must not lie before the start {start!r}, got {also!r}.")
+    return read(None if also is None or also >= rows[-1][0] or also in dict(rows) else also)
 
 
 def _known(read: Callable[[float], Readings], t: float, rows: Array) -> tuple[Array, Array]:

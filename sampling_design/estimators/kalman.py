@@ -16,6 +16,7 @@ from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.error_bounds import ErrorBounds
 from sampling_design.estimators.online.estimate import Contradiction, Estimate
 from sampling_design.estimators.online.estimator import EstimateRecord
+from sampling_design.estimators.online.evidence import REMEMBERED
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.in_order import listed, triple
 from sampling_design.estimators.online.open_loop import OpenLoop
@@ -218,7 +219,8 @@ class KalmanFilter(WindowedEstimator):
         -------
         EstimateRecord
             `covariance` in units of the last sample (discounted to it), so that the one `radius` of the
-            last sample holds for all: |x(t_j) - x_j|^2 in the inverse covariance is at most the radius.
+            last sample holds for all: |x(t_j) - x_j|^2 in the inverse covariance is at most the radius. `radii` are
+            those of intervals that twelve samples before and after prove, no wider than the ellipsoid.
         """
         fresh = copy(self)
         fresh.memory = np.inf
@@ -234,20 +236,25 @@ class KalmanFilter(WindowedEstimator):
         found, said = smooth(window), last.estimate
         at = {t: j for j, t in enumerate(window.times.tolist())}
         covariances, estimates = found.spread.covariances(), []
-        for node in nodes[1:]:
+        for k, node in enumerate(nodes[1:], 1):
             j = at[node.t]
+            known = min(k + REMEMBERED // 2, len(nodes) - 1)
             estimates.append(
-                Estimate(
-                    node.t,
-                    freeze(found.nodes[j]),
-                    freeze(covariances[j]),
-                    said.radius,
-                    said.status,
-                    certified=said.certified,
-                    note=said.note,
-                    cost=said.cost,
-                    engine=found.engine,
-                    window_start=first.t,
+                fresh.recorder.proven(
+                    fresh.state,
+                    known,
+                    Estimate(
+                        node.t,
+                        freeze(found.nodes[j]),
+                        freeze(covariances[j]),
+                        said.radius,
+                        said.status,
+                        certified=said.certified,
+                        note=said.note,
+                        cost=said.cost,
+                        engine=found.engine,
+                        window_start=first.t,
+                    ),
                 )
             )
         return EstimateRecord.collect(self.plant, estimates)

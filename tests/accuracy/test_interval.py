@@ -163,7 +163,7 @@ def test_one_row_is_two_programs_and_little_beside():
         ([(1.0, [1.0], None), (1.0, [1.0], None)], {}, "`record` measures twice at 1.0"),
         ([1.0], {}, "`record` must hold rows"),
         ([(1.0, [1.0, 2.0], None)], {}, "`record` must hold 1 outputs a sample"),
-        (RECORD, {"t": 1.0}, "`t` must not lie before the last sample"),
+        (RECORD, {"t": 0.5}, "`t` must not lie before the start"),
         (RECORD, {"initial_error": [-1.0, 1.0]}, "`initial_error` must not be negative"),
         (RECORD, {"v_bound": None}, "`v_bound` is missing"),
     ],

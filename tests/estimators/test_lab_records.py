@@ -53,6 +53,11 @@ def test_past_states_are_held(page):
     smoothed = page["smoothed"]
     for t, x, radii in zip(smoothed.times, smoothed.x, smoothed.radii, strict=True):
         assert np.all(np.abs(x - page["truth"](t)) <= radii)
+    sd, given = page["sd"], page["bounds"] | {"prior_time": 0.0}
+    for estimate in smoothed.estimates:
+        found, whole = estimate.interval(), sd.state_interval(page["plant"], page["rows"], estimate.t, **given)
+        assert np.all(np.abs(found.radii - whole.radii) <= 0.01 * whole.radii)
+        assert np.all(found.radii < 0.5 * estimate.ellipsoid_radii)
 
 
 def test_with_one_wild_reading_the_truth_is_held_without_naming_it(page):

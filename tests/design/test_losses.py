@@ -27,6 +27,7 @@ def test_a_price_is_what_a_scan_without_the_sample_says():
         assert losses.lower[i] >= scan * (1 - 5e-3)
     assert losses.dearest == np.argmin(losses.lower)
     assert np.all(losses.price > 0)
+    assert losses.price == pytest.approx(losses.sigma - losses.lower)
     assert f"{times[losses.dearest]:.6g}" in losses.explain()
     assert "without t" in str(losses)
 

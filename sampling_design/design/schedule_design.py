@@ -15,6 +15,7 @@ from sampling_design.design.problem.posing import pose
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.search.fedorov_exchange import is_admissible
 from sampling_design.observability.count.default_window import default_window
+from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
 from sampling_design.observability.sigma_bracket import coordinates_in
 from sampling_design.observability.windows.window_sigma import WindowSigma, window_sigma
@@ -223,15 +224,18 @@ class ScheduleDesign(PlainRecord):
         pushed = np.abs(np.linalg.solve(plant.A, plant.G)) @ plant.disturbances.scales
         left = [f"{name} {short(by, 3)}" for name, by in zip(plant.states.labels(), pushed, strict=True)]
         more = split_modes(plant, float(f"{-2.2 * slowest:.2g}"))
-        window = default_window(more) or 1.0
-        count = zero_count_bound(more.retained, window).samples_needed
+        window, hidden = default_window(more) or 1.0, unobservable_modes(plant, more.decay_rate)
+        with_samples = f"no output shows {hidden.describe()}, so that none helps against it"
+        if not len(hidden):
+            with_samples = (
+                f"{zero_count_bound(more.retained, window).samples_needed} in every {short(window, 3)} {unit}, "
+                f"wherever they lie, determine the slow modes: ask for them with decay_rate={more.decay_rate:g} "
+                f"(--decay-rate {more.decay_rate:g})"
+            )
         return {
             "an error falls by itself": f"to a tenth within {length}",
             "disturbances of typical size that stay leave, without samples": ", ".join(left[:6]),
-            "with samples": (
-                f"{count} in every {short(window, 3)} {unit}, wherever they lie, determine the slow modes: ask "
-                f"for them with decay_rate={more.decay_rate:g} (--decay-rate {more.decay_rate:g})"
-            ),
+            "with samples": with_samples,
             "how well the state is then known": "guaranteed_accuracy(plant, schedule, w_bound=..., v_bound=...)",
         }
 

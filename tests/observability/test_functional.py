@@ -195,6 +195,9 @@ def test_rows_into_which_only_decaying_modes_enter_need_no_samples():
     found = design_schedule(UNSEEN, Requirement(window=4.0, samples=3, of="x3"))
     assert found.schedule is None
     assert found.explain().startswith("No samples needed: every mode that enters x3 decays by itself")
+    hidden = "no output shows -0.5 along {}, so that none helps against it"
+    assert hidden.format("z1") in str(found)
+    assert hidden.format("x2") in str(design_schedule(Plant(np.diag([-1.0, -0.5]), [[1.0, 0.0]]), Requirement()))
 
 
 def test_a_rate_is_asked_of_the_rows_in_its_own_name():

@@ -12,7 +12,7 @@ from sampling_design.accuracy.deviation import StandardDeviation
 from sampling_design.accuracy.projection import Projection, project_rows
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.search import ChainSearch
-from sampling_design.accuracy.timing import added, is_enough, keeps_times
+from sampling_design.accuracy.timing import KEPT_ROOM, added, is_enough, keeps_times
 from sampling_design.accuracy.undetectable import DetectablePart
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains
 from sampling_design.errors import ArgumentError
@@ -173,7 +173,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
         for part in self.proof:
             for mu, gains in zip(part.directions, part.gains, strict=True):
                 search.restore(part.sample, mu, gains)
-        if asked.timing_tolerance and (noise is None or not is_enough(noise, added(search, asked, known))):
+        if asked.timing_tolerance and (noise is None or not is_enough(noise, added(search, asked, known), KEPT_ROOM)):
             return False
         tops = []
         for k in np.flatnonzero(~lost):

@@ -60,15 +60,20 @@ KnownIntegrals: TypeAlias = dict[tuple[float, float], Integrals]
 
 
 def open_row(
-    chain: SampleChain, j: int, row: Array, until: float | None = None, known: KnownIntegrals | None = None
+    chain: SampleChain,
+    j: int,
+    row: Array,
+    until: float | None = None,
+    known: KnownIntegrals | None = None,
+    least: int = GRID[0],
 ) -> RowBetweenSamples:
     """Return one row (n,) of x after sample j, over the whole gap (from when the sample is taken) or until some time.
 
-    `known` keeps what is the same for this row after all samples with gaps of one length.
+    `known` keeps what is the same for this row after all samples with gaps of one length; `least` panels at least.
     """
-    begin, end = (taken(chain, j), chain.length(j)) if until is None else (0.0, until)
+    begin, end = (chain.taken(j), chain.length(j)) if until is None else (0.0, until)
     known = {} if known is None else known
-    d = _grid(chain.A, begin, end)
+    d = _grid(chain.A, begin, end, least)
     if (begin, end) not in known:
         known[begin, end] = _open_integrals(chain, d, row)
     A, (above, below, flown, middle, slope) = chain.A, known[begin, end]
@@ -77,13 +82,8 @@ def open_row(
     return RowBetweenSamples(d, flown @ L, flown @ (A @ A) @ L, third, above, below, slope)
 
 
-def taken(chain: SampleChain, j: int) -> float:
-    """How long after its time sample j is taken at the latest; the start of a finite chain is no sample then."""
-    return 0.0 if chain.start is not None and j == 0 else chain.late
-
-
-def _grid(A: Array, begin: float, end: float) -> Array:
-    number = int(np.clip(np.ceil(float(np.linalg.norm(A, 2)) * (end - begin) / FINENESS), *GRID))
+def _grid(A: Array, begin: float, end: float, least: int = GRID[0]) -> Array:
+    number = int(np.clip(np.ceil(float(np.linalg.norm(A, 2)) * (end - begin) / FINENESS), least, GRID[1]))
     return np.linspace(begin, end, (number if end > begin else 1) + 1)
 
 

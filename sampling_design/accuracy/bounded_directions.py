@@ -118,6 +118,8 @@ class BoundedDirections:
         alone = np.argmin(size * self.values / unit + rest * np.sqrt(U.shape[1]), axis=1)
         best = DirectionFit(np.stack([alone, alone], axis=1), np.stack([near[rows, alone], np.zeros(count)], axis=1))
         best = DirectionFit(best.place, best.share * lengths[0][:, None] / unit[best.place])
+        if atoms == 1:
+            return best
         value = self.judged(targets, best)
 
         def tried(place: Index) -> None:

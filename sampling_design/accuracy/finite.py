@@ -113,10 +113,10 @@ def _scales(F: Array, W: Array, rows: list[Array], initial: InitialSet, balance:
     return np.where(known == 0, D, np.where(driven, np.minimum(D, BEYOND * size), size))
 
 
-def start_covariance(initial: InitialSet, D: Array) -> Array:
-    """Covariance at the start."""
+def start_covariance(initial: InitialSet, D: Array, free: float = DIFFUSE) -> Array:
+    """Covariance at the start; `free` where nothing is known."""
     known = initial.S * D
-    information = known.T @ known + np.eye(D.size) / DIFFUSE
+    information = known.T @ known + np.eye(D.size) / free
     information[initial.exact, initial.exact] += 1 / NO_ERROR
     return np.asarray(np.linalg.inv(information))
 

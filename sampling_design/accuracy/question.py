@@ -150,7 +150,9 @@ class AccuracyQuestion:
             chain = finite_chain(plant, self.nodes, self.end, self.bounds, self.initial)
         else:
             chain = endless_chain(plant, np.diff(self.nodes, append=self.end), self.bounds, moving)
-        return replace(chain, late=self.late)
+        late = np.full(len(chain), self.late)
+        late[: self.initial is not None] = 0.0  # the start of a finite chain is no sample where samples may be late
+        return replace(chain, late=late)
 
     def chain(self, plant: Plant, moving: Array | None = None) -> tuple[SampleChain, list[BoundedDirections]]:
         """The chain, and what its filter bounds."""

@@ -146,8 +146,8 @@ class SampleChain:
     # how many of the last entries of every z no sample of an endless chain shows: they move on by themselves, and the
     # others are free of them
     hidden: int = 0
-    # how late samples may be: what follows from one is said from then on, and until the next one may be as late
-    late: float = 0.0
+    # (N,): how late each sample may be: what follows from one is said from then on, and until the next may be as late
+    late: Array | None = None
 
     @property
     def determined(self) -> int:
@@ -159,7 +159,11 @@ class SampleChain:
 
     def length(self, j: int) -> float:
         """How long it is from sample j until the next one is taken, or to the end."""
-        return self.gaps[j].length + self.late if j < len(self.gaps) else self.last
+        return self.gaps[j].length + self.taken((j + 1) % len(self)) if j < len(self.gaps) else self.last
+
+    def taken(self, j: int) -> float:
+        """How long after its time sample j is taken at the latest."""
+        return 0.0 if self.late is None else float(self.late[j])
 
     def admissible_start(self, z: Array) -> Array:
         """z_0 with what is known exactly of it put right."""

@@ -32,14 +32,20 @@ from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import short
 
-ENOUGH = 1.02
+ENOUGH = 1.03
 """Noise that is so much more than what a tolerance adds is not sought closer."""
 
-MORE = 1e-4
-"""Share by which noise that is enough is above what it bounds: the proof asks for more than equality."""
+MORE = 0.015
+"""Share by which noise that is enough is above what it bounds: room for proofs near by, where a plan is left."""
 
 TURNS = 24
 """Times that noise which is enough is sought: beyond them nothing bounds what late samples do."""
+
+PANELS = 8
+"""Panels of the time by which a sample may be late, at least."""
+
+KEPT_ROOM = MORE / 3
+"""That share where the gains that were kept prove it again."""
 
 FARTHEST = 64
 """Samples back of the gains that bound what a tolerance adds, at most."""
@@ -125,9 +131,9 @@ def noise_enough(question: AccuracyQuestion, known: DetectablePart, budget: Budg
     )
 
 
-def is_enough(noise: Array, found: Array) -> bool:
-    """Whether a noise is more than all that it bounds."""
-    return bool(np.all((noise >= found * (1 + MORE / 2)) | (found == 0)))
+def is_enough(noise: Array, found: Array, room: float = MORE / 2) -> bool:
+    """Whether a noise is more than all that it bounds, by a share."""
+    return bool(np.all((noise >= found * (1 + room)) | (found == 0)))
 
 
 def added(search: ChainSearch, question: AccuracyQuestion, known: DetectablePart, seek: bool = False) -> Array:
@@ -152,7 +158,7 @@ def sample_adds(
     """Return what sample j of an output adds at most; `row` (n,) is that of x, `known` serves all samples of it."""
     most = 0.0
     for back, table in enumerate(known):
-        opened = _moved(search.chain, j, row, late, bool(back), table)
+        opened = moved_row(search.chain, j, row, late, bool(back), table)
         if seek:
             search.gains(j, opened.mu[-1])
         most = max(most, float(opened.bound(search.atoms[j])[1].max()))
@@ -168,9 +174,11 @@ def _powers(A: Array) -> list[Array]:
     return found
 
 
-def _moved(chain: SampleChain, j: int, row: Array, late: float, back: bool, known: KnownIntegrals) -> RowBetweenSamples:
+def moved_row(
+    chain: SampleChain, j: int, row: Array, late: float, back: bool, known: KnownIntegrals
+) -> RowBetweenSamples:
     """C (e^{Ae} - I) and what w adds for 0 <= e <= `late`, or -`late` <= e <= 0 (`back`), at sample j."""
-    opened = open_row(replace(chain, A=-chain.A) if back else chain, j, row, late, known)
+    opened = open_row(replace(chain, A=-chain.A) if back else chain, j, row, late, known, PANELS)
     return replace(opened, mu=opened.mu - opened.mu[0])
 
 

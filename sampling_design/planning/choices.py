@@ -238,18 +238,25 @@ class NextChoices:
         return int(same[0]) if same.size else 0
 
     def answer(self, sensor: int | None, prove: bool) -> NextAnswer:
-        """The latest option, proven if asked: a step of the grid earlier at a time until the proof holds."""
+        """The latest option, proven if asked: earlier ones, at growing steps, until the proof holds, then between."""
         choice = self.latest(sensor)
         ratio, options = self.ratio(choice), self.options(sensor)
         if np.isfinite(choice[0]) and not prove:
             return NextAnswer(*choice, self.now, ratio, False)
         place = next((k for k, option in enumerate(options) if option[0] == choice[0]), -1)
-        for option in options[place::-1][:TRIES] if place >= 0 else []:
-            self.ratio(option, self.level)
-            ratio = proven_ratio(self.plan, self.sequence(option))
+        kept, broken, step, found = -1, place + 1, 1, NextAnswer(*self._nothing, np.inf, ratio, False)
+        while place > kept:
+            self.ratio(options[place], self.level)
+            ratio = proven_ratio(self.plan, self.sequence(options[place]))
             if ratio <= 1:
-                return NextAnswer(*option, self.now, ratio, True)
-        return NextAnswer(*self._nothing, np.inf, ratio, False)
+                kept, found = place, NextAnswer(*options[place], self.now, ratio, True)
+            else:
+                broken = place
+            if kept < 0 < place:
+                place, step = max(0, place - step), 2 * step
+            else:
+                place = (max(kept, 0) + broken) // 2 if kept >= 0 else kept
+        return found if found.proven else replace(found, ratio=ratio)
 
     def soonest(self, prove: bool) -> NextAnswer:
         """The choice after which every tolerance is kept again soonest; of those the plan's own, else the latest.

@@ -19,6 +19,7 @@ from sampling_design.planning.sequence import gap_ratios, proven_ratio, settles
 from sampling_design.planning.sequence_deviation import (
     GRAIN,
     SampleSequence,
+    begun,
     departs_and_returns,
     is_apart,
     planned,
@@ -184,14 +185,14 @@ def plan_dates(plan: PlanFigures, periods: int = 1, *, prove: bool = True) -> Pl
     -----
     *Claim.* The plan begins at `calendar.start`, with an error within the requirement's `initial_error`, or any; from
     the period after the last one it is followed again; between them the samples are those of the dates, at their real
-    times, on time also where the plan has a `timing_tolerance`. From `kept_from` on the tolerances are kept. *Method.*
+    times, each up to the `timing_tolerance` early or late. From `kept_from` on the tolerances are kept. *Method.*
     Up to three samples are added around those that are left out, each at the open time after which least of the
     accuracy is above its tolerance, integrated over time; none where that takes off less than a tenth.
     """
     calendar = plan.requirement.calendar
     if calendar is None:
         raise ArgumentError("`plan` has no calendar: its times are no dates.")
-    run = _Dating(plan.on_time, checks.whole("periods", periods, 1), prove)
+    run = _Dating(plan, checks.whole("periods", periods, 1), prove)
     return run.dates()
 
 
@@ -259,10 +260,8 @@ class _Dating:
         order = np.argsort(real, kind="stable")
         real, seen = real[order], seen[order]
         if start <= 0:
-            if not real.size or real[0] > 0:
-                real, seen = np.append(0.0, real), np.concatenate([np.zeros((1, seen.shape[1]), dtype=bool), seen])
-            return SampleSequence(real, seen, 0, self.clock, begins=True)
-        whole = SampleSequence(real, seen, len(real), self.clock)
+            return begun(self.plan, real, seen, self.clock)
+        whole = SampleSequence(real, seen, len(real), self.clock, late=self.plan.problem.timing_tolerance)
         return replace(whole, first=departs_and_returns(self.plan, whole)[0])
 
     def added(self, level: float) -> list[DatedSample]:

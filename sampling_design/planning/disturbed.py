@@ -6,6 +6,7 @@ import numpy as np
 
 from sampling_design.errors import NotDetectableError
 from sampling_design.planning.figures import PlanFigures
+from sampling_design.planning.problem import WHOLE
 from sampling_design.planning.robustness import PlanRobustness
 from sampling_design.planning.sequence import proven_ratio, settles, worst_ratio
 from sampling_design.planning.sequence_deviation import SampleSequence, planned
@@ -26,7 +27,6 @@ def plan_robustness(plan: PlanFigures, work: Budget | None = None) -> PlanRobust
 
     Raises BudgetSpentError if that takes more work than there is left.
     """
-    plan = plan.on_time
     if not plan.keeps:
         return None
     N = plan.samples
@@ -47,7 +47,6 @@ def plan_robustness(plan: PlanFigures, work: Budget | None = None) -> PlanRobust
 
 def bears(plan: PlanFigures, found: PlanRobustness) -> bool:
     """Whether a plan bears what a record says, proven anew."""
-    plan = plan.on_time
     if len(found.times) != plan.samples or not np.allclose(found.times, plan.schedule.times, atol=1e-9):
         return False
     for k in range(plan.samples):
@@ -66,14 +65,16 @@ def delayed(plan: PlanFigures, k: int, late: float) -> SampleSequence:
     before, after = _around(plan, k, 1)
     t, mask = float(plan.schedule.times[k]) + late, plan.chosen[plan.chosen.any(axis=1)][k]
     times = np.concatenate([before[0], [t], after[0]])
-    return SampleSequence(times, np.concatenate([before[1], mask[None], after[1]]), before[0].size)
+    seen = np.concatenate([before[1], mask[None], after[1]])
+    return SampleSequence(times, seen, before[0].size, late=plan.problem.timing_tolerance)
 
 
 def without(plan: PlanFigures, k: int, count: int) -> SampleSequence:
     """The plan without so many samples from sample k on."""
     before, after = _around(plan, k, count)
     times = np.concatenate([before[0], after[0]])
-    return SampleSequence(times, np.concatenate([before[1], after[1]]), before[0].size)
+    seen = np.concatenate([before[1], after[1]])
+    return SampleSequence(times, seen, before[0].size, late=plan.problem.timing_tolerance)
 
 
 def _around(plan: PlanFigures, k: int, count: int) -> tuple[tuple[Array, Mask], tuple[Array, Mask]]:
@@ -91,7 +92,8 @@ def _late(plan: PlanFigures, k: int) -> tuple[float, float, float]:
     """How late a sample may be, the distance of the delays tried, and the accuracy over tolerance there."""
     problem, times = plan.problem, plan.schedule.times
     following = float(times[k + 1]) if k + 1 < plan.samples else float(times[0]) + plan.schedule.period
-    room = round((following - float(times[k])) / problem.step) - 1
+    ordered = int(2 * problem.timing_tolerance / problem.step + WHOLE) + 1  # so many steps apart samples keep order
+    room = round((following - float(times[k])) / problem.step) - ordered
     if room < 1:
         return 0.0, problem.step, plan.ratio
     steps = max(1, room // LATES)

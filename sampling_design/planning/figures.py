@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
 
 import numpy as np
 
@@ -116,15 +115,6 @@ class PlanFigures(TableRecord, PlainRecord):
     def problem(self) -> PlanProblem:
         """The numbers of the requirement, posed anew."""
         return pose_plan(self.plant, self.requirement)
-
-    @cached_property
-    def on_time(self) -> Self:
-        """The same samples where all of them come on time: what starts, is late or lost or next is said of those."""
-        if not self.problem.timing_tolerance:
-            return self
-        requirement = self.requirement.replace(timing_tolerance=None)
-        accuracy = accuracy_of(pose_plan(self.plant, requirement), self.chosen)
-        return replace(self, requirement=requirement, accuracy=accuracy)
 
     @property
     def goals(self) -> tuple[RowGoal, ...]:

@@ -232,7 +232,6 @@ class Plan(PlanFigures):
             share = 100 * self.bound.ratio.level
             text += f" No admissible plan of this cost is better than {share:.3g} % of every tolerance: this one"
             text += f" needs {100 * self.ratio:.3g} %, so at most {100 * self.gap:.2g} % could be gained."
-        text += " The rest is said of samples on time." if self._late() else ""
         text += UNSTARTED if self.start is None else f" {self.start.explain()}"
         text += "" if self.robustness is None else f" {self.robustness.explain()}"
         return f"{text} Left out: {self.unsaid()}." if self.left_out else text

@@ -7,11 +7,14 @@ again no larger than the plan's proof supposes, and as many more as that proof l
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, open_row
 from sampling_design.accuracy.sample_chain import SampleChain
 from sampling_design.accuracy.search import ChainSearch
+from sampling_design.errors import UndecidedError
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.adversary_program import GridWindow
 from sampling_design.planning.figures import PlanFigures
@@ -27,6 +30,9 @@ SHARPER = 40
 
 HOPELESS, FEW = 10.0, 4
 """A bound so many times what is asked for, after so many solves, is not proven closer."""
+
+ROUNDED = 1e-12
+"""Share by which two offsets of one gap may differ that are the same."""
 
 FADED = 0.01
 """What a change still adds to a gap, as a share of the plan's own accuracy, from which on it is not proven closer."""
@@ -49,8 +55,12 @@ def forgets(plan: PlanFigures) -> int:
 
 
 def settles(plan: PlanFigures) -> int:
-    """Samples of the plan after a change, beside one period, until its own proof holds again; that before it, too."""
-    return max(looks_back(plan), forgets(plan)) + len(plan.schedule) + 2
+    """Samples of the plan after a change, beside one period, until its own proof holds again; that before it, too.
+
+    Where samples may be early or late, what they add fades as well.
+    """
+    fades = 1 + bool(plan.problem.timing_tolerance)
+    return fades * max(looks_back(plan), forgets(plan)) + len(plan.schedule) + 2
 
 
 def worst_ratio(
@@ -173,13 +183,16 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, 
     memory = forgets(plan)
     worst, settled = 0.0, len(times) - 1 - max(back, memory) - count
     work.add(STARTED, n * len(times) * memory if sequence.begins else 0)
-    chain = sequence_chain(plan, filtered, sequence, len(times) - max(settled, 0))
-    search = ChainSearch(*chain, lambda: work.add(GAINS, back * n))
-    search.back = back
-    if settled < sequence.first or not _is_the_plan(search, filtered, settled):
+    try:
+        chain = sequence_chain(plan, filtered, sequence, len(times) - max(settled, 0))
+    except UndecidedError:  # nothing bounds what early and late samples do
+        chain = None
+    search = None if chain is None else ChainSearch(*chain, lambda: work.add(GAINS, back * n))
+    if search is None or settled < sequence.first or not _is_the_plan(search, filtered, settled):
         if gaps is not None:
             gaps.update(dict.fromkeys(range(max(sequence.first - 1, 0), len(times)), np.inf))
         return np.inf
+    search.back = back
     goals = [(goal, KnownIntegrals()) for goal in problem.goals if not goal.spread]
     usual = max(r / g.tolerance for r, g in zip(plan.reached.tolist(), problem.goals, strict=True) if not g.spread)
     factors = _settling(plan, sequence, search, filtered, settled + back)
@@ -241,7 +254,8 @@ def _gap_bound(search: ChainSearch, opened: RowBetweenSamples, k: int, goal: Row
     """A bound on one row over the gap after a sample: offsets are solved where it is highest, until it is enough."""
     enough = goal.tolerance
     if goal.at == "after each sample":
-        return search.gains(k, opened.mu[0]).value if opened.d[0] <= 0 else 0.0
+        at = search.chain.taken(k)
+        return at_offset(search, goal.row, k, at) if opened.d[0] <= at * (1 + ROUNDED) else 0.0
     if goal.at == "given times":
         return max((at_offset(search, goal.row, k, d) for d in asked), default=0.0)
     solved: set[int] = set()
@@ -266,12 +280,22 @@ def known_at(plan: PlanFigures, history: SampleSequence, t: float) -> dict[str, 
     """
     found = {} if plan.deviation is None else spread_of(plan).at(history, t)
     if plan.accuracy is not None:
-        filtered, last = plan_chain(plan), len(history.times) - 1
-        search = ChainSearch(*sequence_chain(plan, filtered, history, limited=False))
-        search.back = looks_back(plan)
-        since = t - float(history.times[-1])
-        found |= {goal.name: at_offset(search, goal.row, last, since) for goal in plan.goals if not goal.spread}
+        sure = history if not history.begins else replace(history, late=0.0, sure=np.zeros(0))
+        bounds = _bounds_at(plan, sure, t, limited=False)
+        if sure.late != history.late:  # a start of any size is not followed through samples that may be late
+            known = _bounds_at(plan, history, t, limited=True)
+            bounds = {name: value if np.isinf(value) else known[name] for name, value in bounds.items()}
+        found |= bounds
     return {goal.name: found[goal.name] for goal in plan.goals}
+
+
+def _bounds_at(plan: PlanFigures, history: SampleSequence, t: float, *, limited: bool) -> dict[str, float]:
+    """The same of the goals that are guaranteed."""
+    search = ChainSearch(*sequence_chain(plan, plan_chain(plan), history, limited=limited))
+    search.back = looks_back(plan)
+    last = max(0, history.taken(t))
+    since = t - float(history.times[last])
+    return {goal.name: at_offset(search, goal.row, last, since) for goal in plan.goals if not goal.spread}
 
 
 def at_offset(search: ChainSearch, row: Array, k: int, d: float) -> float:
@@ -291,8 +315,11 @@ def _settling(
         return factors.tolist()
     gaps = {id(gap) for gap in own.gaps}
     same = np.array([id(gap) in gaps for gap in search.chain.gaps[:stop]])
-    for k in np.flatnonzero(same & ~np.append(False, same[:-1])).tolist():
-        end = k + int(np.argmin(np.append(same[k:], False)))
+    samples = {id(sample) for sample in own.samples}
+    usual = np.array([id(sample) in samples for sample in search.chain.samples[:stop]])  # no noisier than the plan's
+    opens = same & ~(np.append(False, same[:-1]) & usual)
+    for k in np.flatnonzero(opens).tolist():
+        end = k + 1 + int(np.argmin(np.append((same & ~opens)[k + 1 :], False)))
         phases = [phase_of(plan.schedule, float(t)) for t in sequence.shown[k:end]]
         factors[k:end] = settled_factors(plan, phases, [search.atoms[i].reach for i in range(k, end)])
     return factors.tolist()

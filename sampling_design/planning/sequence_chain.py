@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 
+from sampling_design.accuracy.accuracy_profile import GapProof
+from sampling_design.accuracy.between_samples import KnownIntegrals
 from sampling_design.accuracy.bounded_directions import BoundedDirections
-from sampling_design.accuracy.finite import NO_ERROR, covariance_root, finite_atoms, start_covariance
+from sampling_design.accuracy.finite import DIFFUSE, NO_ERROR, covariance_root, finite_atoms, start_covariance
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.sample_chain import (
     ChainGap,
@@ -18,18 +21,47 @@ from sampling_design.accuracy.sample_chain import (
     noise_units,
     refuse_growth,
 )
+from sampling_design.accuracy.search import ChainSearch
 from sampling_design.accuracy.start import StartSet
-from sampling_design.errors import NotDetectableError
+from sampling_design.accuracy.timing import MORE as NOISE_MORE
+from sampling_design.accuracy.timing import moved_row
+from sampling_design.errors import NotDetectableError, UndecidedError
 from sampling_design.numerics.filtering import information_update, propagate, update_with_gain
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.sequence_deviation import GRAIN, SampleSequence, phase_of
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
+from sampling_design.records.units import spoken
 
 UNKNOWN = 1e6
 """What is not known of the error at a plan's start is at most so many times what its filter leaves later on: rounding
 would hide how states of any size decay."""
+
+AHEAD = 8
+"""Samples after a change whose noise is sought first."""
+
+FARTHER = 4
+"""So many times as many are then looked at."""
+
+FADES = 0.8
+"""What noise after a change leaves of itself from one sample to the next, as a guess."""
+
+CLOSE = 4.0
+"""Where a filter's covariance is at most so many times the plan's own, the plan's coordinates serve as well."""
+
+TURNS = 120
+"""Times that the noise which early and late samples stand for is sought along a sequence."""
+
+SETTLED = 1 + NOISE_MORE / 4
+"""Where the error is at most so many times what the plan leaves, the noise that it proved to be enough is: it left room
+for more."""
+
+MORE = 1.01
+"""So many times what they add, where the noise was not enough."""
+
+FEWEST = 8
+"""Samples back of the gains that bound what they add, at least."""
 
 LEAST = 1e-12
 """Half-width of what is known exactly at the start, as a share of the largest."""
@@ -43,12 +75,13 @@ def plan_chain(plan: PlanFigures) -> SampleChain:
     does to it.
     """
     assert plan.accuracy is not None
-    known = plan.accuracy.question.known()
+    question = plan.accuracy.question.noisier(plan.accuracy.noise)
+    known = question.known()
     if known.modes:
         raise NotDetectableError(
             f"`plan` never shows {', '.join(known.modes)}: what a change of its samples does is not bounded."
         )
-    return plan.accuracy.question.chain(plan.plant)[0]
+    return question.chain(plan.plant)[0]
 
 
 def sequence_chain(
@@ -60,17 +93,191 @@ def sequence_chain(
     change the plan's filter bounds the error, whatever it once was; where the sequence is the plan's start, what is
     known then does, and the filter is followed from there on until it is the plan's. Where nothing is known then, that
     is `limited`, or free: then what no sample has determined since has no bound.
+
+    Samples that may be early or late are samples on time with more noise, as much as they need, from the first to the
+    last: what one adds follows from those before it.
+
+    Raises
+    ------
+    UndecidedError
+        If nothing bounds what early and late samples do.
     """
+    count = len(sequence.times)
+    starting = count - settles if sequence.begins else 0
+    usual = _usual_noise(plan, own, sequence)
+    noise, found, since = usual, np.zeros_like(usual), 0
+    upto = min(count, sequence.first + AHEAD) if sequence.late else count
+    for _ in range(TURNS):
+        part = sequence.until(upto)
+        chain, atoms = _chain(plan, own, part, starting, noise, limited=limited)
+        if not sequence.late:
+            return chain, atoms
+        times = TimesOfSamples(plan, own, part, ChainSearch(chain, atoms))
+        found[:upto] = times.added(noise[:upto], usual[:upto], found[:upto], since)
+        if not np.isfinite(found).all():
+            break
+        tighter = np.maximum(usual, found * MORE)  # enough, too, where that is less: what is added grows with it
+        enough, tail = np.all(found[:upto] <= noise[:upto]), slice(max(0, upto - settles), upto)
+        if enough and np.all(noise[tail] <= tighter[tail] * MORE):
+            if upto == count:
+                return chain, atoms
+            since, upto = upto, min(count, sequence.first + FARTHER * (upto - sequence.first))
+            continue
+        tighter = tighter if enough else np.maximum(tighter, _fading(tighter[:upto], len(tighter)))
+        since = int(np.argmax(np.any(tighter != noise, axis=1)))
+        noise = tighter
+    raise UndecidedError(
+        f"undecided: nothing bounds what samples up to {spoken(sequence.late, plan.plant.time_unit)} early or late do "
+        "where they are not the plan's. Ask for a smaller `timing_tolerance`."
+    )
+
+
+def _fading(noise: Array, count: int) -> Array:
+    """What noise would be that fades, a share of itself from one sample to the next: a guess that is often enough."""
+    found = np.zeros((count, noise.shape[1]))
+    for k in range(1, count):
+        found[k] = FADES * np.maximum(found[k - 1], noise[k - 1] if k <= len(noise) else 0.0)
+    return found
+
+
+def _usual_noise(plan: PlanFigures, own: SampleChain, sequence: SampleSequence) -> Array:
+    """What stands for the times of the plan's samples (K, p), and a first guess for those that it does not have."""
+    own_noise = None if plan.accuracy is None else plan.accuracy.noise
+    noise = np.zeros(sequence.seen.shape)
+    if own_noise is None:
+        return noise
+    for k in range(len(noise)):
+        if sequence.lateness[k] or k < sequence.first:
+            phase = _planned(plan, own, sequence, k)
+            noise[k] = own_noise.max(axis=0) if phase is None else own_noise[phase]
+    return noise
+
+
+class TimesOfSamples:
+    """What the times of a sequence's samples add at most to what they read: C (x(t + e) - x(t)), and w in between."""
+
+    def __init__(self, plan: PlanFigures, own: SampleChain, sequence: SampleSequence, search: ChainSearch):
+        self.plan, self.own, self.sequence, self.search = plan, own, sequence, search
+        search.back = max(FEWEST, int(plan_chain(plan).forgetting.max(initial=0)))
+        self.phases = [_planned(plan, own, sequence, k) for k in range(len(sequence.times))]
+        self.known = [self._known(k) for k in range(len(self.phases))]
+        self.tables: dict[tuple[int, float], tuple[KnownIntegrals, KnownIntegrals]] = {}
+
+    def added(self, noise: Array, usual: Array, before: Array, since: int) -> Array:
+        """What they add (K, p), from one sample on; 0 where the plan's noise is known to be enough."""
+        sequence, found = self.sequence, before.copy()
+        first = 0 if sequence.begins or sequence.wider > 1 else sequence.first
+        plain = np.all(noise == usual, axis=1) & np.array([phase is not None for phase in self.phases])
+        for k in range(max(first, since), len(noise)):
+            late = float(sequence.lateness[k])
+            found[k] = 0.0
+            if not late or self._settled(k, plain):
+                continue
+            for i in self.search.chain.samples[k].outputs.tolist():
+                found[k, i] = self._sample(k, i, late, float(usual[k, i]))
+        return found
+
+    def _known(self, k: int) -> float:
+        """How many times as large as after the plan's own sample the error may be at most; infinite after others."""
+        phase = self.phases[k]
+        if phase is None:
+            return np.inf
+        change = np.linalg.solve(self.own.L[phase], self.search.chain.L[k])
+        return float(np.max(self.search.atoms[k].bound(change) / self.own.reach[phase]))
+
+    def _settled(self, k: int, plain: Mask) -> bool:
+        """Whether the plan's own proof that its noise is enough holds for a sample."""
+        phase = self.phases[k]
+        if phase is None:
+            return False
+        back = proof_back(self.plan, phase)
+        if k < back or self.known[k - back] > SETTLED or not plain[k - back : k + 1].all():
+            return False
+        run = self.phases[k - back : k + 1]
+        follows = all(b == ((a or 0) + 1) % len(self.own) for a, b in pairwise(run))
+        gaps = np.diff(self.sequence.times[k - back : k + 1])
+        usual = np.array([self.own.gaps[a or 0].length for a in run[:-1]])
+        return follows and bool(np.all(np.abs(gaps - usual) <= GRAIN * self.plan.schedule.period))
+
+    def _sample(self, k: int, i: int, late: float, enough: float) -> float:
+        """The same of one output of a sample; by gains where the filter's are not enough, the plan's if they fit."""
+        row, most = self.plan.plant.C[i], 0.0
+        for back, table in enumerate(self.tables.setdefault((i, late), ({}, {}))):
+            opened = moved_row(self.search.chain, k, row, late, bool(back), table)
+            known = BoundedDirections(self.search.atoms[k].basis, self.search.atoms[k].reach)
+            value, mu = float(opened.bound(known)[1].max()), opened.mu[-1]
+            gains = self._plan_gains(k, i, bool(back)) if value > enough and known.whole else ()
+            if gains:
+                known.add(mu, self.search.evaluate(k, mu, gains))
+                value = float(opened.bound(known)[1].max())
+            if value > enough and known.whole:
+                known.add(mu, self.search.gains(k, mu))
+                value = float(opened.bound(known)[1].max())
+            most = max(most, value)
+        return most
+
+    def _plan_gains(self, k: int, i: int, back: bool) -> tuple[Array, ...]:
+        """The gains by which the plan's proof bounds this, as far back as the samples are the plan's."""
+        phase = self.phases[k]
+        if phase is None:
+            return ()
+        gains, fitting = timing_gains(self.plan, phase, i, back), list[Array]()
+        for steps, lam in enumerate(reversed(gains)):
+            at, expected = k - steps, (phase - steps) % len(self.own)
+            if at < 0 or self.phases[at] != expected:
+                break
+            fitting.append(lam * self.search.chain.samples[at].size / self.own.samples[expected].size)
+        return tuple(reversed(fitting))
+
+
+@lru_cache(maxsize=4)
+def proof_chain(plan: PlanFigures) -> SampleChain:
+    """The chain of a plan's proof: the shortest period that its samples have."""
+    assert plan.accuracy is not None
+    question = plan.accuracy.question.noisier(plan.accuracy.noise).primitive()
+    return question.chain(plan.plant)[0]
+
+
+def _proof_part(plan: PlanFigures, phase: int) -> GapProof | None:
+    assert plan.accuracy is not None
+    parts = [part for part in plan.accuracy.proof if part.sample == phase and len(part.directions)]
+    return parts[0] if parts else None
+
+
+@lru_cache(maxsize=512)
+def proof_back(plan: PlanFigures, phase: int) -> int:
+    """Samples that the gains of a plan's proof after one of them look back."""
+    part = _proof_part(plan, phase % len(proof_chain(plan)))
+    return 0 if part is None else max(map(len, part.gains))
+
+
+@lru_cache(maxsize=512)
+def timing_gains(plan: PlanFigures, phase: int, i: int, back: bool) -> tuple[Array, ...]:
+    """The gains by which a plan's proof bounds what the time of a sample adds to an output, the latest last."""
+    own, late = proof_chain(plan), plan.problem.timing_tolerance
+    phase %= len(own)
+    part = _proof_part(plan, phase)
+    if part is None:
+        return ()
+    atoms = BoundedDirections.of(own.reach[phase], part.directions, part.gains, [0.0] * len(part.gains))
+    mu = moved_row(own, phase, plan.plant.C[i], late, back, {}).mu[-1]
+    fit = atoms.fit(mu[None])
+    parts = [[a * lam for lam in part.gains[place]] for place, a in zip(fit.place[0], fit.share[0], strict=True)]
+    count = max(map(len, parts))
+    empty = [np.zeros(len(own.samples[node].H)) for node in own.nodes(phase, count)]
+    both = [[*empty[: count - len(given)], *given] for given in parts]
+    return tuple(a + b for a, b in zip(*both, strict=True))
+
+
+def _chain(
+    plan: PlanFigures, own: SampleChain, sequence: SampleSequence, starting: int, noise: Array, *, limited: bool
+) -> tuple[SampleChain, list[BoundedDirections]]:
+    """The chain of a sequence whose samples have so much more noise, (K, p) at least; its first `starting` samples are
+    in coordinates of their own."""
     times, gaps = sequence.times, np.diff(sequence.times)
     refuse_growth(plan.plant, gaps)
-    starting = len(times) - settles if sequence.begins else 0
     phases = [None if k < starting else _planned(plan, own, sequence, k) for k in range(len(times))]
-    same = [
-        i is not None
-        and following == (i + 1) % len(own)
-        and abs(own.gaps[i].length - h) <= GRAIN * plan.schedule.period
-        for i, following, h in zip(phases, phases[1:], gaps.tolist(), strict=False)
-    ]
+    same = _same_gaps(plan, own, phases, gaps)
     fresh = [k for k in range(len(gaps)) if not same[k]]
     F, W = discounted_flow(own.A, own.G @ own.G.T, gaps[fresh]) if fresh else (np.zeros((0, 0, 0)),) * 2
     flows = {k: (F[i], W[i] * float(np.mean(gaps))) for i, k in enumerate(fresh)}
@@ -78,15 +285,18 @@ def sequence_chain(
     samples: list[ChainSample] = []
     for k, phase in enumerate(phases):
         if phase is None:
-            P = start_covariance(plan.problem.initial, own.D) if k == 0 else np.zeros(0)
+            free = UNKNOWN**2 if sequence.late else DIFFUSE  # above the noise that samples have at such a start
+            P = start_covariance(plan.problem.initial, own.D, free) if k == 0 else np.zeros(0)
             if k:
-                step, noise = flows[k - 1]
-                P = propagate(L[-1] @ L[-1].T, step, noise)
-            root, sample = _fresh(plan, own, P, sequence.seen[k])
+                P = propagate(L[-1] @ L[-1].T, *flows[k - 1])
+            root, sample = _fresh(plan, own, P, sequence.seen[k], noise[k])
+            if sequence.begins and sequence.late and k < starting and _is_close(plan, own, sequence, k, root):
+                phases[k + 1 :] = [_planned(plan, own, sequence, i) for i in range(k + 1, len(times))]
         else:
-            root, sample = own.L[phase], own.samples[phase]
+            root, sample = own.L[phase], _noisier(own.samples[phase], plan.problem.v_bound, noise[k])
         L.append(root)
         samples.append(sample)
+    own, same = replace(own, late=sequence.lateness), _same_gaps(plan, own, phases, gaps)
     table = GapTable(own.A, own.G, np.ones(len(own.A)))
     made: list[ChainGap] = []
     for k, h in enumerate(gaps.tolist()):
@@ -106,6 +316,22 @@ def sequence_chain(
     start = StartSet(np.diag(1 / np.maximum(before[0], LEAST * before[0].max(initial=1.0))), ball=False)
     chain = replace(own, L=np.array(L), samples=tuple(samples), gaps=tuple(made), start=start, last=0.0)
     return chain, finite_atoms(chain, before)
+
+
+def _same_gaps(plan: PlanFigures, own: SampleChain, phases: list[int | None], gaps: Array) -> list[bool]:
+    """Which gaps are the plan's, between its samples."""
+    return [
+        i is not None
+        and following == (i + 1) % len(own)
+        and abs(own.gaps[i].length - h) <= GRAIN * plan.schedule.period
+        for i, following, h in zip(phases, phases[1:], gaps.tolist(), strict=False)
+    ]
+
+
+def _is_close(plan: PlanFigures, own: SampleChain, sequence: SampleSequence, k: int, root: Array) -> bool:
+    """Whether a filter's covariance after a sample is so near the plan's that the plan's coordinates serve as well."""
+    phase = _planned(plan, own, sequence, k)
+    return phase is not None and float(np.linalg.norm(np.linalg.solve(own.L[phase], root), 2)) ** 2 <= CLOSE
 
 
 def _limited(start: StartSet, change: Array, own: SampleChain) -> StartSet:
@@ -130,9 +356,18 @@ def _planned(plan: PlanFigures, own: SampleChain, sequence: SampleSequence, k: i
     return phase if same else None
 
 
-def _fresh(plan: PlanFigures, own: SampleChain, P: Array, seen: Mask) -> tuple[Array, ChainSample]:
+def _noisier(sample: ChainSample, v_bound: Array, noise: Array) -> ChainSample:
+    """A sample of the plan with so much more noise (p,): itself where that is the plan's."""
+    size = (v_bound + noise)[sample.outputs]
+    if np.array_equal(size, sample.size):
+        return sample
+    share = sample.size / size
+    return replace(sample, size=size, H=sample.H * share[:, None], K=sample.K / share)
+
+
+def _fresh(plan: PlanFigures, own: SampleChain, P: Array, seen: Mask, noise: Array) -> tuple[Array, ChainSample]:
     """Coordinates after a sample that the plan does not have, and the sample; P is the covariance before it."""
-    v = np.where(seen & np.isfinite(plan.problem.v_bound), plan.problem.v_bound, np.inf)
+    v = np.where(seen & np.isfinite(plan.problem.v_bound), plan.problem.v_bound + noise, np.inf)
     bounds = replace(own.bounds, v=freeze(v[None]))
     (H,), (size,), (exact,) = noise_units(plan.plant.C * own.D, bounds, P[None])
     root = covariance_root(information_update(P, H.T @ H))

@@ -8,7 +8,7 @@ scales with a factor above 1 at most.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -57,17 +57,33 @@ class SampleSequence:
     ever leaves of it."""
     since: float = -np.inf
     """Nothing is judged before this time, though all that was measured then counts."""
+    late: float = 0.0
+    """How early or late each sample may be."""
+    sure: Array = field(default_factory=lambda: np.zeros(0))
+    """The same of the first samples, where it is otherwise: 0 where the time is known."""
 
     @cached_property
     def shown(self) -> Array:
         """The times on the plan's clocks (K,)."""
         return self.clock.shown(self.times)
 
+    @cached_property
+    def lateness(self) -> Array:
+        """How early or late each sample may be (K,)."""
+        return np.append(self.sure, np.full(max(0, len(self.times) - self.sure.size), self.late))[: len(self.times)]
+
+    def until(self, count: int) -> SampleSequence:
+        """The first so many samples."""
+        return replace(self, times=self.times[:count], seen=self.seen[:count])
+
     @property
     def start(self) -> int:
         """Index of the sample before the first gap that is judged."""
-        now = int(np.searchsorted(self.times - self._tiny, self.since, side="right")) - 1
-        return max(self.first - 1, 0, now)
+        return max(self.first - 1, 0, self.taken(self.since))
+
+    def taken(self, t: float) -> int:
+        """Index of the last sample that is taken by a time, however late; -1 if there is none."""
+        return int(np.searchsorted(self.times + self.lateness - self._tiny, t, side="right")) - 1
 
     @property
     def _tiny(self) -> float:
@@ -102,6 +118,20 @@ def planned(plan: PlanFigures, start: float, stop: float, clock: PlanClock = ORD
     if clock.calendar is not None:
         shows[np.flatnonzero(shows)[too_soon(problem, real[shows], seen[shows])]] = False
     return real[keep & shows], seen[keep & shows]
+
+
+def begun(plan: PlanFigures, times: Array, seen: Mask, clock: PlanClock = ORDINARY) -> SampleSequence:
+    """The plan from its start at time 0 on, with samples at real times (K,).
+
+    One that is planned at the start may come up to the tolerance after it: half as late as that, or early.
+    """
+    late, sure = plan.problem.timing_tolerance, np.zeros(1)
+    if times.size and times[0] == 0 and late:
+        times, sure = np.append(late / 2, times[1:]), np.array([0.0, late / 2])
+    if not times.size or times[0] > 0:
+        times = np.append(0.0, times)
+        seen = np.concatenate([np.zeros((1, plan.plant.n_outputs), dtype=bool), seen])
+    return SampleSequence(times, seen, 0, clock, begins=True, late=late, sure=sure if late else np.zeros(0))
 
 
 def too_soon(problem: PlanProblem, times: Array, seen: Mask, taken: int = 0) -> Mask:
@@ -146,14 +176,15 @@ def asked(plan: PlanFigures, sequence: SampleSequence, k: int, goal: RowGoal) ->
     """Offsets in the gap after a sample at which a goal with given times must hold, on the plan's clock."""
     if goal.at != "given times":
         return []
-    problem, start, stop = plan.problem, float(sequence.times[k]), float(sequence.times[k + 1])
+    problem, start = plan.problem, float(sequence.times[k])
+    begin, stop = (sequence.times + sequence.lateness)[k : k + 2] - start
     shown = sequence.shown[k : k + 2]
     phases = np.round(goal.steps) * problem.step
-    periods = np.arange(np.floor(shown[0] / problem.period), np.ceil(shown.max() / problem.period) + 1) * problem.period
+    periods = np.arange(np.floor(shown[0] / problem.period), np.ceil(shown.max() / problem.period) + 2) * problem.period
     offsets = np.sort(sequence.clock.elapsed((periods[:, None] + phases[None, :]).ravel())) - start
     tiny = 1e-9 * problem.period
-    inside = offsets[(offsets >= -tiny) & (offsets <= stop - start + tiny)]
-    return np.clip(inside, 0.0, stop - start).tolist()  # type: ignore[no-any-return]
+    inside = offsets[(offsets >= begin - tiny) & (offsets <= stop + tiny)]
+    return np.clip(inside, begin, stop).tolist()  # type: ignore[no-any-return]
 
 
 class SpreadSequence:

@@ -10,7 +10,7 @@ from sampling_design.errors import NotDetectableError, UndecidedError
 from sampling_design.planning.figures import PlanFigures, PlanStart
 from sampling_design.planning.opening import PlanClock
 from sampling_design.planning.sequence import proven_ratio, settled_since, settles
-from sampling_design.planning.sequence_deviation import GRAIN, ORDINARY, SampleSequence, planned
+from sampling_design.planning.sequence_deviation import GRAIN, ORDINARY, SampleSequence, begun, planned
 from sampling_design.records.budget import Budget
 
 LONGER = 2
@@ -28,7 +28,6 @@ def plan_start(plan: PlanFigures, work: Budget | None = None) -> PlanStart | Non
 
     Raises BudgetSpentError if that takes more work than there is left.
     """
-    plan = plan.on_time
     if not plan.keeps:
         return None
     if work is not None:
@@ -76,11 +75,7 @@ def settled_from_start(plan: PlanFigures) -> tuple[float, float]:
 
 def from_start(plan: PlanFigures, stop: float, clock: PlanClock = ORDINARY) -> SampleSequence:
     """The plan from its start up to a time, with what is known of the error then."""
-    times, seen = planned(plan, 0.0, stop, clock)
-    if not times.size or times[0] > 0:
-        times = np.append(0.0, times)
-        seen = np.concatenate([np.zeros((1, plan.plant.n_outputs), dtype=bool), seen])
-    return SampleSequence(times, seen, 0, clock, begins=True)
+    return begun(plan, *planned(plan, 0.0, stop, clock), clock)
 
 
 def starts(plan: PlanFigures, found: PlanStart) -> bool:

@@ -252,8 +252,9 @@ def next_sample(
     again soonest, and of equally soon ones the plan's own. *The naive trigger*, which
     waits until the accuracy now reaches its tolerance, leaves states that no later sample can repair in time, and
     overshoots. Earlier than `latest` is as good where the plan has no spacing: it is one sample more; with spacing, a
-    sample may push out one of the plan's. *Assumptions.* The bounds, and later samples on time, also where the plan
-    has a `timing_tolerance`; those taken count when they were. Values play no part: it holds whatever is read.
+    sample may push out one of the plan's. *Assumptions.* The bounds, and later samples, and those before the record, up
+    to the plan's `timing_tolerance` early or late, the next one too; those of the record were taken when it says.
+    Values play no part: it holds whatever is read.
 
     References
     ----------
@@ -261,7 +262,6 @@ def next_sample(
     """
     if not plan.keeps:
         raise ArgumentError("`plan` must keep its tolerances: it does not, so there is nothing to go on keeping.")
-    plan = plan.on_time
     step = plan.problem.step
     taken = _taken(plan, record)
     last = taken[0][-1] if taken is not None and taken[0].size else 0.0
@@ -346,12 +346,12 @@ def _history(plan: Plan, taken: tuple[Array, Mask] | None, now: float) -> Sample
         begun = from_start(plan, until, plan.clock)
         if taken is None:
             return begun
-        late = begun.times < until
-        times, seen = np.concatenate([begun.times[late], taken[0]]), np.concatenate([begun.seen[late], taken[1]])
-        return replace(begun, times=times, seen=seen)
-    times, seen = planned(plan, until - span, until, plan.clock)
+        before = begun.times < until
+        times, seen = np.concatenate([begun.times[before], taken[0]]), np.concatenate([begun.seen[before], taken[1]])
+        return replace(begun, times=times, seen=seen, sure=np.append(begun.lateness[before], np.zeros(len(taken[0]))))
+    late, (times, seen) = plan.problem.timing_tolerance, planned(plan, until - span, until, plan.clock)
     if taken is None:
-        return SampleSequence(times, seen, _unchanged(plan, times), plan.clock, wider=wider)
+        return SampleSequence(times, seen, _unchanged(plan, times), plan.clock, wider=wider, late=late)
     wanted = planned(plan, until, now + tiny, plan.clock)
     same, count = 0, times.size
     for t, mask, due, meant in zip(taken[0], taken[1], wanted[0], wanted[1], strict=False):
@@ -359,7 +359,8 @@ def _history(plan: Plan, taken: tuple[Array, Mask] | None, now: float) -> Sample
             break
         same += 1
     times, seen = np.concatenate([times, taken[0]]), np.concatenate([seen, taken[1]])
-    return SampleSequence(times, seen, min(count + same, _unchanged(plan, times)), plan.clock, wider=wider)
+    first, sure = min(count + same, _unchanged(plan, times)), np.append(np.full(count, late), np.zeros(len(taken[0])))
+    return SampleSequence(times, seen, first, plan.clock, wider=wider, late=late, sure=sure)
 
 
 def _unchanged(plan: Plan, times: Array) -> int:

@@ -109,7 +109,7 @@ def sequence_chain(
     upto = min(count, sequence.first + AHEAD) if sequence.late else count
     for _ in range(TURNS):
         part = sequence.until(upto)
-        chain, atoms = _chain(plan, own, part, starting, noise, limited=limited)
+        chain, atoms = _noisier_chain(plan, own, part, starting, noise, limited=limited)
         if not sequence.late:
             return chain, atoms
         times = TimesOfSamples(plan, own, part, ChainSearch(chain, atoms))
@@ -269,7 +269,7 @@ def timing_gains(plan: PlanFigures, phase: int, i: int, back: bool) -> tuple[Arr
     return tuple(a + b for a, b in zip(*both, strict=True))
 
 
-def _chain(
+def _noisier_chain(
     plan: PlanFigures, own: SampleChain, sequence: SampleSequence, starting: int, noise: Array, *, limited: bool
 ) -> tuple[SampleChain, list[BoundedDirections]]:
     """The chain of a sequence whose samples have so much more noise, (K, p) at least; its first `starting` samples are

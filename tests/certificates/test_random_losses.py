@@ -143,7 +143,7 @@ def test_what_it_says(spiral):
 def test_what_it_refuses(spiral):
     with pytest.raises(ArgumentError, match=r"`loss_probability` must lie between 0 and 1, got 1\.5"):
         random_losses(spiral, 1.5)
-    with pytest.raises(ArgumentError, match=r"`length` = 3 must be a whole number of periods \(4.8\)"):
+    with pytest.raises(ArgumentError, match="must be a whole number of periods"):
         random_losses(spiral, 0.1, length=3.0)
     with pytest.raises(ArgumentError, match="spans 129 samples: at most 128 are followed"):
         random_losses(spiral, 0.1, length=43 * spiral.schedule.period)

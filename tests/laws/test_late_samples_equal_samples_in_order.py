@@ -165,7 +165,7 @@ def test_what_cannot_be_corrected_is_refused_and_changes_nothing():
     for refused, words in (
         (lambda: mhe.correct(1.5, [1.0, 1.0]), "must be the time of a sample that is kept, got 1.5. A new one is for"),
         (lambda: mhe.withdraw(0.0), "must be the time of a sample that is kept, got 0.0"),
-        (lambda: mhe.correct(1.0, [1.0, 1.0]), "corrects output 2 at t = 1.0, where it was not read"),
+        (lambda: mhe.correct(1.0, [1.0, 1.0]), ", where it was not read. A new reading is for update"),
         (lambda: mhe.correct(1.0, u=[1.0]), "`u` corrects an input at t = 1.0, where none was given"),
         (lambda: mhe.withdraw(1.0, "y2"), "`output` = 'y2' was not read at t = 1.0"),
         (lambda: mhe.withdraw(1.0, "z"), "`output` must be"),

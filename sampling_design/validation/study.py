@@ -209,8 +209,8 @@ class Study:
     def _worst(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
         if self.promise is not None:
             self._worst_energy(self.map, self.promise)
-        push = worst_disturbance(self.map, self.bounds, self.measure)
-        self._judge("worst push", measured(self.map, self.promise, self.measure, push), "attained")
+        worst = worst_disturbance(self.map, self.bounds, self.measure)
+        self._judge("worst disturbance", measured(self.map, self.promise, self.measure, worst), "attained")
 
     def _worst_energy(self, found: ErrorMap, promise: Promise, scenario: str = "worst energy") -> None:
         worst = worst_energy(found, promise)

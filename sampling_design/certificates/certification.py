@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import __version__
-from sampling_design.certificates.exact.canonical import ScaledProblem, canonical, followed, slip
+from sampling_design.certificates.exact.canonical import ScaledProblem, canonical, followed, origin_question
 from sampling_design.certificates.exact.certificate import WITHOUT_GAIN, Certificate, SampledCertificate
 from sampling_design.certificates.exact.efforts import ALL_WORK, BEYOND, LOOK_WORK, SEARCHED, SearchEffort
 from sampling_design.certificates.exact.given_weights import NoiseWeights, above_one, certifiable_schedule, weights_of
@@ -355,7 +355,7 @@ def chosen(
             found = zip(choose_weights(canon, bounds, gains, progress, searching), asked, strict=True)
             return [_best_proven(problem, canon, choices, eta, *each) for choices, each in found]
         except UndecidedError as error:
-            if slip(plain):  # dates are asked for their origin, and not followed from time 0
+            if origin_question(plain):  # dates are asked for their origin, and not followed from time 0
                 raise
             try:  # nearly equal modes behind few outputs leave conditions that doubles lose, and more digits hold
                 return [precisely_chosen(problem, plain, between, eta, gain, first.total) for gain, first in asked]
@@ -424,7 +424,9 @@ def _best_proven(
         efforts = efforts.later()
     if failed:
         raise failed[0]
-    raise UndecidedError(f"undecided: no weights of noise gain {gain:g} could be followed in doubles.{slip(canon)}")
+    raise UndecidedError(
+        f"undecided: no weights of noise gain {gain:g} could be followed in doubles.{origin_question(canon)}"
+    )
 
 
 def _first_proven(

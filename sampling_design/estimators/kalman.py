@@ -21,7 +21,7 @@ from sampling_design.estimators.online.history import EstimatorState, HistoryNod
 from sampling_design.estimators.online.in_order import listed, triple
 from sampling_design.estimators.online.open_loop import OpenLoop
 from sampling_design.estimators.online.recorder import MeasuredSample, OpenLoopState, Recorder, SolveDetails
-from sampling_design.estimators.online.rounding import faded
+from sampling_design.estimators.online.rounding import scaled_bound
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import ROUNDING, judged, overflowed, rounding_energy, too_large
 from sampling_design.estimators.window.means import means_of
@@ -172,7 +172,7 @@ class KalmanFilter(WindowedEstimator):
         window = self._window(state, start, sample, measured)
         solution, passed = smooth(window), float(window.discount[0])
         terms = (
-            faded(first.beta, passed)
+            scaled_bound(first.beta, passed)
             + self.bounds.over(sample.t - first.t)
             + rounding_energy(self.weights, window.y, window.reference)
         )

@@ -28,7 +28,7 @@ from sampling_design.estimators.online.guarantee import choose_horizon
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.open_loop import OpenLoop
 from sampling_design.estimators.online.recorder import MeasuredSample, OpenLoopState, Recorder, SolveDetails
-from sampling_design.estimators.online.rounding import faded
+from sampling_design.estimators.online.rounding import scaled_bound
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import (
     CONTRADICTION,
@@ -255,7 +255,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             start = self._start(state, t)
             free = not sample.told and not (start.inside and state.nodes[-1].limited >= start.inside[0].t)
-            solved = self._slid(state, start, t, measured, last_gap) if free else None
+            solved = self._slid_window(state, start, t, measured, last_gap) if free else None
         if solved is None:
             solved = self._solved(state, start, sample, measured, last_gap, limits)
         x, Y, found = solved.x, solved.Y, solved.found
@@ -282,7 +282,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         last, (flow, drift), engine, cost = state.last, last_gap, "", np.nan
         self.loop.refuse_overflow(flow, self.loop.moved(last, flow, drift), sample.t)
         window = self._window(state, start, sample, measured, limits)
-        terms = faded(start.energy, float(window.discount[0])) + self.bounds.over(sample.t - start.s)
+        terms = scaled_bound(start.energy, float(window.discount[0])) + self.bounds.over(sample.t - start.s)
         if too_large(window.weighted(window.residual)):
             terms += window.total(self._kept_energy(window.masks))
             found, note = overflowed(self.weights, state.last, sample, window.residual[-1], terms)

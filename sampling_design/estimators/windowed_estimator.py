@@ -18,7 +18,7 @@ from sampling_design.estimators.constraints.window_constraints import WindowCons
 from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.linear_plant_estimator import LinearPlantEstimator
-from sampling_design.estimators.online.rounding import CovariancePrecision, faded, rounding
+from sampling_design.estimators.online.rounding import CovariancePrecision, rounding, scaled_bound
 from sampling_design.estimators.online.verdict import SolveVerdict, judged
 from sampling_design.estimators.window.band_cache import BandCache
 from sampling_design.estimators.window.check_points import SAME_TIME_ULPS, CheckPoints, pieces
@@ -138,7 +138,7 @@ class WindowedEstimator(LinearPlantEstimator):
             self.loop.refuse_overflow(flow, np.array([np.inf]), s)
         return x, Y, beta
 
-    def _slid(
+    def _slid_window(
         self,
         state: EstimatorState,
         start: WindowStart,
@@ -186,7 +186,7 @@ class WindowedEstimator(LinearPlantEstimator):
                 points = self._between.states(state, [s, *(node.t for node in nodes[first:])], optimum.path)
                 if points is None or not all_inside(self.constraints.x, points):
                     return None
-        terms = faded(start.energy, math.exp(self.weights.eta * (s - t))) + self.bounds.over(t - s)
+        terms = scaled_bound(start.energy, math.exp(self.weights.eta * (s - t))) + self.bounds.over(t - s)
         terms += rounding(optimum.read, optimum.held) + optimum.energy
         found = judged(self.weights, terms, optimum.dual, nodes[-1])
         if found.status == "bounds disproved" and nodes[-1].stands:

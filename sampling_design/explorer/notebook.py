@@ -68,11 +68,11 @@ def explore(
     widget = type("Explorer", (anywidget.AnyWidget,), {"_esm": MODULE.read_text(), "__module__": __name__})()
     widget.bench = bench
 
-    def heard(_: object, message: dict[str, object], buffers: object) -> None:
+    def on_message(_: object, message: dict[str, object], buffers: object) -> None:
         question = message.get("question")
         answer = bench.answer(question if isinstance(question, dict) else {})
         widget.send({"number": message.get("number"), "answer": answer})
 
-    widget.on_msg(heard)
+    widget.on_msg(on_message)
     made: AnyWidget = widget
     return made

@@ -93,7 +93,7 @@ class DetectabilityEvidence(YesOrNo):
     claim: Claim
 
     _table = {
-        "worst ratio": "{ratio} ({_word})",
+        "worst ratio": "{ratio} ({_verdict})",
         "pairs": "{pairs}{_left_out} (evidence, not proof)",
         "at": "pair {witness.pair}, K_{witness.start}, t = {witness.t} {time_unit}",
         "median ratio": "{_median}",
@@ -124,7 +124,7 @@ class DetectabilityEvidence(YesOrNo):
 
     def explain(self) -> str:
         """Say what was seen and that it proves nothing."""
-        text = f"Inequality (16) {self._word()} along {self.pairs} random pairs; its right side was at least "
+        text = f"Inequality (16) {self._verdict()} along {self.pairs} random pairs; its right side was at least "
         text += f"{short(self.ratio)} times the left. "
         if self.holds:
             return text + "This is evidence, not proof: other pairs and times in between were not looked at."
@@ -133,7 +133,7 @@ class DetectabilityEvidence(YesOrNo):
             f"at least {short(self.least_lambda)}."
         )
 
-    def _word(self) -> str:
+    def _verdict(self) -> str:
         return "held" if self.holds else "failed"
 
 

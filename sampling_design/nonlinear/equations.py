@@ -226,7 +226,7 @@ class PlantEquations(Record):
 
     def _evaluate(self, function: Function, last: str, x: object, u: object, z: object, t: float) -> Array:
         x = checks.vector("x", x, self.sizes["states"])
-        u = checks.vector("u", _given(u, self.sizes["inputs"]), self.sizes["inputs"])
+        u = checks.vector("u", _input_or_zero(u, self.sizes["inputs"]), self.sizes["inputs"])
         z = checks.vector(
             "w" if last == "disturbances" else "v", np.zeros(self.sizes[last]) if z is None else z, self.sizes[last]
         )
@@ -250,7 +250,7 @@ class PlantEquations(Record):
         ca = casadi()
         n, m = self.sizes["states"], self.sizes["inputs"]
         point = checks.vector("x", x, n)
-        control = checks.vector("u", _given(u, m), m)
+        control = checks.vector("u", _input_or_zero(u, m), m)
         xs, us, ws, vs = (
             ca.SX.sym(k, self.sizes[s])
             for k, s in zip("xuwv", ("states", "inputs", "disturbances", "noises"), strict=True)
@@ -357,7 +357,7 @@ _NEWTON_STEPS = 100  # a steady state that takes more has none near
 _NEWTON_TOLERANCE = 1e-13  # relative, in scaled states
 
 
-def _given(u: object, size: int) -> object:
+def _input_or_zero(u: object, size: int) -> object:
     """The input as it was given; nothing at all stands for zero."""
     return np.zeros(size) if u is None or (isinstance(u, Sized) and not len(u)) else u
 

@@ -250,7 +250,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         if not self._seen:
             self._seen = True
             warn_of_scales(self.plant, "outputs", [sample.y])
-        taken, gated = self._gated(state, sample)
+        taken, gated = self._without_outliers(state, sample)
         refined, allowed = False, self.search.collocation.accuracy or np.inf
         while True:
             data, guess, start = self._window(state, taken)
@@ -303,7 +303,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         scheduled = last.scheduled and bool(np.isfinite(promise.age(sample.t, before)))
         return (sample.t if complete and promise.counts(sample.t, before) else before), scheduled
 
-    def _gated(self, state: EstimatorState, sample: RecordRow) -> tuple[RecordRow, str]:
+    def _without_outliers(self, state: EstimatorState, sample: RecordRow) -> tuple[RecordRow, str]:
         """Leave out the outputs of a sample that lie beyond the gate, and say so."""
         gate, patience = self.outliers.gate, self.outliers.patience
         recent = [node for node in state.nodes[-patience:] if node.sample.y is not None and not node.mask.any()]

@@ -201,11 +201,11 @@ class WindowProgram:
         p, point, nodes = self.plant.n_outputs, solution.point, solution.nodes
         still = nodes[:1]
         padded = [
-            _behind(N - K, still[0], nodes[:-1]),
+            _padded_in_front(N - K, still[0], nodes[:-1]),
             np.concatenate([np.broadcast_to(still[0], (N - K, d, n)), point.z]).reshape(N * d, n),
-            _behind(N - K, np.zeros(self.plant.n_disturbances), point.w),
-            _behind(N - K, data.inputs[0], data.inputs[:-1]),
-            _behind(N - K, 0 * data.inputs[0], data.later - data.inputs[:-1]),
+            _padded_in_front(N - K, np.zeros(self.plant.n_disturbances), point.w),
+            _padded_in_front(N - K, data.inputs[0], data.inputs[:-1]),
+            _padded_in_front(N - K, 0 * data.inputs[0], data.later - data.inputs[:-1]),
             np.concatenate([np.zeros(N - K), np.diff(data.edges)])[:, None],
             np.concatenate([np.full(N - K, data.edges[0]), data.edges[:-1]])[:, None],
         ]
@@ -215,9 +215,9 @@ class WindowProgram:
         )
         both = -np.linalg.solve(inside, np.concatenate([first, push], axis=2))[:, -n:]
         seen = [
-            _behind(N - K, still[0], nodes),
-            _behind(N - K, np.zeros(self.n_noises), point.v),
-            _behind(N - K, data.inputs[0], data.inputs),
+            _padded_in_front(N - K, still[0], nodes),
+            _padded_in_front(N - K, np.zeros(self.n_noises), point.v),
+            _padded_in_front(N - K, data.inputs[0], data.inputs),
             np.concatenate([np.full(N - K, data.edges[0]), data.edges])[:, None],
         ]
         H, shown = (np.array(part) for part in self._slopes[1](*(part.T for part in seen)))
@@ -330,11 +330,11 @@ class WindowProgram:
         zero, roots = np.zeros(self.plant.n_outputs), np.array([self._fit_root(row) for row in data.mask])
         columns = {
             "h": np.concatenate([np.zeros(idle), lengths]),
-            "u": _behind(idle, data.inputs[0], data.inputs).ravel(),
-            "rise": _behind(idle, 0 * data.inputs[0], data.later - data.inputs[:-1]).ravel(),
+            "u": _padded_in_front(idle, data.inputs[0], data.inputs).ravel(),
+            "rise": _padded_in_front(idle, 0 * data.inputs[0], data.later - data.inputs[:-1]).ravel(),
             "t": np.concatenate([np.full(idle, data.edges[0]), data.edges]),
-            "y": _behind(idle, zero, data.y).ravel(),
-            "root": _behind(idle, 0 * roots[0], roots).ravel(),
+            "y": _padded_in_front(idle, zero, data.y).ravel(),
+            "root": _padded_in_front(idle, 0 * roots[0], roots).ravel(),
             "prior": data.prior,
             "P2": np.sqrt(discount[0]) * data.root[self._upper],
             "w": weight_w,
@@ -430,7 +430,7 @@ class WindowProgram:
         )
 
 
-def _behind(idle: int, fill: Array, rows: Array) -> Array:
+def _padded_in_front(idle: int, fill: Array, rows: Array) -> Array:
     """Return `rows` behind `idle` rows of `fill`."""
     return np.vstack([np.broadcast_to(fill, (idle, fill.size)), rows])
 

@@ -108,10 +108,10 @@ class NonlinearLoop:
             last = self.since(node, t) if t > node.t else node.counted
             if np.isfinite(promise.age(t, last)) and promise.holds(x):
                 square = promise.ahead(node.beta, node.t, t)
-        kept, words = self._kept(x, self.input(state, t))
+        kept, words = self._projected(x, self.input(state, t))
         return OpenLoopPrediction(kept, Y, square if kept is x else np.inf, words)
 
-    def _kept(self, x: Array, u: Array) -> tuple[Array, str]:
+    def _projected(self, x: Array, u: Array) -> tuple[Array, str]:
         """Return the nearest state in the box X, and say where x was if that was elsewhere, or where g is positive."""
         lower, upper = self.plant.bounds["states"]
         room = EDGE * self.plant.signals["states"].scales

@@ -48,26 +48,26 @@ def moved(previous: WindowSolution, guess: WindowSolution, points: Array, before
     alike = points.size == before.size
     point = ProgramPoint(
         _at(known, path, new[:1])[0] if new[0] <= old[-1] else guess.point.z0,
-        _kept(previous.point.v, node, same),
-        _kept(previous.point.w, piece, inside),
+        _rows_where(previous.point.v, node, same),
+        _rows_where(previous.point.w, piece, inside),
         np.where(late[:, :, None], guess.point.z, _at(known, path, times)),
     )
     force = previous.bound_multipliers
     bound = ProgramPoint(
         np.zeros_like(force.z0),
-        _kept(force.v, node, same),
-        _kept(force.w, piece, inside),
-        _kept(force.z, piece, inside) if alike else guess.bound_multipliers.z,
+        _rows_where(force.v, node, same),
+        _rows_where(force.w, piece, inside),
+        _rows_where(force.z, piece, inside) if alike else guess.bound_multipliers.z,
     )
     return guess._replace(
         point=point,
         bound_multipliers=bound,
-        row_multipliers=_kept(previous.row_multipliers, piece, inside) if alike else guess.row_multipliers,
-        output_multipliers=_kept(previous.output_multipliers, node, same),
+        row_multipliers=_rows_where(previous.row_multipliers, piece, inside) if alike else guess.row_multipliers,
+        output_multipliers=_rows_where(previous.output_multipliers, node, same),
     )
 
 
-def _kept(rows: Array, index: Index, chosen: Mask) -> Array:
+def _rows_where(rows: Array, index: Index, chosen: Mask) -> Array:
     """Return rows[index] where chosen, else 0."""
     result = np.zeros((index.size, *rows.shape[1:]))
     result[chosen] = rows[index[chosen]]

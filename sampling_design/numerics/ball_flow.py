@@ -104,7 +104,7 @@ class BallFlow:
     @cached_property
     def split(self) -> DecoupledCoordinates | None:
         """What is fast apart from what is slow, if anything is."""
-        return self._parted()
+        return self._decoupled()
 
     def _modal(self) -> tuple[Ball, Ball] | None:
         """(kappa, mu) with |e^{As}| <= kappa e^{mu s} from real modal coordinates, guessed in floats."""
@@ -126,7 +126,7 @@ class BallFlow:
         B = inverse * self.A * X
         return (spectral(X) * spectral(inverse)).upper(), largest((B + B.transpose()) * ball(0.5))
 
-    def _parted(self) -> DecoupledCoordinates | None:
+    def _decoupled(self) -> DecoupledCoordinates | None:
         """What is fast apart from what is slow, guessed in floats: what is carried so knows two speeds, not one."""
         guess, best = floats(self.A), None
         if self.n < 2 or not np.isfinite(guess).all():
@@ -146,13 +146,13 @@ class BallFlow:
         key = (duration.mid().man_exp(), duration.rad().man_exp())
         if key not in self._kept:
             doublings = max(0, int(np.ceil(np.log2(max(float(duration) * self.size, 1e-300)))) + 1)
-            F, W = self._short(duration / 2**doublings)
+            F, W = self._short_flow(duration / 2**doublings)
             for _ in range(doublings):
                 W, F = W + F * W * F.transpose(), F * F
             self._kept[key] = F, W
         return self._kept[key]
 
-    def _short(self, h: Ball) -> tuple[Matrix, Matrix]:
+    def _short_flow(self, h: Ball) -> tuple[Matrix, Matrix]:
         n = self.n
         block = flint().arb_mat(2 * n, 2 * n)
         for i in range(n):

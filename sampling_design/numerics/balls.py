@@ -101,7 +101,7 @@ def floats(M: Matrix) -> Array:
 def definite(M: Matrix) -> bool | None:
     """Say of a symmetric matrix: positive definite (True), not even semidefinite (False), or not decided (None)."""
     if M.nrows() > BLOCK:
-        corner, side, rest = _parted(M)
+        corner, side, rest = _quarters(M)
         found, carried = definite(corner), _solved(corner, side)
         if not found or carried is None:
             return None if found else found
@@ -122,7 +122,7 @@ def cholesky(M: Matrix) -> Matrix | None:
     """Return L with M = LL', or None where M is not certainly positive definite."""
     n = M.nrows()
     if n > BLOCK:
-        corner, side, rest = _parted(M)
+        corner, side, rest = _quarters(M)
         first = cholesky(corner)
         across = None if first is None else _solved(first, side)
         last = None if across is None else cholesky(rest - across.transpose() * across)
@@ -145,7 +145,7 @@ def cholesky(M: Matrix) -> Matrix | None:
     return flint().arb_mat(L) if n else matrix(np.zeros((0, 0)))
 
 
-def _parted(M: Matrix) -> tuple[Matrix, Matrix, Matrix]:
+def _quarters(M: Matrix) -> tuple[Matrix, Matrix, Matrix]:
     """The blocks of a symmetric matrix, cut in the middle: first corner, the side to its right, last corner."""
     rows, k = M.tolist(), M.nrows() // 2
     parts = ([row[:k] for row in rows[:k]], [row[k:] for row in rows[:k]], [row[k:] for row in rows[k:]])

@@ -137,7 +137,7 @@ class StageProgram:
             found[spots] = (p[gaps][:, None, :] @ B)[:, 0, :]
         return found
 
-    def _spread(self, weight: Array) -> Array:
+    def _covariances(self, weight: Array) -> Array:
         """B diag(weight) B' of each gap."""
         found = np.empty((self.K - 1, self.n, self.n))
         for gaps, spots, B in self._groups:
@@ -238,7 +238,7 @@ class StageProgram:
         own = self._summed(self._rows[:, :, None] * (self._rows * D[many:, None])[:, None, :])
         if self._at_rest:
             own[0] = np.eye(self.n)
-        band[self._own], band[self._between] = own, -self._spread(1 / D[:many])
+        band[self._own], band[self._between] = own, -self._covariances(1 / D[:many])
         ab = band.reshape(self._size, self._tall).T
         lu, pivots, _ = dgbtrf(ab, self._width, self._width, overwrite_ab=1)
         return lu, pivots
@@ -273,18 +273,18 @@ class _Newton:
         """dz, the new p, dt and dm for wanted products of rooms and multipliers."""
         aimed = self.program.signed(products / self.rooms)
         found = self.program.direction(self._system, self._D, aimed, self._drift, self._target)
-        changed = _sides(found[2])
+        changed = _room_changes(found[2])
         return (*found, (products - self.m * self.rooms - self.m * changed) / self.rooms)
 
     def _lengths(self, dt: Array, dm: Array) -> tuple[float, float]:
         """How far both sides may go, at most 1."""
-        return min(_room(self.rooms, _sides(dt)), 1.0), min(_room(self.m, dm), 1.0)
+        return min(_room(self.rooms, _room_changes(dt)), 1.0), min(_room(self.m, dm), 1.0)
 
     def step(self, mean: float) -> tuple[tuple[Array, Array, Array, Array], float, float] | None:
         """The step and its lengths; None where rounding leaves none."""
         *_, dt, dm = self._towards(np.zeros(self.m.size))
         primal, dual = self._lengths(dt, dm)
-        changed = _sides(dt)
+        changed = _room_changes(dt)
         after = float((self.m + dual * dm) @ (self.rooms + primal * changed)) / self.m.size
         aim = (after / mean) ** 3 * mean
         products = aim - dm * changed
@@ -292,7 +292,7 @@ class _Newton:
         primal, dual = self._lengths(*found[2:])
         for _ in range(CORRECTIONS):
             ahead = min(primal + REACH, 1.0), min(dual + REACH, 1.0)
-            meant = (self.m + ahead[1] * found[3]) * (self.rooms + ahead[0] * _sides(found[2]))
+            meant = (self.m + ahead[1] * found[3]) * (self.rooms + ahead[0] * _room_changes(found[2]))
             again = products + np.maximum(np.clip(meant, NEAR * aim, aim / NEAR) - meant, -aim / NEAR)
             tried = self._towards(again)
             longer = self._lengths(*tried[2:])
@@ -305,7 +305,7 @@ class _Newton:
         return (found, primal, dual) if usable else None
 
 
-def _sides(dt: Array) -> Array:
+def _room_changes(dt: Array) -> Array:
     """How a step changes the rooms."""
     return np.concatenate([-dt, dt])
 

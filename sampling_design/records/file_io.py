@@ -188,7 +188,7 @@ class AtomicWriter:
         self._stream: BinaryIO | None = None
 
     def __enter__(self) -> AtomicWriter:
-        with self._said():
+        with self._errors_named():
             handle, self._temporary = tempfile.mkstemp(dir=self.target.parent, prefix=f".{self.target.name}.")
             self._stream = os.fdopen(handle, "wb")
         return self
@@ -196,13 +196,13 @@ class AtomicWriter:
     def write(self, content: bytes) -> None:
         """Add to the file."""
         assert self._stream is not None
-        with self._said():
+        with self._errors_named():
             self._stream.write(content)
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         assert self._stream is not None
         try:
-            with self._said():
+            with self._errors_named():
                 if kind is None:
                     self._stream.flush()
                     os.fsync(self._stream.fileno())
@@ -216,7 +216,7 @@ class AtomicWriter:
             Path(self._temporary).unlink(missing_ok=True)
 
     @contextmanager
-    def _said(self) -> Iterator[None]:
+    def _errors_named(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:

@@ -17,13 +17,13 @@ FORMAT = "sampling-design/journal/1"
 
 def digest(*parts: object) -> str:
     """Digest of what results depend on: plain data, arrays, records, and functions by their names."""
-    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=_told).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=_digestible).encode()).hexdigest()
 
 
-def _told(value: object) -> object:
+def _digestible(value: object) -> object:
     """What a digest takes for a thing that is no plain data."""
     if isinstance(value, partial):
-        return [_told(value.func), list(value.args), value.keywords]
+        return [_digestible(value.func), list(value.args), value.keywords]
     for way in ("to_dict", "tolist"):
         if hasattr(value, way) and not isinstance(value, type):
             return getattr(value, way)()

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 Listed = TypeVar("Listed")
 
 
-class _Kind(ABCMeta):
+class _RecordType(ABCMeta):
     """The class of the classes of records: a call that does not fit their fields ends in one sentence."""
 
     @property
@@ -55,8 +55,20 @@ class _Kind(ABCMeta):
                 raise misfit(cls.__init__, (cls, *arguments), options, error) from None
 
 
+<<<<<<< HEAD
 class Shown:
     """What shows itself: `repr` in one line, `str` as a small table, `_repr_html_` for notebooks."""
+=======
+class Record(metaclass=_RecordType):
+    """Base of the frozen records: `repr` one line, `str` a small table, `_repr_html_` for notebooks.
+
+    Every public method of a record has a door before it (see `signatures`).
+    """
+
+    def __init_subclass__(cls, **options: object) -> None:
+        super().__init_subclass__(**options)
+        checked_methods(cls)
+>>>>>>> 8e9775aa (names: what bare participles named says what it is; a time-varying plant's transitions)
 
     _table: ClassVar[Mapping[str, str]] = {}
     """Label and value of each line, templates as `said` reads them."""
@@ -88,7 +100,7 @@ class Shown:
         return f"<table><caption>{escape(self._title())}</caption>{body}</table>"
 
 
-class Record(Shown, metaclass=_Kind):
+class Record(Shown, metaclass=_RecordType):
     """Base of the frozen records: `repr` one line, `str` a small table, `_repr_html_` for notebooks.
 
     Every public method of a record has a door before it (see `signatures`).

@@ -355,7 +355,9 @@ def _check(parameter: inspect.Parameter, hint: object) -> Check | None:
         return None
     name, default = parameter.name, parameter.default
     words = " or ".join(dict.fromkeys(word for word, _ in kinds if word != "None")) or "None"
-    slips = [next((f" {said}" for kind in _classes(hint) if (said := find(kind))), "") for find in (_slip, _reader)]
+    slips = [
+        next((f" {said}" for kind in _classes(hint) if (said := find(kind))), "") for find in (_likely_slip, _reader)
+    ]
 
     def check(value: object) -> object:
         if value is default:
@@ -371,7 +373,7 @@ def _check(parameter: inspect.Parameter, hint: object) -> Check | None:
     return check
 
 
-def _slip(kind: object) -> str:
+def _likely_slip(kind: object) -> str:
     """The likely slip where something that is no `kind` came for one."""
     return str(getattr(kind, "_slip", ""))
 
@@ -410,7 +412,7 @@ def _kinds(hint: object) -> list[tuple[str, Callable[[str, object], object]]]:
         return [("a path", lambda _, v: v if _path(v) else _NO)]
     if isinstance(kind, type) and kind in _HELD:
         listed = kind
-        return [(_HELD[kind], lambda _, v: _held(v, listed))]
+        return [(_HELD[kind], lambda _, v: _as_typed(v, listed))]
     if not isinstance(kind, type) or kind in (Any, object, np.ndarray) or kind.__module__.startswith("numpy._typing"):
         raise _Unchecked  # an array, or what becomes one
     if getattr(kind, "_is_protocol", False) and not getattr(kind, "_is_runtime_protocol", False):
@@ -428,7 +430,7 @@ _HELD: dict[object, str] = {
 }
 
 
-def _held(value: object, kind: type) -> object:
+def _as_typed(value: object, kind: type) -> object:
     if isinstance(value, (str, bytes)):
         return _NO
     if kind in (list, tuple, collections.abc.Sequence) and isinstance(value, np.ndarray) and value.ndim == 1:

@@ -1,4 +1,4 @@
-"""Validation: does what was promised come true? Trials, worst cases, and a report that compares."""
+"""Validation: does what was promised come true? MonteCarloTrials, worst cases, and a report that compares."""
 
 from sampling_design.records.lazy import lazy
 

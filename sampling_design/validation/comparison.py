@@ -31,7 +31,7 @@ from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.any_estimator import EstimatorStudy
 from sampling_design.validation.report import ValidationReport
 from sampling_design.validation.scenario import ScenarioBounds
-from sampling_design.validation.study import SCENARIOS, Study
+from sampling_design.validation.study import SCENARIOS, ValidationStudy
 from sampling_design.validation.timeline import Timeline, build_timeline, default_duration
 
 
@@ -154,7 +154,7 @@ def validate(
         known = {**_settings(line, count, chosen, bounds, root), "estimator": type(estimator).__name__}
         return EstimatorStudy(line, bounds, estimator, root.spawn(count)).report(chosen, known, progress)
     settled = (plant, schedule, certificate, bounds, options, duration, count, _seed_of(root))
-    study = Study(plant, schedule, certificate, bounds, options, duration)
+    study = ValidationStudy(plant, schedule, certificate, bounds, options, duration)
     study.journal = None if resume is None else Journal(resume, digest(*settled, __version__, np.__version__))
     study.run(chosen, root.spawn(count), workers, progress)
     return study.report({**_settings(study.line, count, chosen, bounds, root), "horizon": study.horizon})

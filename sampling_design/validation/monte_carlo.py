@@ -32,7 +32,7 @@ class RunBlock:
     seeds: tuple[np.random.SeedSequence, ...]
 
 
-class Trials(NamedTuple):
+class MonteCarloTrials(NamedTuple):
     """What was seen, one row per run.
 
     size : (r, R) |measure e| at every row of the map; promised : (r,) largest ratio of |e|^2 to what was promised;
@@ -45,13 +45,13 @@ class Trials(NamedTuple):
     plain: Array
 
 
-def run_block(block: RunBlock) -> Trials:
+def run_block(block: RunBlock) -> MonteCarloTrials:
     """Draw, apply and compare one block."""
     found, line = block.found, block.found.timeline
     return measured(found, block.promise, block.measure, draw_inputs(line, block.bounds, block.seeds))
 
 
-def measured(found: ErrorMap, promise: Promise | None, measure: Array, inputs: ErrorSources) -> Trials:
+def measured(found: ErrorMap, promise: Promise | None, measure: Array, inputs: ErrorSources) -> MonteCarloTrials:
     """Compare the errors of a batch with the promise (if there is one) and with the ellipsoids."""
     errors = found.apply(inputs)
     size = np.sqrt(np.sum((errors.e @ measure.T) ** 2, axis=2))
@@ -59,7 +59,7 @@ def measured(found: ErrorMap, promise: Promise | None, measure: Array, inputs: E
     if promise is not None:
         promised = np.max(ratio(promise.size(errors.e), promise.along(found.timeline, found.rows, inputs)), axis=1)
     plain = np.max(np.linalg.norm(errors.e, axis=2), axis=0)[None]
-    return Trials(size, promised, found.ellipsoid_ratio(errors), plain)
+    return MonteCarloTrials(size, promised, found.ellipsoid_ratio(errors), plain)
 
 
 def ratio(observed: Array, promised: Array) -> Array:
@@ -78,7 +78,7 @@ def monte_carlo(
     progress: Callable[[float, str], None] | None = None,
     journal: Journal | None = None,
     name: str = "",
-) -> Trials:
+) -> MonteCarloTrials:
     """Return the trials of one run per seed, in the order of the seeds.
 
     Parameters
@@ -95,7 +95,7 @@ def monte_carlo(
 
     Returns
     -------
-    Trials
+    MonteCarloTrials
 
     Raises
     ------
@@ -105,7 +105,7 @@ def monte_carlo(
     blocks = [
         RunBlock(found, bounds, promise, measure, tuple(seeds[k : k + BLOCK])) for k in range(0, len(seeds), BLOCK)
     ]
-    parts: dict[int, Trials] = {}
+    parts: dict[int, MonteCarloTrials] = {}
     if journal is not None:
         labels = [f"{name} {k}" for k in range(len(blocks))]
         parts = {
@@ -122,25 +122,25 @@ def monte_carlo(
         if progress is not None:
             progress(len(parts) / len(blocks), f"{min(len(parts) * BLOCK, len(seeds))} of {len(seeds)} runs")
     whole = [parts[k] for k in range(len(blocks))]
-    return Trials(*(np.concatenate(column) for column in zip(*whole, strict=True)))
+    return MonteCarloTrials(*(np.concatenate(column) for column in zip(*whole, strict=True)))
 
 
-def _plain(trials: Trials) -> dict[str, object]:
-    """Trials as plain data, every bit of them: shapes, and the bytes of the numbers."""
+def _plain(trials: MonteCarloTrials) -> dict[str, object]:
+    """MonteCarloTrials as plain data, every bit of them: shapes, and the bytes of the numbers."""
     return {
         key: {"shape": list(value.shape), "bytes": b64encode(np.asarray(value, dtype="<f8").tobytes()).decode()}
         for key, value in trials._asdict().items()
     }
 
 
-def _from_plain(data: Mapping[str, object], where: str) -> Trials:
+def _from_plain(data: Mapping[str, object], where: str) -> MonteCarloTrials:
     try:
-        arrays = {key: _array(data[key]) for key in Trials._fields}
+        arrays = {key: _array(data[key]) for key in MonteCarloTrials._fields}
     except (KeyError, TypeError, ValueError):
         raise FileFormatError(
             f"{where}: holds a result that is none. Name another file to resume from.", where
         ) from None
-    return Trials(**arrays)
+    return MonteCarloTrials(**arrays)
 
 
 def _array(held: object) -> Array:

@@ -34,7 +34,7 @@ class WorstRatio(NamedTuple):
     time: float
 
 
-def _stops(line: Timeline, start: int, span: float) -> int:
+def _pair_end(line: Timeline, start: int, span: float) -> int:
     """Break point at which pairs from `start` end."""
     return int(np.searchsorted(line.times, line.times[start] + span, side="right")) - 1
 
@@ -74,18 +74,18 @@ def random_pairs(
     R, Qv = certificate.R, certificate.Qv
     blind = np.asarray(-np.linalg.solve(R + Qv, R @ plant.C))
     units = [np.linalg.cholesky(np.linalg.inv(M)) for M in (certificate.P2, certificate.Qw)]
-    last = max(1, _stops(line, 0, max(line.times[-1] - span, 0.0)))
+    last = max(1, _pair_end(line, 0, max(line.times[-1] - span, 0.0)))
     for start in rng.integers(0, last, size=starts):
-        stop = _stops(line, int(start), span)
+        stop = _pair_end(line, int(start), span)
         chi = rng.normal(size=(count, plant.n_states)) @ units[0].T
         size = rng.choice([0.0, 0.1, 1.0], size=(count, 1, 1))
         w = size * (rng.normal(size=(count, line.cells, plant.n_disturbances)) @ units[1].T) / np.sqrt(span)
-        v = _hiding(line, int(start), stop, chi, w, blind) * rng.uniform(0.0, 1.5, size=(count, 1, 1))
+        v = _cheapest_noise(line, int(start), stop, chi, w, blind) * rng.uniform(0.0, 1.5, size=(count, 1, 1))
         looks.append(sides(line, certificate, int(start), stop, TrajectoryPairs(chi, w, v)))
     return max(looks, key=lambda look: look.ratio)
 
 
-def _hiding(line: Timeline, start: int, stop: int, x: Array, w: Array, blind: Array) -> Array:
+def _cheapest_noise(line: Timeline, start: int, stop: int, x: Array, w: Array, blind: Array) -> Array:
     """The cheapest noise at each sample, given the states."""
     v = np.zeros((x.shape[0], line.samples.size, line.plant.n_outputs))
     samples = {int(b): j for j, b in enumerate(line.samples)}
@@ -103,11 +103,11 @@ def worst_pair(line: Timeline, certificate: SampledCertificate, span: float) -> 
     Least right side that leads to Dx(t) = xi is xi'Y^-1 xi; the pair that reaches it is found by going back from the
     worst xi, and then simulated like any other.
     """
-    last = max(1, _stops(line, 0, max(line.times[-1] - span, 0.0)))
+    last = max(1, _pair_end(line, 0, max(line.times[-1] - span, 0.0)))
     starts = np.unique(np.linspace(0, last - 1, min(MOST_STARTS, last)).astype(int))
     root, best = np.linalg.cholesky(certificate.P1).T, (-np.inf, 0, 0)
     for start in starts:
-        before, _ = _forward(line, certificate, int(start), _stops(line, int(start), span))
+        before, _ = _forward(line, certificate, int(start), _pair_end(line, int(start), span))
         tops = np.linalg.eigvalsh(symmetrise(root @ np.array(before) @ root.T))[:, -1]
         at = int(np.argmax(tops))
         best = max(best, (float(tops[at]), int(start), int(start) + at))

@@ -211,7 +211,7 @@ def compare_schedule(
     planned = plan.between(0.0, float(actual[-1]) + _half_gap(plan))
     if not len(planned):
         raise ArgumentError(f"`schedule` plans no sample up to {float(actual[-1])!r}, the last of `times`.")
-    match = _matched(planned.times, actual)
+    match = _paired_times(planned.times, actual)
     judged = plant if retained is None else retained
     before: WindowSigma | None = None
     after: WindowSigma | None = None
@@ -224,7 +224,7 @@ def compare_schedule(
                 replace(sigma, profile=_around(judged, each, length, after.witness.t, start).profile)
                 for sigma, each in ((before, planned), (after, taken))
             )
-    lacking = _lacking(plant, planned, taken, match)
+    lacking = _lost_samples(plant, planned, taken, match)
     return ScheduleLog(planned, taken, match, lacking, before, after, plant.time_unit, not judged.n_states)
 
 
@@ -297,7 +297,7 @@ def _half_gap(plan: Schedule | PeriodicSchedule) -> float:
     return float(plan.gaps.min()) / 2 if plan.gaps.size else 0.0
 
 
-def _matched(planned: Array, actual: Array) -> Index:
+def _paired_times(planned: Array, actual: Array) -> Index:
     """Pair each planned time with the nearest actual one within half of the gaps around it, none twice.
 
     A stretch at a time. Of several that are nearest to one sample, which are neighbours, the first has it.
@@ -327,7 +327,7 @@ def _half_before(planned: Array, index: Index) -> Array:
     return np.asarray((planned[end] - planned[end - 1]) / 2)
 
 
-def _lacking(plant: Plant, planned: Schedule, taken: Schedule, match: Index) -> Mask:
+def _lost_samples(plant: Plant, planned: Schedule, taken: Schedule, match: Index) -> Mask:
     full = np.ones((len(planned), plant.n_outputs), dtype=bool)
     wanted = full if planned.outputs is None else planned.outputs
     if taken.outputs is None:

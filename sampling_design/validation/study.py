@@ -22,7 +22,7 @@ from sampling_design.records.record import short
 from sampling_design.records.workers import Workers
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.error_map import ErrorMap, build_error_map
-from sampling_design.validation.monte_carlo import Trials, measured, monte_carlo, ratio
+from sampling_design.validation.monte_carlo import MonteCarloTrials, measured, monte_carlo, ratio
 from sampling_design.validation.pairs import random_pairs, worst_pair
 from sampling_design.validation.promise import Promise, promise_of
 from sampling_design.validation.report import ROUNDING, ErrorCurve, ExampleRun, Finding, ValidationReport
@@ -63,7 +63,7 @@ ROOMY = 100.0
 CHOSEN_HERE = ("prior", "prior_time", "constraints")
 
 
-class Study:
+class ValidationStudy:
     """One plant, schedule and estimator under all scenarios."""
 
     def __init__(
@@ -158,17 +158,19 @@ class Study:
         energies = largest_square(promise.prior, b.e0), largest_square(promise.w, b.w), np.array(heard)
         return promise.at_most(self.line, self.map.rows, energies)
 
-    def _judge(self, scenario: str, seen: Trials, strength: Strength = "sampled") -> None:
+    def _judge(self, scenario: str, seen: MonteCarloTrials, strength: Strength = "sampled") -> None:
         """Findings that every linear scenario leaves: a-priori bound, plain bound, ellipsoids."""
         self.courses.append(ErrorCurve(scenario, seen.size.max(axis=0), np.median(seen.size, axis=0)))
         if self.promise is not None:
             worst, source = float(np.max(seen.promised)), self.promise.theorem
-            self._find("a-priori bound", scenario, 1.0, worst, source=source, strength=strength, note=_spread(seen))
+            self._find(
+                "a-priori bound", scenario, 1.0, worst, source=source, strength=strength, note=_median_text(seen)
+            )
             if source == "sharper horizon theorem":
                 self._plain(scenario, seen, strength)
         self._ellipsoids(scenario, seen.ellipsoid, seen.ellipsoid[:, self.map.rows.samples], strength)
 
-    def _plain(self, scenario: str, seen: Trials, strength: Strength) -> None:
+    def _plain(self, scenario: str, seen: MonteCarloTrials, strength: Strength) -> None:
         b, times = self.bounds, self.map.rows.times
         found = self._certified.error_bound(
             times, norm_of(b.e0), norm_of(b.w), norm_of(b.v), theorem="sharp", length=self.horizon
@@ -257,7 +259,12 @@ class Study:
         )
         worst = float(np.max(seen.promised))
         self._find(
-            "a-priori bound", "random noise, the paper's cost", 1.0, worst, source=promise.theorem, note=_spread(seen)
+            "a-priori bound",
+            "random noise, the paper's cost",
+            1.0,
+            worst,
+            source=promise.theorem,
+            note=_median_text(seen),
         )
         self._worst_energy(found, promise, "worst energy, the paper's cost")
         self._ellipsoids("random noise, the paper's cost", seen.ellipsoid, seen.ellipsoid[:, found.rows.samples])
@@ -280,7 +287,7 @@ class Study:
             tell((k + 1) / inputs.e0.shape[0], f"run {k + 1}")
         errors = np.array([run.errors(found.rows) for run in runs])
         self._agree("real estimator", errors, expected)
-        self._held("real estimator", runs, found)
+        self._estimates_keep_promises("real estimator", runs, found)
         self.example = ExampleRun(found.rows.times, errors[0], np.array([e.ellipsoid_radii for e in runs[0].estimates]))
 
     def _agree(self, scenario: str, errors: Array, expected: Array) -> None:
@@ -288,7 +295,7 @@ class Study:
         away = float(np.max(np.linalg.norm((errors - expected) @ self.measure.T, axis=2)))
         self._find("difference to the linear error map", scenario, AGREEMENT, away / size if size else away)
 
-    def _held(self, scenario: str, runs: list[EstimatedRun], found: ErrorMap) -> None:
+    def _estimates_keep_promises(self, scenario: str, runs: list[EstimatedRun], found: ErrorMap) -> None:
         ratios = np.array(
             [[e.ratio(x) for e, x in zip(r.estimates, r.truth.states[found.rows.at], strict=True)] for r in runs]
         )
@@ -318,7 +325,7 @@ class Study:
                 worst = float(np.max(ratio(self.promise.size(errors), promised)))
                 note = f"a constraint was active in {short(100 * _active(runs, found), 3)} % of the solves"
                 self._find("a-priori bound", label, 1.0, worst, source=self.promise.theorem, note=note)
-            self._held(label, runs, found)
+            self._estimates_keep_promises(label, runs, found)
             tell(0.5, label)
 
 
@@ -327,5 +334,5 @@ def _active(runs: list[EstimatedRun], found: ErrorMap) -> float:
     return float(np.mean([e.engine not in CLOSED_FORM for e in solves]))
 
 
-def _spread(seen: Trials) -> str:
+def _median_text(seen: MonteCarloTrials) -> str:
     return f"median over the runs {short(np.median(seen.promised), 3)}"

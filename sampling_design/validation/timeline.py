@@ -83,7 +83,7 @@ def build_timeline(
     if not len(inside):
         raise ArgumentError(f"`schedule` holds no sample in [0, {length!r}]: there is nothing to compare.")
     times = inside.times
-    starts = _snapped(times - horizon, times, horizon)
+    starts = _snapped_to_samples(times - horizon, times, horizon)
     given = starts == 0.0
     if begins == "sample":
         starts = _sampled(starts, times)
@@ -131,7 +131,7 @@ def _sampled(starts: Array, times: Array) -> Array:
     return np.asarray(known[np.searchsorted(known, starts, side="right") - 1])
 
 
-def _snapped(starts: Array, times: Array, horizon: float) -> Array:
+def _snapped_to_samples(starts: Array, times: Array, horizon: float) -> Array:
     """Window starts, at least 0; one that is a sample's time but for rounding becomes it."""
     clipped = np.maximum(starts, 0.0)
     if not np.isfinite(horizon):

@@ -88,11 +88,13 @@ def worst_energy(found: ErrorMap, promise: Promise) -> WorstEnergy:
             best = float(values[-1]), int(row), promise.root.T @ vectors[:, -1], parts
     assert best is not None
     ratio, row, direction, parts = best
-    e0, w, v = (D @ (np.swapaxes(E, -1, -2) @ direction)[..., None] for E, D in _terms(found, promise, row, parts))
+    e0, w, v = (
+        D @ (np.swapaxes(E, -1, -2) @ direction)[..., None] for E, D in _promise_terms(found, promise, row, parts)
+    )
     return WorstEnergy(ratio, row, ErrorSources(*(part[None, ..., 0] for part in (e0, w, v))))
 
 
-def _terms(found: ErrorMap, promise: Promise, row: int, parts: ErrorSources) -> list[tuple[Array, Array]]:
+def _promise_terms(found: ErrorMap, promise: Promise, row: int, parts: ErrorSources) -> list[tuple[Array, Array]]:
     """Each part with the inverse of its weight in the promise at that row."""
     line, t = found.timeline, found.rows.times[row]
     inside, rate = line.times[1:] <= t * (1 + 1e-15), promise.rate
@@ -112,7 +114,7 @@ def _terms(found: ErrorMap, promise: Promise, row: int, parts: ErrorSources) -> 
 def _weighted(found: ErrorMap, promise: Promise, row: int, parts: ErrorSources) -> list[tuple[Array, Array]]:
     """The same as two-dimensional blocks, so that their sum is one matrix."""
     flat = []
-    for E, D in _terms(found, promise, row, parts):
+    for E, D in _promise_terms(found, promise, row, parts):
         if E.ndim == 2:
             flat.append((E, D))
         else:

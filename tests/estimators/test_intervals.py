@@ -10,7 +10,7 @@ from sampling_design.accuracy.interval import prove, state_interval
 from sampling_design.accuracy.readings import DisturbanceSet, RowReading, StartError, gathered
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.online.evidence import Evidence
+from sampling_design.estimators.online.evidence import EstimateEvidence
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], B=[[0.0], [1.0]], states=["position", "velocity"])
 TIMES = [0.7, 2.3, 3.2, 5.2, 5.9]
@@ -209,13 +209,13 @@ def test_an_estimate_moves_into_the_middle_of_its_interval(seed):
 
 
 def test_programs_are_solved_once_for_radii_interval_and_middle(monkeypatch):
-    asked, own = [], Evidence.interval
+    asked, own = [], EstimateEvidence.interval
 
     def counted(evidence, *given):
         asked.append(given)
         return own(evidence, *given)
 
-    monkeypatch.setattr(Evidence, "interval", counted)
+    monkeypatch.setattr(EstimateEvidence, "interval", counted)
     bounds = {"w_bound": 0.1, "v_bound": 0.3, "initial_error": 2.0}
     kalman = sd.KalmanFilter(sd.Plant([[0.0]], [[1.0]]), **bounds)
     first, later = kalman.update(0.0, [1.0]), kalman.update(1.0, [1.5])

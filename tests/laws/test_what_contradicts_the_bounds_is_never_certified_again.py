@@ -9,7 +9,7 @@ import pytest
 import sampling_design as sd
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.estimators.online.curve import estimate_curve
-from sampling_design.estimators.online.history import DEEPEST, Branch
+from sampling_design.estimators.online.history import DEEPEST, SampleBranch
 from tests.cases import few
 
 WALK = sd.Plant([[0.0]], [[1.0]], states=["level"], outputs=["gauge"])
@@ -122,7 +122,7 @@ def test_a_late_sample_does_not_make_it_forgotten(maker):
 
 
 def test_branches_know_where_they_left():
-    whole = Branch()
+    whole = SampleBranch()
     first = whole.after(0)
     assert first is whole
     assert first.after(1) is whole
@@ -137,7 +137,7 @@ def test_branches_know_where_they_left():
     branch.record(3, "own")
     assert [branch.contradiction(k) for k in (0, 1, 3)] == [None, "early", "own"]
     for _ in range(2 * DEEPEST):
-        branch, old = Branch(branch, 3), branch
+        branch, old = SampleBranch(branch, 3), branch
     assert old._depth <= DEEPEST
     assert branch.contradiction(4) == "own"
 

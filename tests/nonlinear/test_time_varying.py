@@ -19,7 +19,7 @@ TIMES = np.array([0.0, 0.4, 1.7, 3.0])
 
 
 def test_transitions_are_those_of_the_matrix_exponential():
-    motion = FIXED.motion(TIMES, [0.5])
+    motion = FIXED.transitions(TIMES, [0.5])
     for k, h in enumerate(np.diff(TIMES)):
         both = expm(h * np.block([[-A, 0.25 * G @ G.T], [np.zeros((2, 2)), A.T]]))  # Van Loan
         np.testing.assert_allclose(motion.F[k], both[2:, 2:].T, rtol=1e-7)
@@ -27,26 +27,26 @@ def test_transitions_are_those_of_the_matrix_exponential():
     assert motion.error < 1e-7
     # a scalar with a closed form: x' = cos(t) x
     wave = TimeVaryingPlant(lambda t: [[np.cos(t)]], lambda t: [[1.0]], horizon=9.0)
-    assert wave.motion([0.0, 7.0]).F[0, 0, 0] == pytest.approx(np.exp(np.sin(7.0)), rel=1e-7)
-    assert wave.motion([0.0, 7.0]).W[0, 0, 0] == 0.0
+    assert wave.transitions([0.0, 7.0]).F[0, 0, 0] == pytest.approx(np.exp(np.sin(7.0)), rel=1e-7)
+    assert wave.transitions([0.0, 7.0]).W[0, 0, 0] == 0.0
 
 
 def test_tables_run_straight_and_units_change_no_transition():
     table = TimeVaryingPlant.from_table([0.0, 2.0], [[[0.0]], [[2.0]]], [[[1.0]], [[3.0]]])
-    assert table.motion([0.0, 1.0, 2.0]).F[:, 0, 0] == pytest.approx(np.exp([0.5, 1.5]), rel=1e-7)
-    assert table.motion([0.0, 1.0]).C[:, 0, 0].tolist() == [1.0, 2.0]
+    assert table.transitions([0.0, 1.0, 2.0]).F[:, 0, 0] == pytest.approx(np.exp([0.5, 1.5]), rel=1e-7)
+    assert table.transitions([0.0, 1.0]).C[:, 0, 0].tolist() == [1.0, 2.0]
     s = np.array([1e-9, 1e6])
     signals = {"states": sd.plants.Signals(("a", "b"), (), s), "outputs": sd.plants.Signals(("y",), (), [1e-9])}
     scaled = TimeVaryingPlant(lambda t: A * s[:, None] / s, lambda t: C * 1e-9 / s, horizon=3.0, **signals)
-    np.testing.assert_allclose(scaled.motion(TIMES).F, FIXED.motion(TIMES).F, rtol=1e-8, atol=1e-10)
-    np.testing.assert_allclose(scaled.motion(TIMES).C, FIXED.motion(TIMES).C, rtol=1e-12)
+    np.testing.assert_allclose(scaled.transitions(TIMES).F, FIXED.transitions(TIMES).F, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(scaled.transitions(TIMES).C, FIXED.transitions(TIMES).C, rtol=1e-12)
 
 
 def test_along_a_linear_plant_it_is_the_plant_itself():
     linear = from_linear(sd.Plant(A, C, G=G))
     along = plant_along(linear, [1.0, -1.0], 3.0)
-    np.testing.assert_allclose(along.motion(TIMES, [0.5]).F, FIXED.motion(TIMES, [0.5]).F, rtol=1e-8)
-    np.testing.assert_allclose(along.motion(TIMES, [0.5]).W, FIXED.motion(TIMES, [0.5]).W, rtol=1e-8)
+    np.testing.assert_allclose(along.transitions(TIMES, [0.5]).F, FIXED.transitions(TIMES, [0.5]).F, rtol=1e-8)
+    np.testing.assert_allclose(along.transitions(TIMES, [0.5]).W, FIXED.transitions(TIMES, [0.5]).W, rtol=1e-8)
     assert "2 states, 1 output, over 3 s" in along.explain()
     assert "horizon" in str(along)
 
@@ -57,15 +57,15 @@ def test_bad_arguments_are_refused():
     with pytest.raises(ArgumentError, match="`A` must hold one finite matrix for each of the 2 times"):
         TimeVaryingPlant.from_table([0.0, 2.0], [[[0.0]]], [[[1.0]], [[3.0]]])
     with pytest.raises(ArgumentError, match=r"`times` must lie in \[0, 3\]"):
-        FIXED.motion([0.0, 4.0])
+        FIXED.transitions([0.0, 4.0])
     with pytest.raises(ArgumentError, match="`states` must have 2 entries, got 1"):
         TimeVaryingPlant(lambda t: A, lambda t: C, horizon=1.0, states=sd.plants.Signals(("a",)))
     late = TimeVaryingPlant(lambda t: [[np.nan if t > 0.5 else 1.0]], lambda t: [[1.0]], horizon=1.0)
     with pytest.raises(ArgumentError, match="`A` must be finite on the whole horizon"):
-        late.motion([0.0, 1.0])
+        late.transitions([0.0, 1.0])
     steep = TimeVaryingPlant(lambda t: [[1 / abs(1.0 - t + 1e-300) ** 2]], lambda t: [[1.0]], horizon=2.0)
     with pytest.raises(SolverError, match="the integration comes to a stop at t = "):
-        steep.motion([0.0, 1.5])
+        steep.transitions([0.0, 1.5])
 
 
 def test_an_integrator_that_gives_up_is_named(monkeypatch):
@@ -74,7 +74,7 @@ def test_an_integrator_that_gives_up_is_named(monkeypatch):
             f"sampling_design.{room}.time_varying.solve_ivp", lambda *args, **options: SimpleNamespace(success=False)
         )
     with pytest.raises(SolverError, match=r"the integration comes to a stop at t = 0: "):
-        FIXED.motion([0.0, 1.5])
+        FIXED.transitions([0.0, 1.5])
     still = NonlinearPlant(lambda x, u, w: [0.0 * x[0]], lambda x, u, v: [x[0]], {"states": 1, "outputs": 1})
     with pytest.raises(SolverError, match="the nominal trajectory cannot be followed"):
         plant_along(still, [1.0], 2.0)

@@ -45,7 +45,7 @@ def test_no_adversary_beats_what_gains_guarantee():
         plant, SAMPLES, w_bound=[0.2], v_bound=[0.05], initial_error=[1.0, np.inf], of=[[1.0, -1.0]]
     )
     grid = np.linspace(0.0, 4.0, 161)
-    motion = plant.motion(grid)
+    motion = plant.transitions(grid)
     at = np.searchsorted(grid, SAMPLES.times - 1e-9)
     state = rng.normal(size=(4000, 2)) * [0.3, 0.3]
     inside = np.abs(state[:, 0]) <= 1.0

@@ -344,12 +344,12 @@ def detectability_from_proof(
     if slowest >= 0:
         raise ArgumentError(f"`gain` must make A - LC Hurwitz, got an eigenvalue with real part {short(slowest)}.")
     P = _symmetric(solve_continuous_lyapunov(A_L.T, -Q))
-    constants = _young(plant, P, L, Q)
+    constants = _proof_numbers(plant, P, L, Q)
     eta, c_w, c_y = (constants.named(name).value for name in ("eta", "c_w", "c_y"))
     return proven(DetectabilityCertificate(plant, P, eta, c_w, c_y, method="proof", gain=L, constants=constants))
 
 
-def _young(plant: Plant, P: Array, L: Array, Q: Array) -> ConstantList:
+def _proof_numbers(plant: Plant, P: Array, L: Array, Q: Array) -> ConstantList:
     """The proof's numbers in order, each rounded to the safe side by its last digits."""
     q, top = float(np.linalg.eigvalsh(Q)[0]), float(np.linalg.eigvalsh(P)[-1])
     safe = 1 + ROUNDING

@@ -158,11 +158,11 @@ def followed(canon: ScaledProblem, eta: float) -> None:
     if rate * longest > MOST_GROWTH:
         raise UndecidedError(
             f"undecided: the squared error may grow by e^{rate * longest:.4g} before the next sample, beyond what "
-            f"doubles can follow (e^{MOST_GROWTH:g}).{slip(canon)}"
+            f"doubles can follow (e^{MOST_GROWTH:g}).{origin_question(canon)}"
         )
 
 
-def slip(canon: ScaledProblem) -> str:
+def origin_question(canon: ScaledProblem) -> str:
     """A question about the origin of the times, where the first sample comes long after time 0; else nothing."""
     times = canon.schedule.times
     late = times.size > 1 and float(times[0]) > LATE * float(np.median(np.diff(times)))

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from sampling_design.certificates.exact.canonical import canonical, slip
+from sampling_design.certificates.exact.canonical import canonical, origin_question
 from sampling_design.certificates.exact.certificate import Certificate, SampledCertificate, Witness
 from sampling_design.certificates.exact.efforts import ATTEMPTS, FINER, HIGHER, LOOK_WORK, ROOM, SearchEffort, wider
 from sampling_design.certificates.exact.given_weights import NoiseWeights
@@ -130,7 +130,9 @@ class ScheduleProof:
             else:
                 missed = refine(self.problem, missed, self.problem.reach[missed.index] / 16)
             anywhere = max(anywhere, missed, at_samples, key=attrgetter("value"))
-        reason = f"undecided: the proof of the certificate did not close: {verdict.reason}.{slip(self.canon)}"
+        reason = (
+            f"undecided: the proof of the certificate did not close: {verdict.reason}.{origin_question(self.canon)}"
+        )
         self.peaks, error = (anywhere, at_samples), UndecidedError(reason, verification=verdict, certificate=made)
         self.left_open = work, room, error
         raise error

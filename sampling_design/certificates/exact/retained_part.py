@@ -80,7 +80,7 @@ def parted_weights(
 ) -> list[ChosenWeights | None]:
     """For each budget the weights from the slow modes; None where the plant is small, or has no fast modes apart."""
     nothing: list[ChosenWeights | None] = [None] * len(budgets)
-    parts = _parted(canon, bounds) if canon.plant.n_states >= LARGE else None
+    parts = _slow_and_fast_modes(canon, bounds) if canon.plant.n_states >= LARGE else None
     if parts is None:
         return nothing
     V, slow, fast, own = parts
@@ -102,7 +102,7 @@ def parted_weights(
     return made
 
 
-def _parted(canon: ScaledProblem, bounds: tuple[float, float]) -> tuple[Array, Plant, Plant, float] | None:
+def _slow_and_fast_modes(canon: ScaledProblem, bounds: tuple[float, float]) -> tuple[Array, Plant, Plant, float] | None:
     """V, the plants of the slow and of the fast modes, and the rate of the latter; None where none stand apart."""
     plant, size = canon.plant, 1 / canon.plant.states.scales
     A = plant.A * size[:, None] / size  # of states counted in their scales, where the noise gain is

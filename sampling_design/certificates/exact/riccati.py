@@ -246,7 +246,7 @@ def sweep(
     Y, at = head[:, -1], index.copy()
     for step in range(last_step + 1):
         Y = measurement_update(Y, problem.rows[at])
-        going = _going(problem, Y, at, steady)
+        going = _may_still_grow(problem, Y, at, steady)
         Y, alive = Y[going], alive[going]
         at = (at[going] + 1) % problem.count
         if not alive.size or work.over:
@@ -261,7 +261,7 @@ def sweep(
     ]
 
 
-def _going(problem: WindowProblem, Y: Array, at: Index, steady: Array | None) -> Mask:
+def _may_still_grow(problem: WindowProblem, Y: Array, at: Index, steady: Array | None) -> Mask:
     """Which windows may still bring something: the schedule goes on and the periodic solution is not yet above."""
     if problem.period is None:
         return np.asarray(at + 1 < problem.count)

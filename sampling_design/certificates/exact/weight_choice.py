@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize, minimize_scalar
 
-from sampling_design.certificates.exact.canonical import ScaledProblem, slip
+from sampling_design.certificates.exact.canonical import ScaledProblem, origin_question
 from sampling_design.certificates.exact.noise_gain_scale import COARSE, EXACT, RateWindows, rounded
 from sampling_design.certificates.exact.window_gains import WindowConditions, WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem
@@ -362,7 +362,7 @@ def choose_weights(
     if not guesses:
         raise UndecidedError(
             "undecided: at no rate that was tried could the information on this schedule be followed in doubles; the "
-            f"schedule is on the edge of what can be certified.{slip(canon)}"
+            f"schedule is on the edge of what can be certified.{origin_question(canon)}"
         )
     guesses.sort(key=attrgetter("value"))
     found: list[ChosenWeights] = []
@@ -386,7 +386,7 @@ def choose_weights(
     shapes += [(0.0, ChosenWeights(shape, best.eta, np.inf)) for shape in search.guesses(best.eta)]
     report(0.9, "proof")
     others = [guess for guess in guesses if guess.eta != best.eta]
-    return [_ordered(search, shapes, budget) + _spare(search, others, budget) for budget in budgets]
+    return [_ordered(search, shapes, budget) + _guesses_at_other_rates(search, others, budget) for budget in budgets]
 
 
 def _descend_at_others(
@@ -410,7 +410,7 @@ def _descend_at_others(
                 last = made if above else last
 
 
-def _spare(search: WeightSearch, guesses: list[ChosenWeights], budget: float) -> list[ChosenWeights]:
+def _guesses_at_other_rates(search: WeightSearch, guesses: list[ChosenWeights], budget: float) -> list[ChosenWeights]:
     """The guesses at other rates, scaled to the budget: those of moderate lambda first, then by their horizons."""
     found = [search.judged(guess.P2, guess.eta, budget, guess, COARSE) for guess in guesses]
     spare = [replace(choice, spare=True) for choice in found if choice is not None]
@@ -436,11 +436,11 @@ def _ordered(search: WeightSearch, shapes: list[tuple[float, ChosenWeights]], bu
     found = [search.judged(choice.P2, choice.eta, budget, choice) for least, choice in shapes if least <= budget]
     kept: list[ChosenWeights] = []
     for choice in sorted((choice for choice in found if choice is not None), key=attrgetter("value")):
-        kept += [] if any(_alike(choice, other) for other in kept) else [choice]
+        kept += [] if any(_same_choice(choice, other) for other in kept) else [choice]
     return kept
 
 
-def _alike(one: ChosenWeights, other: ChosenWeights) -> bool:
+def _same_choice(one: ChosenWeights, other: ChosenWeights) -> bool:
     """Whether two choices are one as far as a descent tells: one that gains nothing ends where it began."""
     size = np.sqrt(np.diagonal(other.P2))
     near = np.abs(one.P2 - other.P2) <= PRECISION * size * size[:, None]

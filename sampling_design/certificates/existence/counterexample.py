@@ -207,7 +207,7 @@ def find_counterexample(
         found = judged(plant, schedule, eta)
         return None if found.exists else counterexample(plant, schedule, eta, found), found.margin
 
-    for schedule in _suspects(family, sorted({*periods, *(h for h in near if h)}), rng, quick):
+    for schedule in _candidate_schedules(family, sorted({*periods, *(h for h in near if h)}), rng, quick):
         made, margin = refused(schedule)
         if made is not None:
             return made, NearestFailure(margin, schedule, "; ".join(searched))
@@ -254,7 +254,7 @@ def refute(
     )
 
 
-def _suspects(
+def _candidate_schedules(
     family: SamplingFamily, periods: list[float], rng: np.random.Generator, quick: bool
 ) -> Iterator[PeriodicSchedule]:
     """Periodic members worth a look: the nominal one, and those that the family suspects."""

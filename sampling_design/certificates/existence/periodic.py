@@ -333,13 +333,13 @@ def _reason(main: complex, partners: tuple[complex, ...], schedule: PeriodicSche
         faded = main.real * schedule.period < -ALIAS_TOLERANCE  # less is rounding of an eigenvalue on the axis
         rate = f"; it decays at {short(-2 * main.real)} only, so eta must stay below that" if faded else ""
         return f"the eigenvalue {name} is seen by no sample of the period{rate}"
-    turned = [v for v in partners if _turns(main - v, schedule.period)]
+    turned = [v for v in partners if _whole_turns(main - v, schedule.period)]
     others = ", ".join(format_eigenvalue(v, grain=1e-12 * abs(v)) for v in turned or partners)
     if not turned:
         apart = max(abs(v - main) for v in partners)
         why = f"the samples of a period of {short(schedule.period)} do not tell them apart"
         return f"the eigenvalue {name} lies within {short(apart)} of {others}: {why}"
-    turns = _turns(main - turned[0], schedule.period)
+    turns = _whole_turns(main - turned[0], schedule.period)
     every = np.abs((main - turned[0]).imag) * schedule.gaps / (2 * np.pi)
     by_gap = np.all(np.abs(every - np.round(every)) <= ALIAS_TOLERANCE * np.maximum(every, 1))
     fit = "turn of their difference fits" if turns == 1 else "turns of their difference fit"
@@ -349,6 +349,6 @@ def _reason(main: complex, partners: tuple[complex, ...], schedule: PeriodicSche
     return f"the eigenvalue {name} is aliased with {others}: {what}"
 
 
-def _turns(difference: complex, period: float) -> int:
+def _whole_turns(difference: complex, period: float) -> int:
     """Whole turns that two eigenvalues drift apart over a period; none where they are nearly one."""
     return round(abs(difference.imag) * period / (2 * np.pi))

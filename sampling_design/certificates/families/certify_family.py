@@ -344,13 +344,13 @@ def certify_family(
     if not plant.n_states:
         return without_states(plant, family, weights, rate or 1.0, graph_of(family, levels[0], plant.n_outputs))
     bounds = rate_range(plant, family.nominal) if rate is None else (rate, rate)
-    _bearable(plant, float(graph_of(family, levels[0], plant.n_outputs).tops.max()), bounds[0])
+    _refuse_too_long_gap(plant, float(graph_of(family, levels[0], plant.n_outputs).tops.max()), bounds[0])
     least = refute(plant, family, bounds[0], quick=True)
     found = FamilySearch(plant, family, weights, given, noise_gain, limit).decide(bounds, list(levels), least, report)
     return certified(plant, family, weights, given, found)
 
 
-def _bearable(plant: Plant, longest: float, eta: float) -> None:
+def _refuse_too_long_gap(plant: Plant, longest: float, eta: float) -> None:
     """Say that it is undecided, before anything is tried, where the longest gap alone asks for too large a lambda.
 
     A window may start as the gap does, and nothing is seen until it ends: lambda is at least e^{(2 max Re mu + eta) h}.

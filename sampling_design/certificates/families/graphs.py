@@ -49,10 +49,10 @@ def graph_of(family: SamplingFamily, memory: int, outputs: int) -> PathCompleteG
     most = family.levels_of_memory
     if not 0 <= memory < most:
         raise ArgumentError(f"`memory` must be a whole number from 0 to {most - 1} for this family, got {memory!r}.")
-    return _walk(family.steps(memory, outputs))
+    return _reachable_words(family.steps(memory, outputs))
 
 
-def _walk(steps: Steps) -> PathCompleteGraph:
+def _reachable_words(steps: Steps) -> PathCompleteGraph:
     """All words that can be reached from the start."""
     words: dict[Word, int] = {START: 0}
     edges: list[Edge] = []

@@ -10,7 +10,7 @@ from sampling_design.accuracy.readings import DisturbanceSet, RowReading
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
-from sampling_design.estimators.online.evidence import Assumptions, SetBounds
+from sampling_design.estimators.online.evidence import EstimateAssumptions, SetBounds
 
 INSIDE = 1e-12
 """Share of a box by which a ball may stand out of it and still be taken for what is known."""
@@ -55,7 +55,7 @@ def one_sided(chosen: ConvexSet | None) -> tuple[RowReading, ...]:
     return tuple(row for row in found if np.isfinite(row.y))
 
 
-def narrowed(found: Assumptions, sets: WindowConstraints) -> Assumptions:
+def narrowed(found: EstimateAssumptions, sets: WindowConstraints) -> EstimateAssumptions:
     """Return assumptions with constraint sets for x, v and w; one for the measured output says nothing new."""
     noise = common("v", DisturbanceSet(found.noise.centre, np.diag(found.noise.size), found.noise.ball), sets.v)
     size = np.linalg.norm(noise.root, axis=1)

@@ -66,7 +66,7 @@ class Constraints(Record):
             checks.word(key, value, get_args(known))
 
     def _rows(self) -> list[tuple[str, str]]:
-        rows = [(key, _said(getattr(self, key))) for key in "xyvw" if getattr(self, key) is not None]
+        rows = [(key, _bounds_text(getattr(self, key))) for key in "xyvw" if getattr(self, key) is not None]
         if self.check_spacing is not None:
             rows.append(("checked every", short(self.check_spacing)))
         return [*rows, *([("w between nodes", self.w_model)] if self.w is not None else [])]
@@ -77,7 +77,7 @@ class Constraints(Record):
         return f"Constraints on {', '.join(named)}." if named else "No constraints."
 
 
-def _said(chosen: object) -> str:
+def _bounds_text(chosen: object) -> str:
     if isinstance(chosen, (tuple, list)) and len(chosen) == 2:
         return f"{short(chosen[0], 4)} to {short(chosen[1], 4)}"
     return repr(chosen)

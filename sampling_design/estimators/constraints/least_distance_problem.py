@@ -90,7 +90,7 @@ class ConstraintDemands:
             parts = [rows.of(maps[rows.signal]) for rows in blocks]
         else:
             blocks = [rows.only(mask) for rows, mask in zip(self.rows, chosen, strict=True) if mask.any()]
-            parts = [self._spread(rows) for rows in blocks]
+            parts = [self._gradients(rows) for rows in blocks]
         A = np.concatenate([np.zeros((0, self.size)), *parts]) if len(parts) != 1 else parts[0]
         base, lower, upper = np.zeros((3, A.shape[0]))
         if blocks:
@@ -108,7 +108,7 @@ class ConstraintDemands:
             T = np.concatenate([T, np.zeros((*T.shape[:2], self.size - self.states))], axis=2)
         return {signal: signal.maps(T, self.states) for signal in self.signals}
 
-    def _spread(self, rows: ConstraintRows) -> Array:
+    def _gradients(self, rows: ConstraintRows) -> Array:
         """The rows over z: those over the states times T, those over the noise as they are."""
         found = rows.gradients(self.states, self.size)
         if self.size == self.states:

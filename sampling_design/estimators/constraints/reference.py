@@ -78,7 +78,7 @@ def _improved(
     window: EstimationWindow, constraints: WindowConstraints, point: _Point, scale: float
 ) -> tuple[SolverRecord, _Point | None]:
     """Minimise over the steps (x, omega, v) = point + scale step; None if the solver brings nothing to use."""
-    program, x, omega, v = _posed(window, constraints, point, scale, window.reference[0], window.y)
+    program, x, omega, v = _window_program(window, constraints, point, scale, window.reference[0], window.y)
     problem = program.problem()
     record = conic_programs.solve(problem, tolerance=SOLVER_TOLERANCE)
     if not conic_programs.usable(record) or problem.value is None or any(step.value is None for step in x):
@@ -97,11 +97,11 @@ def problem_as_written(window: EstimationWindow, constraints: WindowConstraints)
     prior, y = cp.Parameter(window.reference.shape[1], name="prior", value=window.reference[0]), {}
     for j in window.samples:
         y[j] = cp.Parameter(window.y.shape[1], name=f"y{j}", value=window.y[j])
-    program, *_ = _posed(window, constraints, _Point.zero(window, 0 * window.reference), 1.0, prior, y)
+    program, *_ = _window_program(window, constraints, _Point.zero(window, 0 * window.reference), 1.0, prior, y)
     return program.problem()
 
 
-def _posed(
+def _window_program(
     window: EstimationWindow,
     constraints: WindowConstraints,
     point: _Point,

@@ -96,7 +96,7 @@ class ComposedFlow:
     def _expanded(self, digit: int) -> Array:
         """Coefficients of the flow over `digit` units and r more, by powers of |A| r; in the states' own units."""
         n, powers, norm = self._n, self._exponential, self._norm
-        piece = self._pieces(0, np.array([digit]))[0]
+        piece = self._unit_flows(0, np.array([digit]))[0]
         terms = np.zeros((len(powers), n, 3 * n))
         np.matmul(powers, piece[:, : 2 * n], out=terms[:, :, : 2 * n])
         current = piece[:, 2 * n :]
@@ -115,18 +115,18 @@ class ComposedFlow:
         if not math.isfinite(longest):
             raise OverflowError("a gap is too long to be counted in the plant's fastest units")
         passed = h - count * self._unit
-        flow, level, unit = self._short(passed), 0, self._unit
+        flow, level, unit = self._short_flows(passed), 0, self._unit
         while longest:
             longest //= BASE
             count, digits = np.divmod(count, BASE) if longest else (count, count)
-            flow = self._composed(flow, self._pieces(level, digits.astype(np.intp)), passed)
+            flow = self._composed(flow, self._unit_flows(level, digits.astype(np.intp)), passed)
             if longest:
                 passed = passed + digits * unit
                 level, unit = level + 1, unit * BASE
         flow *= self._moved
         return flow
 
-    def _short(self, h: Array) -> Array:
+    def _short_flows(self, h: Array) -> Array:
         """Flows over gaps up to a unit."""
         factors = (h * self._norm)[:, None] ** self._powers
         flow: Array = factors.dot(self._terms).reshape(h.size, self._n, -1)
@@ -143,7 +143,7 @@ class ComposedFlow:
         flow[..., n:] += late[..., n:]
         return flow
 
-    def _pieces(self, level: int, digits: Index) -> Array:
+    def _unit_flows(self, level: int, digits: Index) -> Array:
         """Flows over `digits` units of 64^level h_0; the table grows until it holds them all."""
         if level == len(self._levels):
             self._levels.append(self._first(level))
@@ -155,7 +155,7 @@ class ComposedFlow:
     def _first(self, level: int) -> Array:
         """Flows over no and over one unit of a level."""
         if level == 0:
-            return self._short(np.array([0.0, self._unit]))
+            return self._short_flows(np.array([0.0, self._unit]))
         self._grow(level - 1, BASE)
         half = self._levels[level - 1][BASE // 2]
         one = self._composed(half, half, self._unit * float(BASE) ** level / 2)

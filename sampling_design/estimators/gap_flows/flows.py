@@ -91,14 +91,14 @@ class GapFlow:
     @property
     def root(self) -> Array:
         """Return a root of W."""
-        return self._rooted()[0]
+        return self._root_flows()[0]
 
     @property
     def whiten(self) -> Array:
         """Return its pseudo-inverse."""
-        return self._rooted()[1]
+        return self._root_flows()[1]
 
-    def _rooted(self) -> tuple[Array, Array]:
+    def _root_flows(self) -> tuple[Array, Array]:
         if self._roots is None:
             self._roots = noise_root(self.W)
         return self._roots

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from sampling_design.accuracy.readings import DisturbanceSet, StartError
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
-from sampling_design.estimators.online.evidence import Assumptions, SetBounds
+from sampling_design.estimators.online.evidence import EstimateAssumptions, SetBounds
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 
@@ -57,7 +57,7 @@ class ErrorBounds:
         eta = self.weights.eta
         return self.disturbance * (h if eta == 0 else -math.expm1(-eta * h) / eta) if h > 0 else 0.0
 
-    def assumptions(self) -> Assumptions | None:
+    def assumptions(self) -> EstimateAssumptions | None:
         """What an interval may take for granted; None where w or v is not bounded."""
         if self.w is None or self.v is None:
             return None
@@ -66,4 +66,4 @@ class ErrorBounds:
             for bound, count in ((self.w, self.plant.n_disturbances), (self.v, self.plant.n_outputs))
         )
         push = DisturbanceSet(np.zeros(w.size), np.diag(w), w_ball)
-        return Assumptions(self.plant, push, SetBounds(np.zeros(v.size), v, v_ball), self.start_error)
+        return EstimateAssumptions(self.plant, push, SetBounds(np.zeros(v.size), v, v_ball), self.start_error)

@@ -158,7 +158,7 @@ class EstimateRecord(ListRecord[Estimate], CurveRecord, PlainRecord):
         return tuple(dict.fromkeys(each for each in self.contradictions if each is not None))
 
     @property
-    def _tally(self) -> EstimateCounts:
+    def _counted(self) -> EstimateCounts:
         found = EstimateCounts(self.plant.time_unit)
         contradictions = self.contradictions or (None,) * len(self)
         flags = (self.status, self.certified.tolist(), self.on_schedule.tolist(), contradictions)
@@ -167,11 +167,11 @@ class EstimateRecord(ListRecord[Estimate], CurveRecord, PlainRecord):
         return found
 
     def _rows(self) -> list[tuple[str, str]]:
-        return self._tally.rows()
+        return self._counted.rows()
 
     def explain(self) -> str:
         """Say how many estimates there are and what they promise."""
-        return self._tally.explain()
+        return self._counted.explain()
 
 
 @runtime_checkable

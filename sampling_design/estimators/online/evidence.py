@@ -40,7 +40,7 @@ class SetBounds:
 
 
 @dataclass(frozen=True, eq=False)
-class Assumptions:
+class EstimateAssumptions:
     """What the truth is taken to keep: bounds on w and v, on the first error, and rows of the state.
 
     Attributes
@@ -68,12 +68,12 @@ class Assumptions:
         return found
 
 
-class Evidence:
+class EstimateEvidence:
     """The nodes behind an estimate, with what is assumed of them; nothing is computed before it is asked for."""
 
     __slots__ = ("_program", "assumed", "inputs", "nodes", "radius_known")
 
-    def __init__(self, assumed: Assumptions, nodes: tuple[HistoryNode, ...], inputs: InputHistory, known: bool):
+    def __init__(self, assumed: EstimateAssumptions, nodes: tuple[HistoryNode, ...], inputs: InputHistory, known: bool):
         self.assumed, self.nodes, self.inputs, self.radius_known = assumed, nodes, inputs, known
         self._program: RecordProgram | None = None
 

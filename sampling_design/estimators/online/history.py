@@ -21,7 +21,7 @@ DEEPEST = 32
 """Branches of a history one within the other."""
 
 
-class Branch:
+class SampleBranch:
     """Samples one after the other, and since which of them they are proven to contradict the bounds.
 
     States never change, but what an interval of one of them proves, when it is asked for, holds for all that come after
@@ -32,7 +32,7 @@ class Branch:
 
     __slots__ = ("_at", "_depth", "_last", "_parent", "_proven")
 
-    def __init__(self, parent: Branch | None = None, at: int = 0):
+    def __init__(self, parent: SampleBranch | None = None, at: int = 0):
         self._at = self._last = at
         self._depth: int = 0 if parent is None else parent._depth + 1
         self._proven: tuple[int, Contradiction] | None = None
@@ -42,9 +42,9 @@ class Branch:
             parent, self._depth = None, 0
         self._parent = parent
 
-    def after(self, number: int) -> Branch:
+    def after(self, number: int) -> SampleBranch:
         """Return the branch of the node that comes after a node of this one."""
-        branch = self if number == self._last else Branch(self, number)
+        branch = self if number == self._last else SampleBranch(self, number)
         branch._last = number + 1
         return branch
 
@@ -97,7 +97,7 @@ class HistoryNode(NamedTuple):
     limited: float = -np.inf
     held: float = 0.0
     loose: float = 0.0
-    branch: Branch | None = None
+    branch: SampleBranch | None = None
 
     def told_after(self, t: float) -> bool:
         """Whether a reading of it may have been taken at t or later."""

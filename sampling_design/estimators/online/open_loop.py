@@ -11,7 +11,7 @@ from sampling_design.estimators.gap_flows.composed_flow import ComposedFlow
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow
 from sampling_design.estimators.online.error_bounds import ErrorBounds
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode, InputDrift
-from sampling_design.estimators.online.rounding import faded
+from sampling_design.estimators.online.rounding import scaled_bound
 from sampling_design.estimators.online.verdict import LARGEST_RESIDUAL, ROUNDING
 from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import symmetrise
@@ -40,7 +40,7 @@ class OpenLoop:
 
     def propagated(self, node: HistoryNode, flow: GapFlow, drift: Array) -> tuple[Array, Array, float]:
         """Return state, covariance and radius after a gap, without a measurement."""
-        beta = faded(node.beta, 1 / flow.growth) + self.bounds.over(flow.gap) if flow.gap > 0 else node.beta
+        beta = scaled_bound(node.beta, 1 / flow.growth) + self.bounds.over(flow.gap) if flow.gap > 0 else node.beta
         x: Array = flow.F.dot(node.x)
         return x if drift is self.drift.none else x + drift, flow.covariance(node.Y), beta
 

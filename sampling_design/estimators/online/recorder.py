@@ -10,8 +10,8 @@ import numpy as np
 from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.estimate import Contradiction, Estimate, Status, estimate_of, with_proof
-from sampling_design.estimators.online.evidence import Assumptions, Evidence
-from sampling_design.estimators.online.history import Branch, EstimatorState, HistoryNode
+from sampling_design.estimators.online.evidence import EstimateAssumptions, EstimateEvidence
+from sampling_design.estimators.online.history import EstimatorState, HistoryNode, SampleBranch
 from sampling_design.estimators.online.open_loop import OpenLoop
 from sampling_design.estimators.online.rounding import CovariancePrecision, in_units_of, moved, passed
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
@@ -77,9 +77,9 @@ class SampleReader:
 class Recorder:
     """Makes each sample a node of the history; `assumed` is what intervals of the estimates are proven from."""
 
-    def __init__(self, loop: OpenLoop, claim: ScheduleClaim, assumed: Assumptions | None):
+    def __init__(self, loop: OpenLoop, claim: ScheduleClaim, assumed: EstimateAssumptions | None):
         self.loop, self.bounds, self.claim, self.assumed = loop, loop.bounds, claim, assumed
-        self._evidence: Evidence | None = None
+        self._evidence: EstimateEvidence | None = None
 
     def prior(self, t: float, x: Array) -> HistoryNode:
         """Return the first node, before any sample: x at t with the weight P2."""
@@ -88,7 +88,7 @@ class Recorder:
         estimate = self.estimate(t, x, Y, energy, "prior", sound=True, scheduled=scheduled)
         return HistoryNode(
             t=t, y=zero, mask=zero, feedthrough=zero, x=x, Y=Y, beta=energy, flow=None, drift=np.zeros(x.size),
-            scheduled=scheduled, sound=True, estimate=estimate, sample=RecordRow(t), branch=Branch(),
+            scheduled=scheduled, sound=True, estimate=estimate, sample=RecordRow(t), branch=SampleBranch(),
         )  # fmt: skip
 
     def estimate(
@@ -179,7 +179,7 @@ class Recorder:
         nodes = state.nodes if at + 1 == len(state.nodes) else state.nodes[: at + 1]
         evidence = self._evidence
         if evidence is None or evidence.nodes is not nodes or evidence.inputs is not state.inputs:
-            evidence = self._evidence = Evidence(self.assumed, nodes, state.inputs, not self.bounds.note)
+            evidence = self._evidence = EstimateEvidence(self.assumed, nodes, state.inputs, not self.bounds.note)
         return with_proof(estimate, evidence)
 
 

@@ -31,7 +31,7 @@ def moved(bound: float, held: float) -> float:
     return (2 * math.sqrt(max(bound, 0.0)) + size) * size
 
 
-def faded(bound: float, share: float) -> float:
+def scaled_bound(bound: float, share: float) -> float:
     """Return what is left of a bound; all of one that is infinite, however small the share."""
     return bound * share if math.isfinite(bound) else bound
 

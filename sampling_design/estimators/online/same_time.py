@@ -1,4 +1,4 @@
-"""What is said of one time: joined where it comes in parts, corrected, or taken back."""
+"""What is readings_of_sample of one time: joined where it comes in parts, corrected, or taken back."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def merge(old: RecordRow, new: RecordRow) -> RecordRow | None:
     """Join two samples at one time; None if the new one adds nothing. Of one output both must say the same."""
     if new.y is None:
         return old
-    before, now = said(old), said(new)
+    before, now = readings_of_sample(old), readings_of_sample(new)
     for output in before.keys() & now.keys():
         if before[output] != now[output]:
             raise ArgumentError(
@@ -43,8 +43,8 @@ def merge(old: RecordRow, new: RecordRow) -> RecordRow | None:
 
 def corrected(old: RecordRow, new: RecordRow) -> RecordRow:
     """The old sample with the readings of the new one in place of its own."""
-    now = said(new)
-    for output in now.keys() - said(old).keys():
+    now = readings_of_sample(new)
+    for output in now.keys() - readings_of_sample(old).keys():
         raise ArgumentError(
             f"`y` corrects output {output + 1} at t = {old.t!r}, where it was not read. A new reading is for update."
         )
@@ -56,7 +56,7 @@ def corrected(old: RecordRow, new: RecordRow) -> RecordRow:
 
 def without(old: RecordRow, output: int, name: str) -> list[RecordRow]:
     """The sample without one reading; none where it has no other."""
-    read = said(old)
+    read = readings_of_sample(old)
     if output not in read:
         raise ArgumentError(f"`output` = {name!r} was not read at t = {old.t!r}.")
     if len(read) == 1:
@@ -75,7 +75,7 @@ def corrected_inputs(inputs: InputHistory, sample: RecordRow) -> InputHistory:
     return InputHistory((*inputs[:at], (sample.t, sample.u), *inputs[at + 1 :]))
 
 
-def said(sample: RecordRow) -> dict[int, float | CensoredReading]:
+def readings_of_sample(sample: RecordRow) -> dict[int, float | CensoredReading]:
     """What a sample says of each output that it reads."""
     found = {each.output: each.as_read for each in sample.told}
     y = {output: float(sample.y[output]) for output in np.flatnonzero(np.isfinite(sample.y)).tolist()}

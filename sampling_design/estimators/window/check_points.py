@@ -40,7 +40,7 @@ class CheckPoints:
             if flow.gap not in self._known:
                 if len(self._known) >= CACHE_SIZE:
                     self._known.clear()
-                self._known[flow.gap] = self._led(flow)
+                self._known[flow.gap] = self._flows_to_points(flow)
             led = self._known[flow.gap]
             if led is None:
                 return None
@@ -54,7 +54,7 @@ class CheckPoints:
             found.append(points)
         return np.concatenate(found)
 
-    def _led(self, flow: GapFlow) -> tuple[list[float], Array, Array] | None:
+    def _flows_to_points(self, flow: GapFlow) -> tuple[list[float], Array, Array] | None:
         """Return how long after a node its check points are, and what leads there from x_0 and from what is missed."""
         n, count = len(flow.F), pieces(flow.gap, self._spacing)
         after = [k * flow.gap / count for k in range(1, count)]

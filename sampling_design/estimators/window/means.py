@@ -168,7 +168,7 @@ def with_means(solution: Solution, reference: Array, means: MeanRows) -> Solutio
     beside = r - U @ seen
     added = float(beside @ beside + np.sum(seen**2 / (1 + s**2)))
     shown = np.linalg.solve(root, means.target)
-    spread = _Narrowed(solution.spread, Z, 1 - 1 / np.sqrt(1 + s**2))
+    spread = _ReducedSpread(solution.spread, Z, 1 - 1 / np.sqrt(1 + s**2))
     last = spread.maps()[-1]
     return replace(
         solution,
@@ -181,7 +181,7 @@ def with_means(solution: Solution, reference: Array, means: MeanRows) -> Solutio
 
 
 @dataclass(frozen=True, eq=False)
-class _Narrowed:
+class _ReducedSpread:
     """T Q of a spread T, Q = I - Z' diag(loss) Z with orthonormal rows Z."""
 
     base: SolutionSpread

@@ -159,7 +159,9 @@ class SlidingBand:
         self._gains: tuple[int, tuple[object, ...], WindowGains] | None = None
         # what a sample at the start leaves of the last prior there, of the last outputs: Y, gain, and root of its cost
         self._absorbed: tuple[Array, OutputInformation, Array, Array, Array] | None = None
-        self._led: Array | None = None  # where the gap before the newest node leads from the estimate before it
+        self._flows_to_points: Array | None = (
+            None  # where the gap before the newest node leads from the estimate before it
+        )
         # what a node costs with the gap after it, and what the gap before it adds: columns and right-hand sides
         self._own, self._before = np.zeros((ROOM, n, 2 * n)), np.zeros((ROOM, n, 2 * n))
         self._pull, self._pushed = np.zeros((ROOM, n)), np.zeros((ROOM, n))
@@ -219,14 +221,14 @@ class SlidingBand:
         self._sums[k, 1:] = kind.energy * d, 0.0, read.dot(read)
         self._pushed[k] = self._missed[k] = 0.0
         self._measured[k] = new.y, new.mask, new.feedthrough
-        self._led = None
+        self._flows_to_points = None
         if not predicted:
             self._untouched = False
             return weighed and self._joined(k, d)
         last, estimated = self._reference[k - 1], self.nodes[k - 1].x
         self._untouched = last is estimated
         if self._untouched:
-            self._led = reference
+            self._flows_to_points = reference
             return weighed
         return weighed and self._joined(k, d, last - estimated)
 
@@ -251,8 +253,8 @@ class SlidingBand:
         n = self._n
         if ahead is not None:
             moved = new.flow.F.dot(ahead)
-        elif self._led is not None:
-            moved = self._led - self._reference[k]
+        elif self._flows_to_points is not None:
+            moved = self._flows_to_points - self._reference[k]
         else:
             moved = new.flow.F.dot(self._reference[k - 1]) + new.drift - self._reference[k]
         self._missed[k] = moved
@@ -359,7 +361,7 @@ class SlidingBand:
         held = abs(self._places[first : count + 1]).dot(self._held).ravel()
         kept = float(held.dot(held))
         size += fit + push + float(moved.dot(g))
-        gains = self._remembered(count - first, flow, Y)
+        gains = self._gains_of_last_window(count - first, flow, Y)
         if gains is not None:
             deviation, gain = gains.applied(right, end, whole)
         else:
@@ -419,7 +421,7 @@ class SlidingBand:
         """What the newest node came with, and what was known where the window begins."""
         return self._known[-1].flow, self._noise_energy[-1][0], flow, Y
 
-    def _remembered(self, count: int, flow: GapFlow, Y: Array) -> WindowGains | None:
+    def _gains_of_last_window(self, count: int, flow: GapFlow, Y: Array) -> WindowGains | None:
         """The gains of the window before, where all `count` nodes came with the same: they are those of this one."""
         if self._gains is None or self._alike < count:
             return None

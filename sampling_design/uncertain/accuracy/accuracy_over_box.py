@@ -169,12 +169,12 @@ def accuracy_over_box(
     if not np.all(np.isfinite(top)):
         if status == "interrupted":
             raise KeyboardInterrupt
+        near = at_parameters(_parameter_values(plant, worst[0]))
         raise UndecidedError(
-            f"undecided: some plant of the box near {at_parameters(_named(plant, worst[0]))} could not be bounded in "
-            "time. Try a smaller box."
+            f"undecided: some plant of the box near {near} could not be bounded in time. Try a smaller box."
         )
     closed = top * (1 - BALL_ROOM * rtol) <= lower
-    where = tuple(_named(plant, each) for each in worst)
+    where = tuple(_parameter_values(plant, each) for each in worst)
     return AccuracyOverBox(rows, lower, top, where, closed, cells, plant, schedule)
 
 
@@ -244,7 +244,7 @@ def _weights(plant: UncertainPlant) -> Array:
     return found
 
 
-def _named(plant: UncertainPlant, theta: Array) -> dict[str, float]:
+def _parameter_values(plant: UncertainPlant, theta: Array) -> dict[str, float]:
     pairs = zip(plant.parameters, theta.tolist(), strict=True)
     return {each.name: float(np.clip(value, each.low, each.high)) for each, value in pairs}
 

@@ -152,7 +152,7 @@ def accuracy_along(
     refuse_others("of a plant that varies", **others)
     rtol = checks.positive("rtol", RTOL if rtol is None else rtol)
     given = Budget(None if budget is None else checks.positive("budget", budget))
-    problem = _Problem(plant, schedule, w_bound, v_bound, of, initial_error, (start, end))
+    problem = _ScaledProblem(plant, schedule, w_bound, v_bound, of, initial_error, (start, end))
     lower, upper = (np.zeros((len(problem.rows), len(problem.looked))) for _ in range(2))
     for k, (gap, part, taken) in enumerate(problem.looked):
         for i, row in enumerate(problem.rows.matrix):
@@ -193,7 +193,7 @@ def _known_from(times: Array, upper: Array) -> float:
     return float(times[first]) if first < times.size else np.inf
 
 
-class _Problem:
+class _ScaledProblem:
     """Everything along one schedule, in scaled states."""
 
     def __init__(
@@ -230,7 +230,7 @@ class _Problem:
         self.nodes = np.unique(np.concatenate([[first], times, [last]]))
         self.sample = {int(np.searchsorted(self.nodes, t)): j for j, t in enumerate(times.tolist())}
         self.looked = self._looked()
-        self.levels: dict[int, _Level] = {}
+        self.levels: dict[int, _CellProgram] = {}
 
     def _looked(self) -> list[tuple[int, int, bool]]:
         """Gap, quarter, and whether the sample at that time is taken: just after each node, in between, before it."""
@@ -251,18 +251,18 @@ class _Problem:
     def bracket(self, row: Array, gap: int, part: int, taken: bool, cells: int) -> tuple[float, float]:
         """What is attained and what gains guarantee at one time."""
         if cells not in self.levels:
-            self.levels[cells] = _Level(self, cells)
+            self.levels[cells] = _CellProgram(self, cells)
         return self.levels[cells].bracket(row * self.plant.states.scales, gap * cells + part * cells // LOOKED, taken)
 
 
-class _Level:
+class _CellProgram:
     """Transitions of one number of cells, and the adversary's program on them."""
 
-    def __init__(self, problem: _Problem, cells: int) -> None:
+    def __init__(self, problem: _ScaledProblem, cells: int) -> None:
         self.problem, plant, nodes = problem, problem.plant, problem.nodes
         steps = [np.linspace(a, b, 2 * cells + 1)[:-1] for a, b in pairwise(nodes.tolist())]
         grid = np.concatenate([*steps, nodes[-1:]])
-        motion = plant.motion(grid)
+        motion = plant.transitions(grid)
         self.error, n, q = motion.error, plant.n_states, len(problem.w)
         G = np.zeros((grid.size, n, q))
         if plant.G is not None:

@@ -44,7 +44,7 @@ BISECTIONS, CLOSE = 12, 1.003
 """Of the longest gap: at most so many, until both ends are this near."""
 
 
-class Options(TypedDict, total=False):
+class CertifyOptions(TypedDict, total=False):
     """What `certify` hands on."""
 
     eta: float | None
@@ -206,7 +206,12 @@ def graphs_of(schedules: Schedules, plant: Plant, pieces: int) -> Iterator[PathC
 
 
 def certify_plant(
-    plant: LinearInclusion, schedule: object, *, P2: object = None, memory: object = None, **options: Unpack[Options]
+    plant: LinearInclusion,
+    schedule: object,
+    *,
+    P2: object = None,
+    memory: object = None,
+    **options: Unpack[CertifyOptions],
 ) -> InclusionCertificate:
     """`certify` of a plant that is not exactly known: `certify_inclusion` of the schedule in its terms."""
     return certify_inclusion(plant, in_terms(plant, schedule, P2=P2, memory=memory), **options)

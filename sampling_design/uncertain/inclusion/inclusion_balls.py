@@ -23,7 +23,7 @@ from sampling_design.checkers.outcome import Proven, Refused, Undecided, holds
 from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, matrix, symmetric
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
-from sampling_design.uncertain.inclusion.region_balls import JacobianCells, mid, parted
+from sampling_design.uncertain.inclusion.region_balls import JacobianCells, mid, split_columns
 
 Jumps = list[tuple[Matrix, Matrix, float]]
 PRICE = 200
@@ -99,7 +99,7 @@ def flows(c: Inclusion, P: list[Matrix], Qw: Matrix, clock: Budget) -> float:
         def slacks(A: Matrix, G: Matrix) -> Iterator[Matrix]:
             return (dissipation(p, slope, A, G, Qw, eta)[0] for p, slope, _ in every)
 
-        return JacobianCells(c, c.model, clock).prove(FLOW, lambda M, _: slacks(*parted(M, c.plant.n)), True)
+        return JacobianCells(c, c.model, clock).prove(FLOW, lambda M, _: slacks(*split_columns(M, c.plant.n)), True)
     if c.multipliers is not None:
         return multiplied(c, every, Qw, clock)
     slack = 1.0
@@ -123,7 +123,7 @@ def multiplied(c: Inclusion, every: list[tuple[Matrix, Matrix, float]], Qw: Matr
         for k in moved(each):
             columns.append(matrix(M[:, [k]]) * half)
             chosen.append(k)
-    A, G = parted(middle, n)
+    A, G = split_columns(middle, n)
     eta, slack, m = ball(c.weights.eta), 1.0, len(columns)
     for (p, slope, tau), weights in zip(every, c.multipliers.reshape(len(every), m), strict=True):
         clock.check(PRICE + (n + q + m) ** 3)

@@ -27,7 +27,7 @@ DECIMALS = 10
 """Of the nodes that are chosen here; the ends of gaps stay what they are."""
 
 
-class Layout(NamedTuple):
+class WordLayout(NamedTuple):
     """The nodes of all words, one after the other; each jump leads from node `later` to node `base` and sees `seen`."""
 
     nodes: Array
@@ -55,7 +55,7 @@ def longer(graph: PathCompleteGraph, first: Edge) -> bool:
     )
 
 
-def layout_of(graph: PathCompleteGraph, pieces: int) -> Layout:
+def layout_of(graph: PathCompleteGraph, pieces: int) -> WordLayout:
     """Nodes and jumps of a graph: so many pieces for the longest gap, fewer for shorter ones."""
     edges = [edge for edge in graph.edges if edge.source]
     own = [replace(edge, low=edge.high) for edge in graph.edges if not edge.source and not longer(graph, edge)]
@@ -75,7 +75,7 @@ def layout_of(graph: PathCompleteGraph, pieces: int) -> Layout:
         for at in np.flatnonzero((times >= edge.low) & (times <= edge.high)).tolist():
             found[begins[edge.source] + at, begins[edge.target], edge.outputs] = None
     later, base, seen = zip(*found, strict=True)
-    return Layout(np.concatenate(nodes), np.array(later, np.intp), np.array(base, np.intp), np.array(seen, bool))
+    return WordLayout(np.concatenate(nodes), np.array(later, np.intp), np.array(base, np.intp), np.array(seen, bool))
 
 
 def grid(top: float, ends: list[float], count: int) -> Array:

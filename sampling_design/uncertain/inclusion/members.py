@@ -18,7 +18,7 @@ from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.jitter import Jitter
-from sampling_design.uncertain.inclusion.layout import Layout, Schedules, layout_of
+from sampling_design.uncertain.inclusion.layout import Schedules, WordLayout, layout_of
 from sampling_design.uncertain.inclusion.program import PosedProgram
 from sampling_design.uncertain.plants.inclusion import InclusionMembers, LinearInclusion, MemberHull
 
@@ -101,7 +101,7 @@ class PosedMembers:
         """The family; a periodic schedule is one of deviations 0."""
         return self.schedules if isinstance(self.schedules, SamplingFamily) else Jitter(self.schedules, 0.0)
 
-    def layout(self, pieces: int) -> Layout:
+    def layout(self, pieces: int) -> WordLayout:
         """Nodes and jumps with so many pieces."""
         return layout_of(self.graph, pieces)
 
@@ -122,7 +122,7 @@ class PosedMembers:
     def _root(self, eta: float) -> Array:
         """A root of the information that the nominal plant keeps; of its balance where there is none."""
         if self.stiff:
-            return pace(
+            return information_root(
                 self.members.dynamics.mean(axis=0)[:, : self.centre.n_states],
                 self.centre.states.scales,
                 self.longest,
@@ -181,7 +181,7 @@ class PosedMembers:
         return np.asarray(np.concatenate([A, G], axis=-1))
 
 
-def pace(A: Array, scales: Array, longest: float) -> Array:
+def information_root(A: Array, scales: Array, longest: float) -> Array:
     """A root T of an information TT' that weighs each direction by how long it lasts: I where A = 0.
 
     The solution of (A - s)'P + P(A - s) = -Q, Q what the scales call one, with s just beyond what grows.

@@ -93,11 +93,11 @@ def flow_scale(posed: PosedProgram) -> Array:
     n, full = posed.n, np.eye(posed.dynamics.shape[2] + len(posed.seen))
     A = posed.dynamics[:, :, :n].mean(axis=0)
     if np.max(np.abs(np.linalg.eigvalsh((A + A.T) / 2)), initial=0.0) > BEARABLE:
-        full[:n, :n] = own_size(A)
+        full[:n, :n] = scaling_of(A)
     return full
 
 
-def own_size(A: Array) -> Array:
+def scaling_of(A: Array) -> Array:
     """(I + |A + A'|/(2 pace))^-1/2, |.| of a symmetric matrix that of its eigenvalues."""
     values, vectors = np.linalg.eigh((A + A.T) / 2)
     return np.asarray(vectors @ np.diag(1 / np.sqrt(1 + np.abs(values) / PACE)) @ vectors.T)

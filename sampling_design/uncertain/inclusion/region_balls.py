@@ -29,7 +29,7 @@ FAR = 1e9
 """Half the width of what stands for an unbounded number: sine and cosine are between -1 and 1 there."""
 
 
-def parted(M: Matrix, n: int) -> tuple[Matrix, Matrix]:
+def split_columns(M: Matrix, n: int) -> tuple[Matrix, Matrix]:
     """The first n columns and the others."""
     rows, q = M.tolist(), M.ncols() - n
     empty = flint().arb_mat(len(rows), 0, [])

@@ -80,16 +80,16 @@ class InclusionSearch(PosedMembers):
         for _ in range(ROUNDS):
             if self.budget.over:
                 return None
-            found = self._once(posed, T, narrow)
+            found = self._solve_once(posed, T, narrow)
             if found is None:
                 return None
-            worst, unseen = self._violated(posed, found), self._hidden(posed, found)
+            worst, unseen = self._violated(posed, found), self._most_violated_outputs(posed, found)
             if not worst and not unseen:
                 return found
             self.chosen, self.shown = sorted({*self.chosen, *worst}), sorted({*self.shown, *unseen})
         return None
 
-    def _once(self, posed: PosedProgram, T: Array, narrow: bool) -> InclusionSolution | None:
+    def _solve_once(self, posed: PosedProgram, T: Array, narrow: bool) -> InclusionSolution | None:
         dynamics = self.pushed(posed)[self.chosen]
         some = replace(posed, dynamics=dynamics, outputs=posed.outputs[:, self.shown])
         search = InclusionProgram(some, self.budget.seconds_left())
@@ -97,7 +97,7 @@ class InclusionSearch(PosedMembers):
         if x is None:
             return None
         P = search.matrices(x)
-        best = self._found(some, P, T, (search.diagonals(x), search.gains(x)), record)
+        best = self._solution(some, P, T, (search.diagonals(x), search.gains(x)), record)
         if not best.low > 0:  # a solver that was inaccurate
             return None
         if not narrow:
@@ -116,7 +116,7 @@ class InclusionSearch(PosedMembers):
             current, basis = current.turned(turn), basis @ turn
             own = np.linalg.solve(turn, np.linalg.solve(turn, P).swapaxes(1, 2))
             free = search.diagonals(x), search.gains(x) @ np.linalg.inv(turn).T
-            found = self._found(current, (own + own.swapaxes(1, 2)) / 2, T @ basis, free, record)
+            found = self._solution(current, (own + own.swapaxes(1, 2)) / 2, T @ basis, free, record)
             if not found.low > 0:
                 break
             done = found.lam > NARROW_ENOUGH * best.lam
@@ -127,7 +127,7 @@ class InclusionSearch(PosedMembers):
         return best
 
     @staticmethod
-    def _found(
+    def _solution(
         posed: PosedProgram, P: Array, T: Array, free: tuple[Array | None, Array], record: SolverRecord
     ) -> InclusionSolution:
         values = np.linalg.eigvalsh(P)
@@ -137,18 +137,18 @@ class InclusionSearch(PosedMembers):
         """Members that the solution violates most, not yet in the program."""
         if len(self.chosen) == len(self.members.dynamics):
             return []
-        moved = replace(posed, dynamics=self.pushed(posed)).turned(self._turn(posed, found))
+        moved = replace(posed, dynamics=self.pushed(posed)).turned(self._to_coordinates(posed, found))
         least = flow_slacks(moved, found.P)
         return [int(k) for k in np.argsort(least)[:JOINING] if least[k] < 0 and int(k) not in self.chosen]
 
-    def _hidden(self, posed: PosedProgram, found: InclusionSolution) -> list[int]:
+    def _most_violated_outputs(self, posed: PosedProgram, found: InclusionSolution) -> list[int]:
         """Outputs at which the solution's jump fails most, not yet in the program."""
         if len(self.shown) == posed.outputs.shape[1]:
             return []
-        least = jump_slacks(posed.turned(self._turn(posed, found)), found.P, found.gains)
+        least = jump_slacks(posed.turned(self._to_coordinates(posed, found)), found.P, found.gains)
         return [int(k) for k in np.argsort(least)[:JOINING] if least[k] < 0 and int(k) not in self.shown]
 
-    def _turn(self, posed: PosedProgram, found: InclusionSolution) -> Array:
+    def _to_coordinates(self, posed: PosedProgram, found: InclusionSolution) -> Array:
         """The solution's coordinates in those of `posed`."""
         return np.asarray(np.linalg.solve(self.coordinates(posed.eta / self.longest), found.T))
 

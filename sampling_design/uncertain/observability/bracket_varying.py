@@ -66,7 +66,7 @@ class VaryingSearch:
         start, samples = float(self.pieces.right[g]), self.pieces.samples(g)
         n, mask = self.plant.n_states, self.pieces.measured(g)
         later = np.unique(np.concatenate([[start], np.maximum(samples, start)]))
-        motion = self.plant.motion(later)
+        motion = self.plant.transitions(later)
         flow, off, rows, wrong = np.eye(n), 0.0, [], []
         at = np.searchsorted(later, np.maximum(samples, start))
         for k in range(later.size):
@@ -85,7 +85,7 @@ class VaryingSearch:
 
     def before(self, node: _Node, s: float) -> _Node:
         """The node at an earlier start of the same piece."""
-        motion = self.plant.motion([s, node.at])
+        motion = self.plant.transitions([s, node.at])
         F, own, whole = motion.F[0], float(motion.errors[0]), float(np.linalg.norm(node.rows))
         size = length_of(F)
         off = node.wrong * (size + own) + whole * (own + 2 * F.size * EPS * size)

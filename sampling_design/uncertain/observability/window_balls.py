@@ -105,7 +105,7 @@ class WindowCells:
         moved = [self.box.unit * (eye + cell.A * h * sign) for sign in ((1, -1) if h > 0 else (1,))]
         starts = [X.transpose() * X for X in moved]
         found = [
-            (float(_worth(floats(G), floats(metric.W), rest)), metric, rest)
+            (float(_approximate_loss(floats(G), floats(metric.W), rest)), metric, rest)
             for metric in self.box.metrics(cell, max([float(r) for r in after], default=0.0))
             for rest in [_rest(metric.norms, after)]
         ]
@@ -154,7 +154,7 @@ def _rest(norms: CellNorms[Ball], after: list[Ball]) -> Ball:
     return made
 
 
-def _worth(G: Array, W: Array, rest: Ball) -> float:
+def _approximate_loss(G: Array, W: Array, rest: Ball) -> float:
     """How much the rest takes away, about."""
     try:
         return float(rest) * float(np.trace(np.linalg.solve(G, W)))

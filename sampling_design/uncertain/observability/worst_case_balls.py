@@ -109,7 +109,7 @@ def _needed(box: BallBox, one: BoxCells, judged: tuple[Array, list[Plant]], fami
         exact, (A, C) = box.cell(u, 0 * u), box.balanced(matrix(plant.A), matrix(plant.C))
         off_A, off_C = off_A.max(frobenius(exact.A - A)), off_C.max(frobenius(exact.C - C))
     for metric in box.metrics(cell, family.window):
-        spread = _spread(box, metric, (off_A, off_C), family)
+        spread = _pulse_sizes(box, metric, (off_A, off_C), family)
         if spread is not None:
             first, second = spread
             corners = ((second + mu) ** 2 + first * first).sqrt() + second
@@ -118,7 +118,7 @@ def _needed(box: BallBox, one: BoxCells, judged: tuple[Array, list[Plant]], fami
     return least
 
 
-def _spread(
+def _pulse_sizes(
     box: BallBox, metric: CellMetric, off: tuple[Ball, Ball], family: SpacedWindows
 ) -> tuple[Ball, Ball] | None:
     """At least |sum +-O_k| and |X| over a cell, in one metric; `off`: the rounding of the plants that are judged."""

@@ -164,11 +164,11 @@ def require_every_plant_observable(model: BoxModel) -> None:
     def value(u: Array, s: float, piece: int) -> float:
         return float(np.linalg.svd(rows(u) / model.unit, compute_uv=False)[n - 1])
 
-    def unseen(u: Array, s: float, piece: int) -> bool:
+    def unobservable(u: Array, s: float, piece: int) -> bool:
         return bool(np.linalg.svd(rows(u), compute_uv=False)[n - 1] <= SEEN * np.linalg.norm(model.C))
 
     ends = (np.zeros(1), np.zeros(1))
-    found = branch(BoxCells.whole(model.m), judge, value, unseen, 0.9, SECONDS, ends, None)
+    found = branch(BoxCells.whole(model.m), judge, value, unobservable, 0.9, SECONDS, ends, None)
     if found.lower > 0:
         return
     values = model.values(found.u)

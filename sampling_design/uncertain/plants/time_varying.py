@@ -95,7 +95,7 @@ class TimeVaryingPlant(Record):
     Examples
     --------
     >>> swing = TimeVaryingPlant(lambda t: [[0.0, 1.0], [-1 - 0.5 * np.cos(t), 0.0]], lambda t: [[1.0, 0.0]], horizon=6)
-    >>> swing.motion([0.0, 1.0]).F.shape
+    >>> swing.transitions([0.0, 1.0]).F.shape
     (1, 2, 2)
     """
 
@@ -181,7 +181,7 @@ class TimeVaryingPlant(Record):
         return Plant(A, C, G=G, time_unit=self.time_unit, states=self.states, outputs=self.outputs,
                      disturbances=self.disturbances, name=self.name)  # fmt: skip
 
-    def motion(self, times: npt.ArrayLike, w_spread: npt.ArrayLike | None = None) -> TransitionTable:
+    def transitions(self, times: npt.ArrayLike, w_spread: npt.ArrayLike | None = None) -> TransitionTable:
         """Return the transitions between increasing times in [0, horizon].
 
         Parameters

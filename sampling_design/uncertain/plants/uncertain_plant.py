@@ -130,7 +130,9 @@ class UncertainPlant(LinearInclusion, PlainRecord):
         ArgumentError
             If shapes differ or a lower entry exceeds the upper one.
         """
-        sides = {key: _sides(key, value) for key, value in (("A", A), ("C", C), ("G", G)) if value is not None}
+        sides = {
+            key: _lower_and_upper(key, value) for key, value in (("A", A), ("C", C), ("G", G)) if value is not None
+        }
         middle = {key: low / 2 + high / 2 for key, (low, high) in sides.items()}
         known = {"time_unit": time_unit, "name": name}
         nominal = Plant(middle["A"], middle["C"], G=middle.get("G"), states=states, outputs=outputs, **known)
@@ -355,7 +357,7 @@ class UncertainPlant(LinearInclusion, PlainRecord):
         return f"{self.nominal.name or 'A plant'} with {self.n_states} states: {known}."
 
 
-def _sides(key: str, value: object) -> tuple[Array, Array]:
+def _lower_and_upper(key: str, value: object) -> tuple[Array, Array]:
     """Lower and upper matrix; one matrix stands for both."""
     pair = isinstance(value, tuple) and len(value) == 2
     low, high = value if isinstance(value, tuple) and pair else (value, value)

@@ -55,20 +55,8 @@ class _RecordType(ABCMeta):
                 raise misfit(cls.__init__, (cls, *arguments), options, error) from None
 
 
-<<<<<<< HEAD
 class Shown:
     """What shows itself: `repr` in one line, `str` as a small table, `_repr_html_` for notebooks."""
-=======
-class Record(metaclass=_RecordType):
-    """Base of the frozen records: `repr` one line, `str` a small table, `_repr_html_` for notebooks.
-
-    Every public method of a record has a door before it (see `signatures`).
-    """
-
-    def __init_subclass__(cls, **options: object) -> None:
-        super().__init_subclass__(**options)
-        checked_methods(cls)
->>>>>>> 8e9775aa (names: what bare participles named says what it is; a time-varying plant's transitions)
 
     _table: ClassVar[Mapping[str, str]] = {}
     """Label and value of each line, templates as `said` reads them."""

@@ -39,6 +39,7 @@ _CALLED = {
     "Executor": "a concurrent.futures.Executor",
     "Generator": "a numpy.random.Generator",
     "HasSchedule": "a ScheduleDesign",
+    "MeasuredPlant": "a NonlinearPlant",
     "OnlineEstimator": "an estimator of this package",
     "OpenPlant": "a plant of another kind",
     "SampledCertificate": "a Certificate or FamilyCertificate",

@@ -31,8 +31,8 @@ class Watched(MovingHorizonEstimator):
     slid = 0
     worst = 0.0
 
-    def _slid(self, state, start, t, measured, last_gap):
-        found = super()._slid(state, start, t, measured, last_gap)
+    def _slid_window(self, state, start, t, measured, last_gap):
+        found = super()._slid_window(state, start, t, measured, last_gap)
         if found is not None:
             seen = np.where(measured[1] > 0, measured[0], np.nan)
             whole = self._solved(state, start, RecordRow(t, seen), measured, last_gap)

@@ -310,7 +310,7 @@ def estimator() -> sd.KalmanFilter:
         (lambda: estimator().run(3), r"`record` must be Measurements, a DataFrame or a list of \(t, y, u\), got int 3"),
         (lambda: estimator().run([3]), r"`sample` must be \(t, y\) or \(t, y, u\), got int 3"),
         (lambda: estimator().smooth("abc"), r"`record` must be Measurements, a DataFrame or a list of \(t, y, u\)"),
-        (lambda: sd.Measurements(3, [1.0], [[1.0]]), "`plant` must be a Plant, got int 3"),
+        (lambda: sd.Measurements(3, [1.0], [[1.0]]), "`plant` must be a Plant or a NonlinearPlant, got int 3"),
         (lambda: critical_length(["a"]), "`plant` must be a Plant or a list of eigenvalues, got list"),
         (lambda: find_counterexample(OSCILLATOR, 3, 0.1), "`family` must be a SamplingFamily, got int 3"),
         (lambda: GAPS.between(0.0, 1e12), "`stop` asks for .* samples, which take .* GiB"),

@@ -72,10 +72,8 @@ class EstimateRecord(ListRecord[Estimate], CurveRecord, PlainRecord):
     )
 
     @classmethod
-    def collect(cls, plant: MeasuredPlant, estimates: Iterable[Estimate]) -> EstimateRecord:
+    def collect(cls, plant: Plant | MeasuredPlant, estimates: Iterable[Estimate]) -> EstimateRecord:
         """Return the record of some estimates of one plant, linear or not."""
-        if not isinstance(getattr(plant, "n_states", None), int):
-            raise ArgumentError(f"`plant` must be a Plant or a NonlinearPlant, got {checks.described(plant)}.")
         found: Sequence[Estimate] = list(estimates)
         if not all(isinstance(e, Estimate) for e in found):
             raise ArgumentError(f"`estimates` must be a list of estimates, got {checks.described(found)}.")

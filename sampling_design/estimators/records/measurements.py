@@ -92,7 +92,7 @@ class Measurements(TableRecord):
 
     def __post_init__(self) -> None:
         if not isinstance(self.plant, MeasuredPlant):
-            raise ArgumentError(f"`plant` must be a Plant, got {checks.described(self.plant)}.")
+            raise ArgumentError(f"`plant` must be a Plant or a NonlinearPlant, got {checks.described(self.plant)}.")
         spans = checks.matrix("times", self.times, columns=2) if checks.dimensions(self.times) == 2 else None
         times = checks.vector("times", self.times if spans is None else spans.mean(axis=1))
         shapes = {"y": (self.y, self.plant.n_outputs), "u": (self.u, self.plant.n_inputs)}

@@ -356,9 +356,7 @@ def _check(parameter: inspect.Parameter, hint: object) -> Check | None:
         return None
     name, default = parameter.name, parameter.default
     words = " or ".join(dict.fromkeys(word for word, _ in kinds if word != "None")) or "None"
-    slips = [
-        next((f" {said}" for kind in _classes(hint) if (said := find(kind))), "") for find in (_likely_slip, _reader)
-    ]
+    slips = [next((f" {said}" for kind in _classes(hint) if (said := find(kind))), "") for find in (_slip, _reader)]
 
     def check(value: object) -> object:
         if value is default:
@@ -374,7 +372,7 @@ def _check(parameter: inspect.Parameter, hint: object) -> Check | None:
     return check
 
 
-def _likely_slip(kind: object) -> str:
+def _slip(kind: object) -> str:
     """The likely slip where something that is no `kind` came for one."""
     return str(getattr(kind, "_slip", ""))
 
@@ -432,14 +430,13 @@ _HELD: dict[object, str] = {
 
 
 def _as_typed(value: object, kind: type) -> object:
-    if isinstance(value, (str, bytes)):
+    number = isinstance(value, np.ndarray) and not value.ndim
+    if isinstance(value, (str, bytes)) or (kind is collections.abc.Iterable and number):
         return _NO
     if kind in (list, tuple, collections.abc.Sequence) and isinstance(value, np.ndarray) and value.ndim == 1:
         return value.tolist()
     if kind in (list, tuple):
         return value if isinstance(value, (list, tuple)) else _NO
-    if kind is collections.abc.Iterable and isinstance(value, np.ndarray) and not value.ndim:
-        return _NO
     return value if isinstance(value, kind) else _NO
 
 

@@ -230,11 +230,23 @@ def as_typed(found: CensoredReading) -> PartialReading | float:
 
 
 def rows_told(
-    plant: Plant, t: float, found: CensoredReading, size: float, centre: float, inputs: Sequence[tuple[float, Array]]
+    plant: Plant,
+    t: float,
+    found: CensoredReading,
+    size: float,
+    centre: float,
+    inputs: Sequence[tuple[float, Array]],
+    feedthrough: float | None = None,
 ) -> tuple[RowReading, ...]:
-    """Return what is told of an output as rows of the state: less D u and the centre of the noise."""
+    """Return what is told of an output as rows of the state: less D u and the centre of the noise.
+
+    `feedthrough` is D u at t where an input that jumps there enters as it was before; default: as it is from t on.
+    """
     i, n = found.output, plant.n_states
-    fed = float(plant.D[i] @ _mean_input(inputs, found.since, t, plant.n_inputs)) + centre
+    fed = feedthrough
+    if fed is None or (found.since is not None and found.since < t):
+        fed = float(plant.D[i] @ _mean_input(inputs, found.since, t, plant.n_inputs))
+    fed += centre
     H = plant.C[i]
     if found.lower == found.upper and found.since is not None:
         return (RowReading(H, found.lower - fed, size, since=found.since),)

@@ -112,6 +112,18 @@ def test_estimators_use_them_in_intervals(maker):
     assert again.interval().radii[0] < later.interval().radii[0]
 
 
+@pytest.mark.parametrize(("side", "fed"), [("left", 0.0), ("right", 10.0)])
+def test_a_limit_where_the_input_jumps_takes_the_input_of_the_same_side_as_a_number(side, fed):
+    """y = level + u, and u jumps at the sample: a limit and a number at that time agree about the level."""
+    plant = sd.Plant([[0.0]], [[1.0]], B=[[0.0]], D=[[1.0]], states=["level"])
+    for maker, more in ((sd.KalmanFilter, {}), (sd.MovingHorizonEstimator, {"horizon": 4.0})):
+        estimator = maker(plant, initial_error=5.0, input_side=side, **GIVEN, **more)
+        estimator.update(0.0, [1.0], [0.0])
+        found = estimator.update(1.0, [BelowDetection(fed + 0.97)], [10.0]).interval()
+        assert found.upper == pytest.approx([1.02], abs=1e-5)
+        assert estimator.update(1.0 + 1e-9, [10.9]).interval().verify()
+
+
 def test_the_moving_horizon_estimator_and_a_whole_record(tmp_path):
     path = tmp_path / "readings.csv"
     path.write_text("time,y1,y1_since\n0.5,1,\n1.5,<0.97,\n4,0.9,2\n")

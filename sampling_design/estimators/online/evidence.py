@@ -187,7 +187,8 @@ class EstimateEvidence:
         for each in node.sample.told:
             if each.since is None or each.since >= first:
                 size, centre = float(noise.size[each.output]), float(noise.centre[each.output])
-                rows += rows_told(self.assumed.plant, node.t, each, size, centre, tuple(self.inputs))
+                direct = float(node.feedthrough[each.output])
+                rows += rows_told(self.assumed.plant, node.t, each, size, centre, tuple(self.inputs), direct)
         return tuple(rows)
 
 

@@ -75,6 +75,9 @@ def record(plant, count=60, regular=False, start=0.0, seed=0, inputs=False, lost
     return rows
 
 
+DYADIC = {"P2": np.eye(2), "Qw": np.eye(2), "R": [[2.0]], "Qv": [[2.0]]}
+"""Weights that multiply without rounding, which is all that a state of 1e180 would show of others."""
+
 CASES = {
     "irregular": (spring(), {}, {}),
     "regular": (spring(), {"regular": True}, {}),
@@ -89,7 +92,7 @@ CASES = {
     "a far clock": (spring(), {"start": 1.7e9}, {"prior_time": 1.7e9}),
     "an unbounded one": (spring(), {}, {"w_bound": None}),
     "years of discounts": (spring(), {"count": 400}, {"eta": 2.5, "horizon": 4.0}),
-    "growth": (spring(1.7), {"count": 230}, {"eta": 1.0, "horizon": 6.0}),
+    "growth": (spring(1.7), {"count": 230}, {"eta": 1.0, "horizon": 6.0, **DYADIC}),
     "nothing shows it": (sd.Plant(np.diag([-0.2, -0.3, 0.05]), [[1.0, 1.0, 0.0]]), {}, {}),
     "lost outputs": (sd.Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0], [1.0, 1.0]]), {"lost": 0.6}, {}),
 }
@@ -156,7 +159,7 @@ def test_under_constraints_that_act_now_and_then(kind):
 def settings(plant, given):
     """Those of an estimator, what belongs to the cost in its own record."""
     given = {"horizon": 8.0, "eta": 0.2, **BOUNDS, **given}
-    cost = {key: given.pop(key) for key in ("eta", "form", "arrival", "begins") if key in given}
+    cost = {key: given.pop(key) for key in ("eta", "form", "arrival", "begins", *DYADIC) if key in given}
     return {**given, "cost": CostFunction(**cost)}
 
 

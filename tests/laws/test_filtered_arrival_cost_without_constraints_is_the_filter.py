@@ -10,6 +10,7 @@ from tests.oracles.estimators import discounted_kalman
 
 A, C, G = np.array([[0.0, 1.0], [-1.0, -0.2]]), np.array([[1.0, 0.0], [0.5, 1.0]]), np.array([[0.0], [1.0]])
 PLANT = Plant(A, C, B=[[1.0], [0.0]], D=[[0.0], [0.3]], G=G)
+WEIGHTS = {"P2": np.eye(2), "Qw": [[1.0]], "R": 2 * np.eye(2), "Qv": 2 * np.eye(2)}
 BOUNDS = {"w_bound": 0.5, "v_bound": [0.3, 0.4], "initial_error": [1.0, 2.0]}
 
 
@@ -27,8 +28,9 @@ def record(seed):
 def test_state_covariance_and_radius_agree(horizon, eta):
     times, ys, us = record(0)
     wide = {"w_bound": 2.0, "v_bound": [4.0, 5.0], "initial_error": [3.0, 4.0]}
-    mhe = MovingHorizonEstimator(PLANT, horizon=horizon, cost=CostFunction(eta=eta, arrival="filtered"), **wide)
-    kalman = KalmanFilter(PLANT, cost=CostFunction(eta=eta), **wide)
+    cost = CostFunction(eta=eta, arrival="filtered", **WEIGHTS)
+    mhe = MovingHorizonEstimator(PLANT, horizon=horizon, cost=cost, **wide)
+    kalman = KalmanFilter(PLANT, cost=CostFunction(eta=eta, **WEIGHTS), **wide)
     weights = kalman.weights
     for estimator in (mhe, kalman):
         estimator.update(0.0, None, us[0])

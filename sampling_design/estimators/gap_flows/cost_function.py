@@ -28,8 +28,8 @@ class CostFunction(Record):
                             + sum e^{-eta(t-tau)}(2|v|^2_Qv + |y - Cx - Du - v|^2_R)
 
     What is left out comes from the certificate. Without certificate and weights each bound of the estimator is one
-    (`weights_from_bounds`; the rate is eta, or one over the horizon); else they are those of the plant's scales:
-    P2 = diag(1/s_x^2), Qw = diag(1/s_w^2), R = Qv = 2 diag(1/s_y^2), eta = 0.
+    (`weights_from_bounds` at the rate eta, one over the horizon, or the plant's fastest); else they are those of the
+    plant's scales: P2 = diag(1/s_x^2), Qw = diag(1/s_w^2), R = Qv = 2 diag(1/s_y^2), eta = 0.
 
     Parameters
     ----------

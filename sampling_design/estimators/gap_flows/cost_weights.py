@@ -242,7 +242,8 @@ def build_weights(
     theirs = 0.0 if certificate is None else certificate.eta
     rate = checks.nonnegative("eta", theirs if cost.eta is None else cost.eta)
     by_hand = certificate is not None or any(key in MATRICES for key in cost.given)
-    known = {} if bounds is None or by_hand else _weighed(plant, bounds, rate or 1 / horizon or 1.0)
+    own = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0)) or 1.0
+    known = {} if bounds is None or by_hand else _weighed(plant, bounds, rate or 1 / horizon or own)
     matrices = {}
     for key, diagonal in inverse.items():
         value = getattr(cost, key)

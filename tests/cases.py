@@ -1,11 +1,14 @@
-"""Few cases of a law by default, and all of them under `--long`."""
+"""Few cases of a law by default, and all of them under `--long`; weights that no bound changes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
 import pytest
+
+from sampling_design import CostFunction, Plant
 
 
 def few(cases: Iterable[Any], *kept: int) -> list[Any]:
@@ -21,3 +24,10 @@ def _long(case: Any) -> Any:
     if hasattr(case, "marks"):
         values, marks, name = case.values, list(case.marks), case.id
     return pytest.param(*values, marks=[*marks, pytest.mark.long], id=name)
+
+
+def scale_weights(plant: Plant, **more: Any) -> CostFunction:
+    """The weights of the plant's scales, for laws that change bounds: without weights each bound is one."""
+    R = 2 * np.diag(plant.outputs.scales**-2.0)
+    P2, Qw = np.diag(plant.states.scales**-2.0), np.diag(plant.disturbances.scales**-2.0)
+    return CostFunction(P2=P2, Qw=Qw, R=R, Qv=R, **more)

@@ -16,7 +16,7 @@ from scipy.linalg import block_diag
 from sampling_design.accuracy.readings import RecordRow
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.estimators.gap_flows.cost_weights import CostWeights, build_weights
+from sampling_design.estimators.gap_flows.cost_weights import CostWeights, WeighedBounds, build_weights
 from sampling_design.estimators.gap_flows.flows import FlowTable, GapFlow, discounted_length
 from sampling_design.estimators.kalman import KalmanFilter
 from sampling_design.estimators.online.error_bounds import ErrorBounds
@@ -242,7 +242,9 @@ class NominalFilter(KalmanFilter):
         if plant.vertices:
             raise ArgumentError("`plant` must have parameters in a box, got one between vertices.")
         nominal = plant.nominal
-        given = build_weights(nominal, None, CostFunction() if cost is None else cost)
+        given = build_weights(
+            nominal, None, CostFunction() if cost is None else cost, WeighedBounds(w_bound, v_bound, initial_error)
+        )
         bound = None if w_bound is None else checks.bound("w_bound", w_bound, nominal.n_disturbances)
         energy = given.disturbance_energy(bound)
         self.model = plant

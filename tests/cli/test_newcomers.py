@@ -182,11 +182,11 @@ LINES = {
     "a plan that is none": ("plan p.toml r.toml", "is a requirement file, expected a plan requirement file"),
     "a requirement to follow": ("next r.toml", "is a requirement file, expected a plan file"),
     "a schedule to verify": ("verify s.csv", "is a schedule file, expected a certificate file"),
-    "files of a log swapped": ("log p.toml m.csv s.csv", "is a measurement file, expected a schedule file"),
+    "files of a comparison swapped": ("compare p.toml m.csv s.csv", "is a measurement file, expected a schedule file"),
     "a rhythm in words": ("new x --oscillation daily", "must be positive numbers with commas between"),
     "hours of an English clock": ("new x --oscillation 24 --open 7am-10pm", 'as "Mon-Fri 8:30-12, 13-17, Sat 9-12"'),
     "a unit in words": ("new x --oscillation 24 --unit days", "must be one of ms, s, min, h, d, wk, got 'days'"),
-    "nothing that moves": ("new x --no-level", "give --oscillation PERIODS, --decay TIMES, or both"),
+    "nothing that moves": ("new x --no-level", "give --oscillation PERIODS, --decay or --half-life TIMES, or both"),
     "a plan without its noise": ("new x --oscillation 24 --within 1.7", "needs --noise: how far a reading may be off"),
 }
 CALLS = {

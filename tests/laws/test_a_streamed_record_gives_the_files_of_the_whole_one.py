@@ -19,7 +19,7 @@ from sampling_design.estimators.records.measurement_table import MeasurementTabl
 from sampling_design.records import file_io
 from sampling_design.records.file_io import to_json
 from sampling_design.validation import schedule_log
-from sampling_design.validation.schedule_log import _matched
+from sampling_design.validation.schedule_log import _paired_times
 
 PLANT = sd.Plant(
     [[0.0, 1.0], [-1.0, 0.0]],
@@ -162,7 +162,7 @@ def test_planned_samples_are_matched_as_one_by_one(monkeypatch, together):
         planned = np.unique(np.round(rng.uniform(0, 10, rng.integers(1, 12)), 1))
         actual = np.unique(np.round(planned[rng.random(planned.size) < 0.8] + rng.uniform(-0.6, 0.6), 1))
         actual = np.unique([*actual, *np.round(rng.uniform(0, 10, rng.integers(1, 4)), 1)])
-        assert _matched(planned, actual).tolist() == one_by_one(planned, actual)
+        assert _paired_times(planned, actual).tolist() == one_by_one(planned, actual)
 
 
 @pytest.mark.parametrize("endless", [True, False])

@@ -15,7 +15,7 @@ from sampling_design.estimators.estimate_file import write_estimates
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.records.file_io import to_json
-from tests.cases import few
+from tests.cases import few, scale_weights
 
 PLANTS = {
     "integrator": Plant([[0.0]], [[1.0]]),
@@ -248,7 +248,7 @@ def test_a_record_of_contradictions_by_several_outputs_names_them_together():
 
     def after(factor):
         bounds = {"w_bound": 0.0, "v_bound": 0.01 * factor, "initial_error": 0.01 * factor}
-        return MovingHorizonEstimator(plant, horizon=9.0, **bounds).update(1.0, [5.0, 5.0])
+        return MovingHorizonEstimator(plant, horizon=9.0, cost=scale_weights(plant), **bounds).update(1.0, [5.0, 5.0])
 
     found = after(1.0)
     assert "and not it alone: all bounds would have to be" in found.note

@@ -10,7 +10,7 @@ import sampling_design as sd
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.estimators.online.curve import estimate_curve
 from sampling_design.estimators.online.history import DEEPEST, SampleBranch
-from tests.cases import few
+from tests.cases import few, scale_weights
 
 WALK = sd.Plant([[0.0]], [[1.0]], states=["level"], outputs=["gauge"])
 SPRING = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["level", "rate"], outputs=["gauge"])
@@ -74,7 +74,8 @@ def test_the_record_says_one_thing_in_all_its_forms(maker):
 
 def test_the_sample_that_is_named_would_do_with_so_much_more_noise():
     """Alone: with its noise times the factor the rest agrees, with a hundredth less it does not."""
-    estimator = sd.KalmanFilter(SPRING, w_bound=0.02, v_bound=0.1, initial_error=2.0)
+    cost = scale_weights(SPRING)
+    estimator = sd.KalmanFilter(SPRING, cost=cost, w_bound=0.02, v_bound=0.1, initial_error=2.0)
     truth = [(t, [float(np.cos(t)) + (0.9 if t == 3.0 else 0.0)]) for t in (0.5, 1.2, 2.1, 3.0, 3.6, 4.1)]
     for count, row in enumerate(truth, 1):
         estimate = estimator.update(*row)
@@ -148,9 +149,9 @@ def test_the_factor_of_one_output_of_several_is_the_least_that_serves(kind, boun
     """A bound on the norm is that of the whole sample; it had to be "inf times as large"."""
 
     def followed(v_bound):
-        cost = sd.CostFunction(eta=0.1)
-        given = {"cost": cost, "w_bound": 0.1, "v_bound": v_bound, "initial_error": 1.0}
         plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], np.eye(2), outputs=["a", "b"])
+        cost = scale_weights(plant, eta=0.1)
+        given = {"cost": cost, "w_bound": 0.1, "v_bound": v_bound, "initial_error": 1.0}
         if kind == "filter":
             return sd.KalmanFilter(plant, **given).update(1.0, [100.0, 0.0])
         return sd.MovingHorizonEstimator(plant, horizon=5.0, **given).update(1.0, [100.0, 0.0])

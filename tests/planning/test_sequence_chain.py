@@ -39,7 +39,7 @@ def test_no_adversary_is_beyond_what_the_filter_bounds(week, change):
     for k in (sequence.first - 1, sequence.first, sequence.first + 2):
         for unit in np.eye(chain.D.size):
             bound = atoms[k].bound(unit[None])[0]
-            gains, adversary = search.attack(k, unit)
+            gains, adversary = search.both_sides(k, unit)
             assert 0 < adversary.value <= gains.value * (1 + 1e-9)
             assert adversary.value <= bound
 

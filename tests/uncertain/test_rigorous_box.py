@@ -150,7 +150,7 @@ def test_what_is_not_proven_says_so(monkeypatch):
     assert prove_over_box(asked, schedule, attained * 2, 60.0)[::2] == (0.0, "rounding")
     family = SpacedWindows(4.0, 3, 0.8)
     monkeypatch.setattr(worst_over_box, "SMALLEST", 2.0)
-    monkeypatch.setattr(worst_over_box, "_spread", lambda *_: None)
+    monkeypatch.setattr(worst_over_box, "_pulse_sizes", lambda *_: None)
     rough = worst_case_sigma(plant, family, rtol=0.6, rigorous=True)
     assert (rough.lower, rough.status) == (0.0, "rounding")
     late = worst_case_sigma(plant, family, rtol=0.6, budget=0.0, rigorous=True)

@@ -36,7 +36,8 @@ def test_estimates_have_a_panel_per_state_with_tube_and_readings():
     assert bars[:, 0, 1] == pytest.approx(found.x[:, 0] - found.ellipsoid_radii[:, 0])
     assert list(axes[0].lines[0].get_ydata()) == list(found.x[:, 0])
     assert list(axes[0].lines[1].get_ydata()) == list(readings.y[:, 0])  # the output reads the first state
-    assert len(axes[1].lines) == 1
+    named = [str(line.get_label()) for line in axes[1].lines]
+    assert [name for name in named if not name.startswith("_")] == ["estimate"]
     assert len(axes[1].collections[1].get_segments()) == len(readings)  # of the second it says only when
 
 

@@ -192,8 +192,8 @@ CALLED_BY_LIBRARIES = {
     "Handler.do_POST": "http.server",
     "Handler.log_message": "http.server",
     "Panels._repr_png_": "notebooks",
-    "Record._repr_html_": "notebooks",
     "Server.shutdown_request": "socketserver",
+    "Shown._repr_html_": "notebooks",
 }
 
 

@@ -188,11 +188,12 @@ def test_closed_times_are_branched_on_too():
     assert design.verify()
 
 
-def test_an_interrupt_before_the_first_cut_leaves_the_design_with_its_first_bound(monkeypatch):
+@pytest.mark.parametrize("step", ["_rooted", "_cut_on"])
+def test_an_interrupt_before_a_cut_leaves_the_design_with_the_bound_so_far(step, monkeypatch):
     def interrupted(*asked):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(branching, "_rooted", interrupted)
+    monkeypatch.setattr(branching, step, interrupted)
     requirement = Requirement(window=4.0, spacing=0.3, samples=5, forbidden=[[0.0, 1.2]])
     design = design_schedule(oscillator(), requirement, starts=1, branches=40)
     assert design.status == "interrupted"

@@ -148,10 +148,11 @@ def test_what_cannot_be_used_is_refused():
 
 def test_estimators_of_nonlinear_plants_take_plain_numbers():
     plant = sd.nonlinear.from_linear(WALK)
+    estimator = sd.NonlinearMovingHorizonEstimator(plant, horizon=5.0, cost=sd.CostFunction(eta=0.1))
     with pytest.raises(ArgumentError, match="this estimator takes plain numbers only"):
-        sd.NonlinearMovingHorizonEstimator(plant, horizon=5.0, cost=sd.CostFunction(eta=0.1)).update(
-            1.0, [BelowDetection(0.5)]
-        )
+        estimator.update(1.0, [BelowDetection(0.5)])
+    with pytest.raises(ArgumentError, match="is uncertain: this estimator takes exact times only"):
+        estimator.update((0.5, 1.0), [0.5])
 
 
 SPRING = sd.Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0]])

@@ -1,26 +1,14 @@
 """The cases of the page on what laboratories do, each against the record that is right from the start."""
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-PAGE = Path(__file__).parents[2] / "docs" / "lab_records.md"
+from tests.estimators.pages import check_same, defined_on
 
 
 @pytest.fixture(scope="module")
 def page():
-    names = {}
-    for cell in re.findall(r"```\{code-cell\} python\n(.*?)```", PAGE.read_text(), re.DOTALL):
-        exec(cell, names)
-    return names
-
-
-def check_same(found, wanted):
-    assert found.t == wanted.t
-    np.testing.assert_allclose(found.x, wanted.x, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(found.radius, wanted.radius, rtol=1e-12)
+    return defined_on("lab_records.md")
 
 
 def test_corrected_withdrawn_and_old_results_give_the_estimate_of_the_right_record(page):

@@ -1,26 +1,14 @@
 """The cases of the page on late results, each against the answer that has everything in order."""
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-PAGE = Path(__file__).parents[2] / "docs" / "late_results.md"
+from tests.estimators.pages import check_same, defined_on
 
 
 @pytest.fixture(scope="module")
 def said():
-    names = {}
-    for cell in re.findall(r"```\{code-cell\} python\n(.*?)```", PAGE.read_text(), re.DOTALL):
-        exec(cell, names)
-    return names
-
-
-def check_same(found, wanted):
-    assert found.t == wanted.t
-    np.testing.assert_allclose(found.x, wanted.x, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(found.radius, wanted.radius, rtol=1e-12)
+    return defined_on("late_results.md")
 
 
 def test_late_and_out_of_order_results_give_the_estimate_in_order(said):

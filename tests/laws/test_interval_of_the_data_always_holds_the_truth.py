@@ -15,7 +15,7 @@ import sampling_design as sd
 from sampling_design.accuracy.interval import state_interval
 from sampling_design.accuracy.readings import AboveRange, BelowDetection, CompositeReading
 from sampling_design.plants import library
-from tests.cases import few
+from tests.cases import few, scale_weights
 from tests.oracles.estimators import transition
 
 RUNS = 12
@@ -95,7 +95,7 @@ def told_run(name, seed):
     summed = sd.Plant(joined, np.eye(n + p), G=np.vstack([plant.G, np.zeros((p, plant.n_disturbances))]))
     w_size, v_size = plant.disturbances.scales / 10, plant.outputs.scales / 5
     error = plant.states.scales
-    kalman = sd.KalmanFilter(plant, w_bound=w_size, v_bound=v_size, initial_error=error)
+    kalman = sd.KalmanFilter(plant, cost=scale_weights(plant), w_bound=w_size, v_bound=v_size, initial_error=error)
     x, now = np.concatenate([rng.uniform(-1, 1, n) * error, np.zeros(p)]), 0.0
     for t in np.cumsum(rng.uniform(0.3, 2.0, int(rng.integers(4, 9)))) * unit:
         began, x[n:] = now, 0.0
@@ -133,7 +133,7 @@ def test_cells_too_coarse_for_the_truth_are_no_contradiction():
     assert not found.contradiction
     assert found.holds(truth)
     assert np.all((tube.lower <= path) & (path <= tube.upper))
-    assert np.all(found.radii < 0.25 * estimate.ellipsoid_radii)
+    assert np.all(found.radii < 0.2 * estimate.ellipsoid_radii)
 
 
 def held(name, seed):

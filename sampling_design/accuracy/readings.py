@@ -255,14 +255,18 @@ def rows_told(
     return tuple(RowReading(row, y, size, True, found.since) for row, y in ends if np.isfinite(y))
 
 
+def input_at(inputs: Sequence[tuple[float, Array]], t: float, count: int) -> Array:
+    """The input that holds from t on; 0 before the first."""
+    at = bisect_right(inputs, t, key=lambda pair: pair[0])
+    return inputs[at - 1][1] if at else np.zeros(count)
+
+
 def _mean_input(inputs: Sequence[tuple[float, Array]], since: float | None, t: float, count: int) -> Array:
     """The input at t, or its mean from `since` until t; 0 before the first."""
-    times = [given for given, _ in inputs]
     if since is None or since >= t:
-        at = bisect_right(times, t)
-        return inputs[at - 1][1] if at else np.zeros(count)
-    marks = [since, *(given for given in times if since < given < t), t]
-    held = [_mean_input(inputs, None, a, count) for a in marks[:-1]]
+        return input_at(inputs, t, count)
+    marks = [since, *(given for given, _ in inputs if since < given < t), t]
+    held = [input_at(inputs, a, count) for a in marks[:-1]]
     return np.asarray(np.diff(marks) @ np.array(held).reshape(len(held), count) / (t - since))
 
 

@@ -8,7 +8,6 @@ is one of C x(t) + D u(t) that lies between two ends.
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 
@@ -16,7 +15,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from sampling_design.accuracy.gap_table import DisturbanceQuadrature, GapTable
-from sampling_design.accuracy.readings import CensoredReading, DisturbanceSet
+from sampling_design.accuracy.readings import CensoredReading, DisturbanceSet, input_at
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
@@ -107,13 +106,13 @@ class _Side:
     ):
         C, D, n = plant.C[output], plant.D[output], plant.n_states
         sign = 1.0 if end >= t else -1.0
-        base = np.append(C, float(D @ _input_at(inputs, t, plant.n_inputs)))
+        base = np.append(C, float(D @ input_at(inputs, t, plant.n_inputs)))
         times = [at for at, _ in inputs if min(t, end) < at < max(t, end)]
         edges = [t, *(times if sign > 0 else times[::-1]), end]
         rate, flow = balanced_schur(plant.A).speed, np.eye(n + 1)
         rows, sizes, self._bends = [base - base], [np.zeros(n + 1)], list[Array]()
         for a, b in pairwise(edges):
-            u = _input_at(inputs, (a + b) / 2, plant.n_inputs)
+            u = input_at(inputs, (a + b) / 2, plant.n_inputs)
             longer = np.zeros((n + 1, n + 1))
             longer[:n, :n], longer[:n, n] = plant.A, plant.B @ u + plant.G @ push.centre
             count = int(np.clip(np.ceil(FINENESS * np.sqrt(rate * abs(b - a))), *PANELS))
@@ -158,8 +157,3 @@ class _Side:
 def _total(rows: Array, size: Array) -> Array:
     """|rows| size, where nothing times infinity is nothing."""
     return np.asarray(np.multiply(rows, size, where=rows > 0, out=np.zeros_like(rows)).sum(axis=1))
-
-
-def _input_at(inputs: Sequence[tuple[float, Array]], t: float, count: int) -> Array:
-    at = bisect_right(inputs, t, key=lambda pair: pair[0])
-    return inputs[at - 1][1] if at else np.zeros(count)

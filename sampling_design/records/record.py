@@ -55,7 +55,7 @@ class _RecordType(ABCMeta):
                 raise misfit(cls.__init__, (cls, *arguments), options, error) from None
 
 
-class Shown:
+class Displayable:
     """What shows itself: `repr` in one line, `str` as a small table, `_repr_html_` for notebooks."""
 
     _table: ClassVar[Mapping[str, str]] = {}
@@ -88,7 +88,7 @@ class Shown:
         return f"<table><caption>{escape(self._title())}</caption>{body}</table>"
 
 
-class Record(Shown, metaclass=_RecordType):
+class Record(Displayable, metaclass=_RecordType):
     """Base of the frozen records: `repr` one line, `str` a small table, `_repr_html_` for notebooks.
 
     Every public method of a record has a door before it (see `signatures`).

@@ -193,7 +193,7 @@ CALLED_BY_LIBRARIES = {
     "Handler.log_message": "http.server",
     "Panels._repr_png_": "notebooks",
     "Server.shutdown_request": "socketserver",
-    "Shown._repr_html_": "notebooks",
+    "Displayable._repr_html_": "notebooks",
 }
 
 

@@ -24,7 +24,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import Shown
+from sampling_design.records.record import Displayable
 from sampling_design.records.signatures import checked_methods
 
 AHEAD = 512
@@ -32,7 +32,7 @@ AHEAD = 512
 
 
 @checked_methods
-class OnlineEstimator(Shown, ABC):
+class OnlineEstimator(Displayable, ABC):
     """Base of the estimators: a pure `step(state, sample)`, and `update`, `predict`, `run`, `stream` around it."""
 
     _order: ClassVar[str] = "Times and values make one record: Measurements(times, y)."

@@ -8,6 +8,7 @@ import numpy as np
 
 from sampling_design.accuracy.accuracy_profile import AccuracyProfile, GapProof
 from sampling_design.accuracy.accuracy_record import Accuracy, AccuracyBracket
+from sampling_design.accuracy.between_samples import speed_of
 from sampling_design.accuracy.bounds import Bound
 from sampling_design.accuracy.deviation import Intensity, StandardDeviation, deviations
 from sampling_design.accuracy.question import AccuracyQuestion
@@ -203,8 +204,9 @@ def _answered(
                 between = f"{short(found[k].lower)} to {short(found[k].upper)}"
                 progress(done / len(safe), f"{rows.labels()[k]} {between}")
     planned = None
-    if noise is not None:
-        planned = ChainSearch(*question.chain(known.plant, known.moving), budget=limit)
+    if noise is not None and search is not None:
+        chain, atoms = question.chain(known.plant, known.moving)
+        planned = ChainSearch(replace(chain, speed=speed_of(search.chain)), atoms, budget=limit)  # on the same panels
     record = replace(
         _record(question, rows, known, search, found, tolerance, planned), deviation=deviation, noise=noise
     )

@@ -73,7 +73,7 @@ def open_row(
     """
     begin, end = (chain.taken(j), chain.length(j)) if until is None else (0.0, until)
     known = {} if known is None else known
-    d = _grid(chain.A, begin, end, least)
+    d = _grid(speed_of(chain), begin, end, least)
     if (begin, end) not in known:
         known[begin, end] = _open_integrals(chain, d, row)
     A, (above, below, flown, middle, slope) = chain.A, known[begin, end]
@@ -82,8 +82,13 @@ def open_row(
     return RowBetweenSamples(d, flown @ L, flown @ (A @ A) @ L, third, above, below, slope)
 
 
-def _grid(A: Array, begin: float, end: float, least: int = GRID[0]) -> Array:
-    number = int(np.clip(np.ceil(float(np.linalg.norm(A, 2)) * (end - begin) / FINENESS), least, GRID[1]))
+def speed_of(chain: SampleChain) -> float:
+    """As fast as which the panels of a chain's gaps take its plant to be."""
+    return float(np.linalg.norm(chain.A, 2)) if chain.speed is None else chain.speed
+
+
+def _grid(speed: float, begin: float, end: float, least: int = GRID[0]) -> Array:
+    number = int(np.clip(np.ceil(speed * (end - begin) / FINENESS), least, GRID[1]))
     return np.linspace(begin, end, (number if end > begin else 1) + 1)
 
 
@@ -110,6 +115,7 @@ def _open_integrals(chain: SampleChain, d: Array, row: Array) -> Integrals:
         tilt = np.abs(first).sum(axis=1)
     most = step / 2 * (value[1:] + value[:-1]) + step**3 / 12 * curve
     slope = np.maximum(tilt[1:], tilt[:-1]) + step / 2 * curve
-    until = [np.zeros(1)] * 2 if d[0] == 0 else _open_integrals(chain, _grid(A, 0.0, float(d[0])), row)[:2]
+    before = _grid(speed_of(chain), 0.0, float(d[0]))
+    until = [np.zeros(1)] * 2 if d[0] == 0 else _open_integrals(chain, before, row)[:2]
     sums = (first[-1] + np.append(0.0, np.cumsum(x)) for first, x in zip(until, (most, least), strict=True))
     return (*sums, flown, middle, np.asarray(slope))

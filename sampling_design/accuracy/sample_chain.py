@@ -148,6 +148,8 @@ class SampleChain:
     hidden: int = 0
     # (N,): how late each sample may be: what follows from one is said from then on, and until the next may be as late
     late: Array | None = None
+    # how fast the panels of a gap take A to be, if not |A|, so that chains in other coordinates have the same panels
+    speed: float | None = None
 
     @property
     def determined(self) -> int:

@@ -169,6 +169,16 @@ def test_units_change_nothing(c):
     assert np.allclose(sized.upper, wanted.upper, rtol=1e-5)
 
 
+@pytest.mark.parametrize("gap", few([8.0, 20.0], 1))
+def test_both_sides_stand_on_the_same_panels_in_long_gaps(gap):
+    falling = Plant([[-1.0, 1.0], [0.0, -1.0]], [[1.0, 0.0]])
+    schedule = PeriodicSchedule([gap])
+    found = guaranteed_accuracy(falling, schedule, w_bound=0.1, v_bound=0.2, of="x1", timing_tolerance=1.0)
+    assert found.verify()
+    assert np.all(found.profile.lower <= found.profile.upper)
+    assert found.lower[0] == pytest.approx(found.profile.lower[0].max(), rel=0.05)
+
+
 def test_too_little_noise_and_times_beyond_the_tolerance_are_not_proven():
     found = uneven(0.06)
     assert found.verify()

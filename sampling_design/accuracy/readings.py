@@ -255,9 +255,9 @@ def rows_told(
     return tuple(RowReading(row, y, size, True, found.since) for row, y in ends if np.isfinite(y))
 
 
-def input_at(inputs: Sequence[tuple[float, Array]], t: float, count: int) -> Array:
-    """The input that holds from t on; 0 before the first."""
-    at = bisect_right(inputs, t, key=lambda pair: pair[0])
+def input_at(inputs: Sequence[tuple[float, Array]], t: float, count: int, before: bool = False) -> Array:
+    """The input that holds from t on, or until then (`before`); 0 before the first."""
+    at = (bisect_left if before else bisect_right)(inputs, t, key=lambda pair: pair[0])
     return inputs[at - 1][1] if at else np.zeros(count)
 
 

@@ -41,8 +41,11 @@ def resolved(
     t: float,
     told: tuple[CensoredReading, ...],
     known: Known,
+    before: bool = False,
 ) -> tuple[CensoredReading, ...]:
     """Return readings of uncertain times as what they say of t, a time in each; the others as they are.
+
+    D u is that from t on; `before`: an input that jumps at a time enters there as it was before.
 
     Raises
     ------
@@ -53,7 +56,7 @@ def resolved(
     if not stamped:
         return told
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not finite, and bounds nothing
-        sides = [_Side(plant, push, inputs, t, each.output, end) for each in stamped for end in each.stamp[:2]]  # type: ignore[index]
+        sides = [_Side(plant, push, inputs, t, each.output, end, before) for each in stamped for end in each.stamp[:2]]  # type: ignore[index]
     rows = np.concatenate([side.rows[:, :-1] for side in sides])
     asked = np.flatnonzero(rows.any(axis=1))
     low, high = np.zeros(len(rows)), np.zeros(len(rows))
@@ -103,10 +106,11 @@ class _Side:
         t: float,
         output: int,
         end: float,
+        before: bool,
     ):
         C, D, n = plant.C[output], plant.D[output], plant.n_states
         sign = 1.0 if end >= t else -1.0
-        base = np.append(C, float(D @ input_at(inputs, t, plant.n_inputs)))
+        base, last = (np.append(C, float(D @ input_at(inputs, at, plant.n_inputs, before))) for at in (t, end))
         times = [at for at, _ in inputs if min(t, end) < at < max(t, end)]
         edges = [t, *(times if sign > 0 else times[::-1]), end]
         rate, flow = balanced_schur(plant.A).speed, np.eye(n + 1)
@@ -129,6 +133,10 @@ class _Side:
                 self._bends.append(np.abs(bend @ middle) @ spread)
                 rows.append(row @ flow - base)
                 sizes.append(np.abs(row) @ np.abs(flow) + np.abs(base))
+        if not np.array_equal(row, last):  # a jump at the end itself
+            rows.append(last @ flow - base)
+            sizes.append(np.abs(last) @ np.abs(flow) + np.abs(base))
+            self._bends.append(np.zeros(n + 1))
         self.rows, self._sizes = np.array(rows), np.array(sizes)
         self.rows = self.rows if np.isfinite(self._sizes).all() else np.full_like(self.rows, np.inf)
         self._moved = self._driven(plant, push, C, abs(end - t), sign)

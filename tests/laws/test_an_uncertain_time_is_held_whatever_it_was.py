@@ -149,6 +149,30 @@ def test_a_time_that_is_believed_is_outside_and_a_walk_is_held_exactly():
     assert not sd.state_interval(swing, [(t[0] + 0.25, y) for t, y in rows], 6.0, **given).holds(truth(6.0))
 
 
+@pytest.mark.parametrize("jump", [1.0, 1.5, 1.8, 2.0])
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_an_input_that_jumps_at_either_end_or_in_the_middle_is_held_on_both_sides(side, jump):
+    """y = x + u, read at any time from 1 to 2, both included, where u jumps: there u is that of the stated side."""
+    plant = sd.Plant([[0.0]], [[1.0]], B=[[0.0]], D=[[1.0]])
+    given, inputs = {"w_bound": 1e-3, "v_bound": 1e-2, "initial_error": 20.0}, [(0.0, None, [0.0]), (jump, None, [3.0])]
+    for real in (1.0, 1.2, 1.5, 1.8, 2.0):
+        read = ((1.0, 2.0), [5.0 + 3.0 * (real > jump or (real == jump and side == "right"))], None)
+        rows = [inputs[0], *sorted([inputs[1], read], key=lambda row: np.mean(row[0]))]
+        said = [sd.state_interval(plant, rows, 2.0, prior_time=0.0, **given)] if side == "right" else []
+        horizon = {"horizon": 5.0, "cost": sd.CostFunction(eta=0.1)}
+        for kind, more in ((sd.SetMembershipEstimator, {"maximum_delay": 5.0}), (sd.MovingHorizonEstimator, horizon)):
+            for came in (rows, [inputs[0], read, inputs[1]]):  # the input is told of before, or afterwards
+                estimator = kind(plant, input_side=side, **given, **more)
+                for row in came:
+                    estimator.update(*row)
+                found = estimator.predict(2.0)
+                assert abs(found.x[0] - 5.0) <= np.sqrt(found.radius * found.covariance[0, 0]) * (1 + ROUNDED)
+                said.append(found.interval())
+        for each in said:
+            assert each.holds([5.0])
+            assert each.radii[0] < 3.1
+
+
 @pytest.mark.parametrize("seed", few(range(30), 0, 3))
 def test_late_corrected_and_withdrawn_readings_of_uncertain_times_are_as_in_order(seed):
     """Also an input that is told of afterwards, in the middle of a time that is uncertain."""

@@ -111,8 +111,8 @@ class LinearPlantEstimator(OnlineEstimator):
             found = self._predict(state, sample.t).interval(rows)
             return found.lower, found.upper
 
-        inputs = tuple(state.inputs)
-        return sample._replace(told=resolved(self.plant, assumed.push, inputs, sample.t, sample.told, known))
+        inputs, before = tuple(state.inputs), self.reader.before
+        return sample._replace(told=resolved(self.plant, assumed.push, inputs, sample.t, sample.told, known, before))
 
     def _check_censored(self, state: EstimatorState, t: float, limits: tuple[CensoredReading, ...]) -> None:
         exact = self.weighs_means and all(each.since is not None and each.lower == each.upper for each in limits)

@@ -20,7 +20,7 @@ from sampling_design.accuracy.readings import (
     arrived,
 )
 from sampling_design.accuracy.record_program import DISPROVED, SPREADS, RecordProgram, RowEnd
-from sampling_design.accuracy.record_readings import read_record
+from sampling_design.accuracy.record_readings import beginning, read_record
 from sampling_design.accuracy.undetectable import unseen_modes
 from sampling_design.accuracy.witness import KEPT
 from sampling_design.checkers.check import verdict
@@ -405,16 +405,13 @@ def state_interval(
     at = float(readings.times[-1]) if at is None else at
     if outliers == 0:
         return prove(RecordProgram(readings), at, rows)
-    begun = float(readings.times[0]) if prior_time is None else prior_time
-    samples = [
-        k
-        for k, row in enumerate(arrived(items, plant.n_outputs))
-        if row.told or (row.y is not None and np.isfinite(row.y).any())
-    ]
+    came = arrived(items, plant.n_outputs)
+    begun = beginning(came) if prior_time is None else prior_time
+    samples = [k for k, row in enumerate(came) if row.told or (row.y is not None and np.isfinite(row.y).any())]
     cases = []
     for out in left_out(outliers, len(samples)):
         gone = {samples[k] for k in out}
-        rest = [item for k, item in enumerate(items) if k not in gone]
+        rest = [(came[k].t, None, came[k].u) if k in gone else item for k, item in enumerate(items)]
         noise = np.delete(np.asarray(v_bound), out, axis=0) if np.ndim(v_bound) == 2 else v_bound  # type: ignore[arg-type]
         read = read_record(plant, rest, w_bound, noise, initial_error, prior, begun, at)
         cases.append(prove(RecordProgram(read), at, rows))

@@ -45,8 +45,7 @@ def read_record(
     """
     centre = checks.vector("prior", np.zeros(plant.n_states) if prior is None else prior, plant.n_states)
     items = arrived(record, plant.n_outputs)
-    spans = [each.stamp for come in items for each in come.told if each.stamp is not None]
-    begun = min([items[0].t, *(span.first for span in spans)]) if items else 0.0
+    spans, begun = any(each.stamp for come in items for each in come.told), beginning(items)
     start = begun if prior_time is None else checks.number("prior_time", prior_time)
     samples, inputs = _in_order(plant, items, start)
     if spans and begun < start:
@@ -80,6 +79,12 @@ def read_record(
     if also is not None and also < start:
         raise ArgumentError(f"`t` must not lie before the start {start!r}, got {also!r}.")
     return read(None if also is None or also >= rows[-1][0] or also in dict(rows) else also)
+
+
+def beginning(items: Sequence[RecordRow]) -> float:
+    """The earliest time at which a row may have come; 0 without rows."""
+    spans = [each.stamp for come in items for each in come.told if each.stamp is not None]
+    return min([items[0].t, *(span.first for span in spans)]) if items else 0.0
 
 
 def _known(read: Callable[[float], Readings], t: float, rows: Array) -> tuple[Array, Array]:

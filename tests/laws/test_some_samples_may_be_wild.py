@@ -82,6 +82,20 @@ def test_times_that_are_not_known_are_resolved_by_the_samples_that_are_believed(
     assert sd.state_interval(swing, rows, 3.2, outliers=1, **given).holds(truth(3.2))
 
 
+@pytest.mark.parametrize("error", [None, 5.0])
+@pytest.mark.parametrize("wild", range(3))
+def test_the_input_of_a_sample_that_is_left_out_was_applied_all_the_same(wild, error):
+    """x' = u in steps of 5 from the second sample on, and an input that was there before all samples."""
+    walk = sd.Plant([[0.0]], [[1.0]], B=[[1.0]])
+    rows = [(0.0, 3.0, [0.0]), (1.0, 3.0, [5.0]), (2.0, 8.0, None)]
+    record = [(-1.0, None, [0.0]), *((t, [y + 40.0 * (k == wild)], u) for k, (t, y, u) in enumerate(rows))]
+    given = {"w_bound": 0.01, "v_bound": 0.1, "initial_error": error, "outliers": 1}
+    found = sd.state_interval(walk, record, 3.0, **given)
+    assert found.verify()
+    assert found.holds([13.0])
+    assert found.radii[0] < 0.2
+
+
 def test_what_is_no_number_of_samples_is_refused():
     rows = [(float(t), [0.0]) for t in range(60)]
     for outliers, words in (

@@ -157,6 +157,30 @@ def test_a_maximum_delay_of_ones_own_takes_older_results_and_refuses_what_is_old
         make[0](maximum_delay=-1.0)
 
 
+@pytest.mark.parametrize("make", list(estimators()), ids=NAMES)
+def test_whatever_is_withdrawn_from_the_end_the_rest_is_as_if_it_had_never_come(make):
+    """One after the other, until what came before is no longer kept; then samples come again and are corrected."""
+    rows, back, straight = [(t, y, None) for t, y, _ in record(2, 48)], make(), make()
+    for row in rows:
+        back.update(*row)
+    kept = len(rows)
+    for t, *_ in rows[::-1]:
+        state = back.state
+        try:
+            back.withdraw(t)
+        except ArgumentError:
+            assert back.state is state
+            break
+        kept -= 1
+    assert 3 <= kept <= len(rows) - 5
+    for row in rows[:kept]:
+        straight.update(*row)
+    check_same(back.predict(rows[kept - 1][0]), straight.predict(rows[kept - 1][0]))
+    for t, y, _ in rows[kept:]:
+        check_same(back.update(t, 0.5 * y), straight.update(t, 0.5 * y))
+        check_same(back.correct(t, y), straight.correct(t, y))
+
+
 def test_what_cannot_be_corrected_is_refused_and_changes_nothing():
     mhe = MovingHorizonEstimator(PLANT, horizon=4.0, cost=CostFunction(eta=0.3))
     for t, y in ((1.0, [1.0, np.nan]), (2.0, [0.5, 0.2])):

@@ -191,7 +191,10 @@ class OnlineEstimator(Displayable, ABC):
         return RecordRow(t, y, checks.vector("u", u, self.plant.n_inputs), limits)
 
     def _refuse_too_late(self, t: float, state: EstimatorState) -> None:
-        oldest = max(state.nodes[0].t, state.last.t - self.maximum_delay)
+        first, oldest = state.nodes[0], max(state.nodes[0].t, state.last.t - self.maximum_delay)
+        if first.sample.y is not None and state.last.t - self.memory < first.t:
+            # samples that are withdrawn do not bring back what was let go when they came
+            oldest = max(oldest, first.t + (self.memory - self.maximum_delay))
         if t < oldest:
             raise ArgumentError(
                 f"`t` must be at least {oldest!r}, got {t!r}: it goes back beyond the window that is kept for late "

@@ -132,6 +132,16 @@ def test_growth_beyond_doubles_is_bounded_by_nothing():
     assert "not decided" in found.explain() or "does not shrink" in found.explain()
 
 
+@pytest.mark.parametrize("plant", [Plant([[-100.0]], [[1.0]]), Plant(np.zeros((0, 0)), np.zeros((1, 0)))])
+def test_a_factor_below_all_doubles_still_has_a_rate_that_is_proven(plant):
+    """e^{-eta M} is 0 in doubles; with no states there is no error, and nothing but 0 to bound."""
+    made = sd.certify(plant, PeriodicSchedule([1.0]), eta=8.0)
+    found = random_losses(made, 0.3, length=120.0)
+    assert found.contracts[1] == 1.0
+    assert 5.0 < found.rate <= 9.0
+    assert "at the rate" in found.explain()
+
+
 def test_what_it_says(spiral):
     found = random_losses(spiral, 0.05)
     assert "lost with probability 0.05" in found.explain()
@@ -147,6 +157,10 @@ def test_what_it_refuses(spiral):
         random_losses(spiral, 0.1, length=3.0)
     with pytest.raises(ArgumentError, match="spans 129 samples: at most 128 are followed"):
         random_losses(spiral, 0.1, length=43 * spiral.schedule.period)
+    with pytest.raises(ArgumentError, match=r"spans 1e\+300 samples: at most 128"):
+        random_losses(spiral, 0.1, length=1e300 * spiral.schedule.period / len(spiral.schedule))
+    with pytest.raises(ArgumentError, match="spans inf samples"):
+        random_losses(sd.certify(Plant([[-0.5]], [[1.0]]), PeriodicSchedule([0.25])), 0.1, length=1e308)
     finite = sd.certify(Plant([[-0.5]], [[1.0]]), Schedule([1.0, 2.0]))
     with pytest.raises(ArgumentError, match="must be on a periodic schedule"):
         random_losses(finite, 0.1)

@@ -71,7 +71,7 @@ class RandomLosses(PlainRecord):
     @property
     def rate(self) -> float | None:
         """-ln(E[rho])/M [1/time]: how fast the expected squared error decays; None where E[rho] < 1 is not proven."""
-        worst = self.mean_factor[1]
+        worst = max(self.mean_factor[1], float(np.finfo(float).tiny))  # a smaller one is 0 by rounding alone
         return -float(np.log(worst)) / self.length if worst < 1 else None
 
     def windows_in_a_row(self, count: int) -> tuple[float, float]:
@@ -175,14 +175,16 @@ def random_losses(certificate: Certificate, loss_probability: float, *, length: 
         raise ArgumentError(f"`loss_probability` must lie between 0 and 1, got {p!r}.")
     asked = certificate.horizon().length if length is None else checks.positive("length", length)
     periods = asked / schedule.period
+    if (most := periods * (1 - 1e-9) * len(schedule)) > MOST_SAMPLES:
+        raise ArgumentError(
+            f"`length` = {short(asked)} spans {short(np.ceil(most))} samples: at most {MOST_SAMPLES} are followed."
+        )
     whole = max(1, int(np.ceil(periods * (1 - 1e-9)))) if length is None else round(periods)
     if length is not None and (whole < 1 or abs(periods - whole) > 1e-9 * whole):
         raise ArgumentError(
             f"`length` = {short(asked)} must be a whole number of periods ({short(schedule.period)}): windows that "
             "follow each other are alike then."
         )
-    if (samples := whole * len(schedule)) > MOST_SAMPLES:
-        raise ArgumentError(f"`length` = {short(asked)} spans {samples} samples: at most {MOST_SAMPLES} are followed.")
     M = whole * schedule.period
     c = certificate
     problem = window_problem(c.plant, schedule, c.P2, c.Qw, c.R, c.Qv, c.eta)
@@ -193,7 +195,7 @@ def random_losses(certificate: Certificate, loss_probability: float, *, length: 
     return RandomLosses(
         loss_probability=p,
         length=M,
-        samples=samples,
+        samples=whole * len(schedule),
         ends=ends,
         probability=probability,
         factor=factor,
@@ -208,7 +210,7 @@ def _window(problem: WindowProblem, last: int, M: float, periods: int, p: float)
         return np.ones(2), np.zeros(2)
     order = (last + 1 + np.arange(periods * problem.count)) % problem.count
     F, W = problem.flow(problem.gaps[order])
-    rows, shrink = problem.rows[order], float(np.exp(-problem.eta * M))
+    rows, half = problem.rows[order], float(np.exp(-problem.eta * M / 2))
     steps = len(order)
 
     def factors(Y: Array, at: int, received: bool) -> Array:
@@ -218,7 +220,7 @@ def _window(problem: WindowProblem, last: int, M: float, periods: int, p: float)
             Y = measurement_update(Y, rows[k]) if received else Y
         finite = np.isfinite(Y).all(axis=(1, 2))
         found = np.full(len(Y), 0.0 if received else np.inf)
-        found[finite] = shrink * np.linalg.eigvalsh(Y[finite])[:, -1]
+        found[finite] = half * np.linalg.eigvalsh(Y[finite])[:, -1] * half
         return found
 
     Y, mass = np.eye(n)[None], np.ones(1)

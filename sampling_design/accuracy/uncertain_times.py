@@ -12,11 +12,12 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import expm
 
 from sampling_design.accuracy.gap_table import DisturbanceQuadrature, GapTable
 from sampling_design.accuracy.readings import CensoredReading, DisturbanceSet, input_at
 from sampling_design.errors import ArgumentError
+from sampling_design.numerics.balancing import balance
+from sampling_design.numerics.linalg import expm_batch
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
@@ -121,9 +122,11 @@ class _Side:
             longer[:n, :n], longer[:n, n] = plant.A, plant.B @ u + plant.G @ push.centre
             count = int(np.clip(np.ceil(FINENESS * np.sqrt(rate * abs(b - a))), *PANELS))
             step, row = abs(b - a) / count, np.append(C, float(D @ u))
-            half = expm(sign * longer * step / 2)
+            d = balance(longer).d
+            even = longer / d[:, None] * d
             # over half a panel, |e^{As} - I| <= e^{|A|s} - I entry by entry
-            spread, bend = expm(np.abs(longer) * step / 2), step**2 / 8 * (row @ longer @ longer)
+            half, spread = (expm_batch(M, step / 2)[0] * d[:, None] / d for M in (sign * even, np.abs(even)))
+            bend = step**2 / 8 * (row @ longer @ longer)
             rows.append(row @ flow - base)
             sizes.append(np.abs(row) @ np.abs(flow) + np.abs(base))
             self._bends.append(np.zeros(n + 1))  # a jump of D u

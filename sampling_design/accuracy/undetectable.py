@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from sampling_design.numerics.linalg import expm_batch
 from sampling_design.plants.clusters import eigenvalue_clusters, format_eigenvalue
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant, Signals, replace_matrices
@@ -184,10 +185,8 @@ def _hidden(
     outputs: list[Index],
 ) -> Complex:
     """Combinations of the columns of X that no sample shows."""
-    from scipy.linalg import expm
-
     within = X.conj().T @ A @ X - value.real * np.eye(X.shape[1])  # of X alone, its growth taken out: never overflows
-    flows = [expm(within * t) for t in np.append(times - times[0], period)]
+    flows = expm_batch(within, np.append(times - times[0], period))  # type: ignore[arg-type]  # complex, as it takes too
     cycle = np.vstack([C[seen] @ X @ flow for seen, flow in zip(outputs, flows[:-1], strict=True)])
     M = flows[-1]
     rows = [cycle]

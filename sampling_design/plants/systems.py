@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
+from sampling_design.numerics.linalg import forced_flow
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import described
@@ -156,7 +157,7 @@ def continuous(parts: Mapping[str, object], dt: float) -> dict[str, object]:
     The principal logarithm: of all plants with these samples the one whose oscillations are the slowest, below half a
     cycle per dt.
     """
-    from scipy.linalg import expm, logm, matrix_balance
+    from scipy.linalg import logm, matrix_balance
 
     stepped, B_d = (checks.matrix(key, parts[key]) for key in "AB")
     n, m = len(stepped), len(B_d.T)
@@ -182,14 +183,14 @@ def continuous(parts: Mapping[str, object], dt: float) -> dict[str, object]:
         except ValueError:  # its own estimate of its error overflows
             rate = np.zeros((n, n))
         finite = np.nan_to_num(rate, nan=0.0, posinf=0.0, neginf=0.0)
-        flow = expm(np.block([[finite, np.eye(n)], [np.zeros((n, 2 * n))]]))
-    if not np.allclose(flow[:n, :n], balanced, rtol=0, atol=SAME_FLOW * float(np.linalg.norm(balanced, 2))):
+        (flow,) = forced_flow(finite, np.eye(n), 1.0)
+    if not np.allclose(flow[:, :n], balanced, rtol=0, atol=SAME_FLOW * float(np.linalg.norm(balanced, 2))):
         raise ArgumentError(
             "`system` must have a logarithm that doubles hold, got a discrete one that its own does not give back to "
             f"{SAME_FLOW:g}. Give the plant before it was discretised."
         )
     A = scale[:, None] * rate / scale / dt
-    B = scale[:, None] * np.linalg.solve(flow[:n, n:], B_d / scale[:, None]) / dt if m else B_d
+    B = scale[:, None] * np.linalg.solve(flow[:, n:], B_d / scale[:, None]) / dt if m else B_d
     source = f"discrete-time system with dt = {dt:g}, inputs held in between; the plant that oscillates slowest"
     return {"A": A, "B": B, "source": source}
 

@@ -173,6 +173,21 @@ def test_an_input_that_jumps_at_either_end_or_in_the_middle_is_held_on_both_side
             assert each.radii[0] < 3.1
 
 
+@pytest.mark.parametrize(("n", "unit", "span"), [(3, 1e6, 8.0), (5, 1e4, 4.0)])
+def test_poles_that_are_equal_but_for_rounding_are_held_in_any_units(n, unit, span):
+    """A chain of tanks, .1 + .2 beside .3: there the `expm` of scipy is wrong by its own size."""
+    chain = np.eye(n, k=1) - np.diag([0.3, 0.1 + 0.2, 0.3, 0.1 + 0.2, 0.3][:n])
+    ends = []
+    for x in (np.ones(n), unit ** np.arange(n)[::-1]):
+        plant = sd.Plant(chain * x[:, None] / x, np.eye(n)[:1] / x[0], G=np.diag(x))
+        rows = [((t, t + span), [y]) for t, y in ((1.0, 0.6), (1.5, 0.7))]
+        given = {"w_bound": 1e-3, "v_bound": 0.01, "initial_error": 0.3 * x, "prior": x, "prior_time": 0.0}
+        found = sd.state_interval(plant, rows, 1.5 + span / 2, **given)
+        ends.append(np.array([found.lower, found.upper]) / x)
+    assert np.isfinite(ends[0]).all()
+    np.testing.assert_allclose(ends[1], ends[0], rtol=1e-6, atol=1e-6)
+
+
 @pytest.mark.parametrize("seed", few(range(30), 0, 3))
 def test_late_corrected_and_withdrawn_readings_of_uncertain_times_are_as_in_order(seed):
     """Also an input that is told of afterwards, in the middle of a time that is uncertain."""

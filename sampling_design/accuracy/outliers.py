@@ -6,6 +6,7 @@ import math
 from itertools import combinations
 
 from sampling_design.errors import ArgumentError
+from sampling_design.records import checks
 
 MOST_CASES = 3000
 """Sets of samples that may be left out: some seconds for a small plant."""
@@ -13,9 +14,12 @@ MOST_CASES = 3000
 
 def left_out(outliers: int | tuple[int, int], count: int) -> list[tuple[int, ...]]:
     """The sets of samples, counted from 0, that may be wild: those of the largest size hold the others."""
-    most, among = (outliers, count) if isinstance(outliers, int) else outliers
+    pair = (outliers, count) if isinstance(outliers, int) else outliers
+    if len(pair) != 2:
+        raise ArgumentError(f"`outliers` must be a number or a pair (how many, of the last so many), got {outliers!r}.")
+    most, among = (checks.whole("outliers", each) for each in pair)
     among = min(among, count)
-    if not 0 <= most <= among or most >= count:
+    if most > among or most >= count:
         raise ArgumentError(f"`outliers` must be of the {count} samples and leave one of them, got {outliers!r}.")
     if math.comb(among, most) > MOST_CASES:
         raise ArgumentError(

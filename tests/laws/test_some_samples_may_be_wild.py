@@ -101,7 +101,9 @@ def test_what_is_no_number_of_samples_is_refused():
     for outliers, words in (
         (60, "must be of the 60 samples and leave one of them, got 60"),
         ((3, 2), r"must be of the 60 samples and leave one of them, got \(3, 2\)"),
-        (-1, "must be of the 60 samples"),
+        (-1, "must be a whole number of at least 0, got -1"),
+        ((1, 2, 3), r"a pair \(how many, of the last so many\), got \(1, 2, 3\)"),
+        ((1, 2.5), "`outliers` must be a whole number"),
         (4, "may be 487635 sets, more than 3000: say of how many of the last samples"),
     ):
         with pytest.raises(ArgumentError, match=words):

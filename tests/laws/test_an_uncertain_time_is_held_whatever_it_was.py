@@ -215,6 +215,15 @@ def test_late_corrected_and_withdrawn_readings_of_uncertain_times_are_as_in_orde
         np.testing.assert_array_less(np.abs(one.upper - other.upper), WITHIN * (one.upper - one.lower))
 
 
+def test_what_is_said_once_more_beside_another_output_is_held_once():
+    """Also by the row that a merged sample leaves, whatever was found of its time before."""
+    swing = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], np.eye(2))
+    estimator = sd.SetMembershipEstimator(swing, w_bound=0.1, v_bound=0.1, initial_error=1.0, maximum_delay=5.0)
+    estimator.update((1.0, 2.0), [0.3, np.nan])
+    estimator.update((1.0, 2.0), [0.3, 0.1])
+    assert [each.output for each in estimator.state.last.sample.told] == [0, 1]
+
+
 def test_where_nothing_is_known_or_a_time_is_needed_it_is_said():
     swing = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], B=[[0.0], [1.0]])
     free = sd.SetMembershipEstimator(swing, w_bound=0.1, v_bound=0.1)

@@ -38,7 +38,7 @@ def merge(old: RecordRow, new: RecordRow) -> RecordRow | None:
         return None
     y = np.where(np.isnan(old.y), new.y, old.y)
     y.flags.writeable = False
-    return RecordRow(old.t, y, None, tuple(dict.fromkeys((*old.told, *new.told))))
+    return RecordRow(old.t, y, None, (*old.told, *(each for each in new.told if each.output not in before)))
 
 
 def corrected(old: RecordRow, new: RecordRow) -> RecordRow:

@@ -9,7 +9,7 @@ from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import WHOLE
 from sampling_design.planning.robustness import PlanRobustness
 from sampling_design.planning.sequence import proven_ratio, settles, worst_ratio
-from sampling_design.planning.sequence_deviation import SampleSequence, planned
+from sampling_design.planning.sequence_deviation import GRAIN, SampleSequence, planned
 from sampling_design.planning.start import SAME_ANEW
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
@@ -49,8 +49,11 @@ def bears(plan: PlanFigures, found: PlanRobustness) -> bool:
     """Whether a plan bears what a record says, proven anew."""
     if len(found.times) != plan.samples or not np.allclose(found.times, plan.schedule.times, atol=1e-9):
         return False
-    for k in range(plan.samples):
-        if found.late[k] and proven_ratio(plan, delayed(plan, k, float(found.late[k]))) > 1:
+    for k, late in enumerate(found.late.tolist()):
+        if late > _room(plan, k) * plan.problem.step * (1 + GRAIN):
+            return False
+        reached = proven_ratio(plan, delayed(plan, k, late)) if late else plan.ratio
+        if not reached <= min(1.0, found.late_ratio[k] * (1 + SAME_ANEW)):
             return False
         if found.lost_ratio[k] <= 1 and proven_ratio(plan, without(plan, k, 1)) > found.lost_ratio[k] * (1 + SAME_ANEW):
             return False
@@ -90,10 +93,7 @@ def _around(plan: PlanFigures, k: int, count: int) -> tuple[tuple[Array, Mask], 
 
 def _late(plan: PlanFigures, k: int) -> tuple[float, float, float]:
     """How late a sample may be, the distance of the delays tried, and the accuracy over tolerance there."""
-    problem, times = plan.problem, plan.schedule.times
-    following = float(times[k + 1]) if k + 1 < plan.samples else float(times[0]) + plan.schedule.period
-    ordered = int(2 * problem.timing_tolerance / problem.step + WHOLE) + 1  # so many steps apart samples keep order
-    room = round((following - float(times[k])) / problem.step) - ordered
+    problem, room = plan.problem, _room(plan, k)
     if room < 1:
         return 0.0, problem.step, plan.ratio
     steps = max(1, room // LATES)
@@ -105,6 +105,14 @@ def _late(plan: PlanFigures, k: int) -> tuple[float, float, float]:
         if kept or steps == 1:
             return kept * stride, stride, reached
         steps = max(1, steps // LATES)
+
+
+def _room(plan: PlanFigures, k: int) -> int:
+    """How many steps late a sample may be at most, to come before the next one."""
+    problem, times = plan.problem, plan.schedule.times
+    following = float(times[k + 1]) if k + 1 < plan.samples else float(times[0]) + plan.schedule.period
+    ordered = int(2 * problem.timing_tolerance / problem.step + WHOLE) + 1  # so many steps apart samples keep order
+    return round((following - float(times[k])) / problem.step) - ordered
 
 
 def _proven_late(plan: PlanFigures, k: int, stride: float, unbroken: int) -> tuple[int, float]:

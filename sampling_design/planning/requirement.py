@@ -78,6 +78,8 @@ class AccuracyGoal(PlainRecord):
             checks.word("at", self.at, TIMES)
         else:
             self._hold(at=tuple(checks.increasing("at", self.at).tolist()))
+            if not self.at:
+                raise ArgumentError('`at` must name at least one time, or be "all times".')
 
     def when(self) -> str:
         """Say at which times it holds."""

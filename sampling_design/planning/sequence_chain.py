@@ -30,6 +30,7 @@ from sampling_design.numerics.filtering import information_update, propagate, up
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.sequence_deviation import GRAIN, SampleSequence, phase_of
+from sampling_design.planning.work_prices import CHAIN, GAINS
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
 from sampling_design.records.units import spoken
@@ -107,12 +108,14 @@ def sequence_chain(
     usual = _usual_noise(plan, own, sequence)
     noise, found, since = usual, np.zeros_like(usual), 0
     upto = min(count, sequence.first + AHEAD) if sequence.late else count
+    work, n = plan.oracle.work, plan.plant.n_states
     for _ in range(TURNS):
         part = sequence.until(upto)
         chain, atoms = _noisier_chain(plan, own, part, starting, noise, limited=limited)
         if not sequence.late:
             return chain, atoms
-        times = TimesOfSamples(plan, own, part, ChainSearch(chain, atoms))
+        work.add(CHAIN, upto * n**2)
+        times = TimesOfSamples(plan, own, part, ChainSearch(chain, atoms, lambda: work.add(GAINS, FEWEST * n)))
         found[:upto] = times.added(noise[:upto], usual[:upto], found[:upto], since)
         if not np.isfinite(found).all():
             break

@@ -11,6 +11,7 @@ from sampling_design.planning import sequence_chain
 from sampling_design.planning.disturbed import without
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.sequence import proven_ratio
+from sampling_design.records.budget import Budget, BudgetSpentError
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=["position", "velocity"], outputs=["fix"])
 WANTED = sd.PlanRequirement(
@@ -98,6 +99,14 @@ def test_noise_that_is_not_found_is_said(plan, monkeypatch):
     ):
         sequence_chain.sequence_chain(plan, sequence_chain.plan_chain(plan), without(plan, 1, 1))
     assert np.isinf(proven_ratio(plan, without(plan, 1, 1)))
+
+
+def test_the_noise_of_a_sequence_is_counted_as_work(plan, monkeypatch):
+    work = Budget(0.05, counted=True)
+    work.firm = True
+    monkeypatch.setattr(plan.oracle, "work", work)
+    with pytest.raises(BudgetSpentError, match="it does not fit into what is left"):
+        sequence_chain.sequence_chain(plan, sequence_chain.plan_chain(plan), without(plan, 1, 1))
 
 
 def test_what_is_said_of_the_next_sample_holds_at_all_real_times(plan):

@@ -28,6 +28,7 @@ GIVEN = {"w_bound": 0.1, "sensors": {"p": {"noise_bound": 0.1}}}
         ({"accuracy": {"x1": 0.0}}, "accuracy.x1.* must be positive"),
         ({"accuracy": {"x1": {"at": "all times"}}}, r"`accuracy.x1.tolerance` is missing"),
         ({"accuracy": {"x1": {"tolerance": 1.0, "at": "noon"}}}, '`at` must be one of "all times"'),
+        ({"accuracy": {"x1": {"tolerance": 1.0, "at": []}}}, "`at` must name at least one time"),
         ({"sensors": range(3)}, "`sensors` must be a table of terms by output, got range"),
         ({"calendar": {}}, "`calendar.start` is missing"),
         ({"sensors": {"p": 3}}, "`sensors.p` must be a table of keys and values"),

@@ -82,8 +82,19 @@ def test_more_than_it_bears_does_not_verify(whole):
         replace(robustness, lost=1),
         replace(robustness, late=robustness.late + 60.0),
         replace(robustness, lost_ratio=robustness.lost_ratio * 0.5),
+        replace(robustness, late_ratio=robustness.late_ratio * 0.9),
+        replace(robustness, late=robustness.late * 0.0, late_ratio=robustness.late_ratio * 0.0),
     ):
         assert not replace(whole, certificate=None, robustness=more).verify()
+
+
+@pytest.mark.parametrize("late", [240.0, 1e308])
+def test_a_sample_is_not_said_to_come_after_the_next_one(late, week, monkeypatch):
+    monkeypatch.setattr(disturbed, "proven_ratio", lambda *_: 0.0)
+    ones = np.ones(week.samples)
+    found = disturbed.PlanRobustness("h", np.array(week.schedule.times), 0 * ones, ones, ones, 0, ones)
+    assert disturbed.bears(week, found)
+    assert not disturbed.bears(week, replace(found, late=late * ones))
 
 
 def test_a_plan_that_breaks_its_tolerance_bears_nothing(week):

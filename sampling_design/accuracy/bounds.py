@@ -44,13 +44,9 @@ class SignalBounds:
     ) -> SignalBounds:
         """Return the bounds as typed by a user.
 
-        Numbers bound the Euclidean norm, vectors each entry, mappings entries by name: a number or a pair
-        (lower, upper). For v also one row per sample, or functions of the sample's time.
-
-        Raises
-        ------
-        ArgumentError
-            If one is missing, negative, not a number, of another shape, or names what is not there.
+        Numbers bound the Euclidean norm, vectors each entry, mappings entries by name: a number or a pair (lower,
+        upper). For v also one row per sample, or functions of the sample's time. Raises ArgumentError if one is
+        missing, negative, not a number, of another shape, or names what is not there.
         """
         missing = _refuse_missing("w_bound", w_bound, plant.disturbances.names)
         w, w_centre, w_ball = _one("w_bound", missing, plant.disturbances.names)

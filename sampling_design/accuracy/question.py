@@ -41,10 +41,7 @@ class AccuracyQuestion:
     ) -> AccuracyQuestion:  # fmt: skip
         """Ask about a schedule of either kind, whose samples may be so early or late.
 
-        Raises
-        ------
-        ArgumentError
-            If an endless one is given a start, an end or an initial error, or as for `finite`.
+        Raises ArgumentError if an endless one is given a start, an end or an initial error, or as for `finite`.
         """
         if isinstance(schedule, PeriodicSchedule):
             given = [n for n, x in (("initial_error", initial_error), ("start", start), ("end", end)) if x is not None]
@@ -78,10 +75,7 @@ class AccuracyQuestion:
     ) -> AccuracyQuestion:
         """Ask about a finite schedule between `start` (default: its first sample) and `end` (default: its last).
 
-        Raises
-        ------
-        ArgumentError
-            If a sample lies outside, or a bound is missing or of another shape.
+        Raises ArgumentError if a sample lies outside, or a bound is missing or of another shape.
         """
         times = schedule.times
         if not times.size:

@@ -42,10 +42,7 @@ class StartError:
     def of(cls, plant: Plant, bound: npt.ArrayLike | None) -> StartError:
         """Return a bound as typed by a user: None, a number (Euclidean), or one for each entry.
 
-        Raises
-        ------
-        ArgumentError
-            If it is negative or of another shape.
+        Raises ArgumentError if it is negative or of another shape.
         """
         if bound is None:
             return cls()
@@ -188,10 +185,7 @@ def with_censored(y: object, p: int) -> tuple[object, tuple[CensoredReading, ...
 def time_or_span(t: object) -> tuple[float, tuple[float, float] | None]:
     """Return a time as a user gives it and None, or for a pair (first, last) the time between them and the pair.
 
-    Raises
-    ------
-    ArgumentError
-        If it is neither, or `last` comes before `first`.
+    Raises ArgumentError if it is neither, or `last` comes before `first`.
     """
     if not isinstance(t, (tuple, list, np.ndarray)) or np.ndim(t) == 0:
         return checks.number("t", t), None
@@ -204,13 +198,7 @@ def time_or_span(t: object) -> tuple[float, tuple[float, float] | None]:
 def at_some_time(
     y: Array, limits: tuple[CensoredReading, ...], span: tuple[float, float]
 ) -> tuple[CensoredReading, ...]:
-    """Return numbers and limits that were read at some time of a span.
-
-    Raises
-    ------
-    ArgumentError
-        If a mean is among them.
-    """
+    """Return numbers and limits that were read at some time of a span. Raises ArgumentError if a mean is among them."""
     if any(each.since is not None for each in limits):
         raise ArgumentError(f"`t` = {span!r} of a mean must be one time, its end: give `since` and that.")
     numbers = [CensoredReading(int(i), float(y[i]), float(y[i])) for i in np.flatnonzero(np.isfinite(y))]

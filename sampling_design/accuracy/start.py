@@ -129,13 +129,9 @@ class InitialSet:
     def of(cls, plant: Plant, value: InitialError) -> InitialSet:
         """Return the set as typed by a user.
 
-        A number bounds the Euclidean norm, a vector each entry (infinite: unknown), a symmetric matrix P means
-        e'P e <= 1, a mapping gives names of states a number or a pair (lower, upper); None: nothing is known.
-
-        Raises
-        ------
-        ArgumentError
-            If it is negative, of another shape, names no state, or a pair is in the wrong order.
+        A number bounds the Euclidean norm, a vector each entry (infinite: unknown), a symmetric matrix P means e'P e <=
+        1, a mapping gives names of states a number or a pair (lower, upper); None: nothing is known. Raises
+        ArgumentError if it is negative, of another shape, names no state, or a pair is in the wrong order.
         """
         n = plant.n_states
         known, centre = np.zeros(n, dtype=bool), np.zeros(n)

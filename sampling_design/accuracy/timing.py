@@ -57,9 +57,7 @@ MOVED = 3
 def refuse_tolerance(question: AccuracyQuestion, spread: bool) -> None:
     """Refuse a tolerance that does not keep samples in order and in the schedule, or what is of exact times only.
 
-    Raises
-    ------
-    ArgumentError
+    Raises ArgumentError.
     """
     late, nodes = question.timing_tolerance, question.nodes
     gaps = np.diff(question.nodes[question.samples], append=[question.end] * (question.initial is None))

@@ -46,12 +46,8 @@ def resolved(
 ) -> tuple[CensoredReading, ...]:
     """Return readings of uncertain times as what they say of t, a time in each; the others as they are.
 
-    D u is that from t on; `before`: an input that jumps at a time enters there as it was before.
-
-    Raises
-    ------
-    ArgumentError
-        If nothing that is known bounds how far an output may move meanwhile.
+    D u is that from t on; `before`: an input that jumps at a time enters there as it was before. Raises ArgumentError
+    if nothing that is known bounds how far an output may move meanwhile.
     """
     stamped = [each for each in told if each.stamp is not None]
     if not stamped:

@@ -66,14 +66,8 @@ def certify_given(
     """Return the certificate with the best P1 for given weights and rate, proven.
 
     `exists` says that one with this rate, or a larger one, is known to exist: then that is not asked again. `limit` is
-    the time that it may take.
-
-    Raises
-    ------
-    CertificateError
-        If no certificate with that rate exists.
-    UndecidedError
-        If the proof does not close, or the information is lost in rounding.
+    the time that it may take. Raises CertificateError if no certificate with that rate exists; UndecidedError if the
+    proof does not close, or the information is lost in rounding.
     """
     weights = (P2, Qw, R, Qv)
     if not plant.n_states:
@@ -315,14 +309,8 @@ def chosen(
 ) -> list[Certificate]:
     """Return a certificate for each noise gain, P2 (and eta where it is None) chosen for the least horizon.
 
-    A larger gain has no longer horizon. `schedule` is in the plant's terms.
-
-    Raises
-    ------
-    CertificateError
-        If no certificate exists.
-    UndecidedError
-        If the proof closes for none of the weights that were tried.
+    A larger gain has no longer horizon. `schedule` is in the plant's terms. Raises CertificateError if no certificate
+    exists; UndecidedError if the proof closes for none of the weights that were tried.
     """
     if not plant.n_states:
         empty = np.zeros((0, 0))

@@ -299,13 +299,7 @@ def estimates_along(
 
 
 def check_radii(radii: str) -> str:
-    """Return which radii are meant.
-
-    Raises
-    ------
-    ArgumentError
-        If there are none of that name.
-    """
+    """Return which radii are meant. Raises ArgumentError if there are none of that name."""
     return checks.word("radii", radii, RADII)
 
 

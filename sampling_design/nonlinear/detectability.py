@@ -246,13 +246,7 @@ class DetectabilityStudy:
         self.tightest = TightestPairs(plant, weights)
 
     def evidence(self, found: list[tuple[PairOutcome, PairWitness]], left_out: int) -> DetectabilityEvidence:
-        """Return the record of the pairs that stayed in X.
-
-        Raises
-        ------
-        ArgumentError
-            If there are none.
-        """
+        """Return the record of the pairs that stayed in X. Raises ArgumentError if there are none."""
         if not found:
             raise ArgumentError("`start` must hold states from which pairs stay in X, got none: every pair left it.")
         least, witness = min(found, key=lambda item: item[0].ratio)

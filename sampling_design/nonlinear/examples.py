@@ -42,6 +42,8 @@ def van_der_pol(coordinates: str = "lienard", largest: float = 2.1, damping: flo
         lienard:   x1' = x2 - damping (x1^3/3 - x1),    x2' = -x1 + w
         velocity:  x1' = x2,    x2' = damping (1 - x1^2) x2 - x1 + w
 
+    Raises ArgumentError if the coordinates are others.
+
     Parameters
     ----------
     coordinates : "lienard" or "velocity"
@@ -49,11 +51,6 @@ def van_der_pol(coordinates: str = "lienard", largest: float = 2.1, damping: flo
     largest : float
         Of |x1| in the region; |x2| is at most 3 in the coordinates (x, x').
     damping : float
-
-    Raises
-    ------
-    ArgumentError
-        If the coordinates are others.
     """
     checks.word("coordinates", coordinates, ("lienard", "velocity"))
     lienard = coordinates == "lienard"

@@ -83,6 +83,8 @@ def patient_run(
 ) -> PatientRun:
     """Return one noise realisation with the estimates of both schemes on the 2 h grid.
 
+    Raises ArgumentError if the case is unknown, or run, days or degree is out of range.
+
     Parameters
     ----------
     case : one of `CASES`
@@ -96,11 +98,6 @@ def patient_run(
     Returns
     -------
     PatientRun
-
-    Raises
-    ------
-    ArgumentError
-        If the case is unknown, or run, days or degree is out of range.
     """
     _known_case(case)
     steps = _grid_steps(days)

@@ -34,17 +34,14 @@ _TWO = {"OP_ADD": "add", "OP_SUB": "sub", "OP_MUL": "mul", "OP_DIV": "div"}
 def instructions(function: Function, names: tuple[str, ...]) -> dict[str, Plain]:
     """Return `{"code": [[word, arguments...], ...], "outputs": [...]}` of a casadi SX Function.
 
+    Raises ArgumentError if it holds an operation for which no interval is known, such as a comparison.
+
     Parameters
     ----------
     function : casadi Function
         Of SX, with one dense output.
     names : tuple of str
         Of its inputs, as the instructions call them.
-
-    Raises
-    ------
-    ArgumentError
-        If it holds an operation for which no interval is known, such as a comparison.
 
     Examples
     --------

@@ -52,7 +52,8 @@ class InclusionPromise:
               + sum e^{-eta(t-t_k)/2} |jump_k|_P(tau_k)
 
     J is the certificate's cost of the trajectory with the arrival weight P(tau). Where the trajectory jumps, sqrt(V)
-    grows by no more than the jump's own size in P, and fades with the rest.
+    grows by no more than the jump's own size in P, and fades with the rest. Raises ArgumentError if the certificate is
+    of another kind or belongs to another plant.
 
     Parameters
     ----------
@@ -61,11 +62,6 @@ class InclusionPromise:
         Its boxes of disturbances and noises are w_bar and v_bar.
     initial_error : float or (n,) array, optional
         Bound on |x - prior|, together or entry by entry.
-
-    Raises
-    ------
-    ArgumentError
-        If the certificate is of another kind or belongs to another plant.
     """
 
     def __init__(self, certificate: InclusionCertificate, plant: NonlinearPlant, initial_error: npt.ArrayLike | None):

@@ -36,6 +36,9 @@ def simulate(
 ) -> Array:
     """Return the states at `times` of x' = f(x, u, w, t), x(times[0]) = x0.
 
+    Raises ArgumentError if shapes differ, or x0 lies outside the plant's box of states; SolverError if the integration
+    fails; the message says from which time on.
+
     Parameters
     ----------
     plant : NonlinearPlant
@@ -53,13 +56,6 @@ def simulate(
     Returns
     -------
     (N, n) array
-
-    Raises
-    ------
-    ArgumentError
-        If shapes differ, or x0 lies outside the plant's box of states.
-    SolverError
-        If the integration fails; the message says from which time on.
 
     Notes
     -----
@@ -110,10 +106,7 @@ class Integrator:
     def step(self, x: Array, u: Array, w: Array, start: float, stop: float, u_stop: Array | None = None) -> Array:
         """Return x(stop) from x(start) = x; u is constant, or runs straight to `u_stop`.
 
-        Raises
-        ------
-        SolverError
-            If the integration fails.
+        Raises SolverError if the integration fails.
         """
         rise = 0 * u if u_stop is None else u_stop - u
         parameters = np.concatenate([u, rise, w, [start, stop - start]])

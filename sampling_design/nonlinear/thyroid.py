@@ -126,6 +126,8 @@ def thyroid(
 ) -> NonlinearPlant:
     """Return the pituitary-thyroid loop with time in days.
 
+    Raises ArgumentError if `w_reading` is another word or a parameter has another name.
+
     Parameters
     ----------
     patient : bool
@@ -141,11 +143,6 @@ def thyroid(
     NonlinearPlant
         Inputs: absorbed L-T4 and L-T3 [mol/s]. Disturbances (w1, w6) in the unit of `w_reading`, noises
         on the three outputs; all boxes as in the paper, states and outputs non-negative.
-
-    Raises
-    ------
-    ArgumentError
-        If `w_reading` is another word or a parameter has another name.
 
     Notes
     -----

@@ -110,6 +110,8 @@ def logarithmic_thyroid(
 ) -> NonlinearPlant:
     """Return the loop of `thyroid` with the states basis log(x/REST).
 
+    Raises ArgumentError as `thyroid`, or if the basis is singular.
+
     Parameters
     ----------
     patient, w_reading, changes
@@ -120,11 +122,6 @@ def logarithmic_thyroid(
     Returns
     -------
     NonlinearPlant
-
-    Raises
-    ------
-    ArgumentError
-        As `thyroid`, or if the basis is singular.
 
     Examples
     --------

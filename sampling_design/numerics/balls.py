@@ -37,13 +37,7 @@ SLACKS = (1e-13, 1e-10, 1e-6)
 
 
 def flint() -> ModuleType:
-    """Return the library, loaded on first use.
-
-    Raises
-    ------
-    MissingExtraError
-        If python-flint is not installed.
-    """
+    """Return the library, loaded on first use. Raises MissingExtraError if python-flint is not installed."""
     try:
         return sys.modules.get("flint") or import_module("flint")  # asked for with every number
     except ImportError:

@@ -20,6 +20,9 @@ TimesKind = TypeVar("TimesKind", bound=AnySchedule)
 def meet(plant: Plant, schedule: TimesKind) -> TimesKind:
     """Return `schedule` in the plant's terms: its columns in the order of the plant's outputs.
 
+    Raises ArgumentError if it is no schedule, if units of time differ, if the mask has another number of outputs, or if
+    it names an output that the plant does not have.
+
     Parameters
     ----------
     plant : Plant
@@ -32,12 +35,6 @@ def meet(plant: Plant, schedule: TimesKind) -> TimesKind:
     -------
     Schedule or PeriodicSchedule
         `schedule` itself where nothing had to be put in order.
-
-    Raises
-    ------
-    ArgumentError
-        If it is no schedule, if units of time differ, if the mask has another number of outputs, or
-        if it names an output that the plant does not have.
 
     Examples
     --------

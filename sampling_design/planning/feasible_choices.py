@@ -50,12 +50,7 @@ class ProvenChoice:
         return float(self.ratios.max(initial=0.0))
 
     def require_bounded(self) -> None:
-        """Refuse a choice of which nothing is proven.
-
-        Raises
-        ------
-        UndecidedError
-        """
+        """Refuse a choice of which nothing is proven. Raises UndecidedError."""
         if not np.isfinite(self.worst):
             raise UndecidedError("undecided: no plan was proven at all times within `timing_tolerance`. Ask for less.")
 

@@ -24,10 +24,7 @@ def densest(problem: PlanProblem) -> Mask:
 def sparse(problem: PlanProblem) -> Mask:
     """A choice within the limits: times as even as can be, at each as many sensors as there is money for.
 
-    Raises
-    ------
-    InfeasibleRequirementError
-        If not a single measurement is admissible.
+    Raises InfeasibleRequirementError if not a single measurement is admissible.
     """
     at = np.flatnonzero(problem.allowed.any(axis=1))
     each = problem.visit + problem.price.min()

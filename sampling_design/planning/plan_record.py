@@ -73,31 +73,27 @@ class Plan(PlanFigures):
     def compare(self, other: Plan, names: tuple[str, str] = ("first", "second")) -> PlanComparison:
         """Return this plan and another one side by side: accuracy, cost, samples, robustness.
 
-        Raises
-        ------
-        ArgumentError
-            If it is no plan for the same states with a goal in common.
+        Raises ArgumentError if it is no plan for the same states with a goal in common.
         """
         return PlanComparison(self, other, names)
 
     def dates(self, periods: int = 4, *, prove: bool = True) -> PlanDates:
         """Return the samples on real dates from the calendar's start on: clock changes and holidays judged together.
 
+        Raises ArgumentError if the plan has no calendar.
+
         Parameters
         ----------
         periods : int
         prove : bool
             Prove the whole sequence over all real times; else it is judged in floats, on the grid.
-
-        Raises
-        ------
-        ArgumentError
-            If the plan has no calendar.
         """
         return plan_dates(self, periods, prove=prove)
 
     def save(self, path: str | os.PathLike[str], *, periods: int = 4, person: str = "") -> Path:
         """Write the plan (a path that ends in .json), or a folder with all that the command `plan` writes.
+
+        Raises FileFormatError if a file cannot be written.
 
         Parameters
         ----------
@@ -113,11 +109,6 @@ class Plan(PlanFigures):
         -------
         Path
             Where it was written.
-
-        Raises
-        ------
-        FileFormatError
-            If a file cannot be written.
         """
         if Path(path).suffix == ".json":
             return write_text(path, to_json(self.to_dict()))

@@ -96,12 +96,8 @@ def sequence_chain(
     is `limited`, or free: then what no sample has determined since has no bound.
 
     Samples that may be early or late are samples on time with more noise, as much as they need, from the first to the
-    last: what one adds follows from those before it.
-
-    Raises
-    ------
-    UndecidedError
-        If nothing bounds what early and late samples do.
+    last: what one adds follows from those before it. Raises UndecidedError if nothing bounds what early and late
+    samples do.
     """
     count = len(sequence.times)
     starting = count - settles if sequence.begins else 0

@@ -67,14 +67,11 @@ def _integrators(n: int, names: tuple[str, ...], units: tuple[str, ...]) -> Plan
 def oscillator(omega: float = 1.0) -> Plant:
     """Return the undamped oscillator x'' = -omega^2 x + u, position measured: eigenvalues +-i omega.
 
+    Raises ArgumentError if `omega` is not positive.
+
     Parameters
     ----------
     omega : float [rad/s], positive
-
-    Raises
-    ------
-    ArgumentError
-        If `omega` is not positive.
 
     Examples
     --------
@@ -101,17 +98,12 @@ def satellite(period: float = 5554.0) -> Plant:
 
         x'' = 3 n^2 x + 2 n y',   y'' = -2 n x',   z'' = -n^2 z,   n = 2 pi / period
 
-    with x radial (away from the Earth), y along-track, z cross-track.
+    with x radial (away from the Earth), y along-track, z cross-track. Raises ArgumentError if `period` is not positive.
 
     Parameters
     ----------
     period : float [s], positive
         Orbit period; 5554 s is a low Earth orbit of about 415 km altitude.
-
-    Raises
-    ------
-    ArgumentError
-        If `period` is not positive.
 
     Notes
     -----
@@ -247,15 +239,12 @@ def three_compartment(weight: float = 70.0) -> Plant:
         a1' = -(k10 + k12 + k13) a1 + k21 a2 + k31 a3 + u,   a2' = k12 a1 - k21 a2,   a3' = k13 a1 - k31 a3
         concentration = a1 / V1
 
+    Raises ArgumentError if `weight` is not positive.
+
     Parameters
     ----------
     weight : float [kg], positive
         Body weight; V1 = 0.228 L/kg.
-
-    Raises
-    ------
-    ArgumentError
-        If `weight` is not positive.
 
     Notes
     -----

@@ -45,6 +45,9 @@ class WantedRows:
 def wanted_rows(plant: Plant, of: Wanted = None) -> WantedRows:
     """Return the rows named by `of`: None (all states), names of states or outputs, or an (r, n) matrix.
 
+    Raises ArgumentError if a name is unknown (the nearest is offered) or is that of a state and of another output, if
+    there is no row, or a matrix has another shape.
+
     Parameters
     ----------
     plant : Plant
@@ -54,12 +57,6 @@ def wanted_rows(plant: Plant, of: Wanted = None) -> WantedRows:
     Returns
     -------
     WantedRows
-
-    Raises
-    ------
-    ArgumentError
-        If a name is unknown (the nearest is offered) or is that of a state and of another output, if there is no row,
-        or a matrix has another shape.
     """
     if of is None:
         return WantedRows(freeze(np.eye(plant.n_states)), plant.states.names, plant.states.units)

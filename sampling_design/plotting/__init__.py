@@ -55,12 +55,8 @@ register("plot", object, f"{__name__}:draw")
 def draw(record: object, ax: object = None, **beside: object) -> Any:
     """Draw `record` and return the axes (a list of axes where the picture has several); a notebook shows them.
 
-    `beside` is what some pictures show beside the record, such as the measurements of estimates.
-
-    Raises
-    ------
-    ArgumentError
-        If there is no picture for this kind of record, or `ax` is no axes.
+    `beside` is what some pictures show beside the record, such as the measurements of estimates. Raises ArgumentError
+    if there is no picture for this kind of record, or `ax` is no axes.
     """
     kind = next((base.__name__ for base in type(record).__mro__ if base.__name__ in _PICTURES), None)
     if kind is None:
@@ -81,12 +77,8 @@ def _check_axes(ax: object) -> None:
 def save(record: object, path: str | os.PathLike[str], dpi: int = 130, **beside: object) -> Path:
     """Draw `record` into a new figure and write it to `path` (.png, .svg or .pdf), whole or not at all.
 
-    What the record explains stands in the file as its description.
-
-    Raises
-    ------
-    ArgumentError
-        If there is no picture for this kind of record, or the suffix is not a picture's.
+    What the record explains stands in the file as its description. Raises ArgumentError if there is no picture for this
+    kind of record, or the suffix is not a picture's.
     """
     import io
 

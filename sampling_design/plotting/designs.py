@@ -20,12 +20,8 @@ from sampling_design.schedules.schedule import PeriodicSchedule
 def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str | None = None) -> Axes | style.Panels:
     """Draw the schedule (on `ax` alone if given), and below it sigma, its proven bound and the bound on all schedules.
 
-    `origin` is the date of time zero (ISO 8601), where it is known: then the axes show weekdays and dates.
-
-    Raises
-    ------
-    ArgumentError
-        If there is no schedule: nothing has to be observed.
+    `origin` is the date of time zero (ISO 8601), where it is known: then the axes show weekdays and dates. Raises
+    ArgumentError if there is no schedule: nothing has to be observed.
     """
     if result.schedule is None or result.window is None:
         raise ArgumentError("`record` has no schedule to draw: every mode decays by itself.")

@@ -34,12 +34,8 @@ def draw_worst_case(result: WorstCaseSigma, ax: Axes | None = None) -> Axes:
 def draw_pareto(front: ParetoFront, ax: Axes | None = None) -> Axes | style.Panels:
     """Draw proven sigma and the bound over the number of samples (on `ax` alone if given), and below what is between.
 
-    Both are often a fraction of a per cent apart, so the room between them has a panel of its own.
-
-    Raises
-    ------
-    ArgumentError
-        If no count can be met.
+    Both are often a fraction of a per cent apart, so the room between them has a panel of its own. Raises ArgumentError
+    if no count can be met.
     """
     points = [p for p in front.points if p.times]
     if not points:

@@ -36,10 +36,7 @@ def draw_figure(figure: PatientFigure, ax: Axes | None = None) -> Axes | style.P
 def draw_patient_run(run: PatientRun, ax: Axes | None = None) -> Axes | style.Panels:
     """Draw all six states with both estimates and return the axes.
 
-    Raises
-    ------
-    ArgumentError
-        If `ax` is given: six rows need a figure of their own.
+    Raises ArgumentError if `ax` is given: six rows need a figure of their own.
     """
     if ax is not None:
         raise ArgumentError("`ax` cannot hold a run: it has six rows. Draw run.figure(1), (2) or (3) instead.")

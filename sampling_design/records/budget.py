@@ -94,10 +94,7 @@ class Budget:
     def check(self, price: float = 0.0) -> None:
         """Raise once it is spent; `price` counts operations of about a microsecond.
 
-        Raises
-        ------
-        BudgetSpentError
-            If nothing is left.
+        Raises BudgetSpentError if nothing is left.
         """
         if self.work is not None:
             self.work.spend(price)

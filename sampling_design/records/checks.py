@@ -32,10 +32,7 @@ def freeze(array: object) -> Array:
 def bound(name: str, value: object, length: int) -> Array:
     """Return a bound on a vector: a number (0-d array), on its Euclidean norm, or a number for each entry.
 
-    Raises
-    ------
-    ArgumentError
-        If it is negative, not finite, or of another length.
+    Raises ArgumentError if it is negative, not finite, or of another length.
     """
     if dimensions(value) == 0:
         return np.asarray(nonnegative(name, value))
@@ -120,10 +117,7 @@ def of_kind(name: str, value: object, kind: type[Instance], expected: str = "") 
 def matrix(name: str, value: object, rows: int | None = None, columns: int | None = None) -> Array:
     """Return `value` as a frozen real matrix, `rows` by `columns` where these are given.
 
-    Raises
-    ------
-    ArgumentError
-        If the shape differs, or as in `real_array`.
+    Raises ArgumentError if the shape differs, or as in `real_array`.
     """
     array = real_array(name, value, 2)
     expected = (array.shape[0] if rows is None else rows, array.shape[1] if columns is None else columns)
@@ -145,13 +139,7 @@ def vector(name: str, value: object, length: int | None = None) -> Array:
 
 
 def number(name: str, value: object) -> float:
-    """Return `value` as a finite float.
-
-    Raises
-    ------
-    ArgumentError
-        If it is not a finite real number.
-    """
+    """Return `value` as a finite float. Raises ArgumentError if it is not a finite real number."""
     if isinstance(value, numbers.Rational) and not isinstance(value, (bool, int)):
         value = float(value)
     if isinstance(value, (np.number, np.ndarray)) and value.ndim == 0:
@@ -182,10 +170,7 @@ def nonnegative(name: str, value: object) -> float:
 def whole(name: str, value: object, least: int = 0) -> int:
     """Return `value` as an int of at least `least`.
 
-    Raises
-    ------
-    ArgumentError
-        If it is no whole number or less than `least`.
+    Raises ArgumentError if it is no whole number or less than `least`.
     """
     result = number(name, value)
     if result != int(result) or result < least:
@@ -266,10 +251,7 @@ def definite(name: str, value: object, size: int, slip: str = "") -> Array:
 def names(name: str, value: Sequence[str] | None, length: int, prefix: str) -> tuple[str, ...]:
     """Return `value` as a tuple of distinct strings, or `prefix1, prefix2, ...` where it is None.
 
-    Raises
-    ------
-    ArgumentError
-        If the number is wrong, an entry is no string, or a name occurs twice.
+    Raises ArgumentError if the number is wrong, an entry is no string, or a name occurs twice.
     """
     if value is None:
         return tuple(f"{prefix}{i + 1}" for i in range(length))
@@ -292,10 +274,7 @@ def mapping(name: str, value: object, expected: str = "a table of keys and value
 def record(name: str, value: object, kind: type[Instance]) -> Instance:
     """Return `value` if it is a record of a class, or the record that a table of its fields makes.
 
-    Raises
-    ------
-    ArgumentError
-        If it is neither, a key is unknown, or a field that has no default is missing.
+    Raises ArgumentError if it is neither, a key is unknown, or a field that has no default is missing.
     """
     if isinstance(value, kind):
         return value

@@ -36,13 +36,7 @@ _BLANKS = re.compile(r"=\s*\[+\s*[-+]?[\d.]+[ \t]+[-+]?[\d.]")
 
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:
-    """Return the content of a file.
-
-    Raises
-    ------
-    FileFormatError
-        If the file is missing, is a folder, or cannot be read.
-    """
+    """Return the content of a file. Raises FileFormatError if the file is missing, is a folder, or cannot be read."""
     where = os.fspath(path)
     try:
         return Path(where).read_bytes()
@@ -53,10 +47,7 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
 def read_text(path: str | os.PathLike[str]) -> str:
     """Return the text of a UTF-8 file, line ends as newlines.
 
-    Raises
-    ------
-    FileFormatError
-        If it is not text, or as in `read_bytes`.
+    Raises FileFormatError if it is not text, or as in `read_bytes`.
     """
     content = read_bytes(path)
     try:
@@ -78,10 +69,7 @@ def _no_text(where: str, content: bytes) -> FileFormatError:
 def text_lines(path: str | os.PathLike[str]) -> Iterator[str]:
     """Yield the lines of a UTF-8 file, without their ends; only the one that is read is held.
 
-    Raises
-    ------
-    FileFormatError
-        As `read_text`, where it comes to that.
+    Raises FileFormatError as `read_text`, where it comes to that.
     """
     where = os.fspath(path)
     try:
@@ -122,12 +110,8 @@ def csv_rows(lines: Iterable[tuple[int, str]], where: str, mark: str = "") -> li
     """Return the cells of numbered lines of a CSV file, the first of which is its header unless `mark` separates cells.
 
     Cells are separated by what separates the header: a comma, a semicolon or a tab. Spreadsheets in many languages
-    write semicolons and then a decimal comma; there a cell such as 0,5 is the number 0.5.
-
-    Raises
-    ------
-    FileFormatError
-        If a quote is left open or a cell is beyond all measure.
+    write semicolons and then a decimal comma; there a cell such as 0,5 is the number 0.5. Raises FileFormatError if a
+    quote is left open or a cell is beyond all measure.
     """
     found: list[tuple[int, list[str]]] = []
     for number, line in lines:
@@ -175,12 +159,8 @@ def decimals(cells: Sequence[str], commas: bool, blank: bool) -> Array | None:
 class AtomicWriter:
     """A file that is written piece by piece beside its place, and stands there whole or not at all.
 
-    Used as a context: at its end the file is renamed into place, on any error it is removed.
-
-    Raises
-    ------
-    FileFormatError
-        If the folder is missing or cannot be written.
+    Used as a context: at its end the file is renamed into place, on any error it is removed. Raises FileFormatError if
+    the folder is missing or cannot be written.
     """
 
     def __init__(self, path: str | os.PathLike[str]):
@@ -226,10 +206,7 @@ class AtomicWriter:
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> Path:
     """Write `content` to a temporary file beside `path`, then rename it into place.
 
-    Raises
-    ------
-    FileFormatError
-        If the folder is missing or cannot be written.
+    Raises FileFormatError if the folder is missing or cannot be written.
     """
     with AtomicWriter(path) as file:
         file.write(content)
@@ -292,10 +269,7 @@ def _listed(values: Array, depth: str) -> Iterator[str]:
 def from_json(text: str, where: str) -> Tree:
     """Return the object in a JSON text.
 
-    Raises
-    ------
-    FileFormatError
-        If it is cut off, is not JSON, is no object, repeats a key, or holds NaN or infinity.
+    Raises FileFormatError if it is cut off, is not JSON, is no object, repeats a key, or holds NaN or infinity.
     """
 
     try:
@@ -309,10 +283,8 @@ def from_json(text: str, where: str) -> Tree:
 def from_toml(text: str, where: str) -> Tree:
     """Return the tree in a TOML text.
 
-    Raises
-    ------
-    FileFormatError
-        If it is cut off, is not TOML, repeats a key, or holds what is no text, truth value or finite number.
+    Raises FileFormatError if it is cut off, is not TOML, repeats a key, or holds what is no text, truth value or finite
+    number.
     """
     try:
         _small(text)
@@ -359,10 +331,7 @@ def exactly(read: strict.Reader, data: Mapping[str, object]) -> None:
 def read_tree(path: str | os.PathLike[str]) -> dict[str, object]:
     """Return the tree of a `.json` file, or of a TOML file with any other ending.
 
-    Raises
-    ------
-    FileFormatError
-        If the file is missing or cut off.
+    Raises FileFormatError if the file is missing or cut off.
     """
     where = os.fspath(path)
     content = read_text(where)
@@ -372,10 +341,7 @@ def read_tree(path: str | os.PathLike[str]) -> dict[str, object]:
 def write_tree(path: str | os.PathLike[str], data: Mapping[str, object], what: str) -> Path:
     """Write a tree as `.toml` or `.json`, whole or not at all; `what` it is, with its article, for messages.
 
-    Raises
-    ------
-    FileFormatError
-        If the ending is neither, or the file cannot be written.
+    Raises FileFormatError if the ending is neither, or the file cannot be written.
     """
     ending = Path(path).suffix.lower()
     if ending == ".json":
@@ -409,12 +375,7 @@ def by_first(kinds: Mapping[type, Reader], other: Reader) -> Reader:
 def of_format(read: Reader, data: Mapping[str, object], name: str) -> Tree:
     """Return what a grammar reads of plain data that begin with the line `format`, without that line.
 
-    Raises
-    ------
-    ArgumentError
-        If that line is missing.
-    strict.BadFile
-        If the data do not keep to the grammar.
+    Raises ArgumentError if that line is missing; strict.BadFile if the data do not keep to the grammar.
     """
     if data and "format" not in data:
         raise ArgumentError(f'`format` is missing: the file begins with the line format = "{name}".')

@@ -35,17 +35,14 @@ def _digestible(value: object) -> object:
 class Journal:
     """Plain results by name; a line that was cut off by a kill is written again.
 
+    Raises FileFormatError if the file is no journal, belongs to other data, or cannot be written.
+
     Parameters
     ----------
     path : path
         Made if it is missing.
     key : str
         Digest of everything that the results depend on.
-
-    Raises
-    ------
-    FileFormatError
-        If the file is no journal, belongs to other data, or cannot be written.
     """
 
     def __init__(self, path: str | os.PathLike[str], key: str):

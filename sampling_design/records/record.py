@@ -254,10 +254,7 @@ class CurveRecord(Record):
 def draw(record: object, ax: object = None, **beside: object) -> Any:
     """Hand `record` to the ring that draws.
 
-    Raises
-    ------
-    ArgumentError
-        If it is not there, or has no picture for this kind of record.
+    Raises ArgumentError if it is not there, or has no picture for this kind of record.
     """
     drawn = offered("plot", record, object)
     if drawn is None:

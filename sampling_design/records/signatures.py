@@ -92,14 +92,9 @@ def open_verb(result: type[Common]) -> Callable[[Callable[Concatenate[Kind, P], 
 def checked(function: Callable[P, T]) -> Callable[P, T]:
     """Return `function` behind a door: arguments are checked against its annotations before it begins.
 
-    Raises
-    ------
-    ArgumentError
-        If an argument is of another kind than its annotation says.
-    CallError
-        If the call does not fit: an unknown keyword, an argument missing, given twice, or one too many.
-    SolverError
-        If a number leaves the range of double precision, or an array does not fit into memory, inside.
+    Raises ArgumentError if an argument is of another kind than its annotation says; CallError if the call does not fit:
+    an unknown keyword, an argument missing, given twice, or one too many; SolverError if a number leaves the range of
+    double precision, or an array does not fit into memory, inside.
     """
     return typing.cast(Callable[P, T], _behind_a_door(function))
 

@@ -81,6 +81,8 @@ def monte_carlo(
 ) -> MonteCarloTrials:
     """Return the trials of one run per seed, in the order of the seeds.
 
+    Raises ArgumentError if `workers` is none of these.
+
     Parameters
     ----------
     found, bounds, promise, measure
@@ -96,11 +98,6 @@ def monte_carlo(
     Returns
     -------
     MonteCarloTrials
-
-    Raises
-    ------
-    ArgumentError
-        If `workers` is none of these.
     """
     blocks = [
         RunBlock(found, bounds, promise, measure, tuple(seeds[k : k + BLOCK])) for k in range(0, len(seeds), BLOCK)

@@ -56,10 +56,7 @@ class ScenarioBounds(ErrorSources):
     ) -> ScenarioBounds:
         """Return checked bounds; where None is given, the plant's scales, entry by entry.
 
-        Raises
-        ------
-        ArgumentError
-            If a bound is negative or has another length.
+        Raises ArgumentError if a bound is negative or has another length.
         """
         defaults = plant.disturbances.scales, plant.outputs.scales, plant.states.scales
         given = {"w_bound": w_bound, "v_bound": v_bound, "initial_error": initial_error}

@@ -73,10 +73,7 @@ def build_timeline(
 ) -> Timeline:
     """Return the timeline of [0, duration] for a schedule and windows (t - horizon, t], or from the sample until then.
 
-    Raises
-    ------
-    ArgumentError
-        If there is no sample in [0, duration], or the schedule does not fit the plant.
+    Raises ArgumentError if there is no sample in [0, duration], or the schedule does not fit the plant.
     """
     length = checks.positive("duration", duration)
     inside = meet(plant, schedule).between(0.0, length)

@@ -152,10 +152,7 @@ class DetectabilityCertificate(VerifiableRecord):
 def proven(certificate: DetectabilityCertificate) -> DetectabilityCertificate:
     """Return `certificate` if it passes its own check.
 
-    Raises
-    ------
-    CertificateError
-        If it does not; `details` holds the verdict.
+    Raises CertificateError if it does not; `details` holds the verdict.
     """
     verdict = certificate.verify()
     if not verdict.passed:

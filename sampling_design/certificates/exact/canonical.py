@@ -65,12 +65,8 @@ def canonical(
 ) -> ScaledProblem:
     """Return the problem in internal units: states in those of P2, else of the base-two `log_sizes`, else balanced.
 
-    Unless `driven`, G does not enter the balance.
-
-    Raises
-    ------
-    ArgumentError
-        If numbers are so far apart that they leave the range of doubles.
+    Unless `driven`, G does not enter the balance. Raises ArgumentError if numbers are so far apart that they leave the
+    range of doubles.
     """
     Qw, R, Qv = weights
     gaps = schedule.gaps if schedule.gaps.size else np.asarray(schedule.times)
@@ -147,10 +143,7 @@ def _root_of_inverse(sizes: Array) -> Array:
 def followed(canon: ScaledProblem, eta: float) -> None:
     """Say that it is undecided where the squared error grows beyond doubles before the next sample.
 
-    Raises
-    ------
-    UndecidedError
-        If e^{(2 max Re mu + eta) d}, d the longest gap, is beyond e^MOST_GROWTH.
+    Raises UndecidedError if e^{(2 max Re mu + eta) d}, d the longest gap, is beyond e^MOST_GROWTH.
     """
     rate = 2 * float(np.max(np.linalg.eigvals(canon.plant.A).real, initial=0.0)) + eta
     gaps, first = canon.schedule.gaps, float(canon.schedule.times[0])

@@ -55,10 +55,7 @@ class ScheduleProof:
     def peaks(self) -> tuple[RiccatiPeak, RiccatiPeak]:
         """Where lambda is attained: over all real starts, and over those at samples.
 
-        Raises
-        ------
-        UndecidedError
-            If the windows are lost in rounding.
+        Raises UndecidedError if the windows are lost in rounding.
         """
         return self.found(1)
 
@@ -83,12 +80,8 @@ class ScheduleProof:
 
         What its floats leave undecided is decided in balls where these are installed, then looked at on finer grids
         and, unless `plainly` (or later, when asked again), stated with `ROOM` to spare; or, if far above what was met,
-        as the long run has it. What only took too much work is neither: then the wide room is next.
-
-        Raises
-        ------
-        UndecidedError
-            If the proof does not close, or not with the work that it may do.
+        as the long run has it. What only took too much work is neither: then the wide room is next. Raises
+        UndecidedError if the proof does not close, or not with the work that it may do.
         """
         finer, efforts, again = 1, self.efforts, self.left_open
         anywhere, at_samples = self.peaks

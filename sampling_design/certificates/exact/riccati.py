@@ -70,14 +70,10 @@ class RiccatiPeak:
 def periodic_riccati_solution(problem: WindowProblem, work: Work | None = None, walk: bool = True) -> Array:
     """Return Y just after each sample of the period in the long run, shape (N, n, n).
 
-    One period is a `CovarianceMap`; two periods are again one, so that 2^k periods cost k
-    compositions and slow plants need no more time than fast ones. Where rounding spoils that, and `walk` allows it,
-    samples are followed one by one, counted in `work`.
-
-    Raises
-    ------
-    SolverError
-        If Y has not settled after 2^40 periods: the schedule is on the edge of what can be certified.
+    One period is a `CovarianceMap`; two periods are again one, so that 2^k periods cost k compositions and slow plants
+    need no more time than fast ones. Where rounding spoils that, and `walk` allows it, samples are followed one by one,
+    counted in `work`. Raises SolverError if Y has not settled after 2^40 periods: the schedule is on the edge of what
+    can be certified.
 
     Notes
     -----

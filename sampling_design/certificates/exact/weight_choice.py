@@ -298,10 +298,7 @@ class _WeightVariables:
 def rate_range(plant: Plant, schedule: AnySchedule) -> tuple[float, float]:
     """Return the rates that are searched: [0.05, 3]/(mean gap), below what an unseen stable mode allows.
 
-    Raises
-    ------
-    CertificateError
-        If no rate has a certificate: the period misses a mode that does not decay.
+    Raises CertificateError if no rate has a certificate: the period misses a mode that does not decay.
     """
     mean = float(np.mean(schedule.gaps)) if schedule.gaps.size else float(schedule.times[0])
     low, high = (factor / max(mean, 1e-300) for factor in ETA_RANGE)
@@ -326,17 +323,14 @@ def choose_weights(
 ) -> list[list[ChosenWeights]]:
     """Return for each budget P2, and eta within its bounds, for the least horizon ln(lam)/eta; the best first.
 
+    Raises UndecidedError if the windows of every rate are lost in rounding.
+
     Notes
     -----
     *Method.* A scan over eta with P2 between the long-run information and the least that the budget asks for, then
     sequential quadratic programming on the exact lambda of a set of windows, with gradients, at reference budgets;
     every shape met is scaled to the budget asked for. A local optimum, never evidence. After `SEARCH_WORK` no further
     descent begins and the one that runs ends; so they do once `budget` is spent, or after an interrupt.
-
-    Raises
-    ------
-    UndecidedError
-        If the windows of every rate are lost in rounding.
     """
     search = WeightSearch(canon, work=Work(SEARCH_WORK, stop=lambda: budget.over))
     report = progress or (lambda fraction, message: None)

@@ -197,10 +197,7 @@ def too_dense(plant: Plant, schedule: PeriodicSchedule, eta: float, found: Exist
 def require_certificate(plant: Plant, schedule: PeriodicSchedule | Schedule, eta: float) -> Existence:
     """Return the existence test if it is passed.
 
-    Raises
-    ------
-    CertificateError
-        If no certificate exists; its details carry eigenvalue, partners, period and repair.
+    Raises CertificateError if no certificate exists; its details carry eigenvalue, partners, period and repair.
     """
     found = certificate_exists(plant, schedule, eta)
     if found.exists:

@@ -16,10 +16,8 @@ MOST_NODES = 400
 def in_plant_terms(plant: Plant, family: SamplingFamily) -> SamplingFamily:
     """Return `family` with the schedule that it is built around in the plant's terms.
 
-    Raises
-    ------
-    ArgumentError
-        If it is no family, its unit of time differs, or the schedule that it is built around is finite.
+    Raises ArgumentError if it is no family, its unit of time differs, or the schedule that it is built around is
+    finite.
     """
     if not isinstance(family, SamplingFamily):
         raise ArgumentError(
@@ -41,10 +39,7 @@ def in_plant_terms(plant: Plant, family: SamplingFamily) -> SamplingFamily:
 def graph_of(family: SamplingFamily, memory: int, outputs: int) -> PathCompleteGraph:
     """Return the graph of a family with level `memory` of memory (0 is the least) for a plant with `outputs` outputs.
 
-    Raises
-    ------
-    ArgumentError
-        If the level does not exist or the graph has more than `MOST_NODES` nodes.
+    Raises ArgumentError if the level does not exist or the graph has more than `MOST_NODES` nodes.
     """
     most = family.levels_of_memory
     if not 0 <= memory < most:

@@ -29,18 +29,13 @@ INSTANTS = 17
 def best_gain(plant: Plant, t_star: float, variant: str, cap: float = np.inf) -> DetectabilityCertificate:
     """Return the constants of Theorem 10 for the gain and Q of least 2 ln(2 lambda)/min(eta, cap, 2/t*).
 
+    Raises NotDetectableError if a mode is unseen; SolverError if no gain of the sweep could be computed.
+
     Notes
     -----
     *Method.* Gains of Kalman-Bucy filters of the shifted plant, 8 shifts by 8 noise levels with Q = I, then a simplex
     search over shift, diagonal noise and diagonal Q. *Claim.* None on optimality: whatever the choice, the
     constants are those of the proof.
-
-    Raises
-    ------
-    NotDetectableError
-        If a mode is unseen.
-    SolverError
-        If no gain of the sweep could be computed.
     """
     _refuse_undetectable(plant, 0.0)
     n = plant.n_states

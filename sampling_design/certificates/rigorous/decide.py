@@ -145,6 +145,8 @@ def verify_rigorously(data: Mapping[str, object], budget: float = 60.0, work: Wo
 
         Pi(t) >= (1 + margin) P1,   lam Pi(t) >= (1 - 1e-3) P2    for all real window starts and all t
 
+    Raises MissingExtraError if python-flint is not installed.
+
     Parameters
     ----------
     data : dict
@@ -157,11 +159,6 @@ def verify_rigorously(data: Mapping[str, object], budget: float = 60.0, work: Wo
     Returns
     -------
     Verification
-
-    Raises
-    ------
-    MissingExtraError
-        If python-flint is not installed.
 
     Notes
     -----

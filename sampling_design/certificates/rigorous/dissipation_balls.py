@@ -25,10 +25,7 @@ SHARES = (0.999, 0.5, 1e-3)
 def detectability(c: Detectability, clock: Budget) -> Proven:
     """Prove P > 0 and the dissipation inequality; return the inequality, for what, and its slack relative to its terms.
 
-    Raises
-    ------
-    Refused
-        If one of them certainly fails (with amount and direction), or nothing is certain at this precision.
+    Raises Refused if one of them certainly fails (with amount and direction), or nothing is certain at this precision.
     """
     clock.check()
     if not c.plant.n:
@@ -46,10 +43,7 @@ def decided(
 ) -> float:
     """Return a proven slack of form > 0 relative to `sizes`.
 
-    Raises
-    ------
-    Refused
-        If it certainly fails, at the time `when` if it is about one, or there is none at this precision.
+    Raises Refused if it certainly fails, at the time `when` if it is about one, or there is none at this precision.
     """
     M = in_units(form, sizes)
     slack = proven_slack(M, shares)

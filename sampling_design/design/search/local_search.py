@@ -102,13 +102,9 @@ def search(
 ) -> FoundSchedule:
     """Refine the best starts and return the best schedule.
 
-    Stops at `budget`, and where sigma is `enough`: none can be better. An interrupt is raised
-    as `Interrupted`, with the best schedule found by then.
-
-    Raises
-    ------
-    SolverError
-        If no admissible start was found although the requirement leaves room for one.
+    Stops at `budget`, and where sigma is `enough`: none can be better. An interrupt is raised as `Interrupted`, with
+    the best schedule found by then. Raises SolverError if no admissible start was found although the requirement leaves
+    room for one.
     """
     pool, most = _starts(problem, relaxation, rng, budget), KICKS * starts
     if not pool:

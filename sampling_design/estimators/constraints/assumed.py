@@ -19,10 +19,7 @@ INSIDE = 1e-12
 def common(name: str, known: DisturbanceSet, chosen: ConvexSet | None) -> DisturbanceSet:
     """Return a set that holds what a bound and a constraint set have in common: a ball within both, else a box.
 
-    Raises
-    ------
-    ArgumentError
-        If they have nothing in common.
+    Raises ArgumentError if they have nothing in common.
     """
     if chosen is None:
         return known

@@ -271,10 +271,7 @@ def normed(matrix: Array) -> Array:
 def convex_set(name: str, value: object, dimension: int) -> ConvexSet | None:
     """Return `value`, a ConvexSet or a pair (lower, upper), as a set in R^dimension; None stays None.
 
-    Raises
-    ------
-    ArgumentError
-        If it is something else or has another dimension.
+    Raises ArgumentError if it is something else or has another dimension.
     """
     if value is None:
         return None

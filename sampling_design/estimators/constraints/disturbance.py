@@ -32,10 +32,7 @@ CELL_RANGE = (32, 2048)
 class DisturbanceReach:
     """The set of omega over each gap, for a set of w; remembered by gap length.
 
-    Raises
-    ------
-    ArgumentError
-        If the set is unbounded, or w is to be constant and does not follow from its effect.
+    Raises ArgumentError if the set is unbounded, or w is to be constant and does not follow from its effect.
     """
 
     def __init__(self, table: FlowTable, w: ConvexSet):

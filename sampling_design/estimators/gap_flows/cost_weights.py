@@ -225,12 +225,8 @@ def build_weights(
     """Return the effective weights: the cost's, else the certificate's; of neither the bounds', else the scales'.
 
     Bounds weigh so that each of the three terms is at most about one within a horizon (`weights_from_bounds`), which
-    puts an estimate near the middle of what data and bounds leave possible.
-
-    Raises
-    ------
-    ArgumentError
-        If a weight has another size or is not positive definite, or the certificate is another plant's.
+    puts an estimate near the middle of what data and bounds leave possible. Raises ArgumentError if a weight has
+    another size or is not positive definite, or the certificate is another plant's.
     """
     _refuse_what_is_not_its_own(plant, certificate)
     inverse = {

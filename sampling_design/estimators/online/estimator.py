@@ -199,10 +199,7 @@ class Estimator(Protocol):
 def estimate_from(found: Estimate | npt.ArrayLike, t: float, n: int, status: Status = "ok") -> Estimate:
     """Return what an estimator returned as an estimate: of a state alone nothing is proven, and its radius is infinite.
 
-    Raises
-    ------
-    ArgumentError
-        If it is no state of `n` entries.
+    Raises ArgumentError if it is no state of `n` entries.
     """
     if isinstance(found, Estimate):
         return found

@@ -20,7 +20,7 @@ def choose_horizon(
     """Return the horizon and, in words, why there is no a-priori claim ("" if there is one).
 
     With the paper's cost M must exceed the lesser of two: the paper's theorem asks 4 lam_samples^2 e^{-eta M} < 1, the
-    sharper one 2 lam e^{-eta M} < 1.
+    sharper one 2 lam e^{-eta M} < 1. Raises ArgumentError if there is neither a certificate nor a horizon.
 
     Parameters
     ----------
@@ -31,11 +31,6 @@ def choose_horizon(
         Weights that are given and differ from the certificate's leave no claim.
     theorem : str
         The one that the estimator's cost needs, as `certificate.horizon` takes it.
-
-    Raises
-    ------
-    ArgumentError
-        If there is neither a certificate nor a horizon.
 
     Warns
     -----

@@ -399,12 +399,8 @@ def _stamps(samples: list[object]) -> list[float]:
 def listed(record: object, plant: MeasuredPlant) -> list[object]:
     """The samples of a record in order of time, whatever it is made of; a frame is read like a file of `plant`.
 
-    Raises
-    ------
-    ArgumentError
-        If it cannot be gone through.
-    FileFormatError
-        If it is a frame that holds no measurements of this plant.
+    Raises ArgumentError if it cannot be gone through; FileFormatError if it is a frame that holds no measurements of
+    this plant.
     """
     if isinstance(record, DataFrame):
         return list(read_measurements(record, plant).in_order())
@@ -418,13 +414,7 @@ def listed(record: object, plant: MeasuredPlant) -> list[object]:
 
 
 def triple(item: object) -> Sample:
-    """One sample of a record.
-
-    Raises
-    ------
-    ArgumentError
-        If it is no (t, y), (t, y, u).
-    """
+    """One sample of a record. Raises ArgumentError if it is no (t, y), (t, y, u)."""
     if not isinstance(item, (tuple, list)) or not 1 <= len(item) <= 3:
         raise ArgumentError(f"`sample` must be (t, y) or (t, y, u), got {checks.described(item)}.")
     return Sample(*item)

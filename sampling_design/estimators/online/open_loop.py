@@ -83,10 +83,7 @@ class OpenLoop:
     def refuse_overflow(self, flow: GapFlow, x: Array, t: float) -> None:
         """Refuse what grows beyond double precision over a gap up to t.
 
-        Raises
-        ------
-        ArgumentError
-            If the flow or x is not finite.
+        Raises ArgumentError if the flow or x is not finite.
         """
         if not (np.isfinite(flow.F).all() and np.isfinite(x).all()):
             raise ArgumentError(

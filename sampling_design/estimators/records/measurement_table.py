@@ -56,13 +56,7 @@ class MeasuredPlant(Protocol):
 def read_table(
     where: str, lines: Iterator[str], plant: MeasuredPlant, origin: str | None, zone: str | None = None
 ) -> MeasurementTable:
-    """Return what the lines of a file say, read block by block.
-
-    Raises
-    ------
-    FileFormatError
-        As `read_measurements`.
-    """
+    """Return what the lines of a file say, read block by block. Raises FileFormatError as `read_measurements`."""
     held = ((k, line) for k, line in enumerate(lines, 1) if _counts(line))
     first = next(held, None)
     if first is None:
@@ -412,10 +406,7 @@ def date_of(where: str, line: int, cell: str, zone: tzinfo | None = UTC) -> date
 def dated(zero: datetime, t: float, unit: str) -> str:
     """Return the date (ISO 8601, to the microsecond) of a time counted from `zero`.
 
-    Raises
-    ------
-    ArgumentError
-        If it lies outside the years 1 to 9999.
+    Raises ArgumentError if it lies outside the years 1 to 9999.
     """
     try:
         return (zero + timedelta(microseconds=round(t * SECONDS[unit] * 1e6))).isoformat()

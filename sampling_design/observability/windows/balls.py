@@ -43,6 +43,8 @@ def nearest_proven(
 ) -> ProvenSigma:
     """Prove a lower bound of sigma as near to what floats believe as can be: the first of guess (1 - shave).
 
+    Raises MissingExtraError if python-flint is not installed.
+
     Parameters
     ----------
     guess : float
@@ -63,11 +65,6 @@ def nearest_proven(
     -------
     ProvenSigma
         lower = 0 where nothing is proven: "budget", "interrupted" or "rounding".
-
-    Raises
-    ------
-    MissingExtraError
-        If python-flint is not installed.
     """
     flint()
     if not 0 < guess < np.inf:

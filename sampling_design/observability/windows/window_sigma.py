@@ -310,10 +310,7 @@ def asked(
 ) -> tuple[Pieces, float, float]:
     """Return the window's pieces along a schedule in the plant's unit, the tolerance and the seconds, all checked.
 
-    Raises
-    ------
-    ArgumentError
-        If the window does not fit, or a number is out of range.
+    Raises ArgumentError if the window does not fit, or a number is out of range.
     """
     length, first = checks.positive("window", window), None if start is None else checks.nonnegative("start", start)
     return window_pieces(schedule, length, first, late), *rtol_and_seconds(rtol, budget)

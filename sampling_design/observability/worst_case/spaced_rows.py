@@ -19,6 +19,8 @@ class SpacedRows:
 
         tau_i = u_i + (i - 1) epsilon,    0 <= u_1 <= ... <= u_k <= S = T - (k - 1) epsilon
 
+    Raises ArgumentError if e^{A tau} overflows within the window.
+
     Parameters
     ----------
     plant : Plant
@@ -37,11 +39,6 @@ class SpacedRows:
         Rows over the whole window, weighted to the size of k samples.
     grade : float
         Relative error granted to C e^{A tau}, of |C||e^{A tau}|.
-
-    Raises
-    ------
-    ArgumentError
-        If e^{A tau} overflows within the window.
     """
 
     def __init__(self, plant: Plant, window: float, count: int, spacing: float) -> None:

@@ -259,10 +259,7 @@ def worst_case_sigma(
 def asked(plant: OpenPlant, family: SpacedWindows, rtol: float, budget: float | None) -> tuple[float, float]:
     """Return the tolerance and the seconds, checked as the family's unit is.
 
-    Raises
-    ------
-    ArgumentError
-        If plant and family have different units of time, or a number is out of range.
+    Raises ArgumentError if plant and family have different units of time, or a number is out of range.
     """
     if family.time_unit is not None and family.time_unit != plant.time_unit:
         raise ArgumentError(

@@ -118,14 +118,9 @@ def accuracy_over_box(
     Within a cell about theta_0 the plant theta is that of theta_0 with the disturbance sum_k (theta_k - theta_0k) A_k x
     and the noise of C_k x beside. If |r'x| <= beta for the rows r of A_k and C_k implies |r'x| < beta for them under
     those disturbances and zero outputs, then the same implication bounds every wanted row (a small-gain argument: what
-    gains prove is affine in beta with a nonnegative matrix, whose spectral radius is then below 1).
-
-    Raises
-    ------
-    ArgumentError
-        If the schedule is finite, or a bound is not one number for each entry.
-    UndecidedError
-        If some plant of the box could not be bounded.
+    gains prove is affine in beta with a nonnegative matrix, whose spectral radius is then below 1). Raises
+    ArgumentError if the schedule is finite, or a bound is not one number for each entry; UndecidedError if some plant
+    of the box could not be bounded.
     """
     refuse_others("over a box of parameters", **others)
     aligned, rtol = meet(plant.nominal, schedule), checks.positive("rtol", RTOL if rtol is None else rtol)

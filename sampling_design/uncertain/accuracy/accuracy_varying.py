@@ -140,14 +140,9 @@ def accuracy_along(
     """Bracket the least guaranteed error at the samples and in between: see `accuracy`.
 
     The adversary's linear program has w constant on cells; its multipliers are gains, whose guarantee is a sum over the
-    start, the noise and the integral of |G'g| (Simpson's rule on each cell).
-
-    Raises
-    ------
-    ArgumentError
-        If the schedule does not lie within the horizon, or a bound is one on a norm of several entries.
-    SolverError
-        If the program is not solved.
+    start, the noise and the integral of |G'g| (Simpson's rule on each cell). Raises ArgumentError if the schedule does
+    not lie within the horizon, or a bound is one on a norm of several entries; SolverError if the program is not
+    solved.
     """
     refuse_others("of a plant that varies", **others)
     rtol = checks.positive("rtol", RTOL if rtol is None else rtol)

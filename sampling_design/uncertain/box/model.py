@@ -35,10 +35,7 @@ class BoxModel:
     def of(cls, plant: UncertainPlant, name: str) -> BoxModel:
         """The box of a plant; `name` is the verb that asks, for its refusals.
 
-        Raises
-        ------
-        ArgumentError
-            If the plant lies between vertices, or its parameters vary.
+        Raises ArgumentError if the plant lies between vertices, or its parameters vary.
         """
         require_constant_box(plant, name)
         P = plant.nominal

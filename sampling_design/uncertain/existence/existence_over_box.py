@@ -100,10 +100,7 @@ def existence_over_box(
 ) -> ExistenceOverBox:
     """Decide for a whole box: see `certificate_exists`. A "no" is one plant's own.
 
-    Raises
-    ------
-    UndecidedError
-        If the budget ran out before every cell was proven and no plant without certificate was found.
+    Raises UndecidedError if the budget ran out before every cell was proven and no plant without certificate was found.
     """
     schedule, eta = meet(plant.nominal, schedule), checks.nonnegative("eta", eta)
     if not schedule.endless:

@@ -220,10 +220,7 @@ def certify_plant(
 def in_terms(plant: LinearInclusion, schedule: object, **others: object) -> Schedules:
     """The schedule or family in the plant's terms.
 
-    Raises
-    ------
-    ArgumentError
-        If it is neither periodic nor a family, does not fit, or one of the `others` is given.
+    Raises ArgumentError if it is neither periodic nor a family, does not fit, or one of the `others` is given.
     """
     for name, value in others.items():
         if value is not None:

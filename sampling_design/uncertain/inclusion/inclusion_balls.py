@@ -35,10 +35,7 @@ MOST_SETS = 2000
 def inclusion(c: Inclusion, clock: Budget) -> Proven:
     """Prove all inequalities of a certificate for an inclusion; what was proven, for what, and the least slack.
 
-    Raises
-    ------
-    Refused
-        If one of them certainly fails, or nothing is certain at this precision.
+    Raises Refused if one of them certainly fails, or nothing is certain at this precision.
     """
     judge(c.family, c.graph)
     name = f"{FLOW}, {JUMP}"

@@ -28,10 +28,7 @@ def window_sigma_varying(
 ) -> WindowSigma:
     """Bound sigma over all positions of a window, rows C(tau) Phi(tau, t - T): see `window_sigma`.
 
-    Raises
-    ------
-    ArgumentError
-        If balls are asked for, or the schedule is not finite or leaves the plant's horizon.
+    Raises ArgumentError if balls are asked for, or the schedule is not finite or leaves the plant's horizon.
     """
     if rigorous:
         raise ArgumentError("`rigorous` is for plants that do not vary: of a table all rounding is counted anyway.")

@@ -86,12 +86,8 @@ class ZeroCountOverBox(SampleCount):
 def zero_count_over_box(plant: UncertainPlant, duration: float) -> ZeroCountOverBox:
     """Bound the zero count over a box; see `zero_count_bound`.
 
-    Raises
-    ------
-    NotObservableError
-        If some plant of the box has a mode that no output sees; names it.
-    UndecidedError
-        If this could not be decided.
+    Raises NotObservableError if some plant of the box has a mode that no output sees; names it; UndecidedError if this
+    could not be decided.
     """
     duration, model = checks.nonnegative("duration", duration), BoxModel.of(plant, "zero_count_bound")
     if not model.n:
@@ -140,12 +136,8 @@ def _frequencies(model: BoxModel) -> tuple[BoxBounds, float]:
 def require_every_plant_observable(model: BoxModel) -> None:
     """Raise unless a window of evenly spaced times sees every plant of the box.
 
-    Raises
-    ------
-    NotObservableError
-        If a plant was found that is not seen, however long the outputs are watched.
-    UndecidedError
-        If neither was shown.
+    Raises NotObservableError if a plant was found that is not seen, however long the outputs are watched;
+    UndecidedError if neither was shown.
     """
     n, p = model.n, len(model.C)
     fastest = float(np.max(np.abs(np.linalg.eigvals(model.A)), initial=0.0)) or 1.0

@@ -16,14 +16,9 @@ from sampling_design.accuracy.gains import Gains
 from sampling_design.accuracy.start import NOTHING
 from sampling_design.records.arrays import Array, Index, Mask
 
-SAME = 1e-12
-"""Two directions are one if their cosine, in units of the reach, is 1 within this."""
-
-PARTNERS = 4
-"""Atoms tried beside the nearest one."""
-
-NEIGHBOURS = (64, -64, 16, -16, 4, -4, 1, -1)
-"""How far away the neighbours are whose pairs a target tries."""
+SAME = 1e-12  # two directions are one if their cosine, in units of the reach, is 1 within this
+PARTNERS = 4  # atoms tried beside the nearest one
+NEIGHBOURS = (64, -64, 16, -16, 4, -4, 1, -1)  # how far away the neighbours are whose pairs a target tries
 
 
 @dataclass(frozen=True, eq=False)

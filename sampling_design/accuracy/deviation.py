@@ -27,8 +27,7 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Intensity: TypeAlias = npt.ArrayLike | None
 
-POINTS = 64
-"""Offsets in each gap at which the profile stands."""
+POINTS = 64  # offsets in each gap at which the profile stands
 
 WALK = 1e-12
 """Share of a free start's covariance that joins the noise of a period where the filter from P = 0 is unstable."""
@@ -37,11 +36,8 @@ WIDER, WIDEST = (1e2, 1e4, 1e6, 1e8, 1e10), (1e8, 1e10)
 """A start of which nothing is known is taken so many times as wide, until what the samples determine stays as it is;
 between the two widest, what they do not determine must grow as the start does."""
 
-SETTLED = 1e-6
-"""Share by which what the samples determine may still change."""
-
-REFINED = 60
-"""Evaluations that place the worst time within its panels."""
+SETTLED = 1e-6  # share by which what the samples determine may still change
+REFINED = 60  # evaluations that place the worst time within its panels
 
 
 @dataclass(frozen=True, eq=False, repr=False)

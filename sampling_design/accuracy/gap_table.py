@@ -18,26 +18,16 @@ from sampling_design.records.arrays import Array, Index
 PANEL = 0.03125
 """Length of a panel of the quadrature times |A|: its bound is then loose by less than one in ten thousand."""
 
-PANELS = (16, 4096)
-"""Least and largest number of panels of a gap, powers of two."""
+PANELS = (16, 4096)  # least and largest number of panels of a gap, powers of two
 
 FINER = 4
 """Panels after the last sample are so many times shorter: there is one gap only, and nothing hides what it loses."""
 
-LOSS = 2e-2
-"""Share of the curvature that coarse cells may lose: gains are second order in it, and more cells cost time."""
-
-CELLS = 2
-"""Least number of coarse cells of a gap."""
-
-FINER_CELLS = (1, 2, 4, 16)
-"""So many times more cells on each level than on the first."""
-
-REMEMBERED = 1024
-"""Gaps that are kept."""
-
-GROWN = 1e70
-"""Growth over a period beyond which sizes are not followed: its square is a number still, in any units."""
+LOSS = 2e-2  # share of the curvature that coarse cells may lose: gains are second order in it, and more cells cost time
+CELLS = 2  # least number of coarse cells of a gap
+FINER_CELLS = (1, 2, 4, 16)  # so many times more cells on each level than on the first
+REMEMBERED = 1024  # gaps that are kept
+GROWN = 1e70  # growth over a period beyond which sizes are not followed: its square is a number still, in any units
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,8 +33,7 @@ from sampling_design.records.checks import freeze
 from sampling_design.records.record import Plain, PlainRecord, TableRecord, short
 from sampling_design.records.signatures import checked
 
-MOSTLY = 0.9
-"""Share of a contradiction that the samples named with it make."""
+MOSTLY = 0.9  # share of a contradiction that the samples named with it make
 
 
 @dataclass(frozen=True, eq=False, repr=False)

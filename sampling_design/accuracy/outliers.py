@@ -8,8 +8,7 @@ from itertools import combinations
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 
-MOST_CASES = 3000
-"""Sets of samples that may be left out: some seconds for a small plant."""
+MOST_CASES = 3000  # sets of samples that may be left out: some seconds for a small plant
 
 
 def left_out(outliers: int | tuple[int, int], count: int) -> list[tuple[int, ...]]:

@@ -22,8 +22,7 @@ from sampling_design.records.checks import freeze
 from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 
-GROWS = {"both": "all", "w": "w", "v": "v"}
-"""What may grow, and what the program calls it."""
+GROWS = {"both": "all", "w": "w", "v": "v"}  # what may grow, and what the program calls it
 
 
 @dataclass(frozen=True, eq=False, repr=False)

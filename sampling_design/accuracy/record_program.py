@@ -29,20 +29,11 @@ from sampling_design.records.arrays import Array
 TOLERANCE = (1e-6, 3e-8, 3e-8, 1e-9)
 """Asked of the solver at each level of cells; what it leaves open widens an interval, never breaks it."""
 
-BEYOND = 1e150
-"""A covariance that grows beyond it is as good as infinite: what it is made of would overflow."""
-
-HELD = 1e-13
-"""Relative error with which nominal states and readings are held."""
-
-NOTHING = 1e-10
-"""A rest below this share of the gains' terms counts as none where the start is free: rounding."""
-
-LEAST = 1e-12
-"""Eigenvalues of a correlation matrix count as so large at least, in the choice of coordinates."""
-
-CLOSED = 1e-2
-"""Share of the half-width by which the adversary may fall short of it before cells are made finer."""
+BEYOND = 1e150  # a covariance that grows beyond it is as good as infinite: what it is made of would overflow
+HELD = 1e-13  # relative error with which nominal states and readings are held
+NOTHING = 1e-10  # a rest below this share of the gains' terms counts as none where the start is free: rounding
+LEAST = 1e-12  # eigenvalues of a correlation matrix count as so large at least, in the choice of coordinates
+CLOSED = 1e-2  # share of the half-width by which the adversary may fall short of it before cells are made finer
 
 HALVED = 3.0
 """Multiple of that share up to which cells of half the size are tried first: what they lose falls with their square."""
@@ -50,26 +41,19 @@ HALVED = 3.0
 COARSE = 1.1
 """Multiple of the bounds up to which cells on which w is constant may be too coarse to explain what bounds allow."""
 
-ROOM = 1e-3
-"""How much larger than that multiple the bounds are taken where gains are sought nevertheless."""
+ROOM = 1e-3  # how much larger than that multiple the bounds are taken where gains are sought nevertheless
 
 PLAIN = 12
 """Digits after the point to which gains of the last readings alone are rounded: 1 where a row is what was read."""
 
-ALIKE = 1e-6
-"""Share of the width by which plainer gains may prove less."""
-
-DISPROVED = 1e-9
-"""A contradiction must exceed this share of its terms before the bounds count as disproved."""
-
-LEVELS = len(TOLERANCE)
-"""Levels of cells."""
+ALIKE = 1e-6  # share of the width by which plainer gains may prove less
+DISPROVED = 1e-9  # a contradiction must exceed this share of its terms before the bounds count as disproved
+LEVELS = len(TOLERANCE)  # levels of cells
 
 GROWN = 1e3
 """Growth over a gap from which on the solver's last digits decide: its gains are then fed back, others tried."""
 
-SPREADS = ("all", "w", "v")
-"""Which bounds may grow: all of them, that on w alone, those on v alone."""
+SPREADS = ("all", "w", "v")  # which bounds may grow: all of them, that on w alone, those on v alone
 
 
 @dataclass(frozen=True, eq=False)

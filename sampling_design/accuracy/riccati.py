@@ -16,11 +16,8 @@ from sampling_design.errors import UndecidedError
 from sampling_design.numerics.filtering import CovarianceMap, largest_first, root_update, triangle
 from sampling_design.records.arrays import Array
 
-SETTLED = 1e-14
-"""Relative change of a doubled covariance at which it counts as the limit."""
-
-DOUBLINGS = 60
-"""2^60 periods: what has not settled by then does not."""
+SETTLED = 1e-14  # relative change of a doubled covariance at which it counts as the limit
+DOUBLINGS = 60  # 2^60 periods: what has not settled by then does not
 
 UNSTABLE = 1e-9
 """A filter whose error grows by more than this share over a period from P = 0 has to be started elsewhere."""

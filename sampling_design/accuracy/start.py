@@ -184,8 +184,7 @@ class InitialSet:
         return StartSet(self.S, self.ball).excess(e)
 
 
-SEMIDEFINITE = 1e-12
-"""An eigenvalue of a weight with unit diagonal below this share counts as 0."""
+SEMIDEFINITE = 1e-12  # an eigenvalue of a weight with unit diagonal below this share counts as 0
 
 
 def _half_widths(value: npt.ArrayLike, n: int) -> Array:

@@ -22,17 +22,13 @@ from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 
-PANELS = (4, 32)
-"""Least and largest number of panels of a stretch on which inputs are constant."""
+PANELS = (4, 32)  # least and largest number of panels of a stretch on which inputs are constant
 
 FINENESS = 4.0
 """Panels of a stretch over the root of its length times |A|: what chords lose is then a thirtieth of the whole."""
 
-ROUNDED = 1e-11
-"""Share of its terms that is added to a bound for the rounding of flows."""
-
-Known = Callable[[Array], tuple[Array, Array]]
-"""Lower and upper ends (r,) of rows (r, n) of x(t)."""
+ROUNDED = 1e-11  # share of its terms that is added to a bound for the rounding of flows
+Known = Callable[[Array], tuple[Array, Array]]  # lower and upper ends (r,) of rows (r, n) of x(t)
 
 
 def resolved(

@@ -13,30 +13,18 @@ from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant, Signals, replace_matrices
 from sampling_design.records.arrays import Array, Complex, Index
 
-DECAYS = 1e-9
-"""A mode counts as decaying if it loses more than this share over a period."""
-
-ALIAS = 1e-7
-"""Two modes look alike at the samples if e^{(mu - nu) period} is 1 within this."""
-
-UNSEEN = 1e-9
-"""A direction counts as unseen if its samples are below this share of what the strongest direction shows."""
+DECAYS = 1e-9  # a mode counts as decaying if it loses more than this share over a period
+ALIAS = 1e-7  # two modes look alike at the samples if e^{(mu - nu) period} is 1 within this
+UNSEEN = 1e-9  # a direction counts as unseen if its samples are below this share of what the strongest direction shows
 
 HIDDEN = 1e-11
 """A direction of a free start is hidden if rows, each of length one, show less than this of it: what rounding makes of
 a mode that no output sees. An end that is infinite for it is no false claim."""
 
-GROWN = 200.0
-"""Logarithm of the growth up to which outputs are looked at: what grows more says nothing more of sizes."""
-
-GOLDEN = 1.618
-"""Exponent that spreads times so that no mode is missed by its period."""
-
-ROUNDED = 1e-12
-"""An entry of orthonormal columns below this is none."""
-
-TOUCHED = 1e-9
-"""A row counts as free of the unknown part if it is below this share of the row, in balanced coordinates."""
+GROWN = 200.0  # logarithm of the growth up to which outputs are looked at: what grows more says nothing more of sizes
+GOLDEN = 1.618  # exponent that spreads times so that no mode is missed by its period
+ROUNDED = 1e-12  # an entry of orthonormal columns below this is none
+TOUCHED = 1e-9  # a row counts as free of the unknown part if it is below this share of the row, in balanced coordinates
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,11 +10,8 @@ import numpy as np
 from sampling_design.accuracy.undetectable import unobservable_directions
 from sampling_design.records.arrays import Array, Mask
 
-CHANGED = 1e-11
-"""Share of the gains, in units of the noise, that may be changed to take away what they leave: rounding."""
-
-SETTLED = 1e-14
-"""Share of them from which on a change is not worth making."""
+CHANGED = 1e-11  # share of the gains, in units of the noise, that may be changed to take away what they leave: rounding
+SETTLED = 1e-14  # share of them from which on a change is not worth making
 
 ROUNDS = 6
 """Changes of gains, at most: one may end the gain of a one-sided row at 0, and the next does without that row."""
@@ -26,11 +23,8 @@ solver's zeros are no zeros, and to make much of them costs much."""
 LEFT = 1e-12
 """What no such change takes away must be below this share of the terms that it is a difference of: rounding."""
 
-CUT = 1e-13
-"""Singular values below this share of the largest say nothing: rounding."""
-
-NEAR = 10.0
-"""A trajectory that comes so near to readings, in units of their errors, is near enough."""
+CUT = 1e-13  # singular values below this share of the largest say nothing: rounding
+NEAR = 10.0  # a trajectory that comes so near to readings, in units of their errors, is near enough
 
 UNKNOWN = 1e-6
 """Share of a target, run back to the start, in directions that are not seen, from which on it is unbounded."""

@@ -25,10 +25,8 @@ from .work import Work
 
 EIGENVALUES = 8  # those of an (n, n) matrix M are computed to within this times n eps |M|_F
 PLAIN = 1e-70, 1e70  # numbers of this size: no product of four underflows or overflows
-Number = Any
-"""A double, or a Fraction."""
-Numbers = npt.NDArray[Any]
-"""Doubles, or Fractions."""
+Number = Any  # a double, or a Fraction
+Numbers = npt.NDArray[Any]  # doubles, or Fractions
 INEQUALITY = "[[A'P + PA + (1 + margin) eta P - c_y C'C, PG], [G'P, -c_w I]] < 0"
 
 

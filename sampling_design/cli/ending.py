@@ -12,10 +12,8 @@ from typing import NoReturn, TextIO
 
 from sampling_design.cli.version import show_version
 
-DEFECT = 70
-"""Exit code of an error that is none of ours: a defect of this program, with its traceback."""
-INTERRUPTED = 130
-"""Exit code of an interrupt, as shells have it."""
+DEFECT = 70  # exit code of an error that is none of ours: a defect of this program, with its traceback
+INTERRUPTED = 130  # exit code of an interrupt, as shells have it
 ONE_THREAD = "OPENBLAS_NUM_THREADS"
 """Matrices here have 2 to 20 rows: a second thread of the BLAS waits, and takes half as many seconds again."""
 

@@ -218,8 +218,7 @@ def _commented(path: Path, comments: dict[str, str]) -> Path:
     return write_text(path, "\n".join(lines) + "\n")
 
 
-WIDE = 110
-"""Characters of a line of a file up to which an array stays on it."""
+WIDE = 110  # Characters of a line of a file up to which an array stays on it
 
 
 def flat(text: str) -> str:

@@ -20,8 +20,7 @@ from sampling_design.records.units import SECONDS
 MOST_DAYS = 400
 A_MONDAY = "2001-01-01"
 """Time zero of opening hours where no date is given."""
-GRID = "1 h"
-"""Of a plan with a calendar, where none is given: a week is then 168 steps."""
+GRID = "1 h"  # of a plan with a calendar, where none is given: a week is then 168 steps
 _HOUR = r"(\d{1,2}(?:\.\d+|:[0-5]\d)?)"
 _SPAN = re.compile(rf"\s*(?:([A-Z][a-z]{{2}}(?:-[A-Z][a-z]{{2}})?)\s+)?{_HOUR}\s*-\s*{_HOUR}\s*", re.ASCII)
 

@@ -42,21 +42,17 @@ from sampling_design.schedules.schedule import PeriodicSchedule
 
 Held = TypeVar("Held")
 
-STARTS = 8
-"""Starts that are refined by default."""
+STARTS = 8  # starts that are refined by default
 
 BRANCHES = 20
 """Boxes of schedules that are cut in two by default, to narrow the upper bound: of eight states, fewer of more."""
 
-PATIENCE = 150
-"""Boxes that are cut by default where the gap is wide otherwise, as long as that helps."""
+PATIENCE = 150  # boxes that are cut by default where the gap is wide otherwise, as long as that helps
 
 GAP = 0.03
 """Share of sigma by which the bound may lie above it where no number of cuts is asked for: cutting ends there."""
 
-MOST_TRIED = 100
-"""Largest count that a target sigma is tried with where the requirement names none."""
-
+MOST_TRIED = 100  # largest count that a target sigma is tried with where the requirement names none
 _MOST_STARTS = 10**9  # or cuts: none that is asked for beyond would ever be reached
 _PROOF = 0.2  # of the budget: what the proof of sigma may take at least, even where all is spent
 _PLAIN_STATES = 8  # up to which a cut takes little time

@@ -16,8 +16,7 @@ from sampling_design.schedules.calendar import clock_changes, repeats_by_rule, w
 from sampling_design.schedules.files import write_schedule
 from sampling_design.schedules.time_stamps import parse_date, passed
 
-AHEAD = 400
-"""Days in which the next change of a zone's clocks is looked for."""
+AHEAD = 400  # days in which the next change of a zone's clocks is looked for
 
 
 @checked

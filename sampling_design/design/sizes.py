@@ -10,9 +10,7 @@ from sampling_design.errors import ArgumentError
 MOST_GROWTH = 80.0
 """Exponent of growth over a window up to which a bound comes out as a number: beyond, products of rows lose them."""
 
-MOST_MEMORY = 4.0e9
-"""Bytes that one array of a design may take."""
-
+MOST_MEMORY = 4.0e9  # bytes that one array of a design may take
 _LARGEST, _SMALLEST = 1e120, 1e-120  # entries between them have squares and products of squares that are numbers
 _LIKELY_PERIODS = 1e6  # periods that a window may hold: their times still differ by more than rounding
 _BYTES = 8.0  # of a double

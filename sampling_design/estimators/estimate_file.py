@@ -30,16 +30,12 @@ from sampling_design.records.file_io import AtomicWriter
 from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked
 
-PIECE = 1 << 20
-"""Characters that are written at a time."""
-
-TOGETHER = 32
-"""Estimates that are written at a time."""
+PIECE = 1 << 20  # Characters that are written at a time
+TOGETHER = 32  # estimates that are written at a time
 
 MOST_INTERVALS, FEW_STATES = 1000, 4
 """Rows up to which radii are those of intervals unless told, and states up to which that holds."""
-REPORTS = 1000
-"""Times that the progress of a record is told."""
+REPORTS = 1000  # times that the progress of a record is told
 
 RADII = ("intervals", "centred", "ellipsoids")
 

@@ -24,8 +24,7 @@ from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import Schedule
 
-GAPS_IN_HORIZON = 10
-"""Longest gaps in the horizon of an estimator that has no certificate."""
+GAPS_IN_HORIZON = 10  # longest gaps in the horizon of an estimator that has no certificate
 
 FAMILY_STATES = 8
 """Most states of which a certificate for all schedules with the record's gaps is sought in passing: the work grows with

@@ -52,8 +52,7 @@ if TYPE_CHECKING:
     from sampling_design.numerics.conic_programs import Problem
 
 
-CLOSED_FORM = ("banded", "square root")
-"""Engines that say that no constraint was active."""
+CLOSED_FORM = ("banded", "square root")  # engines that say that no constraint was active
 
 OVERFLOWN = "What the window holds grows beyond double precision: open loop instead."
 

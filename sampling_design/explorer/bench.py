@@ -36,33 +36,19 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 Reply = dict[str, Plain]
 
-LIVE_BUDGET = 0.5
-"""Seconds that a curve may take while somebody drags; what is proven by then is shown."""
+LIVE_BUDGET = 0.5  # seconds that a curve may take while somebody drags; what is proven by then is shown
 
 CLEARLY = 1e-6
 """Share of what one sample weighs above which a proven sigma is no matter of rounding. Where every window sees every
 state, no period misses a mode, and nobody need look for one."""
 
-MOST_MARKS = 400
-"""Samples of a period beyond which a time line is no picture any more."""
-
-PLAN_SECONDS = 15.0
-"""Seconds that the search of a plan may take on a press of its button; its proof comes on top."""
-
-MOVES = (0.05, 0.1, 0.2)
-"""Shares of the mean gap by which a sample is moved to mend what broke, the smallest first."""
-
-MENDED = 0.5
-"""Share of the best sigma among those moves that a smaller one must reach to be proposed."""
-
-MOST_SHADOWS = 6
-"""Polygons that are still told apart."""
-
-MOST_MOVED = 6
-"""Samples of a period up to which every one is tried."""
-
-TOGETHER = 1e-9
-"""Share of the period within which the marks of two sensors are one sample."""
+MOST_MARKS = 400  # samples of a period beyond which a time line is no picture any more
+PLAN_SECONDS = 15.0  # seconds that the search of a plan may take on a press of its button; its proof comes on top
+MOVES = (0.05, 0.1, 0.2)  # shares of the mean gap by which a sample is moved to mend what broke, the smallest first
+MENDED = 0.5  # share of the best sigma among those moves that a smaller one must reach to be proposed
+MOST_SHADOWS = 6  # polygons that are still told apart
+MOST_MOVED = 6  # samples of a period up to which every one is tried
+TOGETHER = 1e-9  # share of the period within which the marks of two sensors are one sample
 
 
 class Bench:

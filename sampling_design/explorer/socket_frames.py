@@ -14,11 +14,8 @@ CONTINUED, TEXT, CLOSE, PING, PONG = 0x0, 0x1, 0x8, 0x9, 0xA
 LAST, MASKED = 0x80, 0x80
 """First bit of a frame's first byte: the message ends here; of its second: the payload is masked."""
 
-MOST_CONTROL = 125
-"""Bytes of a ping, a pong or a goodbye."""
-
-NORMAL, BROKEN, TOO_LARGE = 1000, 1002, 1009
-"""Why a connection is closed (section 7.4.1)."""
+MOST_CONTROL = 125  # bytes of a ping, a pong or a goodbye
+NORMAL, BROKEN, TOO_LARGE = 1000, 1002, 1009  # why a connection is closed (section 7.4.1)
 
 
 class ConnectionOver(Exception):

@@ -8,8 +8,7 @@ from typing import ClassVar
 from sampling_design.records import checks
 from sampling_design.records.record import Record, short
 
-BETWEEN = ("held", "linear")
-"""What an input does between the times at which it is given."""
+BETWEEN = ("held", "linear")  # what an input does between the times at which it is given
 
 
 @dataclass(frozen=True, eq=False, repr=False)

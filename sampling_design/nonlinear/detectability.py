@@ -29,16 +29,10 @@ from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.sampling_set import SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
-QUIET_SHARE = 1 / 3
-"""Share of the pairs without disturbance and noise: there the right side is smallest."""
-MOST_PAIRS = 1_000_000
-"""Hours; more would be asked for by mistake."""
-
-LINEARISED = 10
-"""Pairs beside whose first trajectory all small differences are looked at."""
-
-SAME_TIME = 1e-9
-"""Grid times closer to a sample than this share of the step are that sample."""
+QUIET_SHARE = 1 / 3  # share of the pairs without disturbance and noise: there the right side is smallest
+MOST_PAIRS = 1_000_000  # hours; more would be asked for by mistake
+LINEARISED = 10  # pairs beside whose first trajectory all small differences are looked at
+SAME_TIME = 1e-9  # grid times closer to a sample than this share of the step are that sample
 
 
 class PairWitness(NamedTuple):

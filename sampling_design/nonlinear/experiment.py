@@ -30,15 +30,13 @@ from sampling_design.records.workers import Workers, check_workers, mapped
 FORMAT = "sampling-design/thyroid-runs/1"
 STEP = 2 / 24
 """Grid of the truth, of w and of the standard estimator [d]: the paper's 2 hours."""
-GAPS = (6, 18)
-"""Shortest and longest time between two samples, in steps: 12 to 36 hours, 24 on average."""
+GAPS = (6, 18)  # shortest and longest time between two samples, in steps: 12 to 36 hours, 24 on average
 HORIZON = 5.0
 DEGREE = 3
 SLOW_STORE = 3e-5
 """alpha_th at which w read per day moves the state visibly; beta_th is scaled with it, so that the rest stays."""
 
-ETA = 0.35
-"""Discount rate of the cost [1/d], as the paper has it."""
+ETA = 0.35  # discount rate of the cost [1/d], as the paper has it
 P2 = np.diag([1.0, 5.0, 1.0, 1.0, 1.0, 1.0])
 QW = 1.39e-3 * np.diag([1.0, 0.1])
 QV = np.diag([100.0, 100.0, 10.0])

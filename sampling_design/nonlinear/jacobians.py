@@ -26,14 +26,10 @@ if TYPE_CHECKING:
     from casadi import SX
 
 
-POINTS = 600
-"""Random points of the region whose Jacobians are members, and as many on its faces."""
-SAME = 1e-9
-"""Jacobians this near, relative to the largest entries, are one."""
-ROUNDING = 1e-9
-"""Radii below this share of an entry are rounding."""
-SUSPECTS = 12
-"""Linearisations in which a refusal looks for what has no certificate."""
+POINTS = 600  # random points of the region whose Jacobians are members, and as many on its faces
+SAME = 1e-9  # Jacobians this near, relative to the largest entries, are one
+ROUNDING = 1e-9  # radii below this share of an entry are rounding
+SUSPECTS = 12  # linearisations in which a refusal looks for what has no certificate
 
 
 class SymbolicPlant(NamedTuple):

@@ -36,8 +36,7 @@ from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionC
 SAME_TIME = 1e-12
 """A window start within this share of the current time of a sample is that sample's time (t - M is rounded)."""
 
-ARRIVAL_FLOOR = 1e-8
-"""Standard deviations that a filtered arrival weight assumes at least, in those of P2."""
+ARRIVAL_FLOOR = 1e-8  # standard deviations that a filtered arrival weight assumes at least, in those of P2
 
 
 class SolverRun(NamedTuple):

@@ -25,14 +25,12 @@ if TYPE_CHECKING:
     from casadi import SX, Function
 
 
-WARM_PUSH = 1e-9
-"""How far a warm start is moved off its bounds: next to nothing, since it came from the interior."""
+WARM_PUSH = 1e-9  # how far a warm start is moved off its bounds: next to nothing, since it came from the interior
 
 APPROXIMATE_MINIMUM_DEGREE = 0
 """How IPOPT's linear solver orders a window: its own choice takes a sixth longer over a solve."""
 
-WARM_BARRIER = 1e-6
-"""Barrier parameter of a warm start: well below the cost of a sample, well above the tolerance."""
+WARM_BARRIER = 1e-6  # Barrier parameter of a warm start: well below the cost of a sample, well above the tolerance
 
 
 class WindowData(NamedTuple):

@@ -16,8 +16,7 @@ from sampling_design.nonlinear.simulation import Integrator, SpreadIntegrator, u
 from sampling_design.nonlinear.weights import NonlinearWeights
 from sampling_design.records.arrays import Array
 
-EDGE = 1e-6
-"""States within this share of their scale of the edge of X are in it: the solver ends there."""
+EDGE = 1e-6  # states within this share of their scale of the edge of X are in it: the solver ends there
 
 
 class OpenLoopPrediction(NamedTuple):

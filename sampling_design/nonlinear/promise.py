@@ -23,8 +23,7 @@ from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionC
 ROUNDING = 1e-9
 """Share of itself that is added to every bound, so that rounding and the integrator's own error cannot break it."""
 
-SAME_GAP = 1e-9
-"""A gap beyond the certified ones by this share of itself is rounding."""
+SAME_GAP = 1e-9  # a gap beyond the certified ones by this share of itself is rounding
 
 UNCOVERED = "a gap or an output that the certificate does not cover, a state outside its region, or an unbounded start"
 """Why an estimate under a certificate may have none."""

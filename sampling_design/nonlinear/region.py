@@ -16,8 +16,7 @@ from sampling_design.records.record import Plain, Record, short
 
 Box = tuple[Array, Array]
 
-FAR = 10.0
-"""Scales beyond zero up to which an unbounded entry is looked at: sampling only, proofs take it as unbounded."""
+FAR = 10.0  # scales beyond zero up to which an unbounded entry is looked at: sampling only, proofs take it as unbounded
 
 
 @frozen

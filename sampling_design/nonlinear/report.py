@@ -13,8 +13,7 @@ from sampling_design.records import checks
 from sampling_design.records.declarations import plain
 from sampling_design.records.record import Record, short
 
-PAPER_RMSE = {"standard": 0.2244, "sample_based": 0.2275}
-"""Printed in the paper's Section VI."""
+PAPER_RMSE = {"standard": 0.2244, "sample_based": 0.2275}  # printed in the paper's Section VI
 
 OPEN_POINTS = (
     ("the model", "not printed; put together from public code, what is reconstructed is marked in `PARAMETERS`"),

@@ -14,14 +14,9 @@ from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 
-TOLERANCE = 1e-10
-"""Relative and absolute tolerance of the integrator, in scaled states."""
-
-SPREAD_TOLERANCE = 1e-6
-"""Relative tolerance of covariances: a millionth of a variance changes no digit that is printed."""
-
-MAX_STEPS = 20000
-"""Steps that the integrator may take over one stretch."""
+TOLERANCE = 1e-10  # relative and absolute tolerance of the integrator, in scaled states
+SPREAD_TOLERANCE = 1e-6  # relative tolerance of covariances: a millionth of a variance changes no digit that is printed
+MAX_STEPS = 20000  # steps that the integrator may take over one stretch
 
 
 def simulate(

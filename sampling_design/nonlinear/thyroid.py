@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
     Dynamics = Callable[[SX, SX, SX], list[SX]]
 
-DAY = 86400.0
-"""Seconds in a day; every rate below is per second."""
+DAY = 86400.0  # seconds in a day; every rate below is per second
 
 
 @dataclass(frozen=True)

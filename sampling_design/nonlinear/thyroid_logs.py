@@ -184,10 +184,8 @@ def patient_in_tube() -> NonlinearPlant:
     return plant.in_region(TUBE_LOWER, TUBE_UPPER, about=(0.0, T4, T3_p, -0.2, TSH, 0.0))
 
 
-THERAPY_UPPER = (0.1, 0.48, 0.16, 0.06, 0.2, 0.08)
-"""The upper end of the tube under therapy, T4 up to 34.9 nmol/l."""
-DOSE = 1.5e-13
-"""Of L-T4 absorbed at most [mol/s]: 10 micrograms a day, four fifths of the smallest tablet."""
+THERAPY_UPPER = (0.1, 0.48, 0.16, 0.06, 0.2, 0.08)  # the upper end of the tube under therapy, T4 up to 34.9 nmol/l
+DOSE = 1.5e-13  # of L-T4 absorbed at most [mol/s]: 10 micrograms a day, four fifths of the smallest tablet
 
 
 def patient_under_therapy() -> NonlinearPlant:

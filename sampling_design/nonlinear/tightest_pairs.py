@@ -18,14 +18,9 @@ from sampling_design.records.arrays import Array, Mask
 FIRST_INSTANTS = 40
 """Times looked at between the start and the first grid time, evenly in their logarithms: fast modes speak there."""
 
-EARLIEST = 1e-9
-"""The first of them, as a share of the grid's first step."""
-
-CLOSER = 16
-"""Times looked at between the neighbours of the worst of those, to have its peak."""
-
-TOLERANCE = 1e-9
-"""Of the integrator, relative: pairs are only sought with it, and judged anew."""
+EARLIEST = 1e-9  # the first of them, as a share of the grid's first step
+CLOSER = 16  # times looked at between the neighbours of the worst of those, to have its peak
+TOLERANCE = 1e-9  # of the integrator, relative: pairs are only sought with it, and judged anew
 
 
 class SampledTrajectory(NamedTuple):

@@ -7,8 +7,7 @@ import numpy as np
 from sampling_design.nonlinear.nlp import ProgramPoint, WindowSolution
 from sampling_design.records.arrays import Array, Index, Mask
 
-SAME_NODE = 1e-9
-"""Two nodes closer than this share of the window are one."""
+SAME_NODE = 1e-9  # two nodes closer than this share of the window are one
 
 
 def open_loop_guess(edges: Array, states: Array, points: Array, sizes: tuple[int, int, int]) -> WindowSolution:

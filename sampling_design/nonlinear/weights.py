@@ -55,8 +55,7 @@ def scaled_weights(
     return NonlinearWeights(**found, eta=cost.eta or 0.0, twice=1.0 if cost.form == "certificate" else 2.0)
 
 
-FAR = 1e3
-"""Beyond this factor from 1 a signal without scales is likely to be one whose scales were forgotten."""
+FAR = 1e3  # beyond this factor from 1 a signal without scales is likely to be one whose scales were forgotten
 
 
 class ScaleWarning(UserWarning):

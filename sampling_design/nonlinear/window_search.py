@@ -16,29 +16,17 @@ from sampling_design.nonlinear.weights import NonlinearWeights
 from sampling_design.nonlinear.window_spread import WindowSpread, spread_of
 from sampling_design.records.arrays import Array
 
-DEGREES = (2, 3, 5, 7, 9)
-"""Degrees that are tried in turn where the discretisation costs too much."""
-
-HALVINGS = 3
-"""After the last degree the pieces are halved so often."""
+DEGREES = (2, 3, 5, 7, 9)  # Degrees that are tried in turn where the discretisation costs too much
+HALVINGS = 3  # after the last degree the pieces are halved so often
 
 FLOOR = 1e-7
 """Errors of the discretisation below this share of the window's largest state are none: the solver stops there."""
 
-OUT_OF_LINE = 4.0
-"""A cost beyond so many times what the noise of the samples explains is looked at from other starts."""
-
-REACH = 2.0
-"""Other starts lie so many standard deviations of the arrival weight from the prior."""
-
-BETTER = 0.99
-"""Another start is better where it costs less than this share."""
-
-LONGEST_WAIT = 16
-"""Windows without other starts after some that found nothing, at most."""
-
-WHOLE = 1e-9
-"""A gap this much longer than a multiple of `w_step`, relatively, still counts as that multiple."""
+OUT_OF_LINE = 4.0  # a cost beyond so many times what the noise of the samples explains is looked at from other starts
+REACH = 2.0  # other starts lie so many standard deviations of the arrival weight from the prior
+BETTER = 0.99  # another start is better where it costs less than this share
+LONGEST_WAIT = 16  # windows without other starts after some that found nothing, at most
+WHOLE = 1e-9  # a gap this much longer than a multiple of `w_step`, relatively, still counts as that multiple
 
 
 class WindowAnswer(NamedTuple):

@@ -29,14 +29,11 @@ from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 
-FLOOR = 1e-6
-"""Least share of one part beside the other: what couples them by rounding counts 1/sqrt(this) times."""
-APART = 1e-6
-"""Relative gap of two speeds from which on they are told apart."""
+FLOOR = 1e-6  # least share of one part beside the other: what couples them by rounding counts 1/sqrt(this) times
+APART = 1e-6  # relative gap of two speeds from which on they are told apart
 WORST_CONDITION = 1e6
 """Modal coordinates worse than this are not used to bound |e^{As}|: the logarithmic norm does better."""
-HALVINGS = 50
-"""Most halvings of a step: what is left then is below the resolution of a double."""
+HALVINGS = 50  # most halvings of a step: what is left then is below the resolution of a double
 
 
 def split_bases(A: Array) -> Iterator[tuple[Array, int]]:

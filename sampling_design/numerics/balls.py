@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 Ball: TypeAlias = "arb"
 Matrix: TypeAlias = "arb_mat"
 
-BITS = 160
-"""Working precision: 53 bits of the doubles, and a hundred against cancellation and the growth of radii."""
+BITS = 160  # Working precision: 53 bits of the doubles, and a hundred against cancellation and the growth of radii
 BLOCK = 16
 """States up to which pivots are taken one by one; larger matrices are eliminated by blocks, whose products and
 solutions are the library's."""

@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csc_matrix
 
 
-TOLERANCE = 1e-9
-"""Gap and feasibility asked of the solver; what comes back may still miss it by some digits."""
+TOLERANCE = 1e-9  # gap and feasibility asked of the solver; what comes back may still miss it by some digits
 
 THREADS = 1
 """Of the solver: more of them wait busily for each other, for up to twice the work, and change no bit of a point."""

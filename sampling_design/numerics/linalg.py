@@ -13,12 +13,8 @@ from sampling_design.records.arrays import Array
 
 _TAYLOR_DEGREE = 18  # with the radius below, to rounding
 _TAYLOR_RADIUS = 1.0  # |A t / 2^s|_1 at which 18 terms leave a remainder below eps/4
-
-SHORT = 0.25
-"""|A_eta h|_1 up to which the terms of `gramian_terms` leave a remainder far below eps."""
-
+SHORT = 0.25  # |A_eta h|_1 up to which the terms of `gramian_terms` leave a remainder far below eps
 _REFINEMENTS = 20  # of a solve, at most: each brings what the condition number leaves of 16 digits
-
 _GRAMIAN_DEGREE = 16  # likewise, of its integral
 _BALANCED_FROM = 2.0**20  # |A_eta h|_1 from which the states are balanced first
 

@@ -17,24 +17,16 @@ from scipy.linalg.lapack import dgbtrf, dgbtrs
 
 from sampling_design.records.arrays import Array, Index
 
-ITERATIONS = 100
-"""At most; thirty are usual."""
-
-SHORT = 0.9995
-"""Share of the way to the nearest wall that a step may take, at most."""
-
-CORRECTIONS = 1
-"""Times that products far from their mean are brought nearer to it, if steps get longer by it."""
+ITERATIONS = 100  # at most; thirty are usual
+SHORT = 0.9995  # share of the way to the nearest wall that a step may take, at most
+CORRECTIONS = 1  # times that products far from their mean are brought nearer to it, if steps get longer by it
 
 REACH, NEAR, GAINED = 0.3, 0.1, 0.01
 """How much longer a corrected step tries to be, the share of the mean that a product should keep, and what must come
 of it."""
 
-TINY = 1e-9
-"""Steps shorter than this lead nowhere."""
-
-CLOSE, PATIENCE = 1e-4, 5
-"""Share within which the two sides are close, and iterations that must halve it from there on."""
+TINY = 1e-9  # steps shorter than this lead nowhere
+CLOSE, PATIENCE = 1e-4, 5  # share within which the two sides are close, and iterations that must halve it from there on
 
 
 @dataclass(frozen=True, eq=False)

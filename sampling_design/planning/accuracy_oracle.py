@@ -17,35 +17,16 @@ from sampling_design.planning.work_prices import EXCESS
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
 
-SETTLED = 2e-3
-"""A longer past is looked at until it adds less than this share."""
-
-LONGEST = 8
-"""Gaps that are looked at where only the longest are."""
-
-QUARTERS, LOOKS = 4, 8
-"""Parts of a gap at whose ends it is judged at first, and offsets, at most."""
-
-FAR = 0.5
-"""What is below this share of a level at every quarter of a gap is not looked at elsewhere."""
-
-MOST_KNOTS = 400
-"""Samples of the past that one program looks at: its size grows with them."""
-
-FEW = 60
-"""Measurements that may be taken, up to which each of them can be looked at by itself."""
-
-REMEMBERED = 8
-"""Choices of which it is remembered what they came to."""
-
-SHALLOW = (16, 4)
-"""Shares of the past that refute a choice first, where all of it makes a large program."""
-
-FARTHEST = 200
-"""Periods beyond which the past is not followed."""
-
-SCALED = 1 + 1e-9
-"""A trajectory is divided by the largest ratio of its w to the bound times this."""
+SETTLED = 2e-3  # a longer past is looked at until it adds less than this share
+LONGEST = 8  # gaps that are looked at where only the longest are
+QUARTERS, LOOKS = 4, 8  # parts of a gap at whose ends it is judged at first, and offsets, at most
+FAR = 0.5  # what is below this share of a level at every quarter of a gap is not looked at elsewhere
+MOST_KNOTS = 400  # samples of the past that one program looks at: its size grows with them
+FEW = 60  # measurements that may be taken, up to which each of them can be looked at by itself
+REMEMBERED = 8  # choices of which it is remembered what they came to
+SHALLOW = (16, 4)  # shares of the past that refute a choice first, where all of it makes a large program
+FARTHEST = 200  # periods beyond which the past is not followed
+SCALED = 1 + 1e-9  # a trajectory is divided by the largest ratio of its w to the bound times this
 
 
 class AccuracyOracle:

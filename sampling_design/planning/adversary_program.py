@@ -20,18 +20,14 @@ from sampling_design.planning.discrete_plant import DiscretePlant
 from sampling_design.planning.work_prices import CONE, STAGES
 from sampling_design.records.arrays import Array, Index, Mask
 
-TOLERANCE = 1e-7
-"""Asked of the solver: trajectories are scaled until they are admissible, so it only costs strength."""
+TOLERANCE = 1e-7  # asked of the solver: trajectories are scaled until they are admissible, so it only costs strength
 
 STAGED, STALLED, MANY = 1e-4, 2e-3, 2000
 """Share within which the two sides of a program over stages meet, beyond which it is left to the general solver, and
 entries of w from which on stages are quicker."""
 
-SAME = 1 - 1e-12
-"""Two directions are one if their cosine is beyond this."""
-
-BEYOND = 1 + 1e-4
-"""A least_observable motion reaches this much more than asked, so that scaling leaves it above."""
+SAME = 1 - 1e-12  # two directions are one if their cosine is beyond this
+BEYOND = 1 + 1e-4  # a least_observable motion reaches this much more than asked, so that scaling leaves it above
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,44 +19,22 @@ from sampling_design.planning.work_prices import RELAXED
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 
-OPEN_ROW = 1e3
-"""Price of a row left open, in units of the dearest variable's: what has no choice becomes this dear."""
-
-INTEGRAL = 1e-6
-"""An entry counts as 0 or 1 within this."""
-
-MOST_NODES = 200
-"""Leaves of a proof, at most."""
+OPEN_ROW = 1e3  # price of a row left open, in units of the dearest variable's: what has no choice becomes this dear
+INTEGRAL = 1e-6  # an entry counts as 0 or 1 within this
+MOST_NODES = 200  # leaves of a proof, at most
 
 CLOSED_NODES = 5000
 """The same of a tree that is only of use if it proves all that is asked for: half of the work left may go into it."""
 
-FEW_NODES = 50
-"""The same where every row is a tangent's, which has all variables."""
-
-SEPARATIONS = 60
-"""Times that rows are added to a relaxation."""
-
-CUTS = (6, 120)
-"""Times that rows are added at a node, and in all."""
-
-MANY = 60
-"""Rows beyond which those that a point keeps easily are left out, and that are added at a time."""
-
-EASY = 0.05
-"""A row is kept easily by this much more than it asks for."""
-
-ADDED = 8
-"""Rows that are added at a node at a time."""
-
-FLAT = 1e-6
-"""Rows that raise a node by no more than this share are the last, unless they exclude a choice."""
-
-BELOW = 1 - 1e-6
-"""A level this much below what a motion reaches that all that is allowed hides is out of reach."""
-
-ENDS = 6
-"""Ends of one trajectory that are added at a time."""
+FEW_NODES = 50  # the same where every row is a tangent's, which has all variables
+SEPARATIONS = 60  # times that rows are added to a relaxation
+CUTS = (6, 120)  # times that rows are added at a node, and in all
+MANY = 60  # rows beyond which those that a point keeps easily are left out, and that are added at a time
+EASY = 0.05  # a row is kept easily by this much more than it asks for
+ADDED = 8  # rows that are added at a node at a time
+FLAT = 1e-6  # rows that raise a node by no more than this share are the last, unless they exclude a choice
+BELOW = 1 - 1e-6  # a level this much below what a motion reaches that all that is allowed hides is out of reach
+ENDS = 6  # ends of one trajectory that are added at a time
 
 Finder: TypeAlias = Callable[[Array, float], None]
 

@@ -18,14 +18,9 @@ from sampling_design.records.arrays import Array, Mask
 
 Option = tuple[float, Mask]
 
-NEAR = 0.998
-"""A time is taken if floats say at most this share of the tolerance; the proof afterwards decides."""
-
-TRIES = 12
-"""Times proven, each a step of the grid earlier than the one before, until one is."""
-
-SAME = 1e-9
-"""Times are the same if they differ by less than this share of a step."""
+NEAR = 0.998  # a time is taken if floats say at most this share of the tolerance; the proof afterwards decides
+TRIES = 12  # times proven, each a step of the grid earlier than the one before, until one is
+SAME = 1e-9  # times are the same if they differ by less than this share of a step
 
 
 @dataclass(frozen=True)

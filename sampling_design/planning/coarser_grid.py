@@ -18,8 +18,7 @@ from sampling_design.planning.problem import WHOLE, PlanProblem, pose_plan
 from sampling_design.records.arrays import Mask
 from sampling_design.records.units import SECONDS, time_factor
 
-COARSE = 168
-"""Steps of a grid, the hours of a week, up to which it is not looked at more coarsely first."""
+COARSE = 168  # steps of a grid, the hours of a week, up to which it is not looked at more coarsely first
 
 
 def coarser(problem: PlanProblem) -> PlanProblem | None:

@@ -24,20 +24,14 @@ from sampling_design.records.budget import Budget
 
 Key: TypeAlias = tuple[int, int]
 
-NODES = 400
-"""Nodes of the solver's tree when a choice is sought."""
+NODES = 400  # nodes of the solver's tree when a choice is sought
 
 ENTRIES, FEWEST = 4_000_000, 40
 """Entries that a tree goes through: nodes of a large program are fewer, but so many at least."""
 
-ROUNDING = 1e-9
-"""Relative allowance for rounding in what multipliers prove."""
-
-NEAR = 5e-4
-"""A choice is cheap enough within this share; how many trajectories it sees decides no finer."""
-
-GRAIN = 1e-6
-"""Costs are whole multiples of a grain within this share of it."""
+ROUNDING = 1e-9  # relative allowance for rounding in what multipliers prove
+NEAR = 5e-4  # a choice is cheap enough within this share; how many trajectories it sees decides no finer
+GRAIN = 1e-6  # costs are whole multiples of a grain within this share of it
 
 
 @dataclass(frozen=True, eq=False)

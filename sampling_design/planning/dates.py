@@ -35,20 +35,14 @@ from sampling_design.schedules.schedule import Schedule
 
 DatedSample: TypeAlias = tuple[float, Mask]
 
-MOST_ADDED = 3
-"""Samples added around one closed stretch, at most."""
-
-AROUND = 3.0
-"""Days around it in which they may lie."""
-
-MOST_TRIED = 24
-"""Open times tried for each of them."""
+MOST_ADDED = 3  # samples added around one closed stretch, at most
+AROUND = 3.0  # days around it in which they may lie
+MOST_TRIED = 24  # open times tried for each of them
 
 LEVELS = (0.998, 0.985, 0.96)
 """Samples are added until floats say at most this share of the tolerance; where the proof says more, then the next."""
 
-HELPS = 0.1
-"""An added sample takes at least this share off what is above the tolerances, integrated over time."""
+HELPS = 0.1  # an added sample takes at least this share off what is above the tolerances, integrated over time
 
 
 @dataclass(frozen=True)

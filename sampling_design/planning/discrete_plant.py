@@ -19,25 +19,19 @@ from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import short
 from sampling_design.records.units import spoken
 
-CELLS = 6
-"""Cells of constant disturbance in a gap, unless it holds several turns of an oscillation."""
+CELLS = 6  # cells of constant disturbance in a gap, unless it holds several turns of an oscillation
 
 TURN = np.pi / 4
 """Radians of the quickest oscillation in a cell, at most: a disturbance pushes on only if it turns with it."""
 
 GOLDEN = (np.sqrt(5.0) - 1) / 2  # section of a search on one variable
-
-SPREAD = (7, 24)
-"""Samples of the schedule that chooses the coordinates, at least and at most."""
-
-HIDDEN = 1e-9
-"""A direction is hidden from rows of norm one that show less than this share of it."""
+SPREAD = (7, 24)  # samples of the schedule that chooses the coordinates, at least and at most
+HIDDEN = 1e-9  # a direction is hidden from rows of norm one that show less than this share of it
 
 GROWTH = 200.0
 """Logarithm of the growth beyond which nothing is followed: what has grown so much broke its tolerance long before."""
 
-STAYS = 1e-6
-"""A mode that loses no more than this share in a period never fades."""
+STAYS = 1e-6  # a mode that loses no more than this share in a period never fades
 
 
 @dataclass(frozen=True, eq=False)

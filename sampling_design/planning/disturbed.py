@@ -18,8 +18,7 @@ from sampling_design.records.checks import freeze
 LATES = 8
 """Delays of one sample that are judged, at most, evenly spread up to the next sample, or up to the first of these."""
 
-MOST_LOST = 2
-"""Samples in a row that are left out, at most."""
+MOST_LOST = 2  # samples in a row that are left out, at most
 
 
 def plan_robustness(plan: PlanFigures, work: Budget | None = None) -> PlanRobustness | None:

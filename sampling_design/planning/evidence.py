@@ -15,8 +15,7 @@ from sampling_design.planning.hidden_trajectories import HiddenTrajectories, Hid
 from sampling_design.planning.problem import PlanProblem
 from sampling_design.records.arrays import Mask
 
-KEPT = 1e-7
-"""Share by which a motion that is flown anew is scaled down beyond what it exceeds: rounding of its path."""
+KEPT = 1e-7  # share by which a motion that is flown anew is scaled down beyond what it exceeds: rounding of its path
 
 EASED = 1 - 1e-5
 """Levels are stated this much lower than they were proven at, so that what is flown anew proves them, not nearly: the

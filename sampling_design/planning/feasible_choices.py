@@ -20,8 +20,7 @@ from sampling_design.records.budget import Budget
 
 GoalProofs: TypeAlias = tuple[Accuracy | None, StandardDeviation | None]
 
-SPREAD = (np.sqrt(5.0) - 1) / 2
-"""Multiples of it, less their whole part, are spread evenly."""
+SPREAD = (np.sqrt(5.0) - 1) / 2  # multiples of it, less their whole part, are spread evenly
 
 TIGHTER, TIGHTEST, ROOM = 2.0, 0.95, 1.004
 """Where samples may be late: how much tighter a search asks at most than the one before, the last margin, and room."""

@@ -25,8 +25,7 @@ from sampling_design.records.record import PlainRecord, TableRecord, short
 from sampling_design.records.units import SECONDS, spoken
 from sampling_design.schedules.schedule import PeriodicSchedule
 
-RTOL = 0.005
-"""Width of the brackets that prove a plan."""
+RTOL = 0.005  # width of the brackets that prove a plan
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -45,11 +45,8 @@ from sampling_design.records.signatures import checked
 from sampling_design.schedules.files import schedule_from_dict
 from sampling_design.schedules.schedule import PeriodicSchedule
 
-SAME = 1e-3
-"""Figures in a file may differ from those worked out anew by this share: solvers of other machines."""
-
-MOST_TREE = 10_000
-"""Nodes of a tree of proofs that a file may hold: more takes minutes to check."""
+SAME = 1e-3  # figures in a file may differ from those worked out anew by this share: solvers of other machines
+MOST_TREE = 10_000  # nodes of a tree of proofs that a file may hold: more takes minutes to check
 
 _TRAJECTORY = table(
     {

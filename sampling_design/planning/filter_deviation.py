@@ -20,26 +20,13 @@ from sampling_design.planning.work_prices import FILTER
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 
-WIDE = 1e4
-"""Covariance at the start of a filter that knows nothing, where a well measured state has size one."""
-
-SETTLED = 1e-9
-"""Relative change of the largest variance over a period at which it counts as its limit."""
-
-PERIODS = 400
-"""Periods that are followed, at most."""
-
-TANGENT_PERIODS = 40
-"""The same for a tangent, whose steps are kept."""
-
-BEYOND = 1e120
-"""A covariance that is larger is as good as infinite."""
-
-ENOUGH = 1e6
-"""Variance, in squares of the tolerance, beyond which no more periods are followed."""
-
-MOST_REACH = 1e9
-"""What is known no better than this many tolerances is not known."""
+WIDE = 1e4  # covariance at the start of a filter that knows nothing, where a well measured state has size one
+SETTLED = 1e-9  # relative change of the largest variance over a period at which it counts as its limit
+PERIODS = 400  # periods that are followed, at most
+TANGENT_PERIODS = 40  # the same for a tangent, whose steps are kept
+BEYOND = 1e120  # a covariance that is larger is as good as infinite
+ENOUGH = 1e6  # variance, in squares of the tolerance, beyond which no more periods are followed
+MOST_REACH = 1e9  # what is known no better than this many tolerances is not known
 
 
 class GridFilter:

@@ -15,11 +15,8 @@ import numpy as np
 from sampling_design.planning.adversary_program import DisturbedTrajectory
 from sampling_design.records.arrays import Array, Index, Mask
 
-HIDDEN = 1 - 1e-9
-"""An output counts as hidden if its ratio to the bound is below this: rounding never hides anything."""
-
-MOST_ENDS = 400
-"""Ends of one trajectory, the strongest, that are looked at when a swap is weighed."""
+HIDDEN = 1 - 1e-9  # an output counts as hidden if its ratio to the bound is below this: rounding never hides anything
+MOST_ENDS = 400  # ends of one trajectory, the strongest, that are looked at when a swap is weighed
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,17 +24,10 @@ from sampling_design.records.budget import Budget
 
 Array32 = npt.NDArray[np.float32]
 
-MOST_NODES = 10_000
-"""Nodes of a tree, beyond which it is given up."""
-
-DEEPEST = 300
-"""Branches above one another, at most: a tree is walked by calls within calls."""
-
-MOST_ENTRIES = 20_000_000
-"""Motions, their ends and the steps of a program, beyond which it is not written out."""
-
-TIE = 1e-9
-"""Costs are equal within this share."""
+MOST_NODES = 10_000  # nodes of a tree, beyond which it is given up
+DEEPEST = 300  # branches above one another, at most: a tree is walked by calls within calls
+MOST_ENTRIES = 20_000_000  # motions, their ends and the steps of a program, beyond which it is not written out
+TIE = 1e-9  # costs are equal within this share
 
 
 @dataclass(frozen=True, eq=False)

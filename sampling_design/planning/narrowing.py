@@ -13,8 +13,7 @@ from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory
 from sampling_design.records.arrays import Mask
 
-MOST_FAILURES = 4
-"""Measurements in a row that no motion can do without, after which it is left at that."""
+MOST_FAILURES = 4  # measurements in a row that no motion can do without, after which it is left at that
 
 
 def narrowed(oracle: AccuracyOracle, trajectory: HiddenTrajectory, level: float) -> HiddenTrajectory:

@@ -52,11 +52,8 @@ Made = TypeVar("Made")
 MARGIN = 0.004
 """A choice is taken if its accuracy is this much below the tolerance, at first: the proof is as much above it."""
 
-LONGER_PAST = 0.03
-"""A choice proven this much worse than it was judged has a longer past than the search looks at."""
-
-IDLE = 2
-"""Doublings of the past in a row that show nothing new, after which there is nothing to be seen there."""
+LONGER_PAST = 0.03  # a choice proven this much worse than it was judged has a longer past than the search looks at
+IDLE = 2  # doublings of the past in a row that show nothing new, after which there is nothing to be seen there
 
 MARGINS = (MARGIN, 0.015, 0.04)
 
@@ -66,14 +63,9 @@ NARROW_MARGINS = (5e-4, 0.015, 0.04)
 SOUGHT = 0.75
 """Share of the work after which nothing cheaper than what is held is sought: the rest proves it and bounds the cost."""
 
-COARSER = 0.25
-"""Share of the work that searches on coarser grids may take, all together, the coarsest first."""
-
-ROUNDS = 60
-"""Choices judged at one level."""
-
-WIDTH = 0.002
-"""Relative width to which the level out of reach is found."""
+COARSER = 0.25  # share of the work that searches on coarser grids may take, all together, the coarsest first
+ROUNDS = 60  # choices judged at one level
+WIDTH = 0.002  # relative width to which the level out of reach is found
 
 
 @checked

@@ -33,8 +33,7 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 FORMAT = "sampling-design/plan/1"
 
-SAME = 1e-6
-"""Figures worked out anew agree to this share."""
+SAME = 1e-6  # figures worked out anew agree to this share
 
 UNSTARTED = " This is said of a plan that has been followed for ever; of its start nothing is proven."
 

@@ -18,17 +18,10 @@ from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.units import SECONDS, spoken, time_factor
 from sampling_design.schedules.schedule import PeriodicSchedule
 
-WHOLE = 1e-6
-"""A time counts as a whole number of grid steps within this share of a step."""
-
-DEFAULT_STEPS = 96
-"""Steps of a period without a grid."""
-
-MOST_STEPS = 20_000
-"""Steps of a grid: programs have a column for each step and sensor."""
-
-SAME_PRICE = 1e-9
-"""Two costs count as equal within this share."""
+WHOLE = 1e-6  # a time counts as a whole number of grid steps within this share of a step
+DEFAULT_STEPS = 96  # steps of a period without a grid
+MOST_STEPS = 20_000  # steps of a grid: programs have a column for each step and sensor
+SAME_PRICE = 1e-9  # two costs count as equal within this share
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,10 +30,8 @@ from sampling_design.records.signatures import checked
 _NUMBERS = list_of(nonnegative)
 _duration = by_kind({str: text}, positive)
 """A number of time units, or text with a unit of its own."""
-_bound = by_kind({list: _NUMBERS, tuple: _NUMBERS}, nonnegative)
-"""One number, or one for each entry."""
-_when = by_kind({str: word(*TIMES)}, _NUMBERS)
-"""A word, or times of the period."""
+_bound = by_kind({list: _NUMBERS, tuple: _NUMBERS}, nonnegative)  # one number, or one for each entry
+_when = by_kind({str: word(*TIMES)}, _NUMBERS)  # a word, or times of the period
 
 
 def _pair(value: object, place: str) -> object:
@@ -57,8 +55,7 @@ def _hours(value: object, place: str) -> object:
 
 _GOAL = table({"tolerance": positive}, {"at": _when, "row": list_of(number), "kind": word(*KINDS)})
 
-_goal = by_kind({Mapping: _GOAL}, positive)
-"""A tolerance, or a table of all that may be said of a goal."""
+_goal = by_kind({Mapping: _GOAL}, positive)  # a tolerance, or a table of all that may be said of a goal
 _SENSOR = table(
     {},
     {

@@ -10,8 +10,7 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.record import PlainRecord, TableRecord, short
 from sampling_design.records.units import spoken
 
-LOST = ("none", "any one", "any two in a row")
-"""What may be lost, in words."""
+LOST = ("none", "any one", "any two in a row")  # what may be lost, in words
 
 
 @dataclass(frozen=True, eq=False, repr=False)

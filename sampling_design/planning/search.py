@@ -24,41 +24,18 @@ from sampling_design.planning.search_progress import PlanProgress
 from sampling_design.planning.work_prices import WEIGHED
 from sampling_design.records.arrays import Array, Index, Mask
 
-GRID = 120
-"""Steps at which a weakly observable trajectory is kept small, about."""
-
-SPREAD_ENDS = 4
-"""Ends of one trajectory that join the program at a time."""
-
-TIE = 1e-3
-"""Share of the least price by which choices that see more trajectories are preferred."""
-
-THINNED = 2
-"""Measurements that are left out in turn, the least missed ones, before the others are moved."""
-
-FEW_NODES = 60
-"""Nodes of a program of tangents, whose rows are dense."""
-
-TANGENTS = 40
-"""Tangents at fractions of measurements, at most."""
-
-WHOLE = 1e-6
-"""An entry counts as 0 or 1 within this."""
-
-FRUITLESS = 5
-"""Repairs in a row that come to nothing, after which only the cheapest choices are judged."""
-
-FLAT = 1e-5
-"""A tangent that raises the least cost by no more than this share is the last."""
-
-MOST_SWAPS = 200
-"""Places of one measurement that are tried, at most."""
-
-NARROW = 0.01
-"""Relative distance between the best choice and the level shown to be out of reach at which a search ends."""
-
-STEP = 0.03
-"""How much better than the best so far is asked for next."""
+GRID = 120  # steps at which a weakly observable trajectory is kept small, about
+SPREAD_ENDS = 4  # ends of one trajectory that join the program at a time
+TIE = 1e-3  # share of the least price by which choices that see more trajectories are preferred
+THINNED = 2  # measurements that are left out in turn, the least missed ones, before the others are moved
+FEW_NODES = 60  # nodes of a program of tangents, whose rows are dense
+TANGENTS = 40  # tangents at fractions of measurements, at most
+WHOLE = 1e-6  # an entry counts as 0 or 1 within this
+FRUITLESS = 5  # repairs in a row that come to nothing, after which only the cheapest choices are judged
+FLAT = 1e-5  # a tangent that raises the least cost by no more than this share is the last
+MOST_SWAPS = 200  # places of one measurement that are tried, at most
+NARROW = 0.01  # relative distance between the best choice and the level shown to be out of reach at which a search ends
+STEP = 0.03  # how much better than the best so far is asked for next
 
 
 @dataclass(eq=False)

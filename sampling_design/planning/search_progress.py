@@ -14,8 +14,7 @@ from sampling_design.records.progress import Progress
 SEARCHED, PROVEN, AFTERWARDS = 0.6, 0.8, 0.9
 """How far a search comes, that and its bounds, and what else is said of a plan."""
 
-HALF = 30.0
-"""Seconds of work after which a search without an end counts as half done."""
+HALF = 30.0  # seconds of work after which a search without an end counts as half done
 
 
 @dataclass(eq=False)

@@ -25,14 +25,9 @@ from sampling_design.planning.transient_bound import settled_factors
 from sampling_design.planning.work_prices import BETWEEN, CHAIN, GAINS, STARTED
 from sampling_design.records.arrays import Array
 
-SHARPER = 40
-"""Offsets of a gap that are solved, at most."""
-
-HOPELESS, FEW = 10.0, 4
-"""A bound so many times what is asked for, after so many solves, is not proven closer."""
-
-ROUNDED = 1e-12
-"""Share by which two offsets of one gap may differ that are the same."""
+SHARPER = 40  # offsets of a gap that are solved, at most
+HOPELESS, FEW = 10.0, 4  # a bound so many times what is asked for, after so many solves, is not proven closer
+ROUNDED = 1e-12  # share by which two offsets of one gap may differ that are the same
 
 FADED = 0.01
 """What a change still adds to a gap, as a share of the plan's own accuracy, from which on it is not proven closer."""

@@ -39,33 +39,19 @@ UNKNOWN = 1e6
 """What is not known of the error at a plan's start is at most so many times what its filter leaves later on: rounding
 would hide how states of any size decay."""
 
-AHEAD = 8
-"""Samples after a change whose noise is sought first."""
-
-FARTHER = 4
-"""So many times as many are then looked at."""
-
-FADES = 0.8
-"""What noise after a change leaves of itself from one sample to the next, as a guess."""
-
-CLOSE = 4.0
-"""Where a filter's covariance is at most so many times the plan's own, the plan's coordinates serve as well."""
-
-TURNS = 120
-"""Times that the noise which early and late samples stand for is sought along a sequence."""
+AHEAD = 8  # samples after a change whose noise is sought first
+FARTHER = 4  # so many times as many are then looked at
+FADES = 0.8  # what noise after a change leaves of itself from one sample to the next, as a guess
+CLOSE = 4.0  # where a filter's covariance is at most so many times the plan's own, the plan's coordinates serve as well
+TURNS = 120  # times that the noise which early and late samples stand for is sought along a sequence
 
 SETTLED = 1 + NOISE_MORE / 4
 """Where the error is at most so many times what the plan leaves, the noise that it proved to be enough is: it left room
 for more."""
 
-MORE = 1.01
-"""So many times what they add, where the noise was not enough."""
-
-FEWEST = 8
-"""Samples back of the gains that bound what they add, at least."""
-
-LEAST = 1e-12
-"""Half-width of what is known exactly at the start, as a share of the largest."""
+MORE = 1.01  # so many times what they add, where the noise was not enough
+FEWEST = 8  # samples back of the gains that bound what they add, at least
+LEAST = 1e-12  # half-width of what is known exactly at the start, as a share of the largest
 
 
 @lru_cache(maxsize=4)

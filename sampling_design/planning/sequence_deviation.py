@@ -23,23 +23,12 @@ from sampling_design.planning.work_prices import SEQUENCE
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.schedules.schedule import PeriodicSchedule
 
-DAY = 1440.0
-"""Minutes by which clocks are never put forward or back."""
-
-LOOKS = 24
-"""Offsets of a gap at which a standard deviation is worked out, its end among them."""
-
-BETWEEN = 1 + 1e-4
-"""Share by which it may be larger between them."""
-
-GRAIN = 1e-9
-"""Lengths are the same if they differ by less than this share of a step of the grid."""
-
-FORGOTTEN = 1e-4
-"""A filter has forgotten what it was started with where that changes it by no more than this share."""
-
-ORDINARY: PlanClock = PlanClock()
-"""Clocks that are never changed."""
+DAY = 1440.0  # minutes by which clocks are never put forward or back
+LOOKS = 24  # offsets of a gap at which a standard deviation is worked out, its end among them
+BETWEEN = 1 + 1e-4  # share by which it may be larger between them
+GRAIN = 1e-9  # lengths are the same if they differ by less than this share of a step of the grid
+FORGOTTEN = 1e-4  # a filter has forgotten what it was started with where that changes it by no more than this share
+ORDINARY: PlanClock = PlanClock()  # clocks that are never changed
 
 
 @dataclass(frozen=True, eq=False)

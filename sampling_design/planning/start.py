@@ -13,14 +13,12 @@ from sampling_design.planning.sequence import proven_ratio, settled_since, settl
 from sampling_design.planning.sequence_deviation import GRAIN, ORDINARY, SampleSequence, begun, planned
 from sampling_design.records.budget import Budget
 
-LONGER = 2
-"""How often the time that a plan takes to settle is doubled, at most, until its start is forgotten."""
+LONGER = 2  # how often the time that a plan takes to settle is doubled, at most, until its start is forgotten
 
 LARGER = 1 + 1e-3
 """So many times what a plan leaves of the error in the end counts as settled; what is more is looked at for longer."""
 
-SAME_ANEW = 1e-4
-"""Figures worked out anew may be larger by this share: solvers of other machines."""
+SAME_ANEW = 1e-4  # figures worked out anew may be larger by this share: solvers of other machines
 
 
 def plan_start(plan: PlanFigures, work: Budget | None = None) -> PlanStart | None:

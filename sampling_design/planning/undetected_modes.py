@@ -11,8 +11,7 @@ from sampling_design.planning.problem import MOST_STEPS, PlanProblem
 from sampling_design.plants.clusters import eigenvalue_clusters, format_eigenvalue
 from sampling_design.records.arrays import Array
 
-FINER = (2, 3, 4, 5, 6, 7)
-"""Parts of a step that are tried."""
+FINER = (2, 3, 4, 5, 6, 7)  # parts of a step that are tried
 
 
 def modes_of(motion: DiscretePlant, undetected: UndetectedModes) -> str:

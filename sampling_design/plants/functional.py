@@ -31,10 +31,8 @@ else:
 
 BESIDE = 1e-2
 """Share of the rows' least gain that the other states may take away in `beside`: sigma is then low by 5e-5 at most."""
-STEPS = 16
-"""Times per state at which a window is looked at to weigh the other states."""
-DARK = 1e-8
-"""Gain, beside the largest, below which a direction weighs as one of this gain: what decays unseen has none."""
+STEPS = 16  # times per state at which a window is looked at to weigh the other states
+DARK = 1e-8  # gain, beside the largest, below which a direction weighs as one of this gain: what decays unseen has none
 
 
 @_frozen

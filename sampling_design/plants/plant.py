@@ -21,8 +21,7 @@ from sampling_design.records.units import check_time_unit
 if TYPE_CHECKING:
     import control
 
-FORMAT = "sampling-design/plant/1"
-"""Of the tree that `Plant.to_dict` returns and a plant file holds."""
+FORMAT = "sampling-design/plant/1"  # of the tree that `Plant.to_dict` returns and a plant file holds
 
 ORDER = "Others write (A, B, C, D); here only A and C have places, as in Plant(A, C, B=B, D=D)."
 """What is said where a matrix too many was given by place: with square sizes B would pass for C."""

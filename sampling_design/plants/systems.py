@@ -22,10 +22,8 @@ PARTS = ("A", "C", "B", "D", "G", "time_unit", "name", "states", "outputs", "inp
 SAME_POLE = 1e-6
 """Poles of one output are one, and a zero cancels a pole, within this part of their size: a double root of a polynomial
 is known to about the root of the rounding, 1.5e-8."""
-DEAD = 1e-8
-"""A pole of a discrete system this small beside the largest is zero: double zeros are known to about 1.5e-8."""
-SAME_FLOW = 1e-8
-"""A discrete system is given back by its logarithm to this share of its norm, in balanced coordinates."""
+DEAD = 1e-8  # a pole of a discrete system this small beside the largest is zero: double zeros are known to about 1.5e-8
+SAME_FLOW = 1e-8  # a discrete system is given back by its logarithm to this share of its norm, in balanced coordinates
 DELAYS = ("delay", "delays", "iodelay", "ioDelay", "input_delay", "output_delay", "InputDelay", "OutputDelay")
 
 

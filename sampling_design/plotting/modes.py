@@ -10,10 +10,8 @@ from sampling_design.numerics.linalg import expm_batch
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plotting import style
 
-POINTS = 600
-"""Points of a curve over the periods that are drawn."""
-PERIODS, LEAST_SAMPLES = 2, 4
-"""Periods that are drawn, more where they hold fewer samples than these."""
+POINTS = 600  # points of a curve over the periods that are drawn
+PERIODS, LEAST_SAMPLES = 2, 4  # periods that are drawn, more where they hold fewer samples than these
 
 
 def draw_split(split: ModalSplit, ax: Axes | None = None) -> Axes:

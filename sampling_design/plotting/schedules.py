@@ -11,10 +11,8 @@ from sampling_design.records.record import counted, short
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
-MEMBERS = 6
-"""Members of a family that are drawn below its nominal one."""
-GAPS_SHOWN = 8
-"""Longest gaps that the picture of a family is wide."""
+MEMBERS = 6  # members of a family that are drawn below its nominal one
+GAPS_SHOWN = 8  # longest gaps that the picture of a family is wide
 
 
 def draw_schedule(schedule: Schedule | PeriodicSchedule, ax: Axes | None = None) -> Axes:

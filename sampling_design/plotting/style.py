@@ -110,8 +110,7 @@ def legend(ax: matplotlib.axes.Axes, columns: int = 0) -> None:
         ax.set_title(title, loc="left", pad=8.0 + 16.0 * -(-len(handles) // per_row), fontsize="medium")
 
 
-LOW = 0.6
-"""Where a curve never falls below this share of its top, its axis begins under it and not at zero."""
+LOW = 0.6  # where a curve never falls below this share of its top, its axis begins under it and not at zero
 
 
 def shut(ax: matplotlib.axes.Axes, row: int, spans: Iterable[tuple[float, float]]) -> None:
@@ -147,10 +146,8 @@ def plain_numbers(axis: Axis) -> None:
         axis.set_minor_formatter(NullFormatter())
 
 
-START = 0.25
-"""Share of a band, the first one, that does not rule the axis: a wide start would flatten all that follows."""
-STRETCH = 1.5
-"""How much longer the whole must be than what rules the axis, for the rest to be cut off."""
+START = 0.25  # share of a band, the first one, that does not rule the axis: a wide start would flatten all that follows
+STRETCH = 1.5  # how much longer the whole must be than what rules the axis, for the rest to be cut off
 
 
 def not_ruled_by_the_start(
@@ -181,8 +178,7 @@ def not_ruled_by_the_start(
             ax.text(t[at], level, said, color=PROVEN, fontsize="x-small", va="center", transform=place)
 
 
-COLUMNS = 600
-"""Stretches of time of which a picture tells one from the next."""
+COLUMNS = 600  # stretches of time of which a picture tells one from the next
 
 
 def points(
@@ -235,8 +231,7 @@ def sample_ticks(ax: matplotlib.axes.Axes, times: Array) -> None:
     ax.vlines(times, 0.0, 0.06, color=MEASURED, linewidth=0.8, transform=ax.get_xaxis_transform())
 
 
-HOURS = (1 / 12, 1 / 4, 1 / 2, 1, 2, 3, 6)
-"""Hours between marks where an axis shows less than a day and a half."""
+HOURS = (1 / 12, 1 / 4, 1 / 2, 1, 2, 3, 6)  # hours between marks where an axis shows less than a day and a half
 
 
 def dates(ax: matplotlib.axes.Axes, unit: str | None, origin: str | None) -> None:

@@ -51,8 +51,7 @@ def draw_patient_run(run: PatientRun, ax: Axes | None = None) -> Axes | style.Pa
     return axes
 
 
-SETTLED = 1.0
-"""The inset of figure 3 begins here [d]: before, the prior's error is all that can be seen."""
+SETTLED = 1.0  # the inset of figure 3 begins here [d]: before, the prior's error is all that can be seen
 
 
 def _inset(run: PatientRun, state: int, row: Axes) -> None:

@@ -71,8 +71,7 @@ def _tube(report: ValidationReport, i: int, ax: Axes) -> None:
     ax.margins(x=0.01)
 
 
-DRAWN = 300
-"""Planned samples of a log that are drawn: of a longer one those around its worst window."""
+DRAWN = 300  # planned samples of a log that are drawn: of a longer one those around its worst window
 
 
 def draw_schedule_log(log: ScheduleLog, ax: Axes | None = None) -> Axes | style.Panels:

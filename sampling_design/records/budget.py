@@ -140,5 +140,4 @@ class Budget:
             self._began = now() - spent - max(time.time() - sent, 0.0)
 
 
-ENDLESS = Budget()
-"""What a computation may take that was given no budget."""
+ENDLESS = Budget()  # what a computation may take that was given no budget

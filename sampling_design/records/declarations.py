@@ -16,8 +16,7 @@ import numpy.typing as npt
 Plain: TypeAlias = "str | float | bool | Sequence[Plain] | Mapping[str, Plain] | None"
 """Plain data, as it stands in a file: texts, numbers, and lists and tables of them."""
 
-Column: TypeAlias = "Sequence[object] | npt.NDArray[np.generic]"
-"""One column of a table."""
+Column: TypeAlias = "Sequence[object] | npt.NDArray[np.generic]"  # one column of a table
 
 Converting = TypeVar("Converting")
 Held = TypeVar("Held")

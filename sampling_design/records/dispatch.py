@@ -16,8 +16,7 @@ from typing import Protocol, TypeVar, cast, runtime_checkable
 
 Result = TypeVar("Result")
 
-RINGS = ("uncertain", "plotting")
-"""The rings that register; one that is not installed registers nothing."""
+RINGS = ("uncertain", "plotting")  # the rings that register; one that is not installed registers nothing
 _OFFERED: dict[tuple[str, str], str | Callable[..., object]] = {}
 
 

@@ -22,17 +22,13 @@ from sampling_design.checkers.strict import Reader, Tree
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.records.arrays import Array
 
-PIECES = 1 << 14
-"""Tokens of JSON that are written at a time."""
+PIECES = 1 << 14  # tokens of JSON that are written at a time
 
 _DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[<>]?[+-]?\d*,\d+([eE][+-]?\d+)?")
 
-_SEMICOLONS = re.compile(r"=\s*\[[^\]\"']*;")
-"""A matrix as other programs write it: [0 1; -1 0]."""
-
-_BLANKS = re.compile(r"=\s*\[+\s*[-+]?[\d.]+[ \t]+[-+]?[\d.]")
-"""A row as other programs write it: [1 0]."""
+_SEMICOLONS = re.compile(r"=\s*\[[^\]\"']*;")  # a matrix as other programs write it: [0 1; -1 0]
+_BLANKS = re.compile(r"=\s*\[+\s*[-+]?[\d.]+[ \t]+[-+]?[\d.]")  # a row as other programs write it: [1 0]
 
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:

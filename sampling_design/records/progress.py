@@ -7,8 +7,7 @@ from contextlib import AbstractContextManager, contextmanager
 
 from sampling_design.records.signatures import checked
 
-Progress = Callable[[float, str], None]
-"""Called with the fraction done, and what is known by then."""
+Progress = Callable[[float, str], None]  # Called with the fraction done, and what is known by then
 
 
 @checked

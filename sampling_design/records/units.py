@@ -8,8 +8,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.records.checks import described
 from sampling_design.records.record import short
 
-WHOLE = (1e-3, 1e-6)
-"""A length counts as whole seconds within so many of them, and within this share of it."""
+WHOLE = (1e-3, 1e-6)  # a length counts as whole seconds within so many of them, and within this share of it
 
 SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "wk": 604800.0}
 

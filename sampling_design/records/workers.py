@@ -25,8 +25,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 from sampling_design.errors import ArgumentError, MissingExtraError, SolverError
 from sampling_design.records.budget import now
 
-MOST_KILLED = 3
-"""Times that processes may be killed in a row before any of them has finished a job."""
+MOST_KILLED = 3  # times that processes may be killed in a row before any of them has finished a job
 
 PATIENCE = 5.0
 """Seconds after which an address where no scheduler answers is said to be none, and a silent one is asked."""

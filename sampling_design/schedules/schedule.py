@@ -16,8 +16,7 @@ from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import Plain, TableRecord, counted, short
 from sampling_design.records.units import check_time_unit, time_factor
 
-MOST_TIMES = 20_000_000
-"""Samples of an endless schedule that are listed at once, 160 MB of times."""
+MOST_TIMES = 20_000_000  # samples of an endless schedule that are listed at once, 160 MB of times
 _GAPS_SLIP = "Did you pass gaps? Use Schedule.from_gaps."
 
 

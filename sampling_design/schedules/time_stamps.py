@@ -16,8 +16,7 @@ from sampling_design.records.units import SECONDS, check_time_unit
 from sampling_design.schedules.files import in_file
 from sampling_design.schedules.schedule import Schedule
 
-MICROSECONDS = 1_000_000
-"""Of a second: dates are exact to one."""
+MICROSECONDS = 1_000_000  # of a second: dates are exact to one
 
 
 @checked

@@ -33,16 +33,11 @@ from sampling_design.records.arrays import Array
 from sampling_design.uncertain.accuracy.accuracy_over_box import RANK
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
-STEP = 0.25
-"""|A| times a step within which the mismatch is bounded at once."""
-FEWEST, MOST = 4, 400
-"""Steps of a gap."""
-HALVINGS = 12
-"""How often a step is halved over which the bound of the mismatch does not hold itself up."""
-TRIALS = 40
-"""Times that the bound over a step is raised before the step is halved."""
-ROUNDING = 1 + 1e-9
-"""Factor on every sum that bounds from above."""
+STEP = 0.25  # |A| times a step within which the mismatch is bounded at once
+FEWEST, MOST = 4, 400  # steps of a gap
+HALVINGS = 12  # how often a step is halved over which the bound of the mismatch does not hold itself up
+TRIALS = 40  # times that the bound over a step is raised before the step is halved
+ROUNDING = 1 + 1e-9  # factor on every sum that bounds from above
 NO_CLAIM = "No a-priori claim: a filter of the nominal plant; its radius counts the mismatch as it comes."
 
 

@@ -17,8 +17,7 @@ from sampling_design.validation.error_map import ErrorMap
 from sampling_design.validation.promise import Promise
 from sampling_design.validation.scenario import ErrorSources, ScenarioBounds, draw_inputs
 
-BLOCK = 64
-"""Runs that are computed together. Fixed, since the rounding of a product may depend on how many share it."""
+BLOCK = 64  # runs that are computed together. Fixed, since the rounding of a product may depend on how many share it
 
 
 @dataclass(frozen=True, eq=False)

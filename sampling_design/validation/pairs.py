@@ -14,8 +14,7 @@ from sampling_design.numerics.linalg import symmetrise
 from sampling_design.records.arrays import Array
 from sampling_design.validation.timeline import Timeline
 
-MOST_STARTS = 80
-"""Window starts that are tried; they are spread evenly over the break points where there are more."""
+MOST_STARTS = 80  # window starts that are tried; they are spread evenly over the break points where there are more
 
 
 class TrajectoryPairs(NamedTuple):

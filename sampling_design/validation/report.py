@@ -13,8 +13,7 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Strength
 from sampling_design.records.record import ListRecord, Plain, PlainRecord, YesOrNo, short
 
-ROUNDING = 1e-8
-"""A promise counts as kept while it is exceeded by no more than this share: the rounding of a long run."""
+ROUNDING = 1e-8  # a promise counts as kept while it is exceeded by no more than this share: the rounding of a long run
 
 
 @dataclass(frozen=True, eq=False, repr=False)

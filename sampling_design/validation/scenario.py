@@ -27,8 +27,7 @@ KINDS = ("white", "steady", "held", "sine")
 NOISES = ("independent", "extremal", "constant")
 """How random noise varies: drawn anew within its bound at each sample, anew on it, or once on it for all samples."""
 
-UNMOVED = 1e-12
-"""Share of what the strongest disturbance does to a mode below which another one does nothing to it."""
+UNMOVED = 1e-12  # share of what the strongest disturbance does to a mode below which another one does nothing to it
 
 
 class ErrorSources(NamedTuple):

@@ -21,14 +21,9 @@ from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
-STRETCH = 4000
-"""Samples whose windows are judged at a time: what is held does not grow with the record."""
-
-MATCHED = 50_000
-"""Planned samples that are matched at a time, for the same reason."""
-
-AROUND = 400
-"""Samples on either side of the worst window of a long record whose windows are shown."""
+STRETCH = 4000  # samples whose windows are judged at a time: what is held does not grow with the record
+MATCHED = 50_000  # planned samples that are matched at a time, for the same reason
+AROUND = 400  # samples on either side of the worst window of a long record whose windows are shown
 
 
 @dataclass(frozen=True, eq=False, repr=False)

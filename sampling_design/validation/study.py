@@ -45,21 +45,15 @@ SCENARIOS: tuple[str, ...] = ("pairs", "random", "worst", "resonant", "initial",
 GROWTH_LIMIT = 1.5
 """Largest error of the second half over that of the first, for a disturbance in step with a mode, from rest. A settled
 error repeats itself (1), one that grows linearly doubles (2)."""
-SETTLED = 3.0
-"""Horizons that a run must last before its growth is judged."""
+SETTLED = 3.0  # horizons that a run must last before its growth is judged
 AGREEMENT = 1e-6
 """The real estimator and the linear error map may differ by this share of the largest error: steering an unstable truth
 and solving the window problem cost some digits."""
-REAL_RUNS = 3
-"""Runs of the real estimator in each scenario that needs it."""
-REAL_SAMPLES = 60
-"""Samples of such a run."""
-PAIRS = 200
-"""Random pairs from each start."""
-PAPER_RUNS = 64
-"""Random runs of the paper's estimator."""
-ROOMY = 100.0
-"""Bounds this many times wider than the truth's own extent stay inactive."""
+REAL_RUNS = 3  # runs of the real estimator in each scenario that needs it
+REAL_SAMPLES = 60  # samples of such a run
+PAIRS = 200  # random pairs from each start
+PAPER_RUNS = 64  # random runs of the paper's estimator
+ROOMY = 100.0  # bounds this many times wider than the truth's own extent stay inactive
 CHOSEN_HERE = ("prior", "prior_time", "constraints")
 
 

@@ -17,12 +17,10 @@ from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
-CELLS_PER_GAP = 6
-"""Cells of a mean gap: a disturbance may change its mind that often between two samples."""
+CELLS_PER_GAP = 6  # cells of a mean gap: a disturbance may change its mind that often between two samples
 CELLS_PER_CYCLE = 16
 """Cells of one cycle of the fastest mode, so that a resonant disturbance keeps 99 per cent of its strength."""
-LARGEST = 20_000
-"""Cells of one timeline; a disturbance gets coarser cells rather than more of them."""
+LARGEST = 20_000  # cells of one timeline; a disturbance gets coarser cells rather than more of them
 
 
 @dataclass(frozen=True, eq=False)

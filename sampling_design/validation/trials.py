@@ -15,8 +15,7 @@ from sampling_design.validation.error_map import ErrorRows
 from sampling_design.validation.scenario import ErrorSources
 from sampling_design.validation.timeline import Timeline, exact_flow
 
-GROWTH = 3.0
-"""A truth that would grow by more than e^3 in a run is held near zero by a known input."""
+GROWTH = 3.0  # a truth that would grow by more than e^3 in a run is held near zero by a known input
 
 
 def driven(plant: Plant) -> Plant:

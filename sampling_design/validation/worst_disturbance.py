@@ -12,8 +12,7 @@ from sampling_design.validation.error_map import ErrorMap, SolveWindow
 from sampling_design.validation.promise import Promise
 from sampling_design.validation.scenario import ErrorSources, ScenarioBounds, most_along
 
-MOST_TARGETS = 60
-"""Rows at which the worst energy is computed; they are spread evenly where there are more."""
+MOST_TARGETS = 60  # rows at which the worst energy is computed; they are spread evenly where there are more
 
 
 def sensitivity(found: ErrorMap, row: int) -> ErrorSources:

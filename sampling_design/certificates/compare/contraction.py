@@ -18,8 +18,7 @@ from sampling_design.schedules.family import period_of
 FINITE = "`certificate` must be on a periodic schedule: a finite one has no long run."
 MOST_PERIODS = 64
 """A window is compared with itself this many times at most: e(t) -> e(t + M) repeats when M is whole periods."""
-MOST_AT_ONCE = 4096
-"""Windows that are followed side by side: a few megabytes."""
+MOST_AT_ONCE = 4096  # windows that are followed side by side: a few megabytes
 
 
 @checked

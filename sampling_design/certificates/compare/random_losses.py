@@ -21,10 +21,8 @@ from sampling_design.schedules.family import period_of
 MOST_PATTERNS = 2048
 """Patterns of received samples that are followed side by side: eleven samples and fewer are counted out exactly, of
 more the patterns that matter least are left as bounds."""
-MOST_SAMPLES = 128
-"""Of a window: work grows with their square."""
-UNDECIDED = 1e-9
-"""A factor within this share of 1 is on neither side of it: rounding decides."""
+MOST_SAMPLES = 128  # of a window: work grows with their square
+UNDECIDED = 1e-9  # a factor within this share of 1 is on neither side of it: rounding decides
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -33,14 +33,10 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 RADIUS_RTOL = 0.02
 """Width of the bisection on the radius, as a fraction of the largest one that keeps the order of samples."""
-LARGEST_PART = 0.999
-"""The radius stays below this fraction of half the least gap: there samples could change places."""
-FIRST_RADIUS = 1 / 8
-"""Share of that radius which is tried first, then twice as much: what is small is decided soonest."""
-JITTER_MEMORY = 2
-"""Levels of memory that are tried for jitter."""
-MOST_UNKNOWNS = 1200
-"""Unknowns of one semidefinite program; a graph with more is taken with less memory."""
+LARGEST_PART = 0.999  # the radius stays below this fraction of half the least gap: there samples could change places
+FIRST_RADIUS = 1 / 8  # share of that radius which is tried first, then twice as much: what is small is decided soonest
+JITTER_MEMORY = 2  # levels of memory that are tried for jitter
+MOST_UNKNOWNS = 1200  # unknowns of one semidefinite program; a graph with more is taken with less memory
 
 
 Family = TypeVar("Family", bound=SamplingFamily)

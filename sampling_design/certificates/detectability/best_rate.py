@@ -27,12 +27,9 @@ MARGIN = 1e-4
 """The inequality is solved at the rate (1 + margin) eta and claimed at eta: strict by far more than rounding."""
 STATED = 0.25
 """Part of that margin which the certificate states: (1 + STATED margin) eta is the rate that `verify` proves."""
-FLOOR = 1e-3
-"""Part of |G|^2 added as noise in every direction: one that no noise reaches would get infinite weight."""
-NOISE_GAIN = 10.0
-"""c_w and c_y at most this many times the least that any positive rate asks for."""
-RATE_TOLERANCE = 1e-5
-"""Relative width at which the bisection on the rate ends; the lower end is certified."""
+FLOOR = 1e-3  # part of |G|^2 added as noise in every direction: one that no noise reaches would get infinite weight
+NOISE_GAIN = 10.0  # c_w and c_y at most this many times the least that any positive rate asks for
+RATE_TOLERANCE = 1e-5  # relative width at which the bisection on the rate ends; the lower end is certified
 ROUNDING = 1e-9
 """Constants of the proof are moved to the safe side by this part of themselves: the Young inequality may be tight."""
 

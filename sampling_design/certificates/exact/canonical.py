@@ -19,14 +19,12 @@ from sampling_design.records.arrays import Array
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
-MOST_GROWTH = 300.0
-"""Exponent of the largest growth between two samples that is followed: its square is still a double."""
+MOST_GROWTH = 300.0  # exponent of the largest growth between two samples that is followed: its square is still a double
 RANGE = 2.0**400
 """Numbers beyond this (or below its inverse) in internal units are refused: products of three leave the doubles."""
 LATE = 10
 """Gaps before the first sample from which on dates are suspected that do not count from the schedule's beginning."""
-BITS = 40
-"""Binary digits that a search keeps: far above rounding, far below what it can tell apart."""
+BITS = 40  # binary digits that a search keeps: far above rounding, far below what it can tell apart
 
 
 @dataclass(frozen=True, eq=False)

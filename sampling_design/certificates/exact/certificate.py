@@ -36,8 +36,7 @@ from sampling_design.records.record import Plain, short
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
-WITHOUT_GAIN = "noise gain is beyond"
-"""How the weights are told that keep no noise gain as it was asked for."""
+WITHOUT_GAIN = "noise gain is beyond"  # how the weights are told that keep no noise gain as it was asked for
 MATRICES: tuple[str, ...] = ("P1", "P2", "Qw", "R", "Qv")
 NUMBERS: tuple[str, ...] = ("eta", "lam", "lam_samples", "margin")
 """What a file of this claim holds as it is, beside plant, times and witness."""

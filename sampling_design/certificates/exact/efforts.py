@@ -26,21 +26,17 @@ PARTS = 0.42, 0.55
 PRECISE_WORK, PRECISE_PROOF = 2e6, 6e6
 """Work of the search in more digits than doubles have; of one of its proofs, twice that of
 all."""
-FINER = 4
-"""How much finer the second look for a missed peak is than the first."""
+FINER = 4  # how much finer the second look for a missed peak is than the first
 HIGHER = 1 + 1e-6
 """By which factor lambda is higher so that a proof is tried again: P1 is stated a thousandth lower than it is."""
-ATTEMPTS = 8
-"""How often a window that the checker found may raise lambda before the proof is given up."""
+ATTEMPTS = 8  # how often a window that the checker found may raise lambda before the proof is given up
 ROOM = (1.003, 1.03, 1.3, 3.0)
 """Factors by which lambda is stated above the largest that was met, one after the other, where the checker's bound of
 its own rounding leaves no other proof."""
-WIDE = 1.3
-"""From which of them on a proof takes much less work: tried next where one has ended for its work alone."""
+WIDE = 1.3  # from which of them on a proof takes much less work: tried next where one has ended for its work alone
 BEYOND = 16 * log(10)
 """ln of the lambda from which on P1 = P2/lambda is lost in the rounding of doubles: tried where nothing less is."""
-SEARCHED = 0.5
-"""Share of the seconds of a call that the search of weights may take; the others are for proofs."""
+SEARCHED = 0.5  # share of the seconds of a call that the search of weights may take; the others are for proofs
 
 
 def wider(rooms: Iterator[float], work: Work, tried: float) -> float:

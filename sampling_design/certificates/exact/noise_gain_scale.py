@@ -13,12 +13,10 @@ from sampling_design.certificates.exact.window_gains import WindowConditions
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.records.arrays import Array
 
-EXACT, COARSE = 1e-8, 0.05
-"""Width to which the scale of a shape is found, at the end and while rates are compared."""
+EXACT, COARSE = 1e-8, 0.05  # width to which the scale of a shape is found, at the end and while rates are compared
 PAST, LEAST_SLOPE = 1.2, 0.02
 """How far past the scale that the slope so far promises the next one is tried, and how small that slope may be."""
-WIDEST = 200.0
-"""Scales of a shape are looked for between e^-200 and e^200 times the first guess."""
+WIDEST = 200.0  # scales of a shape are looked for between e^-200 and e^200 times the first guess
 
 
 def rounded(Y: Array, share: float) -> Array:

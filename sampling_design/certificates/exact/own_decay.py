@@ -21,12 +21,9 @@ from sampling_design.errors import SolverError
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.records.arrays import Array
 
-RATES = 7
-"""Rates that are tried where none is given, evenly on a logarithmic scale."""
-NEAREST = 0.99
-"""Fraction of the plant's own rate up to which one is tried."""
-FASTER = 0.3, 1e-2
-"""X is that of a rate so much nearer to the plant's own, so that Y falls in every direction."""
+RATES = 7  # rates that are tried where none is given, evenly on a logarithmic scale
+NEAREST = 0.99  # fraction of the plant's own rate up to which one is tried
+FASTER = 0.3, 1e-2  # X is that of a rate so much nearer to the plant's own, so that Y falls in every direction
 ROUNDNESS = 1e-2, 1e-6
 """Shares of every state's variance that are driven beside the disturbances, which may not reach all states."""
 

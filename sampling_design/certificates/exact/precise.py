@@ -36,20 +36,16 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import SolverRecord
 from sampling_design.schedules.family import AnySchedule
 
-BITS = 400
-"""Binary digits: a hundred decimal ones beside those that conditions of 1e45 lose."""
+BITS = 400  # binary digits: a hundred decimal ones beside those that conditions of 1e45 lose
 SHARE = 1e-4
 """Share of every state's variance that is added before a covariance becomes a weight: P2 is then no harder than 1e5."""
 REACHED = 1e-6
 """Change of every state's variance with twice as many periods, relative, at which the long run is reached."""
 MERGED = 3e-2, 1e-3
 """A window is followed no further that is below the long run and these shares of the long run and of its own start."""
-CELLS = 4
-"""Parts of a gap, for starts and for times."""
-STEPS = 200
-"""Samples along one window."""
-STEP_WORK = 60, 0.5
-"""Work of one sample, in units of that of a proof in balls: so much, and so much more for each n^3."""
+CELLS = 4  # parts of a gap, for starts and for times
+STEPS = 200  # samples along one window
+STEP_WORK = 60, 0.5  # work of one sample, in units of that of a proof in balls: so much, and so much more for each n^3
 
 
 class PreciseWindows:

@@ -28,23 +28,18 @@ MERGED_RTOL = 1e-5
 MAX_DOUBLINGS = 40
 LONGEST_WALK, SHORTER_WALK = 4000, 1000
 """Samples that are followed one by one where the composition of periods is lost in rounding; likewise with a floor."""
-FLOOR = 1e-13
-"""Share of every state's variance that is added before each sample where nothing settles without."""
+FLOOR = 1e-13  # share of every state's variance that is added before each sample where nothing settles without
 ROUGHLY = 1e-3
 """Change from period to period at which it has settled with such a floor: it serves as a proposal, and lies above."""
-WALK_WORK = 150
-"""Work of one of them."""
-JUMP = 5
-"""Periods that are followed between two jumps."""
+WALK_WORK = 150  # work of one of them
+JUMP = 5  # periods that are followed between two jumps
 MAX_STEPS = 100_000
 LONGEST_REFINED = 200
 """Peaks after more samples than this lie on the periodic solution, where a finer look changes nothing."""
-ATTAINED_RTOL = 2e-4
-"""How near to the periodic solution a window is followed; the certificate leaves 1e-3."""
+ATTAINED_RTOL = 2e-4  # how near to the periodic solution a window is followed; the certificate leaves 1e-3
 SAME_START = 1e-9
 """A window whose start is this near that of a sample, relative to the gap, is its window: times are rounded."""
-LONGEST_RUN = 20_000
-"""Samples along which a window is followed towards the periodic solution."""
+LONGEST_RUN = 20_000  # samples along which a window is followed towards the periodic solution
 START_CELLS = 5
 MIN_STARTS = 16
 """Inner starts: START_CELLS - 1 per gap, and at least about this many per period."""

@@ -26,15 +26,12 @@ from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.records.progress import Progress
 from sampling_design.schedules.family import AnySchedule
 
-ETA_RANGE = (0.05, 3.0)
-"""Rates that are searched, in units of 1/(mean gap) (formats.md, Defaults)."""
-BELOW_UNSEEN = 0.9
-"""Fraction of the rate 2 |Re lambda| of an unseen stable mode up to which eta is searched."""
+ETA_RANGE = (0.05, 3.0)  # rates that are searched, in units of 1/(mean gap) (formats.md, Defaults)
+BELOW_UNSEEN = 0.9  # fraction of the rate 2 |Re lambda| of an unseen stable mode up to which eta is searched
 SCAN = 7
 SLOWER = 3.0, 10.0, 30.0, 100.0, 1000.0
 """Rates so many times below the slowest that is searched are tried, one after the other, where none can be followed."""
-REFERENCE = 3.0
-"""The budget at which rates are compared and the first descents run, whatever budget is asked for."""
+REFERENCE = 3.0  # the budget at which rates are compared and the first descents run, whatever budget is asked for
 BELOW = (2.0, 1.5, 1.2), (1.5,)
 ABOVE = (10.0, 100.0, 1000.0, 1e4, 1e5, 1e6)
 """Budgets at which a further descent runs: those below the reference always, those above where the budget allows them.
@@ -42,8 +39,7 @@ ABOVE = (10.0, 100.0, 1000.0, 1e4, 1e5, 1e6)
 So a larger budget has all the shapes of a smaller one and perhaps more, and each shape is scaled to the budget, which
 shortens its horizon as the budget grows: the horizon cannot grow with the budget.
 """
-ROUNDNESS = (0.01, 1.0, 30.0)
-"""Shares of the least P1 in the shapes of the first guess."""
+ROUNDNESS = (0.01, 1.0, 30.0)  # shares of the least P1 in the shapes of the first guess
 FAR = 1e6
 """Where the budget knows some states so much better than others, in units that nobody stated, every mixture with it is
 nearly singular, and what the disturbance alone leaves has a shape too."""
@@ -53,31 +49,24 @@ lost in rounding, and the horizon gains nothing."""
 LEAST_ROUND = 1e-10
 """Share of each state's variance that is added to a covariance before it is inverted: what is known better than that
 of a combination of states drowns in rounding."""
-ROUNDER = 1e-7, 1e-4, 0.1
-"""Shares for shapes of less and less condition, where none of a larger one can be proven."""
-SMALL = 4
-"""States up to which a search may take its full time; beyond them the second number of each pair below counts."""
-STARTS = 3, 1
-"""Rates of the scan from which the descent starts."""
+ROUNDER = 1e-7, 1e-4, 0.1  # shares for shapes of less and less condition, where none of a larger one can be proven
+SMALL = 4  # states up to which a search may take its full time; beyond them the second number of each pair below counts
+STARTS = 3, 1  # rates of the scan from which the descent starts
 MAX_ITERATIONS = 40, 20
 JOINT = 40, 8
 RESTARTS = 4, 2
 WORTHWHILE = 1e-3
 """Descents that follow each other at most, and the relative gain below which none follows."""
-PRECISION = 1e-5
-"""Change of ln lam (of the horizon, relative) at which the descent stops."""
-DIFFERENCE = 1e-5
-"""Relative step in eta of the one difference quotient."""
+PRECISION = 1e-5  # change of ln lam (of the horizon, relative) at which the descent stops
+DIFFERENCE = 1e-5  # relative step in eta of the one difference quotient
 SEARCH_WORK, RATE_WORK, ROUND_WORK = 5.5e6, 3e6, 4e6
 """Work, about microseconds, after which the search of weights (of a rate alone, of round shapes) ends with the best
 that it has: any shape within the budget is proven afterwards, or not. Counted and not timed, so that it ends there on
 every machine."""
-STEP_WORK = 30
-"""Work of one step of a descent, per variable, beside that of its windows."""
+STEP_WORK = 30  # work of one step of a descent, per variable, beside that of its windows
 MODERATE = float(np.log(1e6))
 """ln of the lambda up to which a proof in doubles is easy: rounding counts about as much less than it as it grows."""
-COMPARED = 1.15
-"""Shapes whose horizon is within this factor of the best one's are compared by their exact lambda."""
+COMPARED = 1.15  # shapes whose horizon is within this factor of the best one's are compared by their exact lambda
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,10 +17,8 @@ from sampling_design.checkers.work import Work
 from sampling_design.numerics.filtering import joint_update, propagate
 from sampling_design.records.arrays import Array, Index, Mask
 
-MERGED = 1e-3
-"""A window this near the periodic solution, relative to it or to P2^-1, is followed no further."""
-MOST_WINDOWS, FEWER = 48, 20
-"""Windows of one set, of plants with at most FOUR states and of larger ones."""
+MERGED = 1e-3  # a window this near the periodic solution, relative to it or to P2^-1, is followed no further
+MOST_WINDOWS, FEWER = 48, 20  # windows of one set, of plants with at most FOUR states and of larger ones
 FOUR = 4
 MOST_STEPS = 150
 ACTIVE = 0.05
@@ -31,8 +29,7 @@ PARTS = (0.5, 1.0)
 STEP_WORK, GAINS = (20, 55, 0.6, 0.002), 1.5
 """Work of one sample of all windows: so much, so much for each output, and for n and n^3 of each window; and how many
 times as much it is with gains."""
-SET_UP = 1000
-"""Work, about microseconds, of a set of windows before any is followed."""
+SET_UP = 1000  # work, about microseconds, of a set of windows before any is followed
 
 
 class WindowConditions(Protocol):

@@ -26,12 +26,9 @@ from sampling_design.schedules.schedule import PeriodicSchedule
 
 MOST_PERIODS = 240
 """Periods of aliasing that are tried, of all pairs of eigenvalues together: beyond that, evenly chosen ones."""
-MOST_SECONDS = 20.0
-"""Of one search, by default."""
-DESCENTS = 4
-"""Words from which the margin is minimised over the gaps."""
-TIED_RTOL = 1e-9
-"""Real parts this near, relative to the eigenvalues, can alias; speeds this near are one."""
+MOST_SECONDS = 20.0  # of one search, by default
+DESCENTS = 4  # words from which the margin is minimised over the gaps
+TIED_RTOL = 1e-9  # real parts this near, relative to the eigenvalues, can alias; speeds this near are one
 RESIDUAL = 1e-6
 """A counterexample is accepted if M v = mu v and all samples of v vanish to this, relative to |M| and |C e^{At}|."""
 

@@ -27,12 +27,9 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 UNSEEN_TOLERANCE = 1e-9
 """A scaled pencil [e^{AP} - mu I; O] with a singular value below this misses mu: well above rounding (1e-13 for
 a period of some time constants), well below any schedule on which an estimate is of use."""
-REPAIRED = 1e-2
-"""A changed schedule counts as repaired from this singular value on: a hundredth of the scaled rows."""
-ALIAS_TOLERANCE = 1e-6
-"""Two eigenvalues alias when (a - b) P/(2 pi i) is this near a whole number."""
-NEARLY = 1e-2
-"""Eigenvalues a, b take part in one unseen direction if e^{(a - b) P} is this near 1."""
+REPAIRED = 1e-2  # a changed schedule counts as repaired from this singular value on: a hundredth of the scaled rows
+ALIAS_TOLERANCE = 1e-6  # two eigenvalues alias when (a - b) P/(2 pi i) is this near a whole number
+NEARLY = 1e-2  # eigenvalues a, b take part in one unseen direction if e^{(a - b) P} is this near 1
 MOST_PERIODS, FEWEST_PERIODS, MOST_UPDATES = 400, 40, 8000
 """Of the run that checks a "no": what grows at least linearly is told from what settles after some tens of periods."""
 SETTLING, SETTLED = 10, 1e-4
@@ -40,8 +37,7 @@ SETTLING, SETTLED = 10, 1e-4
 2.5e-2 of itself after 400 periods)."""
 HUGE = UNSEEN_TOLERANCE**-2
 """A mode seen as little as `UNSEEN_TOLERANCE` leaves a covariance of this size: beyond it, Y counts as unbounded."""
-REPAIR_FRACTIONS = np.geomspace(1e-3, 0.5, 28)
-"""Changes of one gap that are tried, as fractions of that gap."""
+REPAIR_FRACTIONS = np.geomspace(1e-3, 0.5, 28)  # changes of one gap that are tried, as fractions of that gap
 
 
 class ExistenceAnswer(YesOrNo):

@@ -42,32 +42,25 @@ from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily
 
-LARGEST_LAM = 1e8
-"""Beyond this lambda a certificate is of no use and the conditions are lost in the solver's rounding."""
-LAM_RTOL = 3e-3
-"""Width of the bisection on lambda at the end; COARSE_RTOL while rates are compared."""
+LARGEST_LAM = 1e8  # beyond this lambda a certificate is of no use and the conditions are lost in the solver's rounding
+LAM_RTOL = 3e-3  # width of the bisection on lambda at the end; COARSE_RTOL while rates are compared
 COARSE_RTOL = 0.05
 LEAST_FLOOR = 1e-7
 """Kept information below this fraction of the nominal schedule's counts as none: the solver's tolerance, with room."""
 LAYERS, LAYERS_GIVEN = 2, 6
 """Samples since the window's start that are told apart where P2 is chosen, and where it is given: the transient from
 a given P2 may be long, and one matrix below all of it far too small."""
-MOST_UNKNOWNS = 1500
-"""Unknowns of a semidefinite program beyond which no layers are added."""
-ROUNDS = 8
-"""How often a gap that the proof found may be added to the grid."""
+MOST_UNKNOWNS = 1500  # unknowns of a semidefinite program beyond which no layers are added
+ROUNDS = 8  # how often a gap that the proof found may be added to the grid
 SCAN = 6
 GOLDEN = 4
 """Rates of the first scan, and bisections of the best one's neighbourhood afterwards."""
 TRIED_RATES = 3
 MEMORY_GAIN = 1.1
 """Factor by which two levels of memory must raise the information that is kept, for a further one to be tried."""
-NARROWINGS = 5
-"""Halvings of the part of a family that is certified where the whole is undecided."""
-LONGEST_PROOF = 60.0
-"""Seconds in ball arithmetic for what doubles leave undecided."""
-ROOM = 1.05
-"""Factor on lambda where a gap that was added leaves no point at the lambda found before."""
+NARROWINGS = 5  # halvings of the part of a family that is certified where the whole is undecided
+LONGEST_PROOF = 60.0  # seconds in ball arithmetic for what doubles leave undecided
+ROOM = 1.05  # factor on lambda where a gap that was added leaves no point at the lambda found before
 
 
 @dataclass(frozen=True, eq=False)

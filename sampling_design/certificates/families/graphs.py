@@ -9,8 +9,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.schedules.family import START, SamplingFamily, Steps, Word, period_of
 from sampling_design.schedules.schedule import PeriodicSchedule
 
-MOST_NODES = 400
-"""A graph with more nodes than this is not built: its matrix inequalities would take minutes."""
+MOST_NODES = 400  # a graph with more nodes than this is not built: its matrix inequalities would take minutes
 
 
 def in_plant_terms(plant: Plant, family: SamplingFamily) -> SamplingFamily:

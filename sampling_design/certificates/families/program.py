@@ -24,8 +24,7 @@ from sampling_design.records.evidence import SolverRecord
 
 ConeRows = tuple[str, Array | sparse.csc_matrix, Array]
 
-MARGIN = 2e-4
-"""Relative margin of every inequality on the grid at first; room for the proof between the grid points."""
+MARGIN = 2e-4  # relative margin of every inequality on the grid at first; room for the proof between the grid points
 WIDER, WIDEST = 10.0, 0.05
 """Factor on the margin where that room was too small for the proof's steps, and the largest margin that is tried."""
 LEAST_POINTS, LEAST_POINTS_GIVEN = 5, 3
@@ -35,10 +34,8 @@ Where P2 is given, one program is solved and not a bisection of them: few do (th
 MOST_POINTS = 41
 COARSE_TOLERANCE = 1e-6
 """Tolerance of a second attempt where the solver failed; far below MARGIN."""
-LEAST_TIME = 0.05
-"""Seconds that a solver is given where the budget has passed."""
-LEAST_SLACK = 1e-9
-"""A point counts only if the solver reached at least this slack; the tolerance asked of it."""
+LEAST_TIME = 0.05  # seconds that a solver is given where the budget has passed
+LEAST_SLACK = 1e-9  # a point counts only if the solver reached at least this slack; the tolerance asked of it
 SPARSE = 50_000
 """Numbers in the rows of an edge or node from which on zeros are left out: a long schedule's took gigabytes."""
 

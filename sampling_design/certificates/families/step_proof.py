@@ -24,12 +24,9 @@ MOST_STEPS = 300_000
 """Steps of one proof, all intervals together; a proof that needs more is nearly tight and counts as not closed."""
 LEAST_REACH = 1e-9
 """A step shorter than this fraction of the whole interval: the inequality is tight there and counts as failed."""
-ENOUGH_STEPS = 4_000
-"""Steps after which a proof that has failed already looks for no further failures."""
-BATCH = 4096
-"""Steps taken at once."""
-FIRST_CUT = 16
-"""Parts into which each interval is cut, to be stepped along side by side."""
+ENOUGH_STEPS = 4_000  # steps after which a proof that has failed already looks for no further failures
+BATCH = 4096  # steps taken at once
+FIRST_CUT = 16  # parts into which each interval is cut, to be stepped along side by side
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,7 @@ from sampling_design.records.checks import unit_diagonal
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import Record, short
 
-CONTRACTION = 4.0
-"""By default a window shrinks the squared error at least by this factor (formats.md, Defaults)."""
+CONTRACTION = 4.0  # by default a window shrinks the squared error at least by this factor (formats.md, Defaults)
 _LOW, _PAPER_LOW = r"\lambda_{\min}(P_1)", r"\lambda_{\min}(P_2/\lambda_K)"
 _FORMULAS = {
     "sharp": {

@@ -14,11 +14,8 @@ from sampling_design.records.arrays import Array
 
 RTOL = 1e-3
 """Room left between the proven bound and the largest value seen: a thousandth of a constant costs no horizon."""
-CELLS = 20_000
-"""Most cells ever opened; a stiffer plant keeps a proven but looser bound instead of running for ever."""
-
-MODAL_CONDITION = 1e8
-"""Modal coordinates are used only where their basis keeps half of the digits."""
+CELLS = 20_000  # most cells ever opened; a stiffer plant keeps a proven but looser bound instead of running for ever
+MODAL_CONDITION = 1e8  # modal coordinates are used only where their basis keeps half of the digits
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,9 @@ from sampling_design.numerics.linalg import expm_batch, symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 
-SHIFTS = np.geomspace(0.02, 4.0, 8)
-"""Shifts of the filter's poles in units of |A|."""
-NOISES = np.geomspace(1e-2, 1e3, 8)
-"""Process noise against measurement noise, in units of |A|^2/|C|^2."""
-REFINEMENTS = 400
-"""Evaluations of the simplex search that refines the best of the 64."""
+SHIFTS = np.geomspace(0.02, 4.0, 8)  # shifts of the filter's poles in units of |A|
+NOISES = np.geomspace(1e-2, 1e3, 8)  # process noise against measurement noise, in units of |A|^2/|C|^2
+REFINEMENTS = 400  # evaluations of the simplex search that refines the best of the 64
 RATE_CAP = 2.0
 """The sweep values no rate beyond RATE_CAP/t*: where the output shows every state the horizon tends to 2 t* only as the
 gain tends to infinity, and the noise gains with e^{3 eta t*}."""

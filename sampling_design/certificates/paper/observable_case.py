@@ -14,10 +14,8 @@ from sampling_design.numerics.linalg import expm_batch, generalised_max
 from sampling_design.records.arrays import Array
 from sampling_design.records.record import short
 
-SAFE = 1 + 1e-9
-"""Factor on every constant of the right-hand side: covers the rounding of the few operations behind it."""
-LARGEST = 1e150
-"""Constants beyond this are refused: their squares leave the range of floating point."""
+SAFE = 1 + 1e-9  # factor on every constant of the right-hand side: covers the rounding of the few operations behind it
+LARGEST = 1e150  # constants beyond this are refused: their squares leave the range of floating point
 
 
 @dataclass(frozen=True)

@@ -23,26 +23,19 @@ from sampling_design.numerics.balls import BITS, Ball, Matrix, ball, definite, f
 from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.records.budget import Budget
 
-CELLS = 4
-"""Start cells per gap at first."""
-HALVINGS = 40
-"""Most halvings of a start cell."""
-PERIODS = 1000
-"""Periods along one window."""
-DOUBLINGS = 40
-"""The recursion of midpoints has settled after 2^DOUBLINGS periods, or does not."""
-BEYOND = 1e250
-"""What grows to this settles nowhere."""
-LOST = 1e6
-"""Where the target is I: what comes here does not come back, or not soon."""
+CELLS = 4  # start cells per gap at first
+HALVINGS = 40  # most halvings of a start cell
+PERIODS = 1000  # periods along one window
+DOUBLINGS = 40  # the recursion of midpoints has settled after 2^DOUBLINGS periods, or does not
+BEYOND = 1e250  # what grows to this settles nowhere
+LOST = 1e6  # where the target is I: what comes here does not come back, or not soon
 PROPOSALS = {BITS: (1e-14, 1e-10, 1e-6, 1e-3), 400: (1e-44, 1e-38, 1e-32, 1e-26, 1e-20)}
 """Noise added at every sample, where the target is I, to find the family; and the digits.
 
 Little of it comes first: more of it fills fast directions, where Y must then be followed in short steps. Nearly equal
 modes behind few outputs bear 1e-30, with what is known best 1e45 times better than the rest.
 """
-POWERS = (0.95, 0.8, 0.5, 0.2, 0.02)
-"""How far the family is blown up towards I, as powers of what is left."""
+POWERS = (0.95, 0.8, 0.5, 0.2, 0.02)  # how far the family is blown up towards I, as powers of what is left
 
 Period = tuple[Matrix, Matrix, Matrix]
 """A, H, W of the map Y -> A Y (I + H Y)^-1 A' + W that samples and gaps make; midpoints."""

@@ -62,15 +62,13 @@ from sampling_design.records.budget import ENDLESS, Budget, BudgetSpentError
 from sampling_design.records.dispatch import offered
 from sampling_design.records.record import Plain, Record
 
-REPLAY = 1e-6
-"""What a witness may miss of its stated ratio, relative."""
+REPLAY = 1e-6  # what a witness may miss of its stated ratio, relative
 NEAR = 1e-9
 """Samples this close to the ends of the witness's window, relative to t, are the ends: limits from inside are meant."""
 HANDED_OVER = 1e7
 """Most work, about microseconds, that balls do for what was only asked of floats: what is tight stays undecided for
 ever."""
-PATIENCE = 6
-"""Halvings of a cell of window starts after which a counterexample is looked for."""
+PATIENCE = 6  # halvings of a cell of window starts after which a counterexample is looked for
 
 
 class VerifiableRecord(Record):

@@ -18,8 +18,7 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 from sampling_design.records.record import short
 
-SHARES = (0.999, 0.5, 1e-3)
-"""Parts of the guessed least eigenvalue that are tried as a proven slack, the largest first."""
+SHARES = (0.999, 0.5, 1e-3)  # parts of the guessed least eigenvalue that are tried as a proven slack, the largest first
 
 
 def detectability(c: Detectability, clock: Budget) -> Proven:

@@ -18,20 +18,13 @@ from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 
-PARTS = 8
-"""Parts of a gap in the first grid of starts and of times."""
-PERIODS = 100
-"""Most periods followed in the first grid."""
-POLISHES = 4
-"""How many of the grid's best points are polished."""
-SETTLED = 1e-12
-"""Relative change over a period below which a window is not followed any further."""
-BITS = (160, 400)
-"""Precisions of the decision, one after the other."""
-DOUBT = 1e-6
-"""Points that floats see this close to failing are decided in balls."""
-FAR = 1e-3
-"""A point that is further than this from failing, also after a coarse polish, is not polished sharply."""
+PARTS = 8  # parts of a gap in the first grid of starts and of times
+PERIODS = 100  # most periods followed in the first grid
+POLISHES = 4  # how many of the grid's best points are polished
+SETTLED = 1e-12  # relative change over a period below which a window is not followed any further
+BITS = (160, 400)  # precisions of the decision, one after the other
+DOUBT = 1e-6  # points that floats see this close to failing are decided in balls
+FAR = 1e-3  # a point that is further than this from failing, also after a coarse polish, is not polished sharply
 COARSE, SHARP = (1e-2, 1e-4, 40), (1e-9, 0.0, 150)
 """Of a polish: shares of the longer gap and of the value within which it ends, and how many points it looks at."""
 

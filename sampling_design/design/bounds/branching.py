@@ -32,9 +32,7 @@ from sampling_design.design.problem.stopping import Interrupted
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
 
-ValueProgress = Callable[[float, float], None]
-"""Called with the fraction done and the bound."""
-
+ValueProgress = Callable[[float, float], None]  # Called with the fraction done and the bound
 _FIRST_CUT = 0.3  # of a mean gap: from there on a sample counts as late in the first cuts
 _FEW_STATES = 6  # beyond, from sooner on: what is seen is of so high a degree in the differences of times
 _EVEN_ENOUGH = 0.5  # of a mean gap: within that the averaged bound is tried

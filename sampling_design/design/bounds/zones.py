@@ -25,12 +25,8 @@ from sampling_design.records.arrays import Array, Mask
 Side = Literal["late", "early", "sorted"]
 SIDES: tuple[Side, ...] = ("late", "early", "sorted")
 
-MOST_REGIONS = 64
-"""Ways to share out samples between fixed times beyond which zones are not tried."""
-
-TINY = 1e-12
-"""Slack of every zone, in periods: rounding in a schedule's times cannot carry a sample out of its zone."""
-
+MOST_REGIONS = 64  # ways to share out samples between fixed times beyond which zones are not tried
+TINY = 1e-12  # slack of every zone, in periods: rounding in a schedule's times cannot carry a sample out of its zone
 _EMPTY = 1e-9  # zones that miss each other by more than this share of the period hold no schedule
 _SAME = 1e-9  # of the period: what is allowed may differ so near to an end, and still counts as repeating
 

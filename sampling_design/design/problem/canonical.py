@@ -20,9 +20,7 @@ from sampling_design.design.problem.numbers import ON_AN_END, DesignProblem
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Mask
 
-BITS = 40
-"""Binary digits that are kept: far above rounding, far below the tolerance of every search."""
-
+BITS = 40  # binary digits that are kept: far above rounding, far below the tolerance of every search
 SAME_RATIO = 1e-11  # relative: window/period counts as a ratio of whole numbers where it is one to rounding
 _MOST_PARTS = 64  # of a window or a period: larger ratios are met by chance
 

@@ -18,9 +18,7 @@ from sampling_design.records.arrays import Mask
 
 Outputs = tuple[bool, ...]
 
-MOST_CHOICES = 48
-"""Choices beyond which they are not looked at one by one."""
-
+MOST_CHOICES = 48  # choices beyond which they are not looked at one by one
 _MOST_COUNTS = 20_000  # of samples by what they measure: more are not counted through
 
 

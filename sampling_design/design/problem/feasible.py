@@ -13,9 +13,7 @@ from sampling_design.records.arrays import Array
 
 _REPAIRS = 5  # constraints that may have to give way together
 _SHARE = 1 - 1e-3  # of the room that is just enough: a schedule with no freedom at all is hard to find
-
-Change = dict[str, Any]
-"""Arguments of a problem and what they become: each has a type of its own."""
+Change = dict[str, Any]  # arguments of a problem and what they become: each has a type of its own
 
 
 class InfeasibleConstraint(NamedTuple):

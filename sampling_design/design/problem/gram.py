@@ -17,19 +17,12 @@ from sampling_design.observability.windows.sampled import observability_matrix
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Mask
 
-_NODES = (
-    2049  # positions in the window at which rows are held: the trapezoidal weights are exact to rounding between them
-)
+_NODES = 2049  # positions in the window at which rows are held: trapezoidal weights are exact to rounding between them
 _LOOKED_AT = 257  # nodes at which rounding is judged, and steps in whose middle what lies between nodes is
 _CLOSE = 1e-5  # of the rows: what lies between nodes may be off by so much and still lead a search
-ROUNDING = 1e-9
-"""Relative allowance for rounding in a bound, at least."""
-
-MANY_STATES = 12
-"""Beyond, a relaxation takes seconds and a search spends less on what it hardly ever finds."""
-
-ROUNDING_MARGIN = 8.0
-"""What the first order of rounding is taken times."""
+ROUNDING = 1e-9  # relative allowance for rounding in a bound, at least
+MANY_STATES = 12  # beyond, a relaxation takes seconds and a search spends less on what it hardly ever finds
+ROUNDING_MARGIN = 8.0  # what the first order of rounding is taken times
 
 EPS = float(np.finfo(float).eps)
 

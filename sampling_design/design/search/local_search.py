@@ -31,14 +31,9 @@ from sampling_design.errors import SolverError
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.budget import ENDLESS, Budget
 
-ValueProgress = Callable[[float, float], None]
-"""Called with the fraction done and sigma of the best schedule."""
-
-DRAWS = 60
-"""Random schedules that are looked at before the best few are refined."""
-
-KICKS = 4
-"""Times, per start, that a few samples of the best schedule are moved elsewhere and all refined anew."""
+ValueProgress = Callable[[float, float], None]  # Called with the fraction done and sigma of the best schedule
+DRAWS = 60  # random schedules that are looked at before the best few are refined
+KICKS = 4  # times, per start, that a few samples of the best schedule are moved elsewhere and all refined anew
 
 ROTATIONS, CHEAP_ROTATIONS = 4, 16
 """Rotations that are refined where what is allowed repeats; more where a quasi-Newton method leads them on."""
@@ -61,7 +56,6 @@ HOPELESS = 0.96  # of the best sigma^2 after a first refinement: not refined fur
 _GAIN = 1e-6  # relative, of sigma^2: less is no gain
 _TIE = 1e-9  # likewise: less is rounding, and the schedule that was found first stays
 FIRST_STEPS = 12  # of that first refinement
-
 _LEAST_DRAWS = 9  # of those, when the budget is spent already: even spacing alone can be blind
 _RESTARTS = 20  # batches of further random schedules where all others are blind
 _SEEING = 3  # of a batch, the best ones that are refined

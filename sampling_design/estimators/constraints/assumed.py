@@ -12,8 +12,7 @@ from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.online.evidence import EstimateAssumptions, SetBounds
 
-INSIDE = 1e-12
-"""Share of a box by which a ball may stand out of it and still be taken for what is known."""
+INSIDE = 1e-12  # share of a box by which a ball may stand out of it and still be taken for what is known
 
 
 def common(name: str, known: DisturbanceSet, chosen: ConvexSet | None) -> DisturbanceSet:

@@ -16,11 +16,8 @@ from sampling_design.records.arrays import Array
 ACCEPTED = 1e-9
 """Infeasibility (in posterior standard deviations) and relative duality gap up to which an answer is taken."""
 
-SOLVER_TOLERANCE = 1e-12
-"""Asked of the engines; what comes back is judged by ACCEPTED."""
-
-EXACT = 1e-13
-"""A relative duality gap and an infeasibility that may be rounding."""
+SOLVER_TOLERANCE = 1e-12  # asked of the engines; what comes back is judged by ACCEPTED
+EXACT = 1e-13  # a relative duality gap and an infeasibility that may be rounding
 
 STILL = 1e-9
 """A Newton step, relative to |z|, after which the next one would be rounding: it is about the square of this one."""

@@ -18,11 +18,8 @@ from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.records.arrays import Mask
 
-FEW = 0.1
-"""Share of the rows up to which those that matter are sought one by one; beyond, all are taken at once."""
-
-SATISFIED = 1e-10
-"""Excess, relative to the size of the values, up to which a signal counts as inside its set."""
+FEW = 0.1  # share of the rows up to which those that matter are sought one by one; beyond, all are taken at once
+SATISFIED = 1e-10  # excess, relative to the size of the values, up to which a signal counts as inside its set
 
 
 def solve_constrained(

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from sampling_design.numerics.conic_programs import Constraint, Expression, Problem
 
 
-SCALES = (1.0, 1e-3, 1e-6)
-"""Units of the steps in which the reference is solved and then refined around its own answer."""
+SCALES = (1.0, 1e-3, 1e-6)  # units of the steps in which the reference is solved and then refined around its own answer
 
 NEEDED = 1e-7
 """A sum of slacks (in posterior standard deviations) above this means that the constraints cannot all be met."""

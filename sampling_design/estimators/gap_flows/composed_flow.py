@@ -19,17 +19,13 @@ from scipy.linalg import matrix_balance
 from sampling_design.numerics.linalg import SHORT, expm_batch, exponential_terms, gramian_terms
 from sampling_design.records.arrays import Array, Index
 
-BASE = 64
-"""Pieces of one size that are remembered: one level of them covers |A| h up to 8 at least, three up to 3e4."""
+BASE = 64  # pieces of one size that are remembered: one level of them covers |A| h up to 8 at least, three up to 3e4
 
 STILL = 1e-150
 """A plant in which nothing moves counts as one this slow: what is divided by it, disturbances, stays a number."""
 
-FEW = 4
-"""Gaps up to which each is a product of its own with the polynomial around its piece."""
-
-SMALL = 12
-"""States up to which these polynomials are remembered: four megabytes at most."""
+FEW = 4  # gaps up to which each is a product of its own with the polynomial around its piece
+SMALL = 12  # states up to which these polynomials are remembered: four megabytes at most
 
 
 def state_units(A: Array, units: Array | None = None) -> Array:

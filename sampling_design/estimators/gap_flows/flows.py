@@ -23,8 +23,7 @@ CONDITION_LIMIT = 1e6
 CACHE_SIZE = 4096
 """Gap lengths that are kept; a few kilobytes each, so that memory stays flat on endless irregular data."""
 
-LONGEST = 700.0
-"""Exponents from here on count as overflows: e^709 is the largest double."""
+LONGEST = 700.0  # exponents from here on count as overflows: e^709 is the largest double
 
 
 class ArrivalInformation(NamedTuple):

@@ -17,8 +17,7 @@ from sampling_design.records.checks import freeze
 from sampling_design.records.record import Record, counted
 from sampling_design.records.signatures import checked
 
-POINTS_PER_GAP = 12
-"""Points of the open loop between two samples."""
+POINTS_PER_GAP = 12  # points of the open loop between two samples
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -11,8 +11,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import Record, short
 
-STRETCHES = 600
-"""Stretches of a record that has more times than that: about one for each column of dots of a picture."""
+STRETCHES = 600  # stretches of a record that has more times than that: about one for each column of dots of a picture
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -17,17 +17,10 @@ from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted, wanted_rows
 from sampling_design.records.arrays import Array
 
-SUSPECTS = 5
-"""Samples that are left out in turn to find the one that contradicts the bounds."""
-
-TOLD_TO = 1e-3
-"""Share within which the factor is told by which the noise of a sample would have to be larger."""
-
-FARTHEST = 1e12
-"""Factor beyond which no noise explains a sample."""
-
-REMEMBERED = 24
-"""Samples that an interval looks back; what came before them is what their first one knew."""
+SUSPECTS = 5  # samples that are left out in turn to find the one that contradicts the bounds
+TOLD_TO = 1e-3  # share within which the factor is told by which the noise of a sample would have to be larger
+FARTHEST = 1e12  # factor beyond which no noise explains a sample
+REMEMBERED = 24  # samples that an interval looks back; what came before them is what their first one knew
 
 
 @dataclass(frozen=True, eq=False)

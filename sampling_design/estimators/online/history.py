@@ -17,8 +17,7 @@ from sampling_design.estimators.online.estimate import Contradiction, Estimate
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 
-DEEPEST = 32
-"""Branches of a history one within the other."""
+DEEPEST = 32  # branches of a history one within the other
 
 
 class SampleBranch:

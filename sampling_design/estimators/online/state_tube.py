@@ -10,8 +10,7 @@ import numpy as np
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.records.arrays import Array
 
-KNOTS = 5
-"""Times of a gap at which programs are solved; gains in between are mixed from theirs, which proves no less."""
+KNOTS = 5  # times of a gap at which programs are solved; gains in between are mixed from theirs, which proves no less
 
 
 def joined(tubes: Sequence[StateTube]) -> StateTube | None:

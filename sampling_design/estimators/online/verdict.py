@@ -17,11 +17,8 @@ from sampling_design.records.arrays import Array
 CONTRADICTION = 1e-9
 """The bound must fall below zero by this share of its terms before the noise bounds count as disproved."""
 
-ROUNDING = 1e-12
-"""Share of its terms that is added to every bound, so that rounding cannot break it."""
-
-LARGEST_RESIDUAL = 1e150
-"""Residuals beyond this, in units of their weights, have squares that overflow in sums."""
+ROUNDING = 1e-12  # share of its terms that is added to every bound, so that rounding cannot break it
+LARGEST_RESIDUAL = 1e150  # residuals beyond this, in units of their weights, have squares that overflow in sums
 
 
 class SolveVerdict(NamedTuple):

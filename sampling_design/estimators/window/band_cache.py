@@ -10,8 +10,7 @@ from sampling_design.estimators.online.history import HistoryNode
 from sampling_design.estimators.window.sliding import ROOM, IncomingNode, SlidingBand
 from sampling_design.records.arrays import Array
 
-HISTORIES = 64
-"""Histories of one estimator that are remembered side by side."""
+HISTORIES = 64  # histories of one estimator that are remembered side by side
 
 NOTHING: tuple[HistoryNode | None, SlidingBand | None] = (None, None)
 

@@ -27,17 +27,13 @@ from sampling_design.estimators.window.solution import DUAL_MARGIN
 from sampling_design.numerics.filtering import covariance_root, root_update
 from sampling_design.records.arrays import Array
 
-FAR = 60.0
-"""Exponent up to which discounts may grow before they count from a new time."""
+FAR = 60.0  # exponent up to which discounts may grow before they count from a new time
 
 WIDEST = 300.0
 """Exponent of the discount over a window from which on it is not remembered: its start has no weight then."""
 
-ROOM = 64
-"""Nodes for which there is room at first, and how many more are made when it is used up."""
-
-CANCELLED = 1e-4
-"""Share of the reference's cost below which the least cost is not found as a difference from it."""
+ROOM = 64  # nodes for which there is room at first, and how many more are made when it is used up
+CANCELLED = 1e-4  # share of the reference's cost below which the least cost is not found as a difference from it
 
 SETTLED = 1.0
 """Share of what the optimum gains on its reference below which the least cost is found with fewer digits, so that nodes

@@ -19,17 +19,10 @@ from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 
-NEARLY_HIDDEN = 1e-9
-"""A row that shows less of a direction than this share of its own length counts as blind to it."""
-
-LOOKS = 20_000
-"""Sets of samples that are looked at in one search for the largest hidden one."""
-
-MOST_PERIODS = 8
-"""Periods over which hidden sets are counted exactly; beyond, the zero count bounds them."""
-
-SAME_GROWTH = 1e-8
-"""Modes whose growth differs by less than this share of |lambda| grow alike."""
+NEARLY_HIDDEN = 1e-9  # a row that shows less of a direction than this share of its own length counts as blind to it
+LOOKS = 20_000  # sets of samples that are looked at in one search for the largest hidden one
+MOST_PERIODS = 8  # periods over which hidden sets are counted exactly; beyond, the zero count bounds them
+SAME_GROWTH = 1e-8  # modes whose growth differs by less than this share of |lambda| grow alike
 
 MOST_GROWTH = 30.0
 """Logarithm of the growth within the periods that are counted exactly: beyond, doubles show one mode only."""

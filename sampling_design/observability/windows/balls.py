@@ -24,10 +24,8 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 SHAVES = (1e-6, 1e-4, 0.01, 0.1, 0.5)
 """Fractions taken off the bound that floats found, one after the other, until what is left is proven."""
-PLACES = 33
-"""Positions per piece at which sigma is looked at where floats saw nothing."""
-ZOOMS = 3
-"""Nearer looks around the least of them, each `PLACES`/2 times as near."""
+PLACES = 33  # positions per piece at which sigma is looked at where floats saw nothing
+ZOOMS = 3  # nearer looks around the least of them, each `PLACES`/2 times as near
 PRECISIONS = (160, 400, 1200)
 """Precisions: the inverse of an ill-conditioned Gramian may need the second, growth beyond e^100 the third."""
 

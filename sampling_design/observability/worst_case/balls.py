@@ -32,22 +32,14 @@ from sampling_design.records.arrays import Array, Integers, Mask
 from sampling_design.records.budget import Budget, BudgetSpentError
 from sampling_design.schedules.spaced_windows import SpacedWindows
 
-FIRST_GRID, LAST_GRID = 32, 8192
-"""BoxCells of the time grid at first and at most."""
-THINNEST = 20
-"""Most halvings of a side: products of such dyadic numbers are exact doubles."""
-MOST_STATES = 8
-"""2^(n-1) corners per cell."""
-MOST_CELLS = 200_000
-"""Open at once."""
-BATCH = 2_000_000
-"""Numbers per batch."""
-FALSE = 1e-9
-"""A schedule this far below the claim, relative, ends the attempt."""
-UNIT = 2.0**-53
-"""Rounding unit of doubles."""
-UP = 1 + 2.0**-40
-"""Factor that covers the rounding of a few products of positive doubles."""
+FIRST_GRID, LAST_GRID = 32, 8192  # cells of the time grid at first and at most
+THINNEST = 20  # most halvings of a side: products of such dyadic numbers are exact doubles
+MOST_STATES = 8  # 2^(n-1) corners per cell
+MOST_CELLS = 200_000  # open at once
+BATCH = 2_000_000  # numbers per batch
+FALSE = 1e-9  # a schedule this far below the claim, relative, ends the attempt
+UNIT = 2.0**-53  # rounding unit of doubles
+UP = 1 + 2.0**-40  # factor that covers the rounding of a few products of positive doubles
 
 
 class BallCells(NamedTuple):

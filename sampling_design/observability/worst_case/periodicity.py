@@ -9,8 +9,7 @@ from fractions import Fraction
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.spaced_windows import SpacedWindows
 
-MOST_STATES = 12
-"""States up to which products in fractions are formed: a few thousand of them."""
+MOST_STATES = 12  # states up to which products in fractions are formed: a few thousand of them
 
 ROUNDED_UP = 1 + 1e-9
 """By which a period, and with it a window, is lengthened: a longer one holds every schedule of a shorter one."""

@@ -31,9 +31,7 @@ from sampling_design.records.arrays import Array, Integers, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
 
-MOST_STATES = 12
-"""A cell has 2^{n-1} corners: beyond this many states a proof by cells of directions is not tried."""
-
+MOST_STATES = 12  # a cell has 2^{n-1} corners: beyond this many states a proof by cells of directions is not tried
 _STAGES = (0.25, 0.5, 0.75, 0.9, 1.0)  # of the wanted sigma: a search that is cut short has proven something
 _FLAT = 1 / 16  # part of its longest side below which a cell's side along what the first sample sees needs no corners
 _BATCH = 300_000  # numbers per batch

@@ -35,12 +35,10 @@ from sampling_design.records.record import counted, short
 from sampling_design.records.signatures import open_verb
 from sampling_design.schedules.spaced_windows import SpacedWindows
 
-MOST_MEMORY = 2.0
-"""GiB that a search over the times of all samples may take."""
+MOST_MEMORY = 2.0  # GiB that a search over the times of all samples may take
 _PROOF = 0.25  # of the budget: what the proof has in any case, however long a busy machine took for the search
 LEAST_SEARCH = 1.0  # seconds for the attained bound even where the budget is spent: without it nothing is said
-RTOL = 0.01
-"""Default width of the bracket, relative."""
+RTOL = 0.01  # default width of the bracket, relative
 _PICTURE = 401  # points of the profile
 _REASONS = {
     "budget": "the budget ran out before the bracket closed; more time narrows it",

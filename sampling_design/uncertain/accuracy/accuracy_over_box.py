@@ -37,16 +37,12 @@ OnePlant = Callable[[Plant, Array, Array, Array, float], Both]
 SECONDS = 120.0
 RTOL = 0.1
 """Default width of the brackets, relative."""
-FINER = 0.4
-"""Share of the tolerance that the bracket of each single plant may take."""
+FINER = 0.4  # share of the tolerance that the bracket of each single plant may take
 GUESSES = (1.02, 1.1, 1.4, 2.5)
 """Factors by which what the mismatch moves is taken larger than at the centre, one after the other."""
-MOST_CORNERS = 2
-"""Parameters up to which the corners of the box are looked at first."""
-RANK = 1e-13
-"""Singular values below this share of the largest are rounding of a parameter's matrix."""
-SMALLEST = 1e-6
-"""Cells below this share of the box, along every parameter, are not halved further."""
+MOST_CORNERS = 2  # parameters up to which the corners of the box are looked at first
+RANK = 1e-13  # singular values below this share of the largest are rounding of a parameter's matrix
+SMALLEST = 1e-6  # cells below this share of the box, along every parameter, are not halved further
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -30,8 +30,7 @@ LOOKED = 4
 """Times of each gap at which the error is bracketed: just after its sample, in between, and just before the next."""
 CELLS = (8, 16, 32)
 """Cells of a gap on which the adversary's w is constant, one number after the other until the bracket closes."""
-UNSEEN = 1e-9
-"""Share of a row that readings may leave of a free start and that counts as rounding."""
+UNSEEN = 1e-9  # share of a row that readings may leave of a free start and that counts as rounding
 
 
 @dataclass(frozen=True, eq=False, repr=False)

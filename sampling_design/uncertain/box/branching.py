@@ -18,14 +18,11 @@ Judge = Callable[[BoxCells], tuple[Array, Array, Array]]
 Value = Callable[[Array, float, int], float]
 Unseen = Callable[[Array, float, int], bool]
 
-MOST_CELLS = 100_000
-"""BoxCells after which a search without a budget ends as well."""
-TOGETHER = 512
-"""BoxCells judged in one batch."""
+MOST_CELLS = 100_000  # cells after which a search without a budget ends as well
+TOGETHER = 512  # cells judged in one batch
 UNSEEN = 1e-8
 """What this share of the outputs shows at most, in balanced coordinates, counts as unseen where a descent ends."""
-DESCENTS = 3
-"""Rounds between two descents."""
+DESCENTS = 3  # rounds between two descents
 STEPS = 400
 BALL_ROOM = 1.001
 """Of the tolerance: how much of it a bracket may be open, what balls give away included."""

@@ -20,10 +20,8 @@ from sampling_design.uncertain.box.norms import FLOATS, CellNorms
 
 WORST_BASIS = 1e5
 """A basis of a larger condition is none to bound anything in: its inverse is rounded by this times n eps."""
-DEGREE, FOLD = 19, 4
-"""Of the Taylor polynomial at |M| <= 1, and by how many powers it is folded."""
-UP = 1 + 1e-8
-"""Covers the rounding of the bounds themselves, that of the inverse of a basis among it."""
+DEGREE, FOLD = 19, 4  # of the Taylor polynomial at |M| <= 1, and by how many powers it is folded
+UP = 1 + 1e-8  # covers the rounding of the bounds themselves, that of the inverse of a basis among it
 EPS = float(np.finfo(float).eps)
 
 

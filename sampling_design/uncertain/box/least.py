@@ -20,11 +20,8 @@ from sampling_design.uncertain.box.model import BoxModel
 
 MOST_CORNERS = 6
 """Directions of a cell up to which all its corners are tried; beyond it every direction counts with its size."""
-ROUNDING = 64 * float(np.finfo(float).eps)
-"""Of sums of a few products, relative; times the number of rows and states."""
-
-LARGEST = 1e60
-"""A rest beyond it proves nothing."""
+ROUNDING = 64 * float(np.finfo(float).eps)  # of sums of a few products, relative; times the number of rows and states
+LARGEST = 1e60  # a rest beyond it proves nothing
 
 
 class LeastSigma(NamedTuple):

@@ -26,16 +26,14 @@ from sampling_design.uncertain.box.model import BoxModel
 from sampling_design.uncertain.box.question import at_parameters
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
-Margin = Callable[[Plant], tuple[bool, float, str]]
-"""Of a plant: whether a certificate exists, how clearly, and why."""
+Margin = Callable[[Plant], tuple[bool, float, str]]  # of a plant: whether a certificate exists, how clearly, and why
 
 PERIODS, SETTLED = 400, 1e-6
 """Periods of the filter that finds the gains, and the relative change at which it has settled."""
 SECONDS = 60.0
 SMALLEST = 1e-9
 """BoxCells below this share of the box are not halved further."""
-LOOKS = 8
-"""BoxCells judged between two looks for a plant without certificate."""
+LOOKS = 8  # cells judged between two looks for a plant without certificate
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -31,8 +31,7 @@ from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 Judged = tuple[Mask, Mask, Array]
 SAME = 1e-9
 """BoxCells below this share of the ranges are not halved further."""
-LOOKS = 6
-"""Rounds between two searches for a plant that fails."""
+LOOKS = 6  # rounds between two searches for a plant that fails
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -29,19 +29,14 @@ from sampling_design.uncertain.inclusion.layout import Schedules, graph_for, lay
 from sampling_design.uncertain.inclusion.search import InclusionSearch
 from sampling_design.uncertain.plants.inclusion import LinearInclusion
 
-PIECES = (8, 16, 32)
-"""Pieces of P(tau) that are tried one after the other where a number is not given."""
-ENOUGH = 0.05
-"""Share by which twice as many pieces must shorten the horizon for the next number to be tried."""
+PIECES = (8, 16, 32)  # pieces of P(tau) that are tried one after the other where a number is not given
+ENOUGH = 0.05  # share by which twice as many pieces must shorten the horizon for the next number to be tried
 RATES, FINER_RATES = 5, 2
 SUSPECTS = 24
 """Constant plants in which a schedule without certificate is looked for."""
-LONGEST_LOOK = 6.0
-"""Seconds of that search."""
-MOST_UNKNOWNS = 4000
-"""Of a program with more memory than the least: it would take minutes."""
-BISECTIONS, CLOSE = 12, 1.003
-"""Of the longest gap: at most so many, until both ends are this near."""
+LONGEST_LOOK = 6.0  # seconds of that search
+MOST_UNKNOWNS = 4000  # of a program with more memory than the least: it would take minutes
+BISECTIONS, CLOSE = 12, 1.003  # of the longest gap: at most so many, until both ends are this near
 
 
 class CertifyOptions(TypedDict, total=False):

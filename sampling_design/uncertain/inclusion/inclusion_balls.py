@@ -28,8 +28,7 @@ from sampling_design.uncertain.inclusion.region_balls import JacobianCells, mid,
 Jumps = list[tuple[Matrix, Matrix, float]]
 PRICE = 200
 """Work, about microseconds, of one inequality, beside that of its size."""
-MOST_SETS = 2000
-"""Sets of C that are tried for one sample."""
+MOST_SETS = 2000  # sets of C that are tried for one sample
 
 
 def inclusion(c: Inclusion, clock: Budget) -> Proven:

@@ -21,10 +21,8 @@ from sampling_design.schedules.schedule import PeriodicSchedule
 
 Schedules = SamplingFamily | PeriodicSchedule
 
-LEAST_PIECES = 2
-"""Pieces of the P(tau) of a word whose gaps are much shorter than the longest."""
-DECIMALS = 10
-"""Of the nodes that are chosen here; the ends of gaps stay what they are."""
+LEAST_PIECES = 2  # pieces of the P(tau) of a word whose gaps are much shorter than the longest
+DECIMALS = 10  # of the nodes that are chosen here; the ends of gaps stay what they are
 
 
 class WordLayout(NamedTuple):

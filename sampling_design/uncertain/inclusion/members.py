@@ -26,8 +26,7 @@ INFLATED = (0.002, 0.02, 0.1)
 """Share by which sampled members are pushed outwards, so that cells of the region need not be tiny."""
 HULL_CORNERS, HALVINGS = 10, 3
 """Directions of a set that holds all C whose corners are members; halvings of a stiff plant's region into cells."""
-FASTEST = 1e3
-"""Rates per longest gap beyond which a plant is stiff."""
+FASTEST = 1e3  # rates per longest gap beyond which a plant is stiff
 
 
 class PosedMembers:

@@ -21,14 +21,11 @@ MARGIN = 1e-5
 """Of flow and jump, relative to P: solvers miss their inequalities by some 1e-8, and P is rounded afterwards."""
 BEARABLE, PACE = 1e3, 4.0
 """Rates per longest gap beyond which flow conditions are posed in their own size; the rate that counts as 1 there."""
-LEAST_SLACKEST, MOST_SLACKEST = 0.01, 4.0
-"""Ends of P for the largest slack: the lower one is that part of the slack."""
+LEAST_SLACKEST, MOST_SLACKEST = 0.01, 4.0  # ends of P for the largest slack: the lower one is that part of the slack
 LEAST_BOUND = 0.05
 """Of the matrix that P is drawn to: it stays within a factor of twenty of what it is in the coordinates of the turn."""
-MEMBERS = 512
-"""Members whose eigenvalues are found at once."""
-SMALLEST = 1e-7
-"""Information below this fraction of the nominal counts as none: the solver's tolerance, with room."""
+MEMBERS = 512  # members whose eigenvalues are found at once
+SMALLEST = 1e-7  # information below this fraction of the nominal counts as none: the solver's tolerance, with room
 
 
 @dataclass(frozen=True, eq=False)

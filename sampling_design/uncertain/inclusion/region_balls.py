@@ -18,15 +18,12 @@ from sampling_design.records.budget import Budget
 Slopes = dict[tuple[str, int], Ball]
 Forms = Callable[[Matrix, Matrix], Iterator[Matrix]]
 """What must be positive for a Jacobian of a cell whose middle is the second matrix."""
-WIDE = 1e-9
-"""Radii of a Jacobian beyond this share of the largest have their ends tried apart."""
+WIDE = 1e-9  # radii of a Jacobian beyond this share of the largest have their ends tried apart
 CORNERS = 5
 DEPTH = 60
 """Halvings of a cell."""
-PRICE = 100
-"""Work, about microseconds, of an instruction of the programs over a cell and its halves."""
-FAR = 1e9
-"""Half the width of what stands for an unbounded number: sine and cosine are between -1 and 1 there."""
+PRICE = 100  # work, about microseconds, of an instruction of the programs over a cell and its halves
+FAR = 1e9  # half the width of what stands for an unbounded number: sine and cosine are between -1 and 1 there
 
 
 def split_columns(M: Matrix, n: int) -> tuple[Matrix, Matrix]:

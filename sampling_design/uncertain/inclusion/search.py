@@ -31,14 +31,10 @@ NARROWINGS, NARROW_ENOUGH = 12, 0.995
 """Turns in which P(tau) is drawn together; a turn that leaves lambda above this part of the last is the last."""
 HIGHER = 1.0, 1e2, 1e4
 """Times the floor that the noise gain leaves P1: where the solver fails so near to a singular one, it is raised."""
-ROUNDS = 12
-"""How often members that violate a solution may join the program."""
-JOINING = 4
-"""Members that join at once."""
-DIGITS = (7, 9, 11, 15)
-"""Decimals to which P is rounded, relative to its diagonal: the fewest that leave it proven."""
-ROOM = 1e-6
-"""By which P1 and P2 stand off from P, relatively."""
+ROUNDS = 12  # how often members that violate a solution may join the program
+JOINING = 4  # members that join at once
+DIGITS = (7, 9, 11, 15)  # decimals to which P is rounded, relative to its diagonal: the fewest that leave it proven
+ROOM = 1e-6  # by which P1 and P2 stand off from P, relatively
 
 
 Attempt = tuple[InclusionCertificate | None, Verification | None]

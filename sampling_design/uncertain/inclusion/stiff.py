@@ -29,10 +29,8 @@ from sampling_design.uncertain.inclusion.program import (
 Posing = Callable[[Array], tuple[PosedProgram, Array]]
 Solver = Callable[[InclusionProgram], tuple[Array | None, float, SolverRecord]]
 
-TURNS = 6
-"""Turns in which coordinates are found."""
-SLACK_ENOUGH = 0.2
-"""Slack, relative to the terms of the flow condition, from which on another turn gains little."""
+TURNS = 6  # turns in which coordinates are found
+SLACK_ENOUGH = 0.2  # slack, relative to the terms of the flow condition, from which on another turn gains little
 ROUNDS = 12
 JOINING = 8
 """Members that join at once, and how often."""

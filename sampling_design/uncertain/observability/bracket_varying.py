@@ -22,10 +22,8 @@ from sampling_design.records.budget import Budget
 from sampling_design.uncertain.plants.time_table import MatrixTable, length_of
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
 
-FIRST = 5
-"""Positions of a piece at first, its ends included."""
-LOOKED = 5
-"""Instants of an interval at which functions are looked at."""
+FIRST = 5  # positions of a piece at first, its ends included
+LOOKED = 5  # instants of an interval at which functions are looked at
 MOST_PROVEN, MOST_SAMPLED = 5000, 100
 """Halvings at most: of tables, and of functions, whose every transition is an integration."""
 EPS = float(np.finfo(float).eps)

@@ -31,10 +31,8 @@ from sampling_design.uncertain.box.expansion import BoxCells
 from sampling_design.uncertain.box.norms import CellNorms
 from sampling_design.uncertain.observability.windows_over_box import WindowsOverBox
 
-FALSE = 1e-9
-"""A plant this far below the claim, relative, ends the attempt."""
-SMALLEST = 2.0**-40
-"""Cells below this share of the box and of their piece are not halved further."""
+FALSE = 1e-9  # a plant this far below the claim, relative, ends the attempt
+SMALLEST = 2.0**-40  # cells below this share of the box and of their piece are not halved further
 
 
 def prove_over_box(

@@ -23,8 +23,7 @@ from sampling_design.uncertain.box.question import REASONS, at_parameters
 from sampling_design.uncertain.observability.windows_over_box import WindowsOverBox
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
-RTOL = 0.01
-"""Default width of the bracket, relative."""
+RTOL = 0.01  # default width of the bracket, relative
 
 
 @dataclass(frozen=True, eq=False, repr=False)

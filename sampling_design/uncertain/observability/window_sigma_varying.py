@@ -12,8 +12,7 @@ from sampling_design.schedules.schedule import Schedule
 from sampling_design.uncertain.observability.bracket_varying import bracket_varying
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
 
-RTOL = 0.01
-"""Default width of the bracket, relative."""
+RTOL = 0.01  # default width of the bracket, relative
 
 
 def window_sigma_varying(

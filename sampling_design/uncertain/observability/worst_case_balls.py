@@ -34,10 +34,8 @@ from sampling_design.uncertain.box.expansion import BoxCells
 from sampling_design.uncertain.box.model import BoxModel
 from sampling_design.uncertain.observability.worst_case_cells import SigmaOfOne, parts_of, points_of
 
-SMALLEST = 2.0**-20
-"""Cells below this share of the box are not halved further."""
-UP = 1 + 2.0**-50
-"""Covers the rounding of one double."""
+SMALLEST = 2.0**-20  # cells below this share of the box are not halved further
+UP = 1 + 2.0**-50  # covers the rounding of one double
 
 
 def prove_worst_over_box(

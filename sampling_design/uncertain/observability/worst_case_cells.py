@@ -32,12 +32,9 @@ from sampling_design.uncertain.box.model import BoxModel
 SigmaOfOne = Callable[[Plant, float, float], tuple[float, float, Array]]
 """Of a plant, a tolerance and seconds: proven lower bound, attained upper one and its times."""
 
-MOST_CORNERS = 4
-"""Parameters up to which cells are judged by their corners."""
-WIDE = 10.0
-"""Units this far apart, in balanced coordinates, are told by what sigma is there."""
-FINER = 0.25
-"""Share of the tolerance that the bracket of each single plant may take."""
+MOST_CORNERS = 4  # parameters up to which cells are judged by their corners
+WIDE = 10.0  # units this far apart, in balanced coordinates, are told by what sigma is there
+FINER = 0.25  # share of the tolerance that the bracket of each single plant may take
 
 
 def parts_of(model: BoxModel, cell: BoxCells, family: SpacedWindows) -> BoxCells:

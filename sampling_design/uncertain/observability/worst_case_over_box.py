@@ -32,8 +32,7 @@ from sampling_design.uncertain.observability.worst_case_cells import (
 )
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
-RTOL = 0.1
-"""Default width of the bracket, relative."""
+RTOL = 0.1  # default width of the bracket, relative
 
 
 @dataclass(frozen=True, eq=False, repr=False)

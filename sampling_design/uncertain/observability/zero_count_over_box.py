@@ -21,11 +21,9 @@ from sampling_design.uncertain.box.model import BoxModel
 from sampling_design.uncertain.box.question import at_parameters
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
-SLOWEST = 1e-3
-"""Frequencies below this share of |A| are not told from none: the count is taken with this much more."""
+SLOWEST = 1e-3  # frequencies below this share of |A| are not told from none: the count is taken with this much more
 CLOSE = 1e-3  # relative width of a bracket of frequencies
-SECONDS = 60.0
-"""Of each bracket, which the count needs only to the next whole number."""
+SECONDS = 60.0  # of each bracket, which the count needs only to the next whole number
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -176,5 +174,4 @@ def require_every_plant_observable(model: BoxModel) -> None:
     )
 
 
-SEEN = 1e-12
-"""What is below this share of the outputs counts as unseen: short windows see slow modes little."""
+SEEN = 1e-12  # what is below this share of the outputs counts as unseen: short windows see slow modes little

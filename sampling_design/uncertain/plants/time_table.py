@@ -11,12 +11,9 @@ from sampling_design.errors import SolverError
 from sampling_design.numerics.filtering import propagate
 from sampling_design.records.arrays import Array
 
-TERMS = 22
-"""Of each Taylor series."""
-LENGTH = 0.5
-"""|A| times a step at most."""
-MOST_STEPS = 200_000
-"""Over one gap; what asks for more is no motion that doubles could follow."""
+TERMS = 22  # of each Taylor series
+LENGTH = 0.5  # |A| times a step at most
+MOST_STEPS = 200_000  # over one gap; what asks for more is no motion that doubles could follow
 EPS = float(np.finfo(float).eps)
 
 

@@ -23,11 +23,8 @@ from sampling_design.uncertain.plants.time_table import MatrixTable, table_flow
 
 MatrixOfTime = Callable[[float], npt.ArrayLike]
 
-TOLERANCE = 1e-9
-"""Relative tolerance of the transitions, in scaled states."""
-
-CLOSER = 1e-2
-"""The same transitions at this share of the tolerance say how far off they are."""
+TOLERANCE = 1e-9  # relative tolerance of the transitions, in scaled states
+CLOSER = 1e-2  # the same transitions at this share of the tolerance say how far off they are
 
 MOST_EVALUATIONS = 20000
 """Of the right side over one stretch; where an integrator needs more, the solution escapes or is not smooth."""

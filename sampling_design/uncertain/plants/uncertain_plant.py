@@ -29,10 +29,8 @@ from sampling_design.uncertain.plants.plant_files import (
 _MOVED = ("A", "C", "G")
 MOST_CORNERS = 10
 """Parameters of a box up to which all its corners are listed; beyond it random ones."""
-MOST_LISTED = 8
-"""Parameters that move A or G up to which a certificate's program knows corners; beyond it multipliers."""
-DRAWN = 1024
-"""Corners that are drawn where there are more."""
+MOST_LISTED = 8  # parameters that move A or G up to which a certificate's program knows corners; beyond it multipliers
+DRAWN = 1024  # corners that are drawn where there are more
 
 
 @frozen

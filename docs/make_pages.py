@@ -66,6 +66,7 @@ WRITTEN |= {
     "pole",
     "blood",
     "own_estimator",
+    "paper",
 }  # every other page beside these was written by a command
 GROUPS = {
     "definition": "Definitions",
@@ -117,6 +118,7 @@ def items_page(items: list[dict]) -> str:
         "list (`docs/paper_items.toml`) and fails where a page, a function or a test is missing.",
         f"{shown} of the {len(errata)} corrections have a test that puts the printed formula in and shows it fail;",
         "for the others the table says why there is nothing to evaluate.",
+        "[Ten lines for each item](../paper.md) work it out on an example.",
         "",
     ]
     for kind, heading in GROUPS.items():

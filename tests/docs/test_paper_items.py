@@ -87,6 +87,21 @@ def test_few_corrections_are_left_to_reasons():
     assert [i["id"] for i in ITEMS if i["kind"] == "erratum" and i.get("no_test")] == ["E34", "E35", "E36"]
 
 
+def test_every_item_is_worked_out_in_ten_lines():
+    """The build executes them; one that needed more would no longer be what a reader types."""
+    text = (DOCS / "paper.md").read_text()
+    sections = dict(re.findall(r"^### (.+)\n((?:(?!^#).*\n)*)", text, re.MULTILINE))
+    cells = [cell.strip().splitlines() for cell in re.findall(r"```\{code-cell\} python\n(.*?)```", text, re.DOTALL)]
+    assert max(len([line for line in cell if line.strip()]) for cell in cells) <= 10
+    assert all("```{code-cell}" in body for body in sections.values())
+    worked = set()
+    for heading in sections:
+        name = re.sub(r"[Ee]quations? ", "", heading.split(":")[0])
+        ends = [int(n) for n in re.findall(r"\((\d+)\)", name)] if " to " in name else [1, 0]
+        worked |= {*re.split(", | and ", name), *(f"({n})" for n in range(ends[0], ends[1] + 1))}
+    assert sorted({item["label"] for item in ITEMS if item["kind"] != "erratum"} - worked) == []
+
+
 def test_theory_that_docstrings_cite_by_number_has_a_page():
     headings = "\n".join(p.read_text() for p in (DOCS / "theory").glob("*.md"))
     known = set(re.findall(r"^#+ (\d+(?:\.\d+)?) ", headings, re.MULTILINE))

@@ -459,6 +459,11 @@ def arrived(items: Iterable[object], p: int) -> list[RecordRow]:
 
     Raises ArgumentError if a row has another form or number of outputs, or an output is infinite.
     """
+    if hasattr(items, "columns"):
+        raise ArgumentError(
+            f"`record` must hold rows (t, y, u), got {checks.described(items)}: give it as "
+            "`read_measurements(frame, plant)`, which also takes the date of time 0."
+        )
     return [_arrived(item, p) for item in items]
 
 

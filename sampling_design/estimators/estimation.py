@@ -30,7 +30,7 @@ def estimate(
     Parameters
     ----------
     plant : Plant
-    record : Measurements, pandas DataFrame or iterable of (t, y, u)
+    record : Measurements, DataFrame or iterable of (t, y, u)
         Gone through in order of time.
     estimator : Estimator
         Any object with `start(prior, prior_time)`, `update(t, y, u)` and `predict(t)`: those of this package, or one of
@@ -62,8 +62,9 @@ def estimate(
     """
     plant = part_for(plant, of)
     n = plant.n_states
-    samples = [triple(item) for item in listed(record, plant)]
+    taken, origin = listed(record, plant)
+    samples = [triple(item) for item in taken]
     begin = checks.vector("prior", np.zeros(n) if prior is None else prior, n)
     estimator.start(begin, checks.number("prior_time", prior_time))
-    taken = [(estimator.update(s.t, s.y, s.u), s.t) for s in samples]  # type: ignore[arg-type]  # as it came
-    return EstimateRecord.collect(plant, [estimate_from(found, time_or_span(t)[0], n) for found, t in taken])
+    told = [(estimator.update(s.t, s.y, s.u), s.t) for s in samples]  # type: ignore[arg-type]  # as it came
+    return EstimateRecord.collect(plant, [estimate_from(found, time_or_span(t)[0], n) for found, t in told], origin)

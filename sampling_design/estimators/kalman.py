@@ -212,7 +212,7 @@ class KalmanFilter(WindowedEstimator):
 
         Parameters
         ----------
-        record : Measurements, pandas DataFrame or iterable of (t, y, u)
+        record : Measurements, DataFrame or iterable of (t, y, u)
             As for `run`. In order of time, from the filter's prior on.
 
         Returns
@@ -225,7 +225,8 @@ class KalmanFilter(WindowedEstimator):
         fresh = copy(self)
         fresh.memory = np.inf
         fresh.state = EstimatorState(self.initial_state(self.state.nodes[0].x, self.state.nodes[0].t).nodes)
-        for item in listed(record, self.plant):
+        samples, origin = listed(record, self.plant)
+        for item in samples:
             fresh.update(*triple(item))
         nodes = fresh.state.nodes
         if len(nodes) == 1:
@@ -257,4 +258,4 @@ class KalmanFilter(WindowedEstimator):
                     ),
                 )
             )
-        return EstimateRecord.collect(self.plant, estimates)
+        return EstimateRecord.collect(self.plant, estimates, origin)

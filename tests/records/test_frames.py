@@ -3,7 +3,10 @@
 import importlib
 import pkgutil
 import sys
+from datetime import datetime
 from functools import cache
+from importlib.util import find_spec
+from types import SimpleNamespace
 
 import numpy as np
 import pandas
@@ -232,10 +235,98 @@ def test_an_index_of_numbers_may_be_the_time(name):
     assert sd.read_measurements(frame, plant).times.tolist() == [0.5, 1.5]
 
 
+TANK = sd.Plant([[0.0]], [[1.0]], time_unit="h", outputs=["gauge"])
+
+
+def test_an_index_of_numbers_without_a_name_is_the_time_unless_it_counts_the_rows():
+    frame = pandas.DataFrame({"gauge": [1.0, 2.0]}, index=[0.0, 6.5])
+    for given in (frame, frame["gauge"], frame["gauge"].rename(None)):
+        assert sd.read_measurements(given, TANK).times.tolist() == [0.0, 6.5]
+    for given in (frame.reset_index(drop=True), pandas.Series([1.0, 2.0], name="gauge")):
+        with pytest.raises(FileFormatError, match="the frame: has no column `time` or `date`, and its index counts"):
+            sd.read_measurements(given, TANK)
+    estimates = sd.KalmanFilter(TANK, w_bound=0.1, v_bound=0.1, initial_error=1.0).run(frame["gauge"])
+    assert estimates.times.tolist() == [0.0, 6.5]
+
+
+def test_the_only_column_of_dates_is_the_date_whatever_its_name():
+    stamps = pandas.to_datetime(["2026-03-02 08:00", "2026-03-02 14:30"])
+    frame = pandas.DataFrame({"when": stamps, "gauge": [1.0, np.nan]})
+    found = sd.read_measurements(frame, TANK, origin=stamps[0].normalize(), zone="Europe/Berlin")
+    assert found.times.tolist() == [8.0, 14.5]
+    with pytest.raises(FileFormatError, match="the header must hold `time` or `date`, got when, gauge, then"):
+        sd.read_measurements(frame.assign(then=stamps), TANK)
+
+
+class _Polars:
+    """What reading asks of a frame of polars, which the tests do not install."""
+
+    class _Column(list):
+        def __init__(self, cells):
+            super().__init__(cells)
+            dated = any(isinstance(cell, datetime) for cell in cells)
+            self.dtype = SimpleNamespace(is_temporal=lambda: dated)
+
+    def __init__(self, **columns):
+        self.columns, self.cells = list(columns), {k: self._Column(v) for k, v in columns.items()}
+
+    def __getitem__(self, name):
+        return self.cells[name]
+
+    def fill_nan(self, value):
+        return _Polars(**{k: [value if c != c else c for c in v] for k, v in self.cells.items()})
+
+    def write_csv(self):
+        def said(cell):
+            return "" if cell is None else f"{cell:%Y-%m-%dT%H:%M:%S.%f}" if isinstance(cell, datetime) else str(cell)
+
+        return "\n".join(",".join(map(said, row)) for row in [self.columns, *zip(*self.cells.values(), strict=True)])
+
+
+def frames():
+    """A frame of two sensors as pandas and as polars have it."""
+    stamps = [datetime(2026, 3, 2, 8), datetime(2026, 3, 2, 14, 30), datetime(2026, 3, 3, 8)]
+    columns = {"when": stamps, "low": [1.0, np.nan, 2.0], "high": ["<0.5", "4.0", None]}
+    polars = pytest.importorskip("polars") if find_spec("polars") else None
+    return [
+        pandas.DataFrame(columns),
+        _Polars(**columns),
+        *([polars.DataFrame(columns, strict=False)] if polars else []),
+    ]
+
+
+def test_frames_of_pandas_and_polars_say_the_same():
+    plant = sd.Plant([[0.0]], [[1.0], [1.0]], time_unit="h", outputs=["low", "high"])
+    for frame in frames():
+        found = sd.read_measurements(frame, plant)
+        assert found.times.tolist() == [0.0, 6.5, 24.0]
+        np.testing.assert_array_equal(found.y, [[1.0, np.nan], [np.nan, 4.0], [2.0, np.nan]])
+        assert [len(row) for row in found.told] == [1, 0, 0]
+        estimates = sd.KalmanFilter(plant, w_bound=0.1, v_bound=0.1, initial_error=9.0).run(frame)
+        assert list(estimates.to_frame().index) == list(found.to_frame().index)
+    with pytest.raises(ArgumentError, match="`path` must be a file, or a frame of pandas or polars, got"):
+        sd.read_measurements(Columns(), plant)
+
+
+class Columns:
+    """A frame of another library."""
+
+    columns = ("time", "low", "high")
+
+    def __getitem__(self, name):
+        return [0.0]
+
+
+def test_an_interval_says_how_a_frame_is_given():
+    frame = pandas.DataFrame({"time": [0.0], "gauge": [1.0]})
+    with pytest.raises(ArgumentError, match=r"`record` must hold rows .*: give it as `read_measurements\(frame, plant"):
+        sd.state_interval(TANK, frame, w_bound=0.1, v_bound=0.1, initial_error=1.0)
+
+
 def test_a_bad_frame_is_refused_in_the_words_of_a_file():
     with pytest.raises(FileFormatError, match="the frame: column 'position' is missing"):
         sd.read_measurements(pandas.DataFrame({"time": [0.0], "force_per_mass": [0.0]}), OSCILLATOR)
-    with pytest.raises(ArgumentError, match="`path` must be a text or a path or a DataFrame, got int 3"):
+    with pytest.raises(ArgumentError, match="`path` must be a text or a path or a DataFrame or a Series, got int 3"):
         sd.read_measurements(3, OSCILLATOR)
 
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.estimate import Contradiction, Estimate, Status, half_widths
 from sampling_design.estimators.online.tally import EstimateCounts
-from sampling_design.estimators.records.measurement_table import MeasuredPlant
+from sampling_design.estimators.records.measurement_table import MeasuredPlant, dates_of
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
@@ -51,6 +51,8 @@ class EstimateRecord(ListRecord[Estimate], CurveRecord, PlainRecord):
     contradictions : tuple of Contradiction or None
     estimates : tuple of Estimate
         Those that it was made of.
+    origin : str
+        Date (ISO 8601) of time 0, if known: then rows of `to_frame()` have their dates.
     """
 
     plant: Plant
@@ -65,6 +67,7 @@ class EstimateRecord(ListRecord[Estimate], CurveRecord, PlainRecord):
     notes: tuple[str, ...] = field(default=())
     contradictions: tuple[Contradiction | None, ...] = field(default=())
     estimates: tuple[Estimate, ...] = field(default=(), repr=False)
+    origin: str = ""
 
     _plain = (
         "states:plant.states.names time_unit:plant.time_unit times x radii radius cost status certified on_schedule "
@@ -72,7 +75,7 @@ class EstimateRecord(ListRecord[Estimate], CurveRecord, PlainRecord):
     )
 
     @classmethod
-    def collect(cls, plant: Plant | MeasuredPlant, estimates: Iterable[Estimate]) -> EstimateRecord:
+    def collect(cls, plant: Plant | MeasuredPlant, estimates: Iterable[Estimate], origin: str = "") -> EstimateRecord:
         """Return the record of some estimates of one plant, linear or not."""
         found: Sequence[Estimate] = list(estimates)
         if not all(isinstance(e, Estimate) for e in found):
@@ -93,6 +96,7 @@ class EstimateRecord(ListRecord[Estimate], CurveRecord, PlainRecord):
             notes=tuple(e.note for e in found),
             contradictions=tuple(e.contradiction for e in found),
             estimates=tuple(found),
+            origin=origin,
         )
 
     def _entries(self) -> tuple[Estimate, ...]:
@@ -100,7 +104,7 @@ class EstimateRecord(ListRecord[Estimate], CurveRecord, PlainRecord):
 
     def centred(self) -> EstimateRecord:
         """Return the estimates moved into the middle of their intervals, as `Estimate.centred`."""
-        return self.collect(self.plant, [estimate.centred() for estimate in self.estimates])
+        return self.collect(self.plant, [estimate.centred() for estimate in self.estimates], self.origin)
 
     @cached_property
     def radii(self) -> Array:
@@ -141,7 +145,9 @@ class EstimateRecord(ListRecord[Estimate], CurveRecord, PlainRecord):
 
     def _columns(self) -> dict[str, Column]:
         names = self.plant.states.names
+        dates = dates_of(self.origin, self.times, self.plant.time_unit)
         return {
+            **({} if dates is None else {"date": dates}),
             "time": self.times,
             **{name: self.x[:, i] for i, name in enumerate(names)},
             **{f"{name} radius": self.radii[:, i] for i, name in enumerate(names)},

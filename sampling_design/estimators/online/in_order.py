@@ -18,7 +18,7 @@ from sampling_design.estimators.online.estimator import EstimateRecord, Sample
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.same_time import corrected, corrected_inputs, merge, with_input, without
 from sampling_design.estimators.records.measurement_table import MeasuredPlant
-from sampling_design.estimators.records.measurements import DataFrame, read_measurements
+from sampling_design.estimators.records.measurements import DataFrame, Measurements, Series, read_measurements
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -354,9 +354,9 @@ class OnlineEstimator(Displayable, ABC):
 
         Parameters
         ----------
-        record : Measurements, pandas DataFrame or iterable of (t, y, u)
-            A frame has the columns of a measurement file, `time` or `date` also as its index; dates count from the
-            first (`read_measurements` takes another origin). It is gone through in order of time, so that every sample
+        record : Measurements, DataFrame or iterable of (t, y, u)
+            A frame of pandas or polars is read by `read_measurements`, which also takes an origin: dates count from
+            the first. It is gone through in order of time, so that every sample
             has its estimate; `update` and `stream` take samples as they come.
         progress : callable, optional
             Called with a fraction in [0, 1] and a message after each hundredth of the record.
@@ -365,7 +365,7 @@ class OnlineEstimator(Displayable, ABC):
         -------
         EstimateRecord
         """
-        samples = listed(record, self.plant)
+        samples, origin = listed(record, self.plant)
         every = max(1, len(samples) // 100)
         found = []
         for k, item in enumerate(samples):
@@ -374,7 +374,7 @@ class OnlineEstimator(Displayable, ABC):
             found.append(self.update(*triple(item)))
             if progress is not None and ((k + 1) % every == 0 or k + 1 == len(samples)):
                 progress((k + 1) / len(samples), f"{k + 1} of {len(samples)} samples")
-        return EstimateRecord.collect(self.plant, found)
+        return EstimateRecord.collect(self.plant, found, origin)
 
 
 def _touched(state: EstimatorState, t: float) -> list[int]:
@@ -396,18 +396,19 @@ def _stamps(samples: list[object]) -> list[float]:
     return [t for t in map(_stamp, samples) if math.isfinite(t)]
 
 
-def listed(record: object, plant: MeasuredPlant) -> list[object]:
-    """The samples of a record in order of time, whatever it is made of; a frame is read like a file of `plant`.
+def listed(record: object, plant: MeasuredPlant) -> tuple[list[object], str]:
+    """The samples of a record in order of time, and the date of its time 0; a frame is read like a file of `plant`.
 
     Raises ArgumentError if it cannot be gone through; FileFormatError if it is a frame that holds no measurements of
     this plant.
     """
-    if isinstance(record, DataFrame):
-        return list(read_measurements(record, plant).in_order())
+    if isinstance(record, DataFrame | Series):
+        record = read_measurements(record, plant)
+    origin = record.origin if isinstance(record, Measurements) else ""
     if isinstance(record, Iterable) and not isinstance(record, (str, bytes)):
         found = list(record)
         times = _stamps(found)
-        return sorted(found, key=_stamp) if len(times) == len(found) and times != sorted(times) else found
+        return (sorted(found, key=_stamp) if len(times) == len(found) and times != sorted(times) else found), origin
     raise ArgumentError(
         f"`record` must be Measurements, a DataFrame or a list of (t, y, u), got {checks.described(record)}."
     )

@@ -20,6 +20,9 @@ from sampling_design.schedules.time_stamps import time_zone
 
 Numbered = tuple[int, str]
 
+STAMPS = ("time", "date")
+"""Names of the column that says when a row was measured."""
+
 SINCE = "_since"
 """Ending of the column that says where a composite sample of an output began."""
 
@@ -64,7 +67,7 @@ def read_table(
     mark = file_io.separator(first[1])
     ((_, found),) = file_io.csv_rows([first], where)
     own = {*plant.outputs.names, *plant.inputs.names}
-    header = [name.lower() if name.lower() in ("time", "date") and name not in own else name for name in found]
+    header = [name.lower() if name.lower() in STAMPS and name not in own else name for name in found]
     stamp = _check_header(where, header, plant)
     clock = _Clock(where, plant, None if origin is None else date_of(where, 0, origin), zone, stamp)
     table = MeasurementTable(where, plant, header, mark, clock, stamp)
@@ -348,7 +351,7 @@ def _counts(line: str) -> bool:
 
 
 def _check_header(where: str, header: list[str], plant: MeasuredPlant) -> str:
-    stamps = [name for name in ("time", "date") if name in header]
+    stamps = [name for name in STAMPS if name in header]
     if len(stamps) != 1:
         raise FileFormatError(f"{where}: the header must hold `time` or `date`, got {', '.join(header)}.", where)
     wanted = [*plant.outputs.names, *plant.inputs.names]
@@ -412,6 +415,14 @@ def dated(zero: datetime, t: float, unit: str) -> str:
         return (zero + timedelta(microseconds=round(t * SECONDS[unit] * 1e6))).isoformat()
     except OverflowError:
         raise ArgumentError(f"`origin` plus {t!r} {unit} lies outside the years 1 to 9999.") from None
+
+
+def dates_of(origin: str, times: Array, unit: str) -> list[datetime] | None:
+    """Return the dates of times counted from the date `origin`; None where that is ""."""
+    if not origin:
+        return None
+    zero = date_of("origin", 0, origin)
+    return [date_of("origin", 0, dated(zero, t, unit)) for t in times.tolist()]
 
 
 def _is_date(cell: str) -> bool:

@@ -8,19 +8,22 @@ import math
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from datetime import date
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from sampling_design.accuracy.readings import CensoredReading, as_typed, at_some_time, time_or_span
-from sampling_design.errors import ArgumentError
+from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.estimators.records.measurement_table import (
     SINCE,
+    STAMPS,
     UNTIL,
     MeasuredPlant,
     date_of,
     dated,
+    dates_of,
     held_on,
     read_table,
 )
@@ -36,16 +39,46 @@ from sampling_design.records.units import SECONDS
 
 @runtime_checkable
 class DataFrame(Protocol):
-    """What is asked of a pandas DataFrame, so that reading one needs no pandas here."""
+    """What is asked of a frame of pandas or polars, so that reading one needs neither here."""
 
-    index: object
     columns: Iterable[object]
 
     def __getitem__(self, name: object) -> object: ...
-    def rename(self, *, columns: dict[object, str]) -> DataFrame: ...
-    def rename_axis(self, mapper: str) -> DataFrame: ...
-    def reset_index(self) -> DataFrame: ...
+
+
+@runtime_checkable
+class _Index(Protocol):
+    """What is asked of the index of a pandas frame."""
+
+    name: object
+    nlevels: int
+
+    def __len__(self) -> int: ...
+
+
+@runtime_checkable
+class _PandasFrame(DataFrame, Protocol):
+    index: _Index
+
+    def rename_axis(self, mapper: str) -> _PandasFrame: ...
+    def reset_index(self) -> _PandasFrame: ...
     def to_csv(self, *, index: bool, date_format: str) -> str: ...
+
+
+@runtime_checkable
+class _PolarsFrame(DataFrame, Protocol):
+    def fill_nan(self, value: None) -> _PolarsFrame: ...
+    def write_csv(self) -> str: ...
+
+
+@runtime_checkable
+class Series(Protocol):
+    """What is asked of a pandas Series: the readings of one output, with their stamps as its index."""
+
+    index: object
+    name: object
+
+    def to_frame(self, name: object = ...) -> DataFrame: ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -303,8 +336,7 @@ class Measurements(TableRecord):
 
     def _columns(self) -> dict[str, Column]:
         signals = ((self.plant.outputs.names, self.y), (self.plant.inputs.names, self.u))
-        zero = date_of("origin", 0, self.origin) if self.origin else None
-        dates = [date_of("origin", 0, dated(zero, t, self.plant.time_unit)) for t in self.times] if zero else None
+        dates = dates_of(self.origin, self.times, self.plant.time_unit)
         cells = {name: values[:, i] for names, values in signals for i, name in enumerate(names)}
         return {**({"time": self.times} if dates is None else {"date": dates}), **cells}
 
@@ -324,27 +356,28 @@ class Measurements(TableRecord):
 
 @checked
 def read_measurements(
-    path: str | os.PathLike[str] | DataFrame,
+    path: str | os.PathLike[str] | DataFrame | Series,
     plant: Plant | MeasuredPlant,
     *,
-    origin: str | None = None,
+    origin: str | date | None = None,
     zone: str | None = None,
 ) -> Measurements:
-    """Return the measurements in a CSV file, or in a pandas DataFrame with the same columns.
+    """Return the measurements in a CSV file, or in a frame of pandas or polars with the same columns.
 
     Parameters
     ----------
-    path : path or DataFrame
+    path : path, DataFrame or Series
         Header `time` (in the plant's time unit) or `date` (ISO 8601; a date without an hour is some time of that day),
         then the plant's output names, then its input names, in any order. An empty output cell is "not measured" (a row
         that measures nothing is a visit that was missed or is to come), an empty input cell "unchanged"; "<0.5" and
         ">8" are limits of detection. A column `time_until` or `date_until` says until when a row may have been
         measured, where its time is not known; empty where it is. A column NAME_since beside an output NAME holds where
         a composite sample began, in the unit of the first column: the output is the mean from then on. Lines that start
-        with # are comments. Of a frame, `time` or `date` may be the index, as may dates without a name; a column of
-        dates is one of dates whatever its name says, and NaN is what an empty cell is.
+        with # are comments. NaN and null of a frame are what an empty cell is. Where a frame has no column `time` or
+        `date`, its index has the times (numbers that do more than count the rows) or the dates, else its only column
+        of dates has them, whatever they are called. A pandas Series is a frame of one output.
     plant : Plant
-    origin : str, optional
+    origin : str or datetime, optional
         Date of time 0 in a file of dates. Default: the date of the first row.
     zone : str, optional
         IANA name of the zone of dates without one. Default: the offset of `origin`, else UTC. `assumed_zone` tells.
@@ -357,36 +390,66 @@ def read_measurements(
     ------
     FileFormatError
         If a column is missing, unknown or repeated, a row has another number of cells, a cell is no number or no date,
-        an input has no value in the first row, a time comes twice with different values, or a date without a zone is
-        skipped or repeated by its clocks.
+        an input has no value in the first row, a time comes twice with different values, a date without a zone is
+        skipped or repeated by its clocks, or a frame's index counts its rows and nothing else says their times.
     ArgumentError
         If there is no zone of that name.
     """
-    where, lines = _lines_of(path)
-    table = read_table(where, lines, plant, origin, zone)
+    where, lines = _lines_of(path, plant)
+    table = read_table(where, lines, plant, origin.isoformat() if isinstance(origin, date) else origin, zone)
     times, y, u = table.arrays()
     told = tuple(table.told) if any(table.told) else ()
     return Measurements(plant, times, y, u, origin=table.origin, assumed_zone=table.assumed_zone, told=told)
 
 
-def _lines_of(source: str | os.PathLike[str] | DataFrame) -> tuple[str, Iterator[str]]:
+def _lines_of(source: str | os.PathLike[str] | DataFrame | Series, plant: MeasuredPlant) -> tuple[str, Iterator[str]]:
     """Name and lines of a file; of a frame those that its file would have, so that both are read by one grammar."""
     if isinstance(source, str | os.PathLike):
         return os.fspath(source), file_io.text_lines(source)
-    known = {"time": "time", "date": "date"}
-    columns = source
-    if not any(str(name).lower() in known for name in source.columns):
-        index, kind = str(getattr(source.index, "name", "")).lower(), _kind(source.index)
-        if kind == "M" or index in (*known, "t"):
-            columns = source.rename_axis("date" if kind == "M" else known.get(index, "time")).reset_index()
-    stamps = {name: "date" for name in columns.columns if str(name).lower() in known and _kind(columns[name]) == "M"}
-    hours = "%Y-%m-%dT%H:%M:%S.%f%z"  # of days alone, too: a frame's dates are times
-    return "the frame", iter(str(columns.rename(columns=stamps).to_csv(index=False, date_format=hours)).splitlines())
+    frame = source
+    if not isinstance(frame, DataFrame):
+        names = plant.outputs.names
+        frame = frame.to_frame(names[0] if frame.name is None and len(names) == 1 else frame.name)
+    header = [str(name) for name in frame.columns]
+    dates = [k for k, name in enumerate(frame.columns) if _kind(frame[name]) == "M"]
+    stamps = [k for k, name in enumerate(header) if name.lower() in STAMPS]
+    if isinstance(frame, _PandasFrame):
+        stamp = "" if stamps else _stamp_of(frame.index, alone=not dates)
+        whole, header = (frame.rename_axis(stamp).reset_index(), [stamp, *header]) if stamp else (frame, header)
+        hours = "%Y-%m-%dT%H:%M:%S.%f%z"  # of days alone, too: a column of pandas has times
+        text, stamps = whole.to_csv(index=False, date_format=hours), [-1] if stamp else stamps
+    elif isinstance(frame, _PolarsFrame):
+        text = frame.fill_nan(None).write_csv()
+    else:
+        raise ArgumentError(f"`path` must be a file, or a frame of pandas or polars, got {checks.described(source)}.")
+    for k in dates if stamps or len(dates) == 1 else ():
+        header[k] = "date" if k in stamps or not stamps else header[k]
+    first = io.StringIO()
+    csv.writer(first, lineterminator="").writerow(header)
+    return "the frame", iter([first.getvalue(), *text.splitlines()[1:]])
+
+
+def _stamp_of(index: _Index, alone: bool) -> str:
+    """What a file calls the index of a frame, "" where it says no times; `alone`: nor does another column."""
+    kind, name = _kind(index), str(index.name).lower()
+    if kind == "M" or name in (*STAMPS, "t"):
+        return "date" if kind == "M" or name == "date" else "time"
+    if index.name is not None or index.nlevels > 1 or kind not in "iuf" or not alone:
+        return ""
+    if np.array_equal(np.asarray(index), np.arange(len(index))):
+        raise FileFormatError(
+            "the frame: has no column `time` or `date`, and its index counts the rows. Add the column, or take the "
+            "times for the index.",
+            "the frame",
+        )
+    return "time"
 
 
 def _kind(column: object) -> str:
-    """The kind of what a column of a frame holds: "M" for dates."""
-    return str(getattr(getattr(column, "dtype", None), "kind", ""))
+    """The kind of what a column or an index of a frame holds: "M" for dates."""
+    kind = getattr(column, "dtype", None)
+    temporal = getattr(kind, "is_temporal", None)  # of polars
+    return ("M" if temporal() else "") if callable(temporal) else str(getattr(kind, "kind", "O"))
 
 
 @checked

@@ -18,6 +18,7 @@ from sampling_design.accuracy.readings import (
     Arrived,
     Readings,
     arrived,
+    rows_of,
 )
 from sampling_design.accuracy.record_program import DISPROVED, SPREADS, RecordProgram, RowEnd
 from sampling_design.accuracy.record_readings import beginning, read_record
@@ -398,7 +399,7 @@ def state_interval(
     >>> found.lower.round(6), found.upper.round(6)
     (array([1.2]), array([1.4]))
     """
-    items, at = list(record), None if t is None else checks.number("t", t)
+    items, at = rows_of(record), None if t is None else checks.number("t", t)
     readings = read_record(plant, items, w_bound, v_bound, initial_error, prior, prior_time, at)
     rows = wanted_rows(plant, of)
     at = float(readings.times[-1]) if at is None else at

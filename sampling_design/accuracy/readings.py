@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from operator import itemgetter
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,9 @@ from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.checks import freeze
 
 Arrived = tuple[float, object, npt.ArrayLike | None]
+
+
+Row = TypeVar("Row")
 
 
 @dataclass(frozen=True, eq=False)
@@ -459,12 +462,17 @@ def arrived(items: Iterable[object], p: int) -> list[RecordRow]:
 
     Raises ArgumentError if a row has another form or number of outputs, or an output is infinite.
     """
-    if hasattr(items, "columns"):
+    return [_arrived(item, p) for item in rows_of(items)]
+
+
+def rows_of(record: Iterable[Row]) -> list[Row]:
+    """Return the rows of a record as they came; a frame is refused, since it does not say the date of time 0."""
+    if hasattr(record, "columns"):
         raise ArgumentError(
-            f"`record` must hold rows (t, y, u), got {checks.described(items)}: give it as "
-            "`read_measurements(frame, plant)`, which also takes the date of time 0."
+            "`record` must hold rows (t, y, u), got a frame: give it as `read_measurements(frame, plant)`, which also "
+            "takes the date of time 0."
         )
-    return [_arrived(item, p) for item in items]
+    return list(record)
 
 
 def _arrived(item: object, p: int) -> RecordRow:

@@ -9,7 +9,7 @@ from datetime import datetime
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.readings import with_censored
+from sampling_design.accuracy.readings import rows_of, with_censored
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.choices import NextChoices
 from sampling_design.planning.deadline import GoalDue
@@ -314,7 +314,7 @@ def _taken(
         return None
     times: list[float] = []
     seen: list[Mask] = []
-    for item in record:
+    for item in rows_of(record):
         if not isinstance(item, (tuple, list)) or len(item) not in (2, 3):
             raise ArgumentError(f"`record` must hold rows (t, y, u), got {checks.described(item)}.")
         plain, limits = with_censored(item[1], plan.plant.n_outputs)

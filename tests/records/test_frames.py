@@ -251,7 +251,7 @@ def test_an_index_of_numbers_without_a_name_is_the_time_unless_it_counts_the_row
 
 def test_the_only_column_of_dates_is_the_date_whatever_its_name():
     stamps = pandas.to_datetime(["2026-03-02 08:00", "2026-03-02 14:30"])
-    frame = pandas.DataFrame({"when": stamps, "gauge": [1.0, np.nan]})
+    frame = pandas.DataFrame({"when": stamps, "gauge": [1.0, 2.0]})
     found = sd.read_measurements(frame, TANK, origin=stamps[0].normalize(), zone="Europe/Berlin")
     assert found.times.tolist() == [8.0, 14.5]
     with pytest.raises(FileFormatError, match="the header must hold `time` or `date`, got when, gauge, then"):

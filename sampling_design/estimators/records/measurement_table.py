@@ -69,7 +69,8 @@ def read_table(
     own = {*plant.outputs.names, *plant.inputs.names}
     header = [name.lower() if name.lower() in STAMPS and name not in own else name for name in found]
     stamp = _check_header(where, header, plant)
-    clock = _Clock(where, plant, None if origin is None else date_of(where, 0, origin), zone, stamp)
+    own_zone = UTC if zone is None else time_zone(zone)
+    clock = _Clock(where, plant, None if origin is None else date_of(where, 0, origin, own_zone), zone, stamp)
     table = MeasurementTable(where, plant, header, mark, clock, stamp)
     while block := list(islice(held, BLOCK)):
         table.add_block(block)

@@ -380,7 +380,8 @@ def read_measurements(
     origin : str or datetime, optional
         Date of time 0 in a file of dates. Default: the date of the first row.
     zone : str, optional
-        IANA name of the zone of dates without one. Default: the offset of `origin`, else UTC. `assumed_zone` tells.
+        IANA name of the zone of dates without one, that of `origin` too. Default: the offset of `origin`, else UTC.
+        `assumed_zone` tells.
 
     Returns
     -------

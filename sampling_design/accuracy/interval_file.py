@@ -108,7 +108,7 @@ def read_tree(path: str | os.PathLike[str]) -> tuple[OfInterval, Plant]:
         raise FileFormatError(said, where) from None
     if not isinstance(found, OfInterval):
         raise FileFormatError(
-            f"{where}: claims {data['claim']!r}, expected 'interval'. Use load_certificate for a certificate.", where
+            f"{where}: claims {data['claim']!r}, expected 'interval'. Use read_certificate for a certificate.", where
         )
     return found, plant_from_dict(data["plant"], where)
 

@@ -148,6 +148,39 @@ def short(value: object, digits: int = 6) -> str:
     return f"[{shown}{', ...' if flat.size > 8 else ''}]"
 
 
+LATEX = str.maketrans(
+    {c: rf"\{c}" for c in "&%$#_{}"}
+    | {c: f"${c}$" for c in "<>|"}
+    | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+)
+"""What LaTeX would read as a command, and what its oldest text fonts show as another sign."""
+
+
+def in_latex(text: str) -> str:
+    """Return text, a name as a user typed it too, as LaTeX shows it; a line's end is a blank."""
+    return " ".join(text.translate(LATEX).split())
+
+
+def latex_number(value: float, digits: int = 6) -> str:
+    """Return a number for LaTeX's mathematics, 1.6e-07 as a power of ten."""
+    text = short(value, digits)
+    mantissa, _, power = text.partition("e")
+    return rf"{mantissa} \cdot 10^{{{int(power)}}}" if power else text.replace("inf", r"\infty")
+
+
+def latex_matrix(values: npt.NDArray[np.float64], digits: int = 6) -> str:
+    """Return a matrix for LaTeX's mathematics, of any number of columns."""
+    rows = " \\\\ ".join(" & ".join(latex_number(float(v), digits) for v in row) for row in values)
+    return rf"\left[\begin{{array}}{{{'r' * values.shape[1]}}} {rows} \end{{array}}\right]"
+
+
+def latex_table(head: Sequence[str], rows: Sequence[Sequence[str]], columns: str) -> str:
+    """Return a `tabular` of cells that are LaTeX already."""
+    lines = [rf"\begin{{tabular}}{{{columns}}}", f"  {' & '.join(head)} \\\\ \\hline"]
+    lines += [f"  {' & '.join(row)} \\\\" for row in rows]
+    return "\n".join([*lines, r"\end{tabular}"]) + "\n"
+
+
 @singledispatch
 def in_words(value: object, digits: int = 6) -> str:
     """Return a value as a table says it: numbers short, truths as yes or no, names and named values in a row."""

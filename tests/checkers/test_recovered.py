@@ -89,7 +89,7 @@ def test_the_command_and_the_folder_alone_prove_it(whole, tmp_path):
     late.write_text(json.dumps(data))
     with pytest.raises(FileFormatError, match="is no interval: `t` must be a number"):
         Interval.load(late)
-    with pytest.raises(FileFormatError, match="Use load_certificate for a certificate"):
+    with pytest.raises(FileFormatError, match="Use read_certificate for a certificate"):
         Interval.load(kind)
     with pytest.raises(FileFormatError, match=r"holds an interval\. Use Interval\.load"):
         sd.read_certificate(path)

@@ -11,6 +11,7 @@ from sampling_design.certificates.form.horizon import Horizon
 from sampling_design.certificates.paper.proof_constants import ProofConstants, constants_from_proof
 from sampling_design.errors import ArgumentError, SamplingDesignError, UndecidedError
 from sampling_design.plants.plant import Plant, first_difference
+from sampling_design.records.declarations import in_latex, latex_table
 from sampling_design.records.record import ListRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule
@@ -90,9 +91,8 @@ class FourHorizons(ListRecord[HorizonRow]):
 
     def to_latex(self) -> str:
         """Return the table as a LaTeX `tabular`."""
-        lines = [r"\begin{tabular}{llrrrr}", r"  horizon & source & $M >$ & $C_x$ & $C_w$ & $C_v$ \\ \hline"]
-        lines += ["  " + " & ".join(cells) + r" \\" for cells in self.cells()]
-        return "\n".join([*lines, r"\end{tabular}"]) + "\n"
+        rows = [[in_latex(cell) for cell in cells] for cells in self.cells()]
+        return latex_table(("horizon", "source", "$M >$", "$C_x$", "$C_w$", "$C_v$"), rows, "llrrrr")
 
 
 def _cells(row: HorizonRow) -> list[str]:

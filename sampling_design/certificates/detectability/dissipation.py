@@ -8,7 +8,7 @@ from typing import NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.certificates.form.constants import ConstantList
+from sampling_design.certificates.form.constants import Constant, ConstantList
 from sampling_design.certificates.form.digest import DETECTABILITY_CLAIM, sealed
 from sampling_design.certificates.rigorous.decide import VerifiableRecord
 from sampling_design.errors import CertificateError
@@ -88,6 +88,9 @@ class DetectabilityCertificate(VerifiableRecord):
     constants: ConstantList = field(default=ConstantList(), kw_only=True)
     solver: SolverRecord | None = field(default=None, kw_only=True)
 
+    _weights = ("P",)
+    _inequality = r"""  |\Delta x(t)|_P^2 \le e^{-\eta t} |\Delta x(0)|_P^2
+    + \int_0^t e^{-\eta (t-\tau)} \big( c_w |\Delta w(\tau)|^2 + c_y |\Delta y(\tau)|^2 \big) \,d\tau"""
     _table = {
         "eta": "{eta} 1/{plant.time_unit}",
         "c_w": "{c_w}",
@@ -133,6 +136,11 @@ class DetectabilityCertificate(VerifiableRecord):
             theorem="Theorem 10 (discounted)",
             assumptions=("x' = Ax + Bu + Gw, y = Cx + Du",),
         )
+
+    def _numbers(self) -> ConstantList:
+        stated = ((key, getattr(self, key), rf"\{key}" * (key == "eta") or key) for key in ("eta", "c_w", "c_y"))
+        first = [Constant(key, value, symbol, "Definition 1", symbol) for key, value, symbol in stated]
+        return ConstantList([*first, *(each for each in self.constants if each.name not in ("eta", "c_w", "c_y"))])
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data as in the file, digest included."""

@@ -89,7 +89,12 @@ class SampledCertificate(VerifiableRecord, ABC):
     """
 
     _slip: ClassVar[str] = "Weights go by name: P2=, Qw=, R=, Qv=, eta=."
-    _reader: ClassVar[str] = "load_certificate"
+    _reader: ClassVar[str] = "read_certificate"
+    _weights = MATRICES
+    _inequality = r"""  |\Delta x(t)|_{P_1}^2 &\le e^{-\eta t} |\Delta x(0)|_{P_2}^2
+    + \int_0^t e^{-\eta (t-\tau)} |\Delta w(\tau)|_{Q_w}^2 \,d\tau \\
+    &\quad + \sum_{\tau \in [0,t] \cap K_i} e^{-\eta (t-\tau)}
+    \big( |\Delta y(\tau)|_R^2 + |\Delta v(\tau)|_{Q_v}^2 \big)"""
     _apart: ClassVar[float] = 1.0
     """V(t) <= this times J(truth): 4 where estimate and truth differ from the centre of the data each by itself."""
     plant: Plant
@@ -134,11 +139,6 @@ class SampledCertificate(VerifiableRecord, ABC):
     @abstractmethod
     def covers(self) -> AnySchedule | SamplingFamily:
         """The sample times that it is about: a schedule, or all schedules of a family."""
-
-    @property
-    @abstractmethod
-    def claim(self) -> Claim:
-        """What the certificate says; `verify()` proves it."""
 
     @property
     def d_max(self) -> float:
@@ -266,9 +266,11 @@ class SampledCertificate(VerifiableRecord, ABC):
         """Return all constants as a markdown table."""
         return self.constants.to_markdown()
 
-    def to_latex(self) -> str:
-        """Return all constants as a LaTeX `tabular`."""
-        return self.constants.to_latex()
+    def _numbers(self) -> ConstantList:
+        return self.constants
+
+    def _sample_times(self) -> str:
+        return self.covers.explain().rstrip(".")
 
     def error_bound(
         self,

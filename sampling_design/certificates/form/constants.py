@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from sampling_design.errors import ArgumentError
+from sampling_design.records.declarations import in_latex, latex_number, latex_table
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked_methods
 
@@ -71,9 +72,9 @@ class ConstantList(tuple[Constant, ...]):
 
     def to_latex(self) -> str:
         """Return a `tabular`: constant, value, formula, source."""
+        symbols = [c.symbol or rf"\mathrm{{{in_latex(c.name)}}}" for c in self]
         rows = [
-            f"  ${c.symbol or c.name}$ & {short(c.value)} & ${c.formula}$ & {c.source} \\\\".replace("#", "\\#")
-            for c in self
+            [f"${symbol}$", f"${latex_number(c.value)}$", f"${c.formula}$".replace("#", r"\#"), in_latex(c.source)]
+            for symbol, c in zip(symbols, self, strict=True)
         ]
-        head = "  constant & value & formula & source \\\\ \\hline"
-        return "\n".join([r"\begin{tabular}{llll}", head, *rows, r"\end{tabular}"]) + "\n"
+        return latex_table(("constant", "value", "formula", "source"), rows, "llll")

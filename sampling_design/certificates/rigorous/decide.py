@@ -7,9 +7,11 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
+from sampling_design.certificates.form.constants import ConstantList
 from sampling_design.certificates.form.digest import (
     CLAIM,
     DETECTABILITY_CLAIM,
@@ -57,9 +59,12 @@ from sampling_design.numerics.balls import (
     raised,
     symmetric,
 )
+from sampling_design.plants.plant import Plant
 from sampling_design.records import file_io
 from sampling_design.records.budget import ENDLESS, Budget, BudgetSpentError
+from sampling_design.records.declarations import in_latex, latex_matrix
 from sampling_design.records.dispatch import offered
+from sampling_design.records.evidence import Claim
 from sampling_design.records.record import Plain, Record
 
 REPLAY = 1e-6  # what a witness may miss of its stated ratio, relative
@@ -68,11 +73,24 @@ NEAR = 1e-9
 HANDED_OVER = 1e7
 """Most work, about microseconds, that balls do for what was only asked of floats: what is tight stays undecided for
 ever."""
+WIDEST = 8
+"""Columns of a matrix that a printed page holds; of a wider one the file has the numbers."""
 PATIENCE = 6  # halvings of a cell of window starts after which a counterexample is looked for
 
 
 class VerifiableRecord(Record):
     """A certificate: a record whose file states inequalities that can be proven from the file alone."""
+
+    plant: Plant
+    _weights: ClassVar[tuple[str, ...]]
+    """Its matrices."""
+    _inequality: ClassVar[str]
+    """What it states, in LaTeX."""
+
+    @property
+    @abstractmethod
+    def claim(self) -> Claim:
+        """What the certificate says; `verify()` proves it."""
 
     @abstractmethod
     def to_dict(self) -> dict[str, Plain]:
@@ -102,6 +120,44 @@ class VerifiableRecord(Record):
         """
         return judged(self.to_dict(), rigorous, budget)
 
+    def to_latex(self) -> str:
+        r"""Return the certificate as an appendix of a paper: claim, inequality, plant, weights, table of constants.
+
+        The text is to be \input, and needs the package amsmath. Numbers are rounded to six digits: the digest names
+        the file that holds them whole, and `verify` is asked for the verdict.
+
+        Notes
+        -----
+        Matrices of more than WIDEST columns are left to the file.
+        """
+        claim, plant = self.claim, self.plant
+        said = [
+            ("Claim", claim.statement), ("Verdict", self.verify().verdict), ("Source", claim.theorem),
+            ("Assumptions", "; ".join(claim.assumptions)), ("Sample times", self._sample_times()),
+            ("Plant", f"{plant.name or 'no name'}; states {', '.join(plant.states.names)}; time in {plant.time_unit}"),
+            ("File", f"digest {self.to_dict()['digest']}"),
+        ]  # fmt: skip
+        shown = {name: getattr(self, name) for name in self._weights} | {k: getattr(plant, k) for k in ("A", "C", "G")}
+        written = [
+            f"  {name[0]}_{name[1]} &= {latex_matrix(matrix)}" if name[1:] else f"  {name} &= {latex_matrix(matrix)}"
+            for name, matrix in shown.items() if matrix.size and matrix.shape[1] <= WIDEST
+        ]  # fmt: skip
+        parts = [
+            "\n".join(rf"\noindent\textbf{{{head}.}} {in_latex(text)}.\par" for head, text in said if text),
+            "\\begin{align*}\n" + self._inequality + "\n\\end{align*}",
+            "\\begin{align*}\n" + " \\\\\n".join(written) + "\n\\end{align*}" if written else "",
+            self._numbers().to_latex(),
+        ]
+        return "\n".join(part for part in parts if part)
+
+    @abstractmethod
+    def _numbers(self) -> ConstantList:
+        """The constants of its table."""
+
+    def _sample_times(self) -> str:
+        """What samples it is about; none where it is about the plant alone."""
+        return ""
+
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the certificate as JSON, whole or not at all; return the path.
 
@@ -113,7 +169,7 @@ class VerifiableRecord(Record):
         if Path(path).suffix.lower() != ".json":
             raise ArgumentError(
                 f"`path` of a certificate must end in .json, got {os.fspath(path)!r}. "
-                "For tables of its constants write the text of to_latex() or to_markdown()."
+                "For an appendix or a table write the text of to_latex() or to_markdown()."
             )
         return file_io.write_text(path, file_io.to_json(self.to_dict()))
 

@@ -249,7 +249,6 @@ def special() -> dict[str, dict[str, Any]]:
         "family_from_dict": {"data": public()["family_to_dict"](t["gaps"])},
         "schedule_from_dict": {"data": public()["schedule_to_dict"](t["schedule"])},
         "requirement_from_dict": {"data": t["requirement"].to_dict()},
-        "UpperBound.from_dict": {"data": t["design"].bound.to_dict() if t["design"].bound else {}},
         "write_estimates": {"record": t["estimates"]},
         "check_detectability": {"plant": t["nonlinear"], "start": ([-1.0, -1.0], [1.0, 1.0]), "duration": 2.0},
         "NonlinearMovingHorizonEstimator": {"plant": t["nonlinear"], "horizon": 2.0, "cost": cost},

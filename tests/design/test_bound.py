@@ -7,13 +7,11 @@ from scipy.linalg import expm
 
 from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.design.bounds import weak_duality as bound
-from sampling_design.design.bounds.averaged import averaged_bound
 from sampling_design.design.bounds.evidence import BoundPart, UpperBound
 from sampling_design.design.bounds.local_bound import local_bound, relax_local, tied_windows
 from sampling_design.design.bounds.zone_bound import relax_zones, zone_bound
 from sampling_design.design.bounds.zones import begins, origin_zones, tightened, turn, zoned
 from sampling_design.design.problem.numbers import DesignProblem
-from sampling_design.errors import ArgumentError
 from tests.oracles.design import random_schedule, window_sigma_scan
 
 A = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.1]])
@@ -77,15 +75,12 @@ def test_every_bound_exceeds_the_plain_sum(window, period):
     rng = np.random.default_rng(5)
     case = problem(window, period)
     starts, Z = multipliers(case, rng, 6)
-    tilt = rng.normal(size=4) * 0.01
     placed = bound.placed_bound(case, starts, Z) ** 2
     for times in schedules(case, rng):
         assert plain_sum(case, starts, Z, times) <= placed * (1 + 1e-8)
         turns = [plain_sum(case, starts, Z, times, origin) for origin in times]
         every = tightened(case, origin_zones(case, "late"), "late")
         for side, zones in (("late", every), ("early", near(case, times, "early"))):
-            averaged = averaged_bound(case, starts, Z, tilt, zones) ** 2
-            assert np.mean(turns) <= averaged * (1 + 1e-8)
             origin = origin_of(case, times, side)
             assert turns[origin] <= zone_bound(case, starts, Z, zones) ** 2 * (1 + 1e-8)
 
@@ -184,11 +179,10 @@ def test_reachable_is_a_sliding_maximum():
 def test_multipliers_that_prove_nothing_give_an_infinite_bound():
     case, closed = problem(), problem(forbidden=[[0.0, 1.0]])
     every = origin_zones(case, "late")
-    good = BoundPart("averaged", np.zeros(1), np.eye(3)[None] / 3, every, np.zeros(4))
+    good = BoundPart("zones", np.zeros(1), np.eye(3)[None] / 3, every)
     assert np.isfinite(UpperBound(1.0, (good,)).value_for(case))
-    indefinite = BoundPart("averaged", np.zeros(1), np.diag([1.0, 1.0, -0.5])[None], every, np.zeros(4))
+    indefinite = BoundPart("zones", np.zeros(1), np.diag([1.0, 1.0, -0.5])[None], every)
     assert UpperBound(1.0, (indefinite,)).value_for(case) == np.inf
-    assert BoundPart("averaged", np.zeros(1), np.eye(3)[None], every, np.zeros(2)).value_for(case) == np.inf
     less = every.copy()
     less[3, 1] -= 0.1
     part = BoundPart("zones", np.zeros(1), np.eye(3)[None] / 3, less)
@@ -197,7 +191,7 @@ def test_multipliers_that_prove_nothing_give_an_infinite_bound():
     other = BoundPart("zones", np.zeros(1), np.eye(3)[None], every, side="early")
     assert UpperBound(1.0, (other,)).value_for(case) == np.inf
     assert UpperBound(1.0, (other, good)).value_for(case) == np.inf
-    assert good.value_for(closed) == np.inf  # its laws ask for schedules that may be shifted
+    assert good.value_for(closed) == np.inf  # its zones are those of schedules that may be shifted
     assert good.value_for(problem(samples=4)) == np.inf
     assert UpperBound(1.0, ()).value_for(case) == np.inf
     assert zoned(problem(fixed=[0.0, 1.0]))
@@ -256,38 +250,6 @@ def test_windows_that_follow_their_samples_are_exact_in_a_box_that_shrinks(name)
         found = relax_local(case, zones, sigma)
         excess.append(local_bound(case, zones, found.windows, found.roots, found.push) / best - 1)
     assert excess[1] <= 0.02  # at an arbitrary schedule the first order is left, and nothing else
-
-
-def test_a_bound_survives_its_own_dictionary():
-    part = BoundPart("averaged", np.zeros(1), np.eye(3)[None] / 3, origin_zones(problem(), "late"), np.zeros(4))
-    whole = UpperBound(2.0, (part,))
-    again = UpperBound.from_dict(whole.to_dict())
-    assert again.value == 2.0
-    assert again.method == "averaged"
-    assert again.value_for(problem()) == whole.value_for(problem())
-    with pytest.raises(
-        ArgumentError, match="a bound's `method` must be one of placed, alone, averaged, zones, local, got 'guess'"
-    ):
-        UpperBound.from_dict({**whole.to_dict(), "parts": [{**part.to_dict(), "method": "guess"}]})
-    with pytest.raises(ArgumentError, match="a bound's `side` must be one of late, early, sorted, got 'left'"):
-        UpperBound.from_dict({**whole.to_dict(), "parts": [{**part.to_dict(), "side": "left"}]})
-    for wrong, words in (
-        ({}, "a bound must hold `value`; it holds nothing"),
-        ({**whole.to_dict(), "value": "2"}, "a bound's `value` must be a number, got str '2'"),
-        ({**whole.to_dict(), "parts": 3}, "a bound's `parts` must be a list, got int 3"),
-        ({**whole.to_dict(), "parts": [3]}, "a part of a bound must be a table of names and values, got int 3"),
-        (
-            {**whole.to_dict(), "parts": [{**part.to_dict(), "tied": [[0.5, 0, 0, 0]]}]},
-            "a bound's `tied` must hold whole numbers: sample, end, side and anchor of windows",
-        ),
-        ({**whole.to_dict(), "sides": 3}, "unknown key 'sides' in a bound"),
-        (
-            {**whole.to_dict(), "parts": [{**part.to_dict(), "zones": [[1.0]]}]},
-            r"`zones` must have shape \(1, 2\)",
-        ),
-    ):
-        with pytest.raises(ArgumentError, match=words):
-            UpperBound.from_dict(wrong)
 
 
 def test_a_bound_of_a_state_that_is_hardly_seen_does_not_drown_in_rounding():

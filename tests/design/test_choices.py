@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant, Requirement, design_schedule
-from sampling_design.design.bounds.evidence import BoundPart, UpperBound, zone_part
+from sampling_design.design.bounds.evidence import BoundPart, zone_part
 from sampling_design.design.bounds.zones import tightened
 from sampling_design.design.problem.choices import affordable_choices
 from sampling_design.design.problem.feasible import changed
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.search.costs import affordable
 from sampling_design.design.search.local_search import FoundSchedule
-from sampling_design.errors import ArgumentError
 from tests.oracles.design import random_schedule, window_sigma_scan
 
 OSCILLATOR = np.array([[0.0, 1.0], [-1.0, 0.0]])
@@ -65,7 +64,6 @@ def test_a_limit_on_cost_is_designed_and_bounded_to_the_last_digits(limited):
     assert limited.upper_bound == pytest.approx(np.sqrt(2.5), rel=1e-3)
     assert limited.schedule.outputs.sum() == 5
     assert limited.verify()
-    assert UpperBound.from_dict(limited.bound.to_dict()).value_for(limited.problem) == limited.upper_bound
 
 
 def test_a_choice_left_out_exchanged_or_forged_proves_nothing(limited):
@@ -80,12 +78,6 @@ def test_a_choice_left_out_exchanged_or_forged_proves_nothing(limited):
     ):
         assert replace(bound, parts=parts).value_for(case) == np.inf
     assert bound.value_for(changed(case, {"cost_limit": 9.0})) == np.inf  # more money, other choices
-    plain = bound.to_dict()
-    for wrong in ([[1, 0]], "ab", [[True], [True, False]]):
-        with pytest.raises(ArgumentError, match="a bound's `chosen` must hold rows of true and false"):
-            UpperBound.from_dict({**plain, "parts": [{**plain["parts"][0], "chosen": wrong}]})
-    older = [{key: value for key, value in first.to_dict().items() if key != "chosen"}]
-    assert not UpperBound.from_dict({**plain, "parts": older}).parts[0].chosen.size
 
 
 @pytest.mark.parametrize("side", ["late", "sorted"])

@@ -222,7 +222,14 @@ def test_a_tampered_design_does_not_verify():
 def test_the_dictionary_is_json_and_holds_the_multipliers():
     design = design_schedule(oscillator(), Requirement(window=4.0, spacing=0.5, samples=3), starts=2)
     data = json.loads(json.dumps(design.to_dict(), allow_nan=False))
-    bound = UpperBound.from_dict(data["bound"])
+    arrays = {"starts": (-1,), "weights": (-1, 2, 2), "zones": (-1, 2), "tilt": (-1,), "tied": (-1, 4)}
+    parts = [
+        replace(
+            part, **{key: np.array(told[key], getattr(part, key).dtype).reshape(size) for key, size in arrays.items()}
+        )
+        for part, told in zip(design.bound.parts, data["bound"]["parts"], strict=True)
+    ]
+    bound = UpperBound(data["bound"]["value"], tuple(parts))
     assert bound.value_for(design.problem) == pytest.approx(design.upper_bound, rel=1e-12)
     assert data["requirement"]["samples"] == {"exactly": 3}
     assert data["schedule"]["times"] == design.schedule.times.tolist()

@@ -7,16 +7,13 @@ from sampling_design import Plant
 from sampling_design.design.bounds.zones import (
     begins,
     covered,
-    follower_zones,
     halves,
-    lateness,
     origin_zones,
     region_of,
     regions,
     sides,
     tightened,
     turn,
-    widest_gap,
     zoned,
 )
 from sampling_design.design.problem.numbers import DesignProblem
@@ -157,23 +154,6 @@ def test_boxes_that_no_cut_parts_are_not_taken_for_a_cover():
         np.array([*rest, [2.4, 3.4], [2.8, 3.1]]),
     ]
     assert not covered(case, region, pinwheel, "late")
-
-
-@pytest.mark.parametrize("side", COUNTED)
-def test_follower_zones_hold_the_followers_of_every_sample(side):
-    case = problem()
-    for times in draws(40):
-        line = counted(times, side)
-        zones = tightened(case, np.stack([line - 0.05, line + 0.1], axis=1), side)
-        every = follower_zones(case, zones)
-        for origin in times:
-            assert held(every, np.sort(np.mod(times - origin, P))[1:])
-        gaps = np.diff(np.append(times, times[0] + P))
-        assert gaps.max() <= widest_gap(case, zones) + 1e-12
-        late = lateness(case, zones)
-        shift = line - np.arange(COUNT) * P / COUNT
-        assert np.all((late[1:, 0] <= shift[1:]) & (shift[1:] <= late[1:, 1]))
-        assert np.all(late[0] == 0.0)
 
 
 @pytest.mark.parametrize(

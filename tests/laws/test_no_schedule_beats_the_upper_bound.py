@@ -107,7 +107,7 @@ def test_boxes_cut_again_and_again_stay_above_every_schedule_of_a_grid(case, win
     best, _ = best_on_grid(*case, 4.0, window, 0.4, 3, 16, **rules)
     loose, tight = (narrowed(problem, first, best, steps, rtol=0.0) for steps in (3, 7))
     assert best <= tight.value * (1 + 1e-9) <= loose.value * (1 + 2e-9)
-    assert {part.method for part in tight.parts} <= {"zones", "averaged", "local"}
+    assert {part.method for part in tight.parts} <= {"zones", "local"}
     assert tight.value_for(problem) == pytest.approx(tight.value)
     assert UpperBound(tight.value, tight.parts[1:]).value_for(problem) == np.inf  # one box less covers too little
 

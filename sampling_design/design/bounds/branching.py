@@ -1,8 +1,8 @@
 """The upper bound narrowed by branching: boxes of zones, the one with the largest bound cut in two again and again.
 
 First the schedules are told apart by the first sample that comes late by a share of the mean gap (or early,
-if the zones count from the sample after which all come early). What is left is nearly even, where averaging
-over origins is exact to second order; in the others, the window before the late sample sees little.
+if the zones count from the sample after which all come early). What is left is nearly even; in the others, the window
+before the late sample sees little.
 """
 
 from __future__ import annotations
@@ -17,14 +17,13 @@ import numpy as np
 from sampling_design.design.bounds.evidence import (
     BoundPart,
     UpperBound,
-    averaged_part,
     chosen_in,
     local_part,
     zone_part,
 )
 from sampling_design.design.bounds.local_bound import growth_rate
 from sampling_design.design.bounds.zone_bound import NARROW, matters
-from sampling_design.design.bounds.zones import Side, halves, lateness, regions, sides, tightened, turn, zoned
+from sampling_design.design.bounds.zones import Side, halves, regions, sides, tightened, turn, zoned
 from sampling_design.design.problem.choices import affordable_choices
 from sampling_design.design.problem.feasible import changed
 from sampling_design.design.problem.numbers import DesignProblem
@@ -35,7 +34,6 @@ from sampling_design.records.budget import ENDLESS, Budget
 ValueProgress = Callable[[float, float], None]  # Called with the fraction done and the bound
 _FIRST_CUT = 0.3  # of a mean gap: from there on a sample counts as late in the first cuts
 _FEW_STATES = 6  # beyond, from sooner on: what is seen is of so high a degree in the differences of times
-_EVEN_ENOUGH = 0.5  # of a mean gap: within that the averaged bound is tried
 _SMALL = 0.8  # of a mean gap: zones no wider than that are bounded by windows that follow their samples too
 _TINY_BOX = 0.1  # of a mean gap: by these alone
 _STEEP = 1.0  # exponent by which sigma^2 grows over a zone: from there on only such windows say much
@@ -151,7 +149,7 @@ def _rooted(
         if turn(problem) == 0 and root.part.side != "sorted" and len(posed) == 1:
             tree.split_by_lateness(root, progress)
         else:
-            tree.keep(_evened(root) if root.part.value > enough else root)
+            tree.keep(root)
     return tree
 
 
@@ -219,10 +217,8 @@ class _BoxTree:
     def bounded(self, zones: Array, wider: _Box) -> _Box | None:
         """The schedules in `zones`, part of the `wider` box, bounded; None where there are none."""
         box = _box(wider.problem, zones, wider.part.side, self.enough, wider, self.budget)
-        if box is None:
-            return None
-        self.spent += box.cost
-        return _evened(box) if box.part.value > self.enough else box
+        self.spent += 0.0 if box is None else box.cost
+        return box
 
     def keep(self, box: _Box) -> None:
         """Keep a bounded box, open where its bound is not enough."""
@@ -280,16 +276,3 @@ def _box(
         cost=cost,
         problem=problem,
     )
-
-
-def _evened(box: _Box) -> _Box:
-    """The same box with the averaged bound where all its schedules are nearly even and alike, if that is smaller."""
-    problem = box.problem
-    if problem.chosen is not None:
-        return box
-    tight = tightened(problem, box.part.zones, box.part.side)
-    mean = problem.period / problem.samples
-    if turn(problem) > 0 or tight is None or np.max(np.abs(lateness(problem, tight))) > _EVEN_ENOUGH * mean:
-        return box
-    part = averaged_part(problem, box.part.zones, box.part.side)
-    return box if part.value >= box.part.value else replace(box, rank=-part.value, part=part)

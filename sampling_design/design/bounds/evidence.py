@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
-from sampling_design.design.bounds.averaged import averaged_bound, relax_averaged
 from sampling_design.design.bounds.local_bound import LocalRelaxation, local_bound, relax_local
 from sampling_design.design.bounds.relaxation import JUST_BESIDE, LEAST_SECONDS, Relaxation, grams_at, relax_placed
 from sampling_design.design.bounds.weak_duality import alone_bound, clear_of_ends, placed_bound
 from sampling_design.design.bounds.zone_bound import ZoneRelaxation, matters, relax_zones, zone_bound
 from sampling_design.design.bounds.zones import (
-    SIDES,
     TINY,
     Side,
     begins,
@@ -31,17 +28,14 @@ from sampling_design.design.problem.choices import affordable_choices
 from sampling_design.design.problem.feasible import changed, without_hours
 from sampling_design.design.problem.gram import MANY_STATES
 from sampling_design.design.problem.numbers import DesignProblem
-from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import expm_batch, psd_root
 from sampling_design.plants.plant import Plant
-from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.records.record import Plain
 from sampling_design.records.signatures import checked_methods
 
-Method = Literal["placed", "alone", "averaged", "zones", "local"]
-METHODS: tuple[Method, ...] = ("placed", "alone", "averaged", "zones", "local")
+Method = Literal["placed", "alone", "zones", "local"]
 
 _NEGLIGIBLE = 1e-7  # multipliers below this share of the total are left out: the bound holds with any of them
 _LOOKED_AT, _CLOSER = 128, 16  # windows of one sample, and how often the least seen of them is looked at closer
@@ -65,14 +59,14 @@ def _untied() -> Index:
 class BoundPart:
     """Multipliers that bound all schedules whose samples lie in `zones` (k, 2).
 
-    `weights` (M, n, n) are psd in the coordinates of the designed plant with traces that sum to one, for
-    windows that start at `starts`. The zones count from the sample after which all others come "late", or
-    "early", or from a fixed one, or the first of the period ("sorted": `side`). `tilt` (k-1,) is for the method
-    "averaged". "placed" bounds all schedules, wherever their samples lie; `price` is its multiplier of the cost
-    limit. "alone" bounds all schedules of one sample, which are one schedule shifted: its windows count from
-    the sample. "local" bounds the schedules of small zones by windows that follow their samples: the rows of `tied`
-    (see `tied_windows`) say which, `starts` are of no account, and `tilt` (k,) are the multipliers of the spacing.
-    Where cost is limited, `chosen` (k, p) says what each sample measures at most, in the schedules that are meant.
+    `weights` (M, n, n) are psd in the coordinates of the designed plant with traces that sum to one, for windows that
+    start at `starts`. The zones count from the sample after which all others come "late", or "early", or from a fixed
+    one, or the first of the period ("sorted": `side`). "placed" bounds all schedules, wherever their samples lie;
+    `price` is its multiplier of the cost limit. "alone" bounds all schedules of one sample, which are one schedule
+    shifted: its windows count from the sample. "local" bounds the schedules of small zones by windows that follow their
+    samples: the rows of `tied` (see `tied_windows`) say which, `starts` are of no account, and `tilt` (k,) are the
+    multipliers of the spacing. Where cost is limited, `chosen` (k, p) says what each sample measures at most, in the
+    schedules that are meant.
     """
 
     method: Method
@@ -118,10 +112,6 @@ class BoundPart:
                 return np.inf
             far = k * (np.ceil(problem.window / problem.period) + 2)
             return np.inf if np.any(np.abs(tied[:, 3]) > far) else local_bound(problem, zones, tied, roots, self.tilt)
-        if self.method == "averaged":
-            if self.tilt.size != problem.samples - 1 or turn(problem) > 0:
-                return np.inf
-            return averaged_bound(problem, self.starts, Z, self.tilt, zones)
         return zone_bound(problem, self.starts, Z, zones)
 
     def to_dict(self) -> dict[str, Plain]:
@@ -210,7 +200,7 @@ class UpperBound:
                 starts=starts if part.method == "alone" else clear_of_ends(canon.outside, starts),
                 zones=zones,
                 chosen=np.roll(part.chosen, earlier, axis=0) if part.method == "placed" else part.chosen,
-                tilt=part.tilt * (1 if part.method == "local" else canon.size**2) / canon.time,
+                tilt=part.tilt / canon.time,
                 price=part.price * canon.size**2,
             )
             parts.append(replace(bare, value=bare.value_for(canon.outside)))
@@ -220,70 +210,6 @@ class UpperBound:
         """Plain data."""
         return {"value": self.value, "parts": [part.to_dict() for part in self.parts]}
 
-    @classmethod
-    def from_dict(cls, data: Mapping[str, object]) -> UpperBound:
-        """The inverse of `to_dict`.
-
-        Raises
-        ------
-        ArgumentError
-            If a key is missing or unknown, an array is no such array, a part names an unknown method, or its `side` is
-            none of "late", "early" and "sorted".
-        """
-        parts = []
-        found = _table("a bound", data, ("value", "parts"))["parts"]
-        if not isinstance(found, list):
-            raise ArgumentError(f"a bound's `parts` must be a list, got {checks.described(found)}.")
-        for entry in found:
-            entry = {"chosen": [], **entry} if isinstance(entry, dict) else entry  # older files know no choices
-            _table("a part of a bound", entry, tuple(BoundPart.__dataclass_fields__))
-            if entry["side"] not in SIDES:
-                raise ArgumentError(f"a bound's `side` must be one of {', '.join(SIDES)}, got {entry['side']!r}.")
-            if entry["method"] not in METHODS:
-                raise ArgumentError(f"a bound's `method` must be one of {', '.join(METHODS)}, got {entry['method']!r}.")
-            arrays = {key: checks.real_array(key, entry[key], ndim) for key, ndim in _DIMENSIONS.items()}
-            zones = _none() if entry["zones"] == [] else checks.matrix("zones", entry["zones"], columns=2)
-            numbers = {key: _number(key, entry[key]) for key in ("value", "price")}
-            tied = _untied() if entry["tied"] == [] else checks.matrix("tied", entry["tied"], columns=4)
-            if np.any(tied != np.rint(tied)) or np.any(np.abs(tied) > _MOST_TIED):
-                raise ArgumentError(
-                    "a bound's `tied` must hold whole numbers: sample, end, side and anchor of windows."
-                )
-            whole = np.asarray(tied, dtype=np.intp)
-            chosen = _any() if entry["chosen"] == [] else _chosen(entry["chosen"])
-            parts.append(BoundPart(**{**entry, **arrays, **numbers, "zones": zones, "tied": whole, "chosen": chosen}))
-        return cls(_number("value", data["value"]), tuple(parts))
-
-
-_MOST_TIED = 10**9  # samples, counted on over the periods: more than any design has
-_DIMENSIONS = {"starts": 1, "weights": 3, "tilt": 1}
-
-
-def _chosen(value: object) -> Mask:
-    """What each sample measures: rows of true and false."""
-    found = np.array(value, dtype=object)
-    if found.ndim != 2 or not all(isinstance(entry, bool) for entry in found.ravel().tolist()):
-        raise ArgumentError("a bound's `chosen` must hold rows of true and false: what each sample measures.")
-    return found.astype(bool)
-
-
-def _number(key: str, value: object) -> float:
-    """A number; a bound that says nothing is infinite."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ArgumentError(f"a bound's `{key}` must be a number, got {checks.described(value)}.")
-    return float(value)
-
-
-def _table(where: str, data: object, keys: tuple[str, ...]) -> dict[str, object]:
-    """The data, if they are a table with exactly these keys."""
-    if not isinstance(data, dict):
-        raise ArgumentError(f"{where} must be a table of names and values, got {checks.described(data)}.")
-    checks.known_keys(where, data, keys)
-    for key in keys:
-        if key not in data:
-            raise ArgumentError(f"{where} must hold `{key}`; it holds {', '.join(data) or 'nothing'}.")
-    return data
-
 
 def _part(
     problem: DesignProblem,
@@ -291,7 +217,6 @@ def _part(
     starts: Array,
     Z: Array,
     zones: Array | None = None,
-    tilt: Array | None = None,
     side: Side = "late",
 ) -> BoundPart:
     """A part from multipliers in the scaled basis."""
@@ -303,10 +228,7 @@ def _part(
     kept = traces > _NEGLIGIBLE * traces.sum()
     weights, starts = weights[kept] / traces[kept].sum(), starts[kept]
     starts = starts if method == "alone" else clear_of_ends(problem, starts)
-    slope = np.zeros(0) if tilt is None else tilt * (traces.sum() / traces[kept].sum())
-    bare = BoundPart(
-        method, starts, weights, _none() if zones is None else zones, slope, side, chosen=chosen_in(problem)
-    )
+    bare = BoundPart(method, starts, weights, _none() if zones is None else zones, side=side, chosen=chosen_in(problem))
     return replace(bare, value=bare.value_for(problem))
 
 
@@ -351,23 +273,6 @@ def _priced(problem: DesignProblem, part: BoundPart, guess: float) -> BoundPart:
     tried = [(value(price), price) for price in (0.0, unit, unit * float(found.x))]
     best, price = min(tried)
     return replace(part, price=price, value=best)
-
-
-def averaged_part(problem: DesignProblem, zones: Array, side: Side) -> BoundPart:
-    """Bound from windows after every sample, for all schedules in `zones`."""
-    tight = tightened(problem, zones, side)
-    found, tilt = relax_averaged(problem, zones if tight is None else tight)
-    first = found.starts >= problem.period * (1 - 1e-6)
-    step = problem.period / max(found.starts.size - 1, 1)
-    alone = first | (found.starts == 0.0)
-    moved = [found.starts[~alone] + q * step / _SPREAD for q in range(_SPREAD)]
-    spread = np.concatenate([found.starts[alone], *moved])
-    Z = np.concatenate([found.Z[alone], *([found.Z[~alone] / _SPREAD] * _SPREAD)])
-    parts = [
-        _part(problem, "averaged", found.starts, found.Z, zones, tilt, side),
-        _part(problem, "averaged", spread, Z, zones, tilt, side),
-    ]
-    return min(parts, key=lambda p: p.value)
 
 
 def slow_part(problem: DesignProblem, budget: Budget = ENDLESS) -> BoundPart | None:

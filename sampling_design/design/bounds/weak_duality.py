@@ -105,12 +105,6 @@ def _beside(problem: DesignProblem, starts: Array, edges: Array) -> Mask:
     return np.stack([np.roll(there, 1) | ended, np.roll(there, -1)])
 
 
-def peaks(g: Profile) -> Array:
-    """At every edge the larger of the two one-sided limits of g, summed over outputs."""
-    left, right = np.sum(g.left, axis=1), np.sum(g.right, axis=1)
-    return np.asarray(np.maximum(np.append(right[-1], right), np.append(left, left[0])))
-
-
 def roofs(g: Profile, mask: Mask, prices: Array | None = None) -> Array:
     """Upper bounds of g on the closed pieces, summed over the outputs measured there; both limits count at an end.
 

@@ -189,32 +189,3 @@ def covered(problem: DesignProblem, region: Array, boxes: list[Array], side: Sid
                 left, right = halves(region, index, float(cut))
                 return covered(problem, left, below, side) and covered(problem, right, above, side)
     return False
-
-
-def lateness(problem: DesignProblem, zones: Array) -> Array:
-    """(k, 2): bounds of how late each sample can be against even spacing from the origin; 0 for the origin itself."""
-    even = np.arange(problem.samples) * (problem.period / problem.samples)
-    late = zones - zones[0, ::-1] - even[:, None]
-    late[0] = 0.0
-    return late
-
-
-def follower_zones(problem: DesignProblem, zones: Array) -> Array:
-    """(k-1, 2): where follower i of ANY sample can lie, if the samples lie in `zones`."""
-    k, P, gap = problem.samples, problem.period, problem.spacing
-    late = lateness(problem, zones)
-    found = np.empty((k - 1, 2))
-    for i in range(1, k):
-        ahead = np.roll(late, -i, axis=0)  # D is periodic: how late the i-th follower of each sample is
-        found[i - 1] = np.min(ahead[:, 0] - late[:, 1]), np.max(ahead[:, 1] - late[:, 0])
-    order = np.arange(1, k)
-    found += (order * (P / k))[:, None]
-    low = np.maximum(found[:, 0], order * gap) - TINY * P
-    high = np.minimum(found[:, 1], P - (k - order) * gap) + TINY * P
-    return np.stack([np.maximum(low, 0.0), np.minimum(np.maximum(high, low), P)], axis=1)
-
-
-def widest_gap(problem: DesignProblem, zones: Array) -> float:
-    """Longest gap that the zones leave room for."""
-    low, high = zones[:, 0], np.append(zones[1:, 1], zones[0, 1] + problem.period)
-    return float(np.max(high - low))

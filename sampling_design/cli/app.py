@@ -102,6 +102,9 @@ PANELS = {
 }
 """The commands, by the question that they answer."""
 
+RENAMED = {"log": "compare", "survive": "robustness"}
+"""Commands that were called otherwise; who types the earlier name is told the one of today."""
+
 COMMANDS = {name: command for panel in PANELS.values() for name, command in panel.items()}
 
 
@@ -133,6 +136,10 @@ class CommandsWhenCalled(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, TyperCommand | None, list[str]]:
         """Return the command that is called, imported."""
+        if args and args[0] in RENAMED:
+            from sampling_design.errors import ArgumentError
+
+            raise ArgumentError(f"`{args[0]}` is called `{RENAMED[args[0]]}` now, with the same arguments.")
         name, command, rest = super().resolve_command(ctx, args)
         return name, None if command is None else loaded(str(name)), rest
 

@@ -64,12 +64,19 @@ def info(
     settings.show(data, *tables)
 
 
-def window_length(settings: Settings, split: ModalSplit, given: float | None) -> float:
-    """Return the window that was given, or the plant's default with a notice that says so."""
+def window_length(
+    settings: Settings, split: ModalSplit, given: float | None, schedule: AnySchedule | None = None
+) -> float:
+    """Return the window that was given, or the plant's default with a notice that says so.
+
+    Of a `schedule` it is no shorter than one longest gap for each state: else most windows would hold too few samples.
+    """
     if given is not None:
         return positive("window", given)
     length = default_window(split) or 1.0
-    settings.notice(f"window not given: {short(length)} {split.plant.time_unit} is used.")
+    if schedule is not None:
+        length = max(length, split.retained.n_states * schedule.d_max)
+    settings.notice(f"--window not given: {short(length)} {split.plant.time_unit} is used.")
     return length
 
 
@@ -195,7 +202,7 @@ def sigma(
     if not split.retained.n_states:
         settings.show({"sigma": None, "split": split.to_dict()}, split.explain())
         return
-    length = window_length(settings, split, window)
+    length = window_length(settings, split, window, schedule)
     split = weighed_over(split, length)
     with settings.progress("sigma") as progress:
         result = sd.window_sigma(

@@ -127,7 +127,7 @@ def _detectability(
     """Certify the plant alone, at the rate and with the noise gain that are asked for."""
     rate = None if eta is None else positive("eta", eta)
     made = partial(sd.certificates.certify_detectability, plant, rate)
-    certificate = made() if noise_gain is None else made(noise_gain=positive("noise-gain", noise_gain))
+    certificate = made() if noise_gain is None else made(noise_gain=positive("noise_gain", noise_gain))
     folder = settings.folder()
     for place in (path, None if folder is None else folder / "certificate.json"):
         if place is not None:

@@ -40,6 +40,7 @@ _MIXED = {
         "Are the arguments in their order? "
         'A schedule begins with the line "# sampling-design schedule; time_unit=h; period=24".'
     ),
+    ("schedule", "measurement"): "Its ones say what is to be measured, not what was read.",
     ("design", "schedule"): "The schedule of a design is in schedule.csv, written beside it.",
     ("requirement", "plan requirement"): (
         "`design` takes it; a plan requirement says how well what must be known, and `sampling-design new --within` "

@@ -248,6 +248,12 @@ def with_common_flags(function: Callable[..., None], command_name: str) -> Calla
     def command(**arguments: Any) -> None:
         flags = {name: arguments.pop(name) for name in flags_of_this}
         flags.pop("version")
+        try:
+            begin(flags, arguments)
+        except ArgumentError as error:  # what is wrong in a file is named by its key
+            raise _renamed(error, typed) from error.__cause__
+
+    def begin(flags: dict[str, Any], arguments: dict[str, Any]) -> None:
         if "seed" in flags:
             whole("seed", flags["seed"])
         if "budget" in flags:
@@ -257,6 +263,7 @@ def with_common_flags(function: Callable[..., None], command_name: str) -> Calla
         function(Settings(command_name, **flags), **arguments)
 
     keyword = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
+    typed = {f"`{p.name}`": f"`{long}`" for p in (*keyword, *common) if (long := _as_typed(p))}
     for flag in (*keyword, *common):
         _read_in_words(flag.annotation)
     # one unbroken line to copy: the mark keeps the paragraph from being filled
@@ -264,6 +271,25 @@ def with_common_flags(function: Callable[..., None], command_name: str) -> Calla
     command.__signature__ = inspect.Signature(keyword + common)  # type: ignore[attr-defined]
     command.__annotations__ = {p.name: p.annotation for p in keyword + common}
     return command
+
+
+def _as_typed(parameter: inspect.Parameter) -> str:
+    """The flag of a parameter as one types it; "" of one that is given by its place."""
+    for mark in get_args(parameter.annotation):
+        if isinstance(mark, OptionInfo):
+            said = (mark.default, *(mark.param_decls or ()))  # the first name stands where a default would
+            long = [each for each in said if isinstance(each, str) and each.startswith("--")]
+            return (long[0] if long else "--" + parameter.name.replace("_", "-")).split("/")[0]
+    return ""
+
+
+def _renamed(error: ArgumentError, typed: Mapping[str, str]) -> ArgumentError:
+    """An error whose words name the flags as they are typed, where the verb below named its own arguments."""
+    text = str(error)
+    for name, flag in typed.items():
+        text = text.replace(name, flag)
+    error.args = (text, *error.args[1:])
+    return error
 
 
 def _read_in_words(annotation: object) -> None:

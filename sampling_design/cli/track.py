@@ -1,4 +1,4 @@
-"""Commands that meet data and chance: estimate, validate, log."""
+"""Commands that meet data and chance: estimate, validate, compare."""
 
 from __future__ import annotations
 
@@ -217,17 +217,17 @@ def compare(
 ) -> None:
     """Compare planned with actual sample times: what came late, what was missed, and what that costs.
 
-    With -o DIR: log.json and log.png.
+    With -o DIR: compare.json and compare.png.
 
-    Example: sampling-design compare examples/plants/oscillator.toml out/schedule.csv examples/data/oscillator.csv
-    """
+    Example: sampling-design compare examples/plants/oscillator.toml out/schedule.csv examples/data/oscillator.csv -o out
+    """  # noqa: E501
     plant = settings.part(reading.plant(plant_file))
     schedule = schedule_for(settings, plant, schedule_file)
     record = reading.measurements(settings, measurement_file, plant, schedule.origin)
     _check_origins(record, schedule)
     split = split_needed(plant, settings.decay_rate or 0.0)
     # where every mode decays no window is judged, so that none is chosen and told
-    length = 1.0 if window is None and not split.retained.n_states else window_length(settings, split, window)
+    length = 1.0 if window is None and not split.retained.n_states else window_length(settings, split, window, schedule)
     split = weighed_over(split, length)
     times, taken = record.samples()
     if any(record.told):
@@ -246,6 +246,6 @@ def compare(
         )
     folder = settings.folder()
     if folder is not None:
-        settings.write_json(folder / "log.json", result.contents())
-        settings.draw(result, folder / "log.png")
+        settings.write_json(folder / "compare.json", result.contents())
+        settings.draw(result, folder / "compare.png")
     settings.show(result.contents() if settings.as_json else {}, record_table(result), result.explain())

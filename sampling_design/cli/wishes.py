@@ -45,7 +45,9 @@ class AskedFor:
     noise: Annotated[
         str, typer.Option(metavar="BOUNDS", help="No reading errs more: one number, or blood=0.1,saliva=0.4.")
     ] = ""
-    prices: Annotated[str, typer.Option(metavar="PRICES", help="Of one measurement: 12, or blood=12,saliva=3.")] = ""
+    prices: Annotated[
+        str, typer.Option(metavar="PRICES", help="Of one measurement: 12, or blood=12,saliva=3; 1 where not said.")
+    ] = ""
     visit: Annotated[float, typer.Option(metavar="PRICE", help="Of every visit, whatever is measured.")] = 0.0
     disturbance: Annotated[
         str, typer.Option(metavar="BOUNDS", help="No disturbance of a state is stronger: 0.01, or level=0.01.")
@@ -188,7 +190,7 @@ def plan_requirement(asked: AskedFor, plant: sd.Plant, span: float) -> sd.PlanRe
             "holidays": [day.strip() for day in asked.holidays.split(",") if day.strip()],
         }
     sensors = {
-        name: {"price": prices.get(name, 0.0), **({"noise_bound": noise[name]} if name in noise else {})}
+        name: {"price": prices.get(name, 1.0), **({"noise_bound": noise[name]} if name in noise else {})}
         for name in outputs
     }
     bounds = [disturbance.get(name, 0.0) for name in states]

@@ -21,7 +21,7 @@ from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule, ScheduleDetails
 
 FORMAT = "sampling-design/schedule/1"
-_MARK = "# sampling-design schedule"
+MARK = "# sampling-design schedule"
 _DETAILS = ("time_unit", "origin", "output_names")
 _REDUNDANCY = 1e-9  # gaps and times of one file may differ by this fraction of the period, no more
 
@@ -191,7 +191,7 @@ def _ending(path: str | os.PathLike[str]) -> str:
 
 
 def _to_csv(schedule: AnySchedule) -> str:
-    head = [_MARK, f"time_unit={schedule.time_unit}"]
+    head = [MARK, f"time_unit={schedule.time_unit}"]
     if schedule.endless:
         head.append(f"period={schedule.period!r}")
     if schedule.origin is not None:
@@ -217,8 +217,8 @@ def _from_csv(text: str, where: str) -> AnySchedule:
         return FileFormatError(f"{where}, line {line}: {what}", where)
 
     lines = text.split("\n")
-    if not lines[0].startswith(_MARK):
-        raise fail(1, f'must begin with "{_MARK}; time_unit=...". Measured times are read by import_time_stamps.')
+    if not lines[0].startswith(MARK):
+        raise fail(1, f'must begin with "{MARK}; time_unit=...". Measured times are read by import_time_stamps.')
     keys = _header(lines[0], where)
     if len(lines) < 2 or not lines[1].strip():
         raise fail(2, "expected the header `time[,output names]`. Was the file cut off?")
@@ -256,7 +256,7 @@ def _time(cell: str, before: list[float], fail: Callable[[str], Exception]) -> f
 
 def _header(line: str, where: str) -> dict[str, str]:
     keys: dict[str, str] = {}
-    for part in line[len(_MARK) :].split(";"):
+    for part in line[len(MARK) :].split(";"):
         key, equals, value = part.strip().partition("=")
         if not key:
             continue

@@ -36,7 +36,7 @@ def test_one_row_by_name(shell, schedule):
 def test_a_missing_bound_and_a_wrong_number_are_one_sentence(shell, schedule):
     missing = shell("accuracy", OSCILLATOR, schedule, "--v", "0.4")
     assert missing.code == 2
-    assert "`w_bound` is missing" in missing.err
+    assert "`--w-bound` is missing" in missing.err
     wrong = shell("accuracy", OSCILLATOR, schedule, "--w", "small", "--v", "0.4")
     assert wrong.code == 2
     assert "`--w-bound` must be numbers with commas between" in wrong.err

@@ -157,11 +157,11 @@ def test_memory_and_numbers_of_processes(shell, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("design", OSCILLATOR, "--seed", -1), "`seed` must be a whole number of at least 0, got -1"),
-        (("design", OSCILLATOR, "--budget", 0), "`budget` must be positive"),
-        (("design", OSCILLATOR, "--budget", "nan"), "`budget` must be finite"),
-        (("pareto", OSCILLATOR, "--counts", "2,3", "--workers", 0), "`workers` must be a number of processes"),
-        (("thyroid", "--workers", 0), "`workers` must be a number of processes"),
+        (("design", OSCILLATOR, "--seed", -1), "`--seed` must be a whole number of at least 0, got -1"),
+        (("design", OSCILLATOR, "--budget", 0), "`--budget` must be positive"),
+        (("design", OSCILLATOR, "--budget", "nan"), "`--budget` must be finite"),
+        (("pareto", OSCILLATOR, "--counts", "2,3", "--workers", 0), "`--workers` must be a number of processes"),
+        (("thyroid", "--workers", 0), "`--workers` must be a number of processes"),
     ],
 )
 def test_flags_out_of_range_are_one_sentence(shell, arguments, words):

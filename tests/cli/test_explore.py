@@ -53,8 +53,8 @@ def test_what_it_cannot_open_is_refused(shell, tmp_path):
     other = sd.schedules.write_schedule(sd.PeriodicSchedule([1.0], time_unit="s"), tmp_path / "other.csv")
     assert "must be a schedule that repeats" in shell("explore", *FILES, "--schedule", once, *ENDS).err
     assert "must have the period" in shell("explore", *FILES, "--schedule", other, *ENDS).err
-    assert "`port` 70000 cannot be used" in shell("explore", *FILES, "--port", 70000, *ENDS).err
+    assert "`--port` 70000 cannot be used" in shell("explore", *FILES, "--port", 70000, *ENDS).err
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        assert f"`port` {port} cannot be used" in shell("explore", *FILES, "--port", port, *ENDS).err
+        assert f"`--port` {port} cannot be used" in shell("explore", *FILES, "--port", port, *ENDS).err
     assert shell("explore", *FILES, "--idle", 0, "--no-browser").code == 2

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.cli.new import flat
+from sampling_design.cli.new import PlantModes, flat
 from sampling_design.cli.wishes import AskedFor, by_name, plan_requirement, positive_numbers, requirement, week
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.requirement_file import read_plan_requirement
@@ -39,7 +39,15 @@ def test_half_lives_names_and_units_are_taken(shell, tmp_path):
     assert plant.transition(6.0)[4, 4] == pytest.approx(0.5)
     assert plant.transition(12.0)[5, 5] == pytest.approx(0.5)
     refused = shell("new", tmp_path / "x", "--half-life", 6, "--names", "one")
-    assert "`names` must have 2 entries, got 1" in refused.err
+    assert "`--names` must have 2 entries, got 1" in refused.err
+
+
+def test_a_measurement_without_a_price_costs_one():
+    """Of 0, which nobody typed, every plan would cost nothing."""
+    asked = AskedFor(within="0.5", noise="0.1", disturbance="0.01", prices="blood=12")
+    modes = PlantModes(oscillation="24", sensors="blood,urine")
+    terms = plan_requirement(asked, modes.plant(), modes.span()).sensors
+    assert [each.price for each in terms.values()] == [12.0, 1.0]
 
 
 def test_nobody_copies_thirty_closed_nights_by_hand(shell, tmp_path):

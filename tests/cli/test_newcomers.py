@@ -143,7 +143,10 @@ LINES = {
     "three bounds of two": ("estimate p.toml m.csv --w 1,2,3", "or 2: one for each of w_position, w_velocity"),
     "bounds in words": ("accuracy p.toml s.csv --w small --v 0.1", "must be numbers with commas between"),
     "no bound": ("accuracy p.toml s.csv", "without a bound on w_position, w_velocity nothing can be guaranteed"),
-    "blanks for commas": ("accuracy p.toml s.csv --w 0.1 --v 0.1 --of position\u00a0velocity", "`of` must name states"),
+    "blanks for commas": (
+        "accuracy p.toml s.csv --w 0.1 --v 0.1 --of position\u00a0velocity",
+        "`--of` must name states",
+    ),
     "a zone without a date": ("design p.toml r.toml --zone Europe/Berlin", "give --start DATE with it"),
     "a date without a folder": ("design p.toml r.toml --start 2026-03-02", "Give --output DIR"),
     "a date in words": ("design p.toml r.toml -o o --start tomorrow", "a date like 2026-01-05T08:00"),

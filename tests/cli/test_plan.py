@@ -27,7 +27,7 @@ def test_info_lists_modes_and_counts(shell):
     assert result.code == 0
     assert "0.00113129i" in result.out
     assert "samples needed" in result.out
-    assert "window not given: 5554 s is used." in result.err
+    assert "--window not given: 5554 s is used." in result.err
 
 
 def test_info_as_json_is_one_object(shell, tmp_path):
@@ -126,7 +126,7 @@ def test_design_narrows_the_bound_with_more_branches(shell):
     assert bounds[1] < 0.99 * bounds[0]
     refused = shell(*arguments, -1)
     assert refused.code == 2
-    assert "`branches`" in refused.err
+    assert "`--branches`" in refused.err
 
 
 def test_a_calendar_needs_a_folder(shell):
@@ -184,9 +184,9 @@ def test_an_impossible_requirement_is_a_no(shell):
     [
         (("info", "nowhere.toml"), "no such file"),
         (("info", PLANTS), "suffix must be one of"),
-        (("info", plant("oscillator"), "--window", "-1"), "`window` must be positive"),
+        (("info", plant("oscillator"), "--window", "-1"), "`--window` must be positive"),
         (("info", plant("oscillator"), "--decay-rate", "-1"), "must not be negative"),
-        (("design", plant("oscillator"), "--spacing", "0"), "`spacing` must be positive"),
+        (("design", plant("oscillator"), "--spacing", "0"), "`--spacing` must be positive"),
         (("design", plant("oscillator"), plant("oscillator")), "oscillator.toml"),
         (("sigma", plant("oscillator"), "nowhere.csv"), "no such file"),
         (("design", plant("oscillator"), "-o", "/proc/nowhere/out"), "cannot be made a folder"),

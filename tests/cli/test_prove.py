@@ -243,7 +243,7 @@ def test_commands_that_need_samples_refuse_a_detectability_file(shell, tmp_path)
         sampling_certificate(file, read_plant(OSCILLATOR))
 
 
-@pytest.mark.parametrize(("flag", "name"), [("--eta", "eta"), ("--noise-gain", "noise-gain")])
+@pytest.mark.parametrize(("flag", "name"), [("--eta", "--eta"), ("--noise-gain", "--noise-gain")])
 def test_numbers_of_detectability_are_refused_by_the_name_that_was_typed(shell, flag, name):
     result = shell("certify", OSCILLATOR, "--detectability", flag, -1)
     assert result.code == 2

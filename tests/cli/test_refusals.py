@@ -1,14 +1,19 @@
 """What the command line itself refuses, in its own words."""
 
+import functools
+import inspect
 from pathlib import Path
 
 import pytest
 
+import sampling_design as sd
 from sampling_design.cli import reading
+from sampling_design.cli.app import COMMANDS, function_of, loaded
 from sampling_design.cli.plan import design
-from sampling_design.cli.settings import Settings
+from sampling_design.cli.settings import Settings, with_common_flags
 from sampling_design.cli.what_if import _counts
 from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.schedules import PeriodicSchedule, write_schedule
 
 OSCILLATOR = Path(__file__).parents[2] / "examples" / "plants" / "oscillator.toml"
 
@@ -58,6 +63,42 @@ def test_files_in_the_wrong_place_are_named_as_what_they_are(shell, arguments, w
     assert result.code == 2
     assert words in result.err
     assert "Are the arguments in their order?" in result.err
+
+
+def test_a_schedule_is_not_read_as_measurements_of_ones(shell, tmp_path):
+    path = write_schedule(PeriodicSchedule([1.0, 1.2], time_unit="s"), tmp_path / "schedule.csv")
+    result = shell("estimate", OSCILLATOR, path, "--quiet")
+    assert result.code == 2
+    assert "is a schedule file, expected a measurement file. Its ones say what is to be measured" in result.err
+    with pytest.raises(FileFormatError, match="is a schedule file, expected measurements"):
+        sd.read_measurements(path, sd.read_plant(OSCILLATOR))
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_an_error_names_the_flag_as_it_is_typed(command):
+    """Whatever verb refuses a value, and by whatever name: `v_bound` is typed --v-bound."""
+    real = function_of(command)
+    for parameter in loaded(command).params:
+        flags = [each for each in parameter.opts if each.startswith("--")]
+        if not flags or parameter.name in ("help", "version"):
+            continue
+
+        @functools.wraps(real)
+        def refusing(settings, *, name=parameter.name, **_):
+            raise ArgumentError(f"`{name}` must be otherwise, got 3.")
+
+        refusing.__signature__ = inspect.signature(real, eval_str=True)
+        wrapped = with_common_flags(refusing, command)
+        given = {each: p.default for each, p in wrapped.__signature__.parameters.items()}
+        with pytest.raises(ArgumentError, match=rf"^`{flags[0]}` must be otherwise, got 3\.$"):
+            wrapped(**given)
+
+
+@pytest.mark.parametrize(("earlier", "today"), [("log", "compare"), ("survive", "robustness")])
+def test_an_earlier_name_of_a_command_leads_to_the_one_of_today(shell, earlier, today):
+    result = shell(earlier, "plant.toml")
+    assert result.code == 2
+    assert result.err == f"sampling-design: `{earlier}` is called `{today}` now, with the same arguments.\n"
 
 
 def test_a_file_in_the_wrong_place_is_an_error_of_the_file():

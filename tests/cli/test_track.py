@@ -179,14 +179,14 @@ def test_validate_with_a_false_certificate_fails_with_exit_code_1(shell, tmp_pat
     assert "BROKEN" in result.out
 
 
-def test_log_says_what_deviations_cost(shell, tmp_path):
+def test_compare_says_what_deviations_cost(shell, tmp_path):
     plan = sd.PeriodicSchedule([5554.0 / 12], first=0.0, time_unit="s")
     sd.schedules.write_schedule(plan, tmp_path / "plan.csv")
     flags = ("--window", 5554, "-o", tmp_path / "out")
     result = shell("compare", plant("satellite"), tmp_path / "plan.csv", DATA / "satellite.csv", *flags)
     assert result.code == 0, result.err
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"log.json", "log.png"}
-    data = json.loads((tmp_path / "out" / "log.json").read_text())
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"compare.json", "compare.png"}
+    data = json.loads((tmp_path / "out" / "compare.json").read_text())
     assert len(data["missed"]) == 3
     assert 0 < data["largest_deviation"] <= 120.0
     assert 0 < data["kept"] < 1
@@ -212,10 +212,10 @@ def test_limits_and_means_are_taken_samples(shell, tmp_path, schedule):
         (("estimate", OSCILLATOR, DATA / "satellite.csv"), "column 'position' is missing"),
         (("estimate", OSCILLATOR, "READINGS", "--w-bound", "1,x"), "`--w-bound` must be numbers with commas between"),
         (("estimate", OSCILLATOR, "READINGS", "--prior", "1,2,3"), "`--prior` must be one number, or 2"),
-        (("estimate", OSCILLATOR, "READINGS", "--v-bound", "-1"), "`v_bound` must not be negative"),
+        (("estimate", OSCILLATOR, "READINGS", "--v-bound", "-1"), "`--v-bound` must not be negative"),
         (("estimate", OSCILLATOR, "EMPTY"), "holds no measurement"),
         (("validate", OSCILLATOR, "nowhere.csv"), "no such file"),
-        (("validate", OSCILLATOR, "SCHEDULE", "--runs", "0"), "`runs` must be a whole number"),
+        (("validate", OSCILLATOR, "SCHEDULE", "--runs", "0"), "`--runs` must be a whole number"),
         (
             ("compare", OSCILLATOR, "SCHEDULE", "EMPTY", "--window", "3"),
             "`times` must hold at least one sample",
@@ -295,7 +295,7 @@ def test_calendars_of_a_design_are_in_its_zone(shell, tmp_path):
     assert "+01:00" in (tmp_path / "calendar.csv").read_text()
     wrong = shell("design", OSCILLATOR, *asked[:-1], "Mars", "-o", tmp_path / "none")
     assert wrong.code == 2
-    assert "`zone` must be the name of a time zone" in wrong.err
+    assert "`--zone` must be the name of a time zone" in wrong.err
     assert not (tmp_path / "none" / "design.json").exists()
 
 

@@ -111,7 +111,7 @@ def test_the_form_that_was_filled_in_is_on_schedule(year, tmp_path):
         Settings("compare", output=tmp_path, quiet=True),
         *(tmp_path / f for f in ("plant.toml", "dates.csv", "measured.csv")),
     )
-    told = json.loads((tmp_path / "log.json").read_text())
+    told = json.loads((tmp_path / "compare.json").read_text())
     assert len(told["actual"]) == len(dates.entries)
     assert max(map(abs, told["deviations"])) < 1e-9
 

@@ -177,7 +177,7 @@ def test_what_is_written_is_taken_by_log_as_it_is(week, dates, tmp_path):
     sd.schedules.write_schedule(dates.schedule(), tmp_path / "dates.csv")
     files = [tmp_path / name for name in ("plant.toml", "dates.csv", "measured.csv")]
     compare(Settings("compare", output=tmp_path, quiet=True), *files)
-    told = json.loads((tmp_path / "log.json").read_text())
+    told = json.loads((tmp_path / "compare.json").read_text())
     assert len(told["planned"]) == len(told["actual"]) == len(lines)
     assert max(map(abs, told["deviations"])) < 1e-6  # on both sides of the change of the clocks
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterator
 from datetime import UTC, date, datetime, time, timedelta, tzinfo
-from itertools import islice
+from itertools import chain, islice
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -16,6 +16,7 @@ from sampling_design.plants.plant import Signals
 from sampling_design.records import checks, file_io
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.units import SECONDS
+from sampling_design.schedules.files import MARK
 from sampling_design.schedules.time_stamps import time_zone
 
 Numbered = tuple[int, str]
@@ -60,7 +61,14 @@ def read_table(
     where: str, lines: Iterator[str], plant: MeasuredPlant, origin: str | None, zone: str | None = None
 ) -> MeasurementTable:
     """Return what the lines of a file say, read block by block. Raises FileFormatError as `read_measurements`."""
-    held = ((k, line) for k, line in enumerate(lines, 1) if _counts(line))
+    opening = next(lines, "")
+    if opening.startswith(MARK):
+        raise FileFormatError(
+            f"{where}: is a schedule file, expected measurements: its ones say what is to be measured, not what was "
+            "read.",
+            where,
+        )
+    held = ((k, line) for k, line in enumerate(chain([opening], lines), 1) if _counts(line))
     first = next(held, None)
     if first is None:
         raise FileFormatError(f"{where}: is empty, expected a header line.", where)

@@ -207,9 +207,6 @@ def named() -> dict[str, Any]:
 def special() -> dict[str, dict[str, Any]]:
     """Arguments that one callable needs otherwise than their names say."""
     t, place, plant, cost = things(), folder(), things()["plant"], things()["cost"]
-    import casadi as ca
-
-    x = ca.SX.sym("x", 2)
     suffixes = {"write_plant": "p.toml", "write_requirement": "r.toml", "write_schedule": "s.csv"}
     return {
         **{name: {"path": place / ("made_" + file)} for name, file in suffixes.items()},
@@ -246,13 +243,12 @@ def special() -> dict[str, dict[str, Any]]:
         "import_time_stamps": {"path": place / "stamps.csv", "origin": None},
         "named_plant": {"name": "oscillator"},
         "worst_case_sigma": {"family": t["spaced"]},
-        "family_from_dict": {"data": public()["family_to_dict"](t["gaps"])},
-        "schedule_from_dict": {"data": public()["schedule_to_dict"](t["schedule"])},
+        "family_from_dict": {"data": t["gaps"].to_dict()},
+        "schedule_from_dict": {"data": t["schedule"].to_dict()},
         "requirement_from_dict": {"data": t["requirement"].to_dict()},
         "write_estimates": {"record": t["estimates"]},
         "check_detectability": {"plant": t["nonlinear"], "start": ([-1.0, -1.0], [1.0, 1.0]), "duration": 2.0},
         "NonlinearMovingHorizonEstimator": {"plant": t["nonlinear"], "horizon": 2.0, "cost": cost},
-        "from_expressions": {"x": x, "f": -x, "h": x[0], "details": {}},
         "calendar": {"start": "2026-01-01", "schedule": t["schedule"]},
         "write_calendar_csv": {"start": "2026-01-01"},
         "write_ics": {"start": "2026-01-01"},

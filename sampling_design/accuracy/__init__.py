@@ -7,7 +7,6 @@ _NAMES = {
     "deviation": ("standard_deviation",),
     "interval": ("state_interval",),
     "limit": ("accuracy_limit",),
-    "record_bounds": ("bounds_from_record",),
     "recursion": ("PeriodicGains",),
 }
 __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)

@@ -4,5 +4,4 @@ from sampling_design.accuracy.accuracy import guaranteed_accuracy as guaranteed_
 from sampling_design.accuracy.deviation import standard_deviation as standard_deviation
 from sampling_design.accuracy.interval import state_interval as state_interval
 from sampling_design.accuracy.limit import accuracy_limit as accuracy_limit
-from sampling_design.accuracy.record_bounds import bounds_from_record as bounds_from_record
 from sampling_design.accuracy.recursion import PeriodicGains as PeriodicGains

@@ -187,7 +187,7 @@ class RecordProgram:
     def solve(self, t: float, row: Array) -> tuple[RowEnd, RowEnd]:
         """Return the ends of a row of x at t, the upper one of c and that of -c, and the gains that prove them.
 
-        BoxCells become finer until the adversary comes as far as the gains allow, but for `CLOSED` of the half-width.
+        Cells become finer until the adversary comes as far as the gains allow, but for `CLOSED` of the half-width.
         """
         ends, level = [self._end(t, sign * row, 0) for sign in (1.0, -1.0)], 0
         while level < LEVELS - 1:
@@ -450,13 +450,9 @@ class RecordProgram:
         return float(np.sqrt(square).sum() + cost[read.below].sum())
 
     def least_growth(self, which: str) -> Array:
-        """Return gains for the row 0 that prove best by how much bounds (`SPREADS`) would have to grow."""
-        return self.least_multiple(which)[2]
+        """Return gains for the row 0 that prove best by how much bounds (`SPREADS`) would have to grow.
 
-    def least_multiple(self, which: str) -> tuple[float, float, Array]:
-        """Return what gains prove to be the least multiple of some bounds, one that suffices, and those gains.
-
-        BoxCells become finer until both are equal but for `CLOSED`.
+        Cells become finer until a multiple that suffices is no larger than that but for `CLOSED`.
         """
         best, enough, zero = (0.0, np.zeros(len(self.H))), np.inf, np.zeros(len(self.table.D))
         for level in range(LEVELS):
@@ -468,7 +464,7 @@ class RecordProgram:
                 best = max(best, (self.growth(which, gains), gains), key=lambda pair: pair[0])
             if y is None or best[0] >= (1 - CLOSED) * enough:
                 break
-        return best[0], enough, best[1]
+        return best[1]
 
     def growth(self, which: str, gains: Array) -> float:
         """Return the factor by which bounds must grow for the data, as gains for the row 0 prove it."""

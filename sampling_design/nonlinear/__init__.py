@@ -4,7 +4,7 @@ from sampling_design.records.lazy import lazy
 
 _NAMES = {
     "collocation": ("Collocation",),
-    "conversion": ("from_expressions", "from_linear"),
+    "conversion": ("from_linear",),
     "detectability": ("DetectabilityEvidence", "check_detectability"),
     "experiment": ("thyroid_experiment",),
     "mhe": ("NonlinearMovingHorizonEstimator",),

@@ -3,7 +3,6 @@ from sampling_design.nonlinear import examples as examples
 from sampling_design.nonlinear import thyroid as thyroid
 from sampling_design.nonlinear import thyroid_logs as thyroid_logs
 from sampling_design.nonlinear.collocation import Collocation as Collocation
-from sampling_design.nonlinear.conversion import from_expressions as from_expressions
 from sampling_design.nonlinear.conversion import from_linear as from_linear
 from sampling_design.nonlinear.detectability import DetectabilityEvidence as DetectabilityEvidence
 from sampling_design.nonlinear.detectability import check_detectability as check_detectability

@@ -4,10 +4,8 @@ from sampling_design.schedules.calendar import write_calendar_csv as write_calen
 from sampling_design.schedules.calendar import write_ics as write_ics
 from sampling_design.schedules.family import SamplingFamily as SamplingFamily
 from sampling_design.schedules.family_files import family_from_dict as family_from_dict
-from sampling_design.schedules.family_files import family_to_dict as family_to_dict
 from sampling_design.schedules.files import read_schedule as read_schedule
 from sampling_design.schedules.files import schedule_from_dict as schedule_from_dict
-from sampling_design.schedules.files import schedule_to_dict as schedule_to_dict
 from sampling_design.schedules.files import write_schedule as write_schedule
 from sampling_design.schedules.gap_range import GapRange as GapRange
 from sampling_design.schedules.jitter import Jitter as Jitter

@@ -11,7 +11,6 @@ from sampling_design.checkers.strict import anything
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.file_io import exactly
-from sampling_design.records.record import Plain
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.files import schedule_from_dict
@@ -19,22 +18,6 @@ from sampling_design.schedules.gap_range import GapRange  # noqa: F401  # a fami
 from sampling_design.schedules.jitter import Jitter  # noqa: F401
 from sampling_design.schedules.lost_samples import LostSamples  # noqa: F401
 from sampling_design.schedules.spaced_windows import SpacedWindows  # noqa: F401
-
-
-@checked
-def family_to_dict(family: SamplingFamily) -> dict[str, Plain]:
-    """Return a family as plain data; `kind` names it.
-
-    Parameters
-    ----------
-    family : SamplingFamily
-
-    Returns
-    -------
-    dict
-        Lists, numbers and strings only; `family_from_dict` reads it back.
-    """
-    return family.to_dict()
 
 
 @checked

@@ -14,7 +14,6 @@ from sampling_design.checkers import schedule_file
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.records import checks, file_io
 from sampling_design.records.file_io import csv_rows, decimal, from_json, read_text, to_json, write_text
-from sampling_design.records.record import Plain
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import check_time_unit
 from sampling_design.schedules.family import AnySchedule
@@ -24,27 +23,6 @@ FORMAT = "sampling-design/schedule/1"
 MARK = "# sampling-design schedule"
 _DETAILS = ("time_unit", "origin", "output_names")
 _REDUNDANCY = 1e-9  # gaps and times of one file may differ by this fraction of the period, no more
-
-
-@checked
-def schedule_to_dict(schedule: AnySchedule) -> dict[str, Plain]:
-    """Return a schedule as plain data: kind "finite" (times) or "periodic" (gaps, first, times, period).
-
-    Parameters
-    ----------
-    schedule : Schedule or PeriodicSchedule
-
-    Returns
-    -------
-    dict
-        Lists, numbers and strings only; `schedule_from_dict` reads it back.
-
-    Raises
-    ------
-    ArgumentError
-        If it is no schedule.
-    """
-    return schedule.to_dict()
 
 
 @checked

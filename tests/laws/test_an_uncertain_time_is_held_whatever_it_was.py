@@ -244,7 +244,6 @@ def test_where_nothing_is_known_or_a_time_is_needed_it_is_said():
             lambda: sd.state_interval(swing, [((1.0, 2.0), [1.0])], **exact | {"v_bound": lambda t: 0.1}),
             "`v_bound` must not depend on time",
         ),
-        (lambda: sd.accuracy.bounds_from_record(swing, [((1.0, 2.0), [1.0])], **exact), "must have exact times"),
     ):
         with pytest.raises(ArgumentError, match=words):
             call()

@@ -8,7 +8,6 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.accuracy.readings import CensoredReading
-from sampling_design.accuracy.record_bounds import bounds_from_record
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.curve import estimate_curve
 from tests.cases import few
@@ -100,11 +99,6 @@ def told_by_interval(rows, start):
     return found.t - start, found.lower, found.upper
 
 
-def told_by_bounds(rows, start):
-    found = bounds_from_record(PLANT, rows, prior_time=start, **{**BOUNDS, "initial_error": 0.1})
-    return (found.factor,)
-
-
 VERBS = {
     "mhe": told_by_run(mhe),
     "filter": told_by_run(filter_of),
@@ -112,11 +106,10 @@ VERBS = {
     "smooth": told_by_smooth,
     "curve": told_by_curve,
     "interval": told_by_interval,
-    "bounds": told_by_bounds,
 }
 
 
-@pytest.mark.parametrize(("verb", "kind"), few(product(VERBS, RECORDS), 0, 4, 8, 9, 13, 15, 17, 19, 20))
+@pytest.mark.parametrize(("verb", "kind"), few(product(VERBS, RECORDS), 0, 4, 8, 9, 13, 15, 17))
 def test_a_record_and_its_shift_get_the_same_answer(verb, kind):
     answer, rows = VERBS[verb], RECORDS[kind]
     here = answer(rows, 0.0)

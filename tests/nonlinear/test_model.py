@@ -6,7 +6,7 @@ import pytest
 
 from sampling_design import Plant
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.nonlinear.conversion import from_expressions, from_linear
+from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.thyroid import TRUE_START, thyroid
 from sampling_design.plants.plant import Signals
@@ -45,17 +45,6 @@ def test_the_linearisation_is_the_slope_of_small_steps(subject, x, u):
             step = 1e-5 * scale * np.eye(scale.size)[i]
             slope = (shift(step) - shift(-step)) / 2e-5
             assert matrix[:, i] * scale[i] == pytest.approx(slope, rel=1e-6, abs=1e-6 * np.abs(slope).max() + 1e-30)
-
-
-def test_expressions_and_functions_give_the_same_plant():
-    x, u, w, v = (casadi.SX.sym(k, n) for k, n in (("x", 2), ("u", 1), ("w", 1), ("v", 1)))
-    f = casadi.vertcat(*dynamics(x, u, w))
-    same = from_expressions(x, f, output(x, u, v)[0], u=u, w=w, v=v, name="same")
-    assert same.sizes == plant().sizes
-    assert same.f([0.3, 0.2], [0.1], [0.5]) == pytest.approx(plant().f([0.3, 0.2], [0.1], [0.5]))
-    assert same.h([0.3, 0.2], [0.1], [0.5]) == pytest.approx(plant().h([0.3, 0.2], [0.1], [0.5]))
-    with pytest.raises(ArgumentError, match="`f` and `h` must be expressions in x, u, w and x, u, v only"):
-        from_expressions(x, f, x[0])
 
 
 def test_a_linear_plant_stays_what_it_is():

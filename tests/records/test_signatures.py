@@ -20,7 +20,7 @@ import sampling_design as sd
 from sampling_design.certificates import find_counterexample, four_horizons
 from sampling_design.errors import ArgumentError, CallError, SolverError
 from sampling_design.estimators import ConvexSet, EstimateRecord
-from sampling_design.nonlinear import from_expressions, from_linear
+from sampling_design.nonlinear import from_linear
 from sampling_design.nonlinear.report import ThyroidReport
 from sampling_design.observability.count.critical_length import critical_length
 from sampling_design.plotting import draw
@@ -320,7 +320,6 @@ def estimator() -> sd.KalmanFilter:
         (lambda: four_horizons(OSCILLATOR, GAPS, None, 3), "`proof_constants` must be a ProofConstants, got int 3"),
         (lambda: EstimateRecord.collect(OSCILLATOR, [3]), "`estimates` must be a list of estimates, got list"),
         (lambda: EstimateRecord.collect(3, []), "`plant` must be a Plant or a NonlinearPlant, got int 3"),
-        (lambda: from_expressions(3, 4, 5), "`x` must be an expression of casadi, got int 3"),
         (lambda: sd.NonlinearPlant(3, 4, {"states": 1, "outputs": 1}), "`dynamics` must be a function, got int 3"),
         (lambda: sd.NonlinearPlant(len, len, {"states": 1, "outputs": 1}), "`dynamics` fails for symbols: TypeError"),
         (lambda: sd.NonlinearPlant(len, len, 3), "`sizes` must be a table of names and values, got int 3"),

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from sampling_design import ArgumentError, GapRange, Jitter, LostSamples, PeriodicSchedule, Schedule, SpacedWindows
 from sampling_design.errors import InfeasibleRequirementError
 from sampling_design.schedules.family import SamplingFamily
-from sampling_design.schedules.family_files import family_from_dict, family_to_dict
+from sampling_design.schedules.family_files import family_from_dict
 from sampling_design.schedules.sampling_set import SamplingSet
 from tests.oracles import schedules as oracle
 
@@ -66,8 +66,8 @@ def test_a_draw_is_as_long_as_asked(family):
 
 @pytest.mark.parametrize("family", FAMILIES, ids=IDS)
 def test_plain_data_comes_back(family):
-    back = family_from_dict(family_to_dict(family))
-    assert family_to_dict(back) == family_to_dict(family)
+    back = family_from_dict(family.to_dict())
+    assert back.to_dict() == family.to_dict()
     np.testing.assert_array_equal(back.draw().times, family.draw().times)
 
 

@@ -16,7 +16,6 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import short
 from sampling_design.schedules.family import SamplingFamily
-from sampling_design.schedules.family_files import family_to_dict
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -71,7 +70,7 @@ class FamilyCertificate(SampledCertificate):
         )
 
     def _file_parts(self) -> dict[str, object]:
-        return {"claim": FAMILY_CLAIM, "times": family_to_dict(self.family), "graph": self.graph.to_dict(self.P)}
+        return {"claim": FAMILY_CLAIM, "times": self.family.to_dict(), "graph": self.graph.to_dict(self.P)}
 
     def _rows(self) -> list[tuple[str, str]]:
         size = f"{self.graph.count - 1} node{'s' * (self.graph.count != 2)}, {len(self.graph.edges)} edges"

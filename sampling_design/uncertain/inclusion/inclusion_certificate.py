@@ -16,7 +16,6 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import Plain, short
 from sampling_design.schedules.family import SamplingFamily
-from sampling_design.schedules.family_files import family_to_dict
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule
 from sampling_design.uncertain.inclusion.layout import Schedules, graph_for
@@ -150,7 +149,7 @@ class InclusionCertificate(SampledCertificate):
 
     def _file_parts(self) -> dict[str, object]:
         family = self.family
-        times = family_to_dict(family) if isinstance(family, SamplingFamily) else times_to_dict(family)
+        times = family.to_dict() if isinstance(family, SamplingFamily) else times_to_dict(family)
         diagonals = None if self.multipliers is None else np.asarray(self.multipliers).tolist()
         parts: dict[str, object] = {"claim": INCLUSION_CLAIM, "times": times, "model": self.model_data}
         if not isinstance(family, GapRange):

@@ -105,7 +105,7 @@ def _walked(problem: WindowProblem, flows: tuple[Array, Array], share: float, wo
     for period in range(1, (SHORTER_WALK if share else LONGEST_WALK) // problem.count + 2):
         work.spend(WALK_WORK * problem.count)
         with np.errstate(over="ignore", invalid="ignore"):  # an unseen mode grows until that ends the loop
-            around, whole, added = _with_gains(problem, flows, Y, share)
+            around, whole, added = _with_gains(problem, flows, Y, share, period % JUMP == 0)
             if not np.isfinite(around).all():
                 break
             if _settled(Y, around[-1], settled):
@@ -113,30 +113,34 @@ def _walked(problem: WindowProblem, flows: tuple[Array, Array], share: float, wo
             jumps = period % JUMP == 0 and np.abs(np.linalg.eigvals(whole)).max(initial=0.0) < 1
             following = _summed(whole, added) if jumps else around[-1]
             if jumps and _settled(Y, following, repeated):  # what is left is of second order
-                return _with_gains(problem, flows, following, share)[0]
+                return _with_gains(problem, flows, following, share, False)[0]
         Y = following
     return None
 
 
 def _with_gains(
-    problem: WindowProblem, flows: tuple[Array, Array], Y: Array, share: float
+    problem: WindowProblem, flows: tuple[Array, Array], Y: Array, share: float, composed: bool
 ) -> tuple[Array, Array, Array]:
-    """Y after each sample of a period, and the period with these gains as the map Y -> `whole` Y `whole`' + `added`."""
-    whole, added = np.eye(problem.size), np.zeros((problem.size, problem.size))
+    """Y after each sample of a period, and the period with these gains as the map Y -> `whole` Y `whole`' + `added`.
+
+    The map where it is `composed`, which takes as much again.
+    """
+    unit = whole = np.eye(problem.size)
+    pair = np.zeros((2 if composed else 1, problem.size, problem.size))  # Y, and `added`
+    pair[0] = Y
     result = np.empty((problem.count, problem.size, problem.size))
     for i in range(problem.count):
         F, W = flows[0][i], flows[1][i]
-        Y, whole, added = propagate(Y, F, W), F @ whole, propagate(added, F, W)
+        pair, whole = propagate(pair, F, W), F @ whole if composed else unit
         if share:
-            floor = np.diag(share * np.diagonal(Y))
-            Y, added = Y + floor, added + floor
+            pair = pair + np.diag(share * np.diagonal(pair[0]))
         for row in problem.rows[i]:  # products, not dyads, so that all sums are of positive terms
-            cross = Y @ row
+            cross = pair[0] @ row
             gain = cross / (1 + cross @ row)
-            left, noise = np.eye(problem.size) - np.outer(gain, row), np.outer(gain, gain)
-            Y, whole, added = propagate(Y, left, noise), left @ whole, propagate(added, left, noise)
-        result[i] = Y
-    return result, whole, added
+            left = unit - gain[:, None] * row
+            pair, whole = propagate(pair, left, gain[:, None] * gain), left @ whole if composed else unit
+        result[i] = pair[0]
+    return result, whole, pair[-1]
 
 
 def _summed(whole: Array, added: Array) -> Array:

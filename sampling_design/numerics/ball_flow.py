@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -34,6 +35,7 @@ APART = 1e-6  # relative gap of two speeds from which on they are told apart
 WORST_CONDITION = 1e6
 """Modal coordinates worse than this are not used to bound |e^{As}|: the logarithmic norm does better."""
 HALVINGS = 50  # most halvings of a step: what is left then is below the resolution of a double
+AT_ONCE = 4  # most halvings of a chord between two looks at it: a guess may be wrong, and 2^4 nodes are soon made
 
 
 def split_bases(A: Array) -> Iterator[tuple[Array, int]]:
@@ -274,14 +276,29 @@ def highest(
     def parts_of(chord: Chord) -> list[Chord] | None:
         nonlocal reached
         left, right, length, depth = chord
-        bounds = (bound.upper() for bound in left.bounds(right, length, top, slope))
-        proven = next((bound for bound in bounds if bound <= limit), None)
-        if proven is not None:
-            reached = max(reached, proven)
-            return []
-        middle = left.after(length / 2, top)
-        if depth >= HALVINGS or not middle.top <= limit:
+        least = float("inf")
+        for bound in left.bounds(right, length, top, slope):
+            if (upper := bound.upper()) <= limit:
+                reached = max(reached, upper)
+                return []
+            least = min(least, float(upper))
+        times = _halvings(least, float(max(left.top, right.top)), float(limit))
+        if depth + times > HALVINGS:
             return None
-        return [(middle, right, length / 2, depth + 1), (left, middle, length / 2, depth + 1)]
+        length, nodes = length / 2**times, [left]
+        while len(nodes) < 2**times:
+            nodes.append(nodes[-1].after(length, top))
+            if not nodes[-1].top <= limit:
+                return None
+        pairs = pairwise([*nodes, right])
+        return [(node, following, length, depth + times) for node, following in pairs][::-1]
 
     return reached if all_proven([(left, right, duration, 0)], parts_of, clock, 150 + flow.n**3) else None
+
+
+def _halvings(bound: float, ends: float, limit: float) -> int:
+    """How often to halve a chord whose bound is too high: what a bound adds to the ends falls with its square."""
+    room, added = limit - ends, bound - ends
+    if not 0 < room < added < np.inf:
+        return 1
+    return int(np.clip(np.ceil(np.log2(added / room) / 2), 1, AT_ONCE))

@@ -25,7 +25,7 @@ class NoiseInterpretation(StrEnum):
 
 def thyroid(
     settings: Settings,
-    runs: Annotated[int, typer.Option(help="Noise realisations per reading of w.")] = 1,
+    runs: Annotated[int, typer.Option(help="Noise realisations per interpretation of w.")] = 1,
     reading: Annotated[
         list[NoiseInterpretation] | None,
         typer.Option(help="How w is read; may be repeated. Default: per_second and per_day."),

@@ -163,7 +163,7 @@ class MovingHorizonEstimator(WindowedEstimator):
     ):
         plant, cost = part_for(plant, rows.get("of")), CostFunction() if cost is None else cost
         self.certificate, self.arrival_cost, self.begins = certificate, cost.arrival, cost.begins
-        self.horizon, note = choose_horizon(certificate, horizon, cost, "paper" if cost.form == "paper" else "sharp")
+        self.horizon, note = choose_horizon(certificate, horizon, cost, "paper" if cost.form == "paper" else "improved")
         weighed = WeighedBounds(w_bound, v_bound, initial_error)
         weights = build_weights(plant, certificate, cost, weighed, self.horizon)
         given = Constraints() if constraints is None else constraints

@@ -124,7 +124,7 @@ class ThyroidReport(Record):
         parts = [
             "# The paper's Section VI: hormone concentrations from rare blood samples",
             f"Written by `sampling-design thyroid {asked} -o DIR`, as DIR/thyroid.md.",
-            f"{self.runs} runs of {short(self.days)} days per reading of w, seed {self.seed}; "
+            f"{self.runs} runs of {short(self.days)} days per interpretation of w, seed {self.seed}; "
             "RMSE in scaled states, mean over the runs and, in brackets, standard deviation between them.",
             _table(
                 ["w", "span", "standard", "sample-based", "ratio"],

@@ -72,17 +72,17 @@ def promise_of(
 ) -> Promise:
     """Return what a certificate promises of an estimator with its weights.
 
-    The sharper theorem for the certificate's own cost, Thm 9 for the paper's; with the arrival cost filtered the
+    The improved theorem for the certificate's own cost, Thm 9 for the paper's; with the arrival cost filtered the
     full rate, whatever the horizon.
     """
     if filtered:
         inside = certificate.P2, certificate.Qw, certificate.Rtilde
         root = np.asarray(np.linalg.cholesky(certificate.P1).T)
         return Promise("filtered arrival cost, full rate", root, *inside, rate=certificate.eta, gain=1.0)
-    found = certificate.horizon("sharp" if cost == "certificate" else "paper", horizon)
+    found = certificate.horizon("improved" if cost == "certificate" else "paper", horizon)
     root = np.asarray(np.linalg.cholesky(certificate.P2 / found.lam).T)
     if cost == "certificate":
         inside = certificate.P2, certificate.Qw, certificate.Rtilde
-        return Promise("sharper horizon theorem", root, *inside, rate=found.eta_tilde, gain=1.0)
+        return Promise("improved horizon theorem", root, *inside, rate=found.eta_tilde, gain=1.0)
     inside = certificate.P2, certificate.Qw, 2 * certificate.Qv
     return Promise("Theorem 9", root, *inside, rate=found.eta_tilde, gain=4 * found.lam)

@@ -160,14 +160,14 @@ class ValidationStudy:
             self._find(
                 "a-priori bound", scenario, 1.0, worst, source=source, strength=strength, note=_median_text(seen)
             )
-            if source == "sharper horizon theorem":
+            if source == "improved horizon theorem":
                 self._plain(scenario, seen, strength)
         self._ellipsoids(scenario, seen.ellipsoid, seen.ellipsoid[:, self.map.rows.samples], strength)
 
     def _plain(self, scenario: str, seen: MonteCarloTrials, strength: Strength) -> None:
         b, times = self.bounds, self.map.rows.times
         found = self._certified.error_bound(
-            times, norm_of(b.e0), norm_of(b.w), norm_of(b.v), theorem="sharp", length=self.horizon
+            times, norm_of(b.e0), norm_of(b.w), norm_of(b.v), theorem="improved", length=self.horizon
         )
         worst = float(np.max(ratio(seen.plain.max(axis=0), found)))
         self._find("Euclidean error bound", scenario, 1.0, worst, source=self.promise.theorem, strength=strength)  # type: ignore[union-attr]

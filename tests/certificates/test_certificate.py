@@ -52,12 +52,12 @@ def test_best_p1_is_p2_over_lambda_less_the_resolution():
 
 
 @pytest.mark.parametrize(
-    ("plant", "sharp", "paper"), [(DOUBLE, 1.4, 6.2), (OSCILLATOR, 1.5, 6.5), (FOUR, 2.1, 7.7)], ids=["2", "o", "4"]
+    ("plant", "improved", "paper"), [(DOUBLE, 1.4, 6.2), (OSCILLATOR, 1.5, 6.5), (FOUR, 2.1, 7.7)], ids=["2", "o", "4"]
 )
-def test_horizons_in_the_noise_free_limit(plant, sharp, paper):
+def test_horizons_in_the_noise_free_limit(plant, improved, paper):
     """Reference values of the exact certificate at eta = .4 and period 1, best shape, P2 -> 0."""
     made = certify(plant, EVERY, eta=0.4, noise_gain=1e5)
-    assert made.horizon("sharp").minimum <= sharp
+    assert made.horizon("improved").minimum <= improved
     assert made.horizon("paper").minimum <= paper
     assert made.lam < given(plant, P2=1e-8 * np.eye(plant.n_states)).lam
 
@@ -323,7 +323,7 @@ def test_record_tells_its_numbers():
     assert "lambda" in str(made)
     assert "past fades at rate 0.4" in made.explain()
     assert made.constants.named("lam").value == made.lam
-    for name in ("eta", "sharp_C_w", "paper_C_v"):
+    for name in ("eta", "improved_C_w", "paper_C_v"):
         assert name in made.to_markdown()
     assert made.constants.to_latex() in made.to_latex()
     assert json.loads(json.dumps(made.to_dict()))["claim"] == "assumption-7"

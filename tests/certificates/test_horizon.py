@@ -52,7 +52,7 @@ def test_rate_of_the_estimator_is_below_that_of_the_certificate():
     lam, eta, M = 2.0, 1.0, 4.0
     assert eta - np.log(4 * lam**2) / M == pytest.approx(0.307, abs=1e-3)
     made = made_for(DOUBLE)
-    for theorem in ("sharp", "paper"):
+    for theorem in ("improved", "paper"):
         for factor in (1.01, 2.0, 50.0):
             found = made.horizon(theorem, max(factor * made.horizon(theorem).minimum, made.d_max))
             assert 0 < found.eta_tilde < made.eta
@@ -69,11 +69,11 @@ def test_too_short_windows_are_refused():
     slow = replace(made, eta=1e-308)
     with pytest.raises(CertificateError, match="is so slow that the horizon is no number"):
         slow.horizon()
-    with pytest.raises(ArgumentError, match='`theorem` must be "sharp" or "paper"'):
+    with pytest.raises(ArgumentError, match='`theorem` must be "improved" or "paper"'):
         made.horizon("best")
     assert "decays at rate" in made.horizon().explain()
     assert made.horizon("paper").claim.theorem == "Theorem 9"
-    assert made.horizon().claim.theorem == "sharper horizon theorem"
+    assert made.horizon().claim.theorem == "improved horizon theorem"
 
 
 @pytest.mark.parametrize(
@@ -121,7 +121,7 @@ def test_contraction_needs_a_periodic_schedule_and_a_known_cost():
     with pytest.raises(ArgumentError, match="`certificate` must be on a periodic schedule"):
         least_contracting(finite)
     with pytest.raises(ArgumentError, match='`cost` must be "certificate" or "paper"'):
-        error_map(made_for(), 0.0, 1.0, "sharp")
+        error_map(made_for(), 0.0, 1.0, "improved")
 
 
 def test_windows_side_by_side_are_what_one_after_the_other_is(monkeypatch):
@@ -160,7 +160,7 @@ def test_four_horizons_stand_in_order(plant, chain):
     assert minima[0] > minima[1] > minima[2] > minima[3]
     assert table.radius < 1
     assert table.to_markdown().count("\n") == 6
-    assert "exact, sharp" in table.to_latex()
+    assert "exact, improved" in table.to_latex()
     assert "by paper chain" in table.explain()
     assert "M >" in str(table)
 

@@ -233,7 +233,7 @@ def test_constants_beyond_floating_point_are_refused():
 
 def test_wrong_arguments_are_refused():
     with pytest.raises(ArgumentError, match='`variant` must be "paper" or "tightened"'):
-        constants_from_proof(DOUBLE, EACH_SECOND, variant="sharp")
+        constants_from_proof(DOUBLE, EACH_SECOND, variant="improved")
     with pytest.raises(ArgumentError, match="`schedule` must have at least one sample"):
         constants_from_proof(DOUBLE, Schedule([]))
     with pytest.raises(ArgumentError, match="`window` must be positive"):

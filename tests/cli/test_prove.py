@@ -37,10 +37,10 @@ def certified(shell, tmp_path, tmp_path_factory):
 def test_certify_prints_four_horizons_and_writes_everything(certified):
     result, folder = certified
     assert result.code == 0
-    for word in ("paper chain", "exact, sharp", "true contraction", "C_w"):
+    for word in ("paper chain", "exact, improved", "true contraction", "C_w"):
         assert word in result.out
     assert {"certificate.json", "horizons.png", "constants.md", "constants.tex"} <= {p.name for p in folder.iterdir()}
-    assert "| exact, sharp |" in (folder / "constants.md").read_text()
+    assert "| exact, improved |" in (folder / "constants.md").read_text()
 
 
 def test_verify_accepts_the_file_and_its_plant(certified, shell):

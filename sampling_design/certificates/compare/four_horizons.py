@@ -1,4 +1,4 @@
-"""One table of four horizons: by the paper's chain, exact with its theorem, exact and sharp, and the true one."""
+"""One table of four horizons: by the paper's chain, exact with its theorem, exact and improved, and the true one."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ class FourHorizons(ListRecord[HorizonRow]):
     Attributes
     ----------
     rows : tuple of HorizonRow
-        Paper chain with Thm 9, exact certificate with Thm 9, with the sharper theorem, true contraction.
+        Paper chain with Thm 9, exact certificate with Thm 9, with the improved theorem, true contraction.
     certificate : Certificate
         The exact one.
     proof : ProofConstants or None
         None where the paper's hypotheses fail or the schedule is finite.
     radius : float or None
-        Spectral radius of the true error map over one window of the recommended sharp length.
+        Spectral radius of the true error map over one window of the recommended improved length.
     """
 
     rows: tuple[HorizonRow, ...]
@@ -110,7 +110,7 @@ def four_horizons(
     *,
     budget: float | None = None,
 ) -> FourHorizons:
-    """Return four horizons side by side: the paper's chain, exact with Thm 9, exact and sharp, true contraction.
+    """Return four horizons side by side: the paper's chain, exact with Thm 9, exact and improved, true contraction.
 
     Parameters
     ----------
@@ -145,8 +145,8 @@ def four_horizons(
     >>> from sampling_design.schedules.schedule import PeriodicSchedule
     >>> oscillator = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
     >>> table = four_horizons(oscillator, PeriodicSchedule([1.0]))
-    >>> chain, paper, sharp, true = (row.minimum for row in table.rows)
-    >>> chain > paper > sharp > true
+    >>> chain, paper, improved, true = (row.minimum for row in table.rows)
+    >>> chain > paper > improved > true
     True
     """
     for name, given in (("certificate", certificate), ("proof_constants", proof_constants)):
@@ -161,7 +161,7 @@ def four_horizons(
         except SamplingDesignError as error:
             note = f"the paper's hypotheses fail: {error}"
     periodic = exact.schedule.endless and bool(plant.n_states)
-    sharp, paper = exact.horizon("sharp"), exact.horizon("paper")
+    improved, paper = exact.horizon("improved"), exact.horizon("paper")
     chain = None if proof is None else proof.certificate().horizon("paper")
     true, missing = None, "" if periodic else "a finite schedule has none"
     if periodic:
@@ -172,8 +172,8 @@ def four_horizons(
     rows = (
         HorizonRow("paper chain", "Theorems 5, 14, 16 and 9", None if proof is None else proof.horizon, chain, note),
         HorizonRow("exact, Theorem 9", "Riccati and Theorem 9", paper.minimum, paper),
-        HorizonRow("exact, sharp", "Riccati and the sharper theorem", sharp.minimum, sharp),
+        HorizonRow("exact, improved", "Riccati and the improved theorem", improved.minimum, improved),
         HorizonRow("true contraction", "spectral radius", true, None, missing),
     )
-    radius = None if true is None else spectral_radius(exact, sharp.length)
+    radius = None if true is None else spectral_radius(exact, improved.length)
     return FourHorizons(rows, exact, proof, radius)

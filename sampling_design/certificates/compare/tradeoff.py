@@ -31,7 +31,7 @@ class TradeoffCurve(TableRecord):
     ----------
     noise_gains : (k,) array
     horizons : (k,) array [time]
-        M must exceed these, by the sharper theorem.
+        M must exceed these, by the improved theorem.
     C_w, C_v : (k,) arrays
         Noise gains of each.
     lam : (k,) array

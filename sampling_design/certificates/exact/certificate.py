@@ -114,7 +114,7 @@ class SampledCertificate(VerifiableRecord, ABC):
         "eta": "{eta} 1/{plant.time_unit}",
         "lambda": "{lam}",
         "lambda, sample starts": "{lam_samples}",
-        "horizon, sharp": "M > {horizon.minimum} {plant.time_unit}",
+        "horizon, improved": "M > {horizon.minimum} {plant.time_unit}",
         "horizon, paper": "M > {_paper_horizon.minimum} {plant.time_unit}",
         "C_x, C_w, C_v": "{horizon.C_x:3}, {horizon.C_w:3}, {horizon.C_v:3}",
         "margin": "{margin:3}",
@@ -174,20 +174,20 @@ class SampledCertificate(VerifiableRecord, ABC):
         """R~ = (R^-1 + Qv^-1)^-1, the information of one sample."""
         return checks.freeze(output_information(self.R, self.Qv))
 
-    def horizon(self, theorem: str = "sharp", length: float | None = None) -> Horizon:
-        """Return a horizon and its error bound, by the sharper theorem or by Thm 9 of the paper.
+    def horizon(self, theorem: str = "improved", length: float | None = None) -> Horizon:
+        """Return a horizon and its error bound, by the improved theorem or by Thm 9 of the paper.
 
-            "sharp":  M > ln(lam)/eta,             eta_tilde = eta - ln(lam)/M
+            "improved":  M > ln(lam)/eta,             eta_tilde = eta - ln(lam)/M
             "paper":  M > 2 ln(2 lam_samples)/eta, eta_tilde = eta - ln(4 lam_samples^2)/M, M >= d_max
 
         Where estimate and truth differ from the centre of the data each by itself (an inclusion, Theorem G) a factor of
-        4 stands on lam and on every gain of "sharp", and there is a third:
+        4 stands on lam and on every gain of "improved", and there is a third:
 
             "arrival": M > ln(4)/eta whatever lam is, with the arrival weight P(tau)
 
         Parameters
         ----------
-        theorem : "sharp", "paper" or "arrival"
+        theorem : "improved", "paper" or "arrival"
         length : float, optional [time]
             Default max(d_max, ln(4 lam)/eta) and max(d_max, 2 ln(4 lam_samples)/eta): each window shrinks the
             squared error to a quarter.
@@ -204,7 +204,7 @@ class SampledCertificate(VerifiableRecord, ABC):
             If `length` is too short for the theorem.
         """
         apart = self._apart
-        checks.word("theorem", theorem, ("sharp", "paper") if apart == 1 else ("sharp", "arrival", "paper"))
+        checks.word("theorem", theorem, ("improved", "paper") if apart == 1 else ("improved", "arrival", "paper"))
         eta, paper, d_max = self.eta, theorem == "paper", self.d_max
         lam = self.lam_samples_proven if paper else self.lam_proven
         factor, lost = (2.0, 2.0 * lam) if paper else (1.0, apart * (1.0 if theorem == "arrival" else lam))
@@ -260,7 +260,7 @@ class SampledCertificate(VerifiableRecord, ABC):
             ),
             Constant("margin", self.margin, r"\Pi \succeq (1 + m) P_1", "verified", "m"),
         ]  # fmt: skip
-        return ConstantList([*first, *self.horizon("sharp").constants(), *self.horizon("paper").constants()])
+        return ConstantList([*first, *self.horizon("improved").constants(), *self.horizon("paper").constants()])
 
     def to_markdown(self) -> str:
         """Return all constants as a markdown table."""
@@ -279,7 +279,7 @@ class SampledCertificate(VerifiableRecord, ABC):
         w_bound: float = 0.0,
         v_bound: float = 0.0,
         *,
-        theorem: str = "sharp",
+        theorem: str = "improved",
         length: float | None = None,
     ) -> Array:
         """Return the guaranteed bound on |e(t)| of the estimator with this certificate.

@@ -1,4 +1,4 @@
-"""The least scale of a shape of P2 at which the noise budget is kept."""
+"""The least scale of a shape of P2 that keeps the noise gain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The choice of eta and of the shape of P2 for the least horizon under a noise budget."""
+"""The choice of eta and of the shape of P2 for the least horizon with a limited noise gain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a certificate to a horizon: Thm 9 of the paper, the sharper theorem, and the RGES constants of both."""
+"""From a certificate to a horizon: Thm 9 of the paper, the improved theorem, and the RGES constants of both."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sampling_design.records.record import Record, short
 CONTRACTION = 4.0  # by default a window shrinks the squared error at least by this factor (formats.md, Defaults)
 _LOW, _PAPER_LOW = r"\lambda_{\min}(P_1)", r"\lambda_{\min}(P_2/\lambda_K)"
 _FORMULAS = {
-    "sharp": {
+    "improved": {
         "minimum": r"M > \ln(\lambda)/\eta",
         "length": r"\max(d_{\max}, \ln(4\lambda)/\eta)",
         "eta_tilde": r"\eta - \ln(\lambda)/M",
@@ -45,7 +45,7 @@ class Horizon(Record):
     Attributes
     ----------
     theorem : str
-        "sharp" (estimator cost "certificate", half-open windows) or "paper" (Thm 9, cost (15)).
+        "improved" (estimator cost "certificate", half-open windows) or "paper" (Thm 9, cost (15)).
     minimum : float [time]
         The length M must exceed this.
     length : float [time]
@@ -91,11 +91,11 @@ class Horizon(Record):
         if self.theorem == "paper":
             return Claim("RGES of the estimator with the cost (15)", "Theorem 9", given)
         convex = ("convex constraints that hold the truth", "half-open windows (t-M, t]", "every real window start")
-        return Claim("RGES of the estimator with the certificate's cost", "sharper horizon theorem", (*given, *convex))
+        return Claim("RGES of the estimator with the certificate's cost", "improved horizon theorem", (*given, *convex))
 
     def constants(self) -> list[Constant]:
-        """Length, rate and gains with their formulas and sources, of the theorems "sharp" and "paper"."""
-        source, found = "Theorem 9" if self.theorem == "paper" else "sharper horizon theorem", []
+        """Length, rate and gains with their formulas and sources, of the theorems "improved" and "paper"."""
+        source, found = "Theorem 9" if self.theorem == "paper" else "improved horizon theorem", []
         for key, formula in _FORMULAS[self.theorem].items():
             name, said = f"{self.theorem}_{key}", "default" if key == "length" else source
             found.append(Constant(name, getattr(self, key), formula, said, _SYMBOLS[key]))

@@ -86,26 +86,26 @@ def first_hour():
 
 PAGE, HOUR, PROMISES = "journeys.md", "first_hour.md", r"All (\d+) promises held"
 ROWS = (
-    (r"\| (\d+) readings a week, for (\d+) a week", engineer(r"(\d+) samples every 7 d for (\d+) keep")),
+    (r"\| (\d+) readings a week at a cost of (\d+) a week", engineer(r"(\d+) samples every 7 d for (\d+) keep")),
     (r"Next sample by Thu (\d+):00 \(strip\)", engineer(r"Next sample by Thu (\d+):00 \(strip\)")),
-    (r"table and a picture \|\n\| `validate` \| (\d+) promises", engineer(PROMISES)),
+    (r"as table and picture \|\n\| `validate` \| (\d+) proven bounds", engineer(PROMISES)),
     (r"any (\d+) distinct times in 3 s .*; fewer than (\d+)", researcher(r"Any (\d+) distinct .*? than (\d+) never")),
     (
-        rf"\\ge{NUMBER}\$, no schedule exceeds {NUMBER}: at most {NUMBER} %",
+        rf"\\ge{NUMBER}\$ is proven, and no schedule has more than {NUMBER}: the gap is at most {NUMBER} %",
         researcher(rf"sigma >= {NUMBER}; no .*? exceed {NUMBER}, so at most {NUMBER} %"),
     ),
     (rf"rate {NUMBER} per s, horizon {NUMBER} s", researcher(rf"fades at rate {NUMBER} .*? longer than {NUMBER} con")),
     (
-        rf"position within {NUMBER}, and nobody guarantees less than {NUMBER}",
+        rf"position can be known within {NUMBER}, and no estimator can guarantee less than {NUMBER}",
         researcher(rf"guarantees x\[0\] within {NUMBER}, .*? less than \[{NUMBER},"),
     ),
-    (r"nobody guarantees less than .*\n\| `validate` \| (\d+) promises", researcher(PROMISES)),
+    (r"no estimator can guarantee less than .*\n\| `validate` \| (\d+) proven bounds", researcher(PROMISES)),
 )
 FIGURES = (
     *(Figure(PAGE, pattern, made, slow=True) for pattern, made in ROWS),
     Figure(
         HOUR,
-        rf"at (\d+), (\d+) and (\d+) o'clock and just before (\d+), .*sigma={NUMBER}\$ over[^.]* bound {NUMBER},",
+        rf"at (\d+), (\d+) and (\d+) o'clock and just before (\d+)\.(?:.|\n)*sigma\\ge{NUMBER}\$ [^.]* than {NUMBER}\.",
         first_hour,
         slow=True,
     ),

@@ -1,0 +1,37 @@
+"""Pages use the standard terms: none of the words that the table of conventions replaces."""
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+REPLACED = re.compile(
+    r"\b(push\w*|rasters?|motions?|go(?:es)? round|shadows?|bears|readings? of w|seal(?:s|ed)?|tall(?:y|ies)|"
+    r"largest box|noise budgets?|sharp(?:er)? (?:horizons?|theorems?)|prototyp\w+)\b",
+    re.IGNORECASE,
+)
+PAGES = [
+    ROOT / "README.md",
+    *(p for p in (ROOT / "docs").rglob("*.md") if not {"_build", "made"} & set(p.parts) and p.name != "changelog.md"),
+    *(ROOT / "sampling_design").rglob("README.md"),
+    *(ROOT / "examples").rglob("*.md"),
+]
+
+
+def replaced_words(text: str) -> list[str]:
+    """What running text says of them; code, links, anchors and the table of words itself are left out."""
+    text = re.sub(r"^\| not \| but \|$.*?^$", "", text, flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(r"```.*?```|`[^`\n]*`|\]\([^)]*\)|^\([\w-]+\)=$", " ", text, flags=re.MULTILINE | re.DOTALL)
+    return [found[0] for found in REPLACED.finditer(text)]
+
+
+def test_no_page_uses_a_word_that_was_replaced():
+    found = {str(p.relative_to(ROOT)): words for p in PAGES if (words := replaced_words(p.read_text()))}
+    assert found == {}
+    assert len(PAGES) > 80
+
+
+def test_such_a_word_is_found():
+    assert replaced_words("A motion that `push` hides\nbears the [sharper theorem](#x).\n") == [
+        "motion", "bears", "sharper theorem",
+    ]  # fmt: skip
+    assert replaced_words("| not | but |\n|---|---|\n| raster | time grid |\n\nA raster.\n") == ["raster"]

@@ -304,7 +304,7 @@ OWNERS = {
     "Certificate": "certificate", "FamilyCertificate": "family", "DetectabilityCertificate": "detectability",
     "ScheduleDesign": "design", "Estimate": "estimate", "EstimateRecord": "estimates", "SimulatedRecord": "record",
     "Measurements": None, "NonlinearPlant": "nonlinear", "ModalSplit": "split", "FunctionalPlant": "part",
-    "SampleLosses": "losses", "RandomLosses": None,
+    "SampleLosses": "losses", "RandomArrivals": None,
     "ParetoFront": "pareto", "WindowSigma": "sigma", "WorstCaseSigma": "worst", "ZeroCountBound": "count",
     "Robustness": "robustness", "FourHorizons": "horizons", "ProofConstants": "proof", "TradeoffCurve": "tradeoff",
     "InformationCurve": "curve", "ValidationReport": "report", "ScheduleLog": "log",
@@ -347,7 +347,7 @@ def owner(name: str) -> Any:
             t["nonlinear"], horizon=2.0, cost=sd.CostFunction(P2=np.eye(2), Qw=np.eye(2), R=np.eye(1))
         ),
         "ThyroidReport": lambda: _thyroid_report(),
-        "RandomLosses": lambda: sd.certificates.random_losses(certificate, 0.1),
+        "RandomArrivals": lambda: sd.certificates.random_arrivals(certificate, 0.1),
         "Sweep": lambda: sd.records.sweep(sd.plants.split_modes, [plant]),
     }
     key = OWNERS[name]

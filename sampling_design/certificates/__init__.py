@@ -6,7 +6,7 @@ _NAMES = {
     "certification": ("certify",),
     "compare.contraction": ("error_map", "least_contracting", "spectral_radius"),
     "compare.four_horizons": ("FourHorizons", "four_horizons"),
-    "compare.random_losses": ("RandomLosses", "random_losses"),
+    "compare.random_arrivals": ("RandomArrivals", "random_arrivals"),
     "compare.robustness": ("Robustness", "robustness"),
     "compare.tradeoff": ("TradeoffCurve", "tradeoff_curve"),
     "detectability.best_rate": ("certify_detectability", "detectability_from_proof"),

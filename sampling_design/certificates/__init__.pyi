@@ -13,8 +13,8 @@ from sampling_design.certificates.compare.contraction import least_contracting a
 from sampling_design.certificates.compare.contraction import spectral_radius as spectral_radius
 from sampling_design.certificates.compare.four_horizons import FourHorizons as FourHorizons
 from sampling_design.certificates.compare.four_horizons import four_horizons as four_horizons
-from sampling_design.certificates.compare.random_losses import RandomLosses as RandomLosses
-from sampling_design.certificates.compare.random_losses import random_losses as random_losses
+from sampling_design.certificates.compare.random_arrivals import RandomArrivals as RandomArrivals
+from sampling_design.certificates.compare.random_arrivals import random_arrivals as random_arrivals
 from sampling_design.certificates.compare.robustness import Robustness as Robustness
 from sampling_design.certificates.compare.robustness import robustness as robustness
 from sampling_design.certificates.compare.tradeoff import TradeoffCurve as TradeoffCurve

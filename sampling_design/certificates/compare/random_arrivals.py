@@ -1,0 +1,491 @@
+"""How likely a window contracts, and by what factor the squared error shrinks, where chance decides which samples come.
+
+Each sample of a schedule is lost with the same probability, or samples come as a Poisson process. Either way time is
+cut into steps, in each of which samples arrive or do not, independently (`_Sample`, `_Interval`); patterns of steps are
+followed side by side as classes, and those that differ least become one where they are too many (`_Classes`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import KDTree
+from scipy.special import gammaln
+
+from sampling_design.certificates.compare.contraction import FINITE
+from sampling_design.certificates.exact.certificate import Certificate
+from sampling_design.certificates.exact.window_problem import WindowProblem, whitened_rows, window_problem
+from sampling_design.errors import ArgumentError
+from sampling_design.numerics.filtering import CovarianceMap, measurement_update, propagate
+from sampling_design.numerics.linalg import discounted_flow, expm_batch, symmetrise
+from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.records.evidence import Claim
+from sampling_design.records.record import PlainRecord, short
+from sampling_design.records.signatures import checked
+from sampling_design.schedules.family import period_of
+
+MOST_CLASSES = 256  # of patterns, side by side: eight samples and fewer are counted out exactly
+MOST_SAMPLES = 128  # of a window: work grows with their square
+STEPS = 64  # of a window with Poisson arrivals, or more: within one it is only known whether something arrived
+MOST_STEPS = 1024  # of a window with Poisson arrivals; each takes some 10 ms
+NODES = 8  # Gauss points over a step, in which no mode turns or grows by more than e: means are exact to rounding
+NEIGHBOURS = 3  # classes that each one is compared with before two become one
+ROUNDING = 1e-12  # of the size of Y: less does not count where it is asked which classes are alike
+LARGEST = 1e150  # of Y in units of P2's inverse: beyond, squares are no doubles, and nothing is said of a pattern
+UNDECIDED = 1e-9  # a factor within this share of 1 is on neither side of it: rounding decides
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RandomArrivals(PlainRecord):
+    """What is left of a certificate's contraction if chance decides which samples arrive.
+
+    Attributes
+    ----------
+    loss_probability : float
+        p: of every sample, independently of all others.
+    arrival_rate : float or None [1/time]
+        Of the Poisson process that the samples are, before losses; None where they are those of the schedule.
+    length : float [time]
+        M; a whole number of periods where samples are those of the schedule.
+    samples : float
+        Samples that are planned in a window, or expected.
+    ends : (N,) array [time]
+        Where the windows (t - M, t] end: at the samples of a period; one stands for all where arrivals are Poisson's.
+    probability : (N, 2) array
+        Lower and upper bound of the probability that the window contracts, rho < 1.
+    factor : (N, 2) array
+        Lower and upper bound of E[rho]; the upper one is infinite where it could not be bounded.
+    time_unit : str
+    """
+
+    loss_probability: float
+    arrival_rate: float | None
+    length: float
+    samples: float
+    ends: Array
+    probability: Array
+    factor: Array
+    time_unit: str
+
+    @property
+    def contracts(self) -> tuple[float, float]:
+        """Bounds of the probability that a window contracts, of the window where it is least."""
+        lower, upper = self.probability.min(axis=0).tolist()
+        return lower, upper
+
+    @property
+    def mean_factor(self) -> tuple[float, float]:
+        """Bounds of E[rho] of the window where it is largest."""
+        lower, upper = self.factor.max(axis=0).tolist()
+        return lower, upper
+
+    @property
+    def rate(self) -> float | None:
+        """-ln(E[rho])/M [1/time]: how fast the expected squared error decays; None where E[rho] < 1 is not proven."""
+        worst = max(self.mean_factor[1], float(np.finfo(float).tiny))  # a smaller one is 0 by rounding alone
+        return -float(np.log(worst)) / self.length if worst < 1 else None
+
+    def windows_in_a_row(self, count: int) -> tuple[float, float]:
+        """Return bounds of the probability that so many windows, one after the other, all contract."""
+        lower, upper = self.contracts
+        power = checks.whole("count", count, 1)
+        return lower**power, upper**power
+
+    @property
+    def claim(self) -> Claim:
+        """What is bounded, and what it assumes."""
+        return Claim(
+            f"a window contracts with a probability of at least {short(self.contracts[0])}, and the expected squared "
+            f"error by a factor of at most {short(self.mean_factor[1])}",
+            "expected contraction under random arrivals",
+            (
+                "arrivals are independent, of each other and of the noise",
+                "the estimator minimises the certificate's cost over (t - M, t]",
+                "linear plant, in doubles",
+            ),
+        )
+
+    @property
+    def process(self) -> str:
+        """How samples arrive, in words."""
+        p, unit = self.loss_probability, self.time_unit
+        if self.arrival_rate is None:
+            return f"each sample is lost with probability {short(p)}"
+        lost = f", each of which is lost with probability {short(p)}" if p else ""
+        return f"samples come as a Poisson process, {short(self.arrival_rate)} per {unit}{lost}"
+
+    _table = {
+        "samples": "{process}",
+        "window": "{length} {time_unit}, {samples} samples",
+        "contracts": "with probability {contracts[0]} to {contracts[1]}",
+        "squared error": "times {mean_factor[0]} to {mean_factor[1]} a window, on average",
+    }
+    _plain = "loss_probability arrival_rate length samples ends probability contracts factor mean_factor rate claim"
+
+    def explain(self) -> str:
+        """Say how likely the promise holds, and whether the error stays bounded on average."""
+        unit, (lower, upper) = self.time_unit, self.contracts
+        likely = short(lower, 4) if upper - lower <= 1e-4 * upper else f"{short(lower, 4)} to {short(upper, 4)}"
+        words = f"If {self.process}, a window of {short(self.length)} {unit} still contracts with probability {likely}."
+        if self.rate is not None:
+            return (
+                f"{words} On average the squared error shrinks at least by the factor {short(self.mean_factor[1])} a "
+                f"window, at the rate {short(self.rate)} per {unit}."
+            )
+        if self.mean_factor[0] >= 1:
+            return f"{words} On average the bound on the squared error does not shrink."
+        return f"{words} Whether the squared error shrinks on average is not decided."
+
+
+@checked
+def random_arrivals(
+    certificate: Certificate,
+    loss_probability: float = 0.0,
+    *,
+    arrival_rate: float | None = None,
+    length: float | None = None,
+) -> RandomArrivals:
+    """Bound how likely a certificate's contraction holds, and its mean, where chance decides which samples arrive.
+
+        P(rho_S < 1),   E[rho_S],   rho_S = e^{-eta M} lambda_max(P2 Y_S(t)),   S the samples received in (t - M, t]
+
+    Y_S is the inverse of the information that the window keeps of P2: in its norm |e(t)|^2 <= rho_S (|e(t - M)|^2 + N),
+    N = e^{eta M} times the noise of the window in the certificate's cost.
+
+    Parameters
+    ----------
+    certificate : Certificate
+        On a periodic schedule; with `arrival_rate` on any, of which only the weights and the horizon are used.
+    loss_probability : float
+        p in [0, 1]: of every sample, all outputs together.
+    arrival_rate : float, optional [1/time]
+        Samples, of all outputs, come as a Poisson process of this rate. Default: at the times of the schedule.
+    length : float, optional [time]
+        M, a whole number of periods without `arrival_rate`. Default: the least that is not below
+        `certificate.horizon().length`.
+
+    Returns
+    -------
+    RandomArrivals
+
+    Raises
+    ------
+    ArgumentError
+        If the schedule is finite, `loss_probability` no probability, `length` not a whole number of periods, or a
+        window holds more than `MOST_SAMPLES` samples, or more than `MOST_STEPS` time constants of the plant.
+
+    Notes
+    -----
+    *Claim.* For windows that end at the samples of a period (of Poisson's arrivals, for all), whatever the noise:
+    E|e(k M)|^2 <= r^k |e(0)|^2 + r N/(1 - r) with r = E[rho], since windows that follow each other share no sample. At
+    p = 0 this is the certificate's own contraction. *Method.* Patterns are followed in classes, of each of which an
+    upper bound of E[Y] and one of E[1/Y] are known; both are carried over a step by Jensen's inequality, since either
+    is concave in what it was. What a class says of rho is of second order in how much its patterns differ. Up to
+    eight samples of a schedule each class is a pattern, and the bounds coincide. *Limits.* A
+    rate of 0 leaves the plant alone; as rates grow, all windows contract.
+
+    References
+    ----------
+    Proof: docs/theory/horizon.md. Filters that lose samples: Sinopoli et al., IEEE TAC 49(9), 2004; whose samples are
+    a Poisson process: Micheli and Jordan, MTNS 2002.
+
+    Examples
+    --------
+    >>> from sampling_design import PeriodicSchedule, Plant, certify
+    >>> swing = certify(Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), PeriodicSchedule([0.5, 1.5]))
+    >>> found = random_arrivals(swing, 0.1)
+    >>> found.contracts[0] > 0.99, random_arrivals(swing, 0.0).contracts
+    (True, (1.0, 1.0))
+    >>> random_arrivals(swing, arrival_rate=3.0).contracts[0] > 0.9
+    True
+    """
+    p = checks.nonnegative("loss_probability", loss_probability)
+    if p > 1:
+        raise ArgumentError(f"`loss_probability` must lie between 0 and 1, got {p!r}.")
+    c = certificate
+    asked = c.horizon().length if length is None else checks.positive("length", length)
+    problem = window_problem(c.plant, c.schedule, c.P2, c.Qw, c.R, c.Qv, c.eta)
+    with np.errstate(over="ignore", invalid="ignore"):  # growth that no double holds bounds nothing
+        if arrival_rate is None:
+            schedule = period_of(c.schedule, FINITE)
+            whole = _periods(asked, schedule.period, len(schedule), length is None)
+            M, samples, ends = whole * schedule.period, float(whole * len(schedule)), np.array(schedule.times)
+            found = [_bounds(problem, _planned(problem, k, whole, p), M) for k in range(len(ends))]
+        else:
+            rate = checks.nonnegative("arrival_rate", arrival_rate)
+            M, samples, ends = asked, rate * asked, np.array([asked])
+            rows = np.linalg.solve(problem.root, whitened_rows(c.plant.C, c.R, c.Qv, None, 1)[0].T).T
+            found = [_bounds(problem, _poisson(problem, rows, rate * (1 - p), asked), M)]
+    probability, factor = (np.array([each[k] for each in found]) for k in range(2))
+    return RandomArrivals(
+        loss_probability=p,
+        arrival_rate=arrival_rate,
+        length=M,
+        samples=samples,
+        ends=ends,
+        probability=probability,
+        factor=factor,
+        time_unit=c.plant.time_unit,
+    )
+
+
+def _periods(asked: float, period: float, count: int, default: bool) -> int:
+    """How many periods a window spans: the next whole number by default, else exactly what was asked."""
+    periods = asked / period
+    if (most := periods * (1 - 1e-9) * count) > MOST_SAMPLES:
+        raise ArgumentError(
+            f"`length` = {short(asked)} spans {short(np.ceil(most))} samples: at most {MOST_SAMPLES} are followed."
+        )
+    if default:
+        return max(1, int(np.ceil(periods * (1 - 1e-9))))
+    whole = round(periods)
+    if whole < 1 or abs(periods - whole) > 1e-9 * whole:
+        raise ArgumentError(
+            f"`length` = {short(asked)} must be a whole number of periods ({short(period)}): windows that "
+            "follow each other are alike then."
+        )
+    return whole
+
+
+def _updated(Y: Array, rows: Array) -> Array:
+    """Y after a sample, raised by its rounding: what was large and is seen leaves an error that may be negative."""
+    rounding = 8 * np.finfo(float).eps * np.trace(Y, axis1=1, axis2=2)
+    return np.asarray(measurement_update(Y, rows) + rounding[:, None, None] * np.eye(Y.shape[1]))
+
+
+class _Sample(NamedTuple):
+    """A gap F, W and a sample at its end, which arrives with some probability."""
+
+    F: Array
+    W: Array
+    arrives: float
+    rows: Array
+
+    def upper(self, Y: Array) -> Array:
+        """E[Y] where it arrives."""
+        return _updated(propagate(Y, self.F, self.W), self.rows)
+
+    def lower(self, Y: Array) -> Array:
+        """The same: what is known of it is known exactly."""
+        return self.upper(Y)
+
+
+class _Interval(NamedTuple):
+    """A step F, W of a Poisson process: at unknown times within it there arrive samples, with some probability."""
+
+    F: Array
+    W: Array
+    arrives: float
+    joint: tuple[Array, Array]
+    """Flow and noise of x, beside the mean of C x over the step."""
+    share: float
+    """E[1/N] of the N arrivals, if there are any."""
+    weights: Array
+    nodes: Array
+    """Rows (g, p, n) at Gauss points, and their weights."""
+    noise: Array
+    """What the disturbance of the step adds to the mean covariance of one reading."""
+    before: Array
+    after: tuple[Array, Array]
+    """The step of a filter that reads without a break: a sample, and a flow."""
+
+    def upper(self, Y: Array) -> Array:
+        """E[Y] after arrivals: of the best gain that does not know when in the step, and how many, they were.
+
+        The mean z of N innovations has E zz' = V12 + E[1/N] (V1 - V12 + I), V1 the mean over one arrival, V12 that
+        over two independent ones; V12 and E xz' stand in the joint flow.
+        """
+        n, p = len(self.F), len(self.noise)
+        Z = propagate(Y, *self.joint)
+        single = np.einsum("g,gij,kjl,gml->kim", self.weights, self.nodes, Y, self.nodes) + self.noise
+        rest = symmetrise(self.share * (single - Z[:, n:, n:] + np.eye(p)))
+        whitener = np.linalg.solve(np.linalg.cholesky(rest), np.broadcast_to(np.eye(p), rest.shape))
+        rows = np.concatenate([np.zeros((len(Y), p, n)), whitener], axis=2)
+        return _updated(Z, rows)[:, :n, :n]
+
+    def lower(self, Y: Array) -> Array:
+        """1/E[1/Y] after arrivals: as if their information were spread evenly over the step."""
+        return propagate(_updated(Y, self.before), *self.after)
+
+
+def _planned(problem: WindowProblem, last: int, periods: int, p: float) -> list[_Sample | _Interval]:
+    """The gaps of the window that ends with the sample `last` of a period."""
+    order = (last + 1 + np.arange(periods * problem.count)) % problem.count
+    F, W = problem.flow(problem.gaps[order])
+    return [_Sample(F[k], W[k], 1 - p, problem.rows[i]) for k, i in enumerate(order)]
+
+
+def _poisson(problem: WindowProblem, rows: Array, rate: float, M: float) -> list[_Sample | _Interval]:
+    """Equal steps, each of which sees one arrival or more with the probability 1 - e^{-x}, x = rate h."""
+    n, p = problem.size, len(rows)
+    A = problem.A + problem.eta / 2 * np.eye(n)
+    turns = np.linalg.norm(A, 2) * M if n else 0.0
+    if not turns <= MOST_STEPS:
+        raise ArgumentError(
+            f"`length` = {short(M)} spans {short(turns)} time constants of the plant in the weights of the "
+            f"certificate: at most {MOST_STEPS} are followed."
+        )
+    count = max(STEPS, int(np.ceil(turns)))
+    h = M / count
+    (F,), (W,) = problem.flow(h)
+    x = rate * h
+    if not x or not n:
+        return [_Sample(F, W, 0.0, rows)] * count
+    arrives = -float(np.expm1(-x))
+    # the flow of (x, z), z the mean of C x over the step: their covariance is what an average reading knows
+    big, noise = np.zeros((2, n + p, n + p))
+    big[:n, :n], big[n:, :n], noise[:n, :n] = A, rows / h, problem.noise
+    (joint,), (spread,) = discounted_flow(big, noise, h)
+    at, weights = np.polynomial.legendre.leggauss(NODES)
+    flows, gramians = discounted_flow(A, problem.noise, h * (at + 1) / 2)
+    mean = np.einsum("g,gij->ij", weights / 2, rows @ gramians @ rows.T)
+    steady = _filtered(A, problem.noise, rows.T @ rows * rate / arrives, h)
+    values, vectors = np.linalg.eigh(steady.G)
+    step = _Interval(
+        F=F,
+        W=W,
+        arrives=arrives,
+        joint=(joint[:, :n], spread),
+        share=_mean_inverse(x),
+        weights=weights / 2,
+        nodes=rows @ flows,
+        noise=mean,
+        before=(vectors * np.sqrt(np.maximum(values, 0.0))).T,
+        after=(steady.F, steady.Q),
+    )
+    return [step] * count
+
+
+def _filtered(A: Array, noise: Array, information: Array, h: float) -> CovarianceMap:
+    """Y over h, where outputs are read without a break: Y' = AY + YA' + noise - Y information Y."""
+    n = len(A)
+    hamiltonian = np.block([[A, noise], [information, -A.T]]) * h
+    halvings = max(0, int(np.ceil(np.log2(np.linalg.norm(hamiltonian, 1)))))
+    (E,) = expm_batch(np.ldexp(hamiltonian, -halvings), 1.0)
+    F = np.linalg.solve(E[n:, n:].T, np.eye(n))
+    found = CovarianceMap(F, symmetrise(F.T @ E[n:, :n]), symmetrise(E[:n, n:] @ F.T))
+    for _ in range(halvings):
+        found = found.then(found)
+    return found
+
+
+def _mean_inverse(x: float) -> float:
+    """E[1/N | N >= 1], N Poisson of mean x."""
+    k = np.arange(1, int(x + 12 * np.sqrt(x) + 40))
+    return float(np.sum(np.exp(k * np.log(x) - x - gammaln(k + 1)) / k) / -np.expm1(-x))
+
+
+def _bounds(problem: WindowProblem, steps: list[_Sample | _Interval], M: float) -> tuple[Array, Array]:
+    """Bounds of P(rho < 1) and of E[rho] of a window."""
+    n = problem.size
+    if not n:
+        return np.ones(2), np.zeros(2)
+    classes = _Classes(np.ones(1), np.eye(n)[None], np.eye(n)[None])
+    beyond = 0.0
+    for step in steps:
+        classes = classes.after(step)
+        finite = np.trace(classes.upper, axis1=1, axis2=2) < LARGEST
+        beyond += float(classes.mass[~finite].sum())
+        classes = classes.only(finite)
+        while len(classes.mass) > MOST_CLASSES:
+            classes = classes.joined(len(classes.mass) - MOST_CLASSES)
+    low, high = classes.factors(float(np.exp(-problem.eta * M / 2)))
+    with np.errstate(divide="ignore"):  # E[(f - y)^2/f]/(1 - y)^2 of the best y: what may lie on the other side of 1
+        wrong = np.nan_to_num((high - low) / (high * low + 1 - 2 * low), nan=1.0)
+    right = classes.mass * (1 - wrong.clip(0.0, 1.0))
+    probability = np.array([right[high < 1 - UNDECIDED].sum(), 1 - right[low > 1 + UNDECIDED].sum()])
+    factor = np.array([classes.mass @ low, classes.mass @ high + (np.inf if beyond else 0.0)])
+    return probability.clip(0.0, 1.0), factor
+
+
+class _Classes(NamedTuple):
+    """Classes of patterns: of each its probability, an upper bound of E[Y], and that of E[1/Y], inverted.
+
+    A class of one pattern has twice the same.
+    """
+
+    mass: Array
+    upper: Array
+    lower: Array
+
+    def only(self, which: Mask | Index) -> _Classes:
+        """Return the classes of a mask or an index."""
+        return _Classes(self.mass[which], self.upper[which], self.lower[which])
+
+    def after(self, step: _Sample | _Interval) -> _Classes:
+        """Return twice as many: those to which nothing arrives, and those to which something does."""
+        mass = np.concatenate([self.mass * (1 - step.arrives), self.mass * step.arrives])
+        idle = [propagate(Y, step.F, step.W) for Y in (self.upper, self.lower)]
+        if not step.arrives:
+            return _Classes(self.mass, *idle)
+        upper = np.concatenate([idle[0], step.upper(self.upper)])
+        lower = np.concatenate([idle[1], step.lower(self.lower)])
+        return _Classes(mass, upper, lower).only(mass > 0)
+
+    def joined(self, count: int) -> _Classes:
+        """Return fewer classes, by at most `count`: of those near each other the pairs whose two means differ least.
+
+        The arithmetic mean of Y for E[Y], the harmonic one for E[1/Y]; they differ by ab D (bY + aZ)^-1 D, D = Y - Z.
+        """
+        values, vectors = np.linalg.eigh(self.upper + self.lower)
+        values = np.log(np.maximum(values, np.finfo(float).eps * values[:, -1:] + np.finfo(float).tiny))
+        where = ((vectors * values[:, None, :]) @ vectors.swapaxes(1, 2)).reshape(len(values), -1)
+        first = np.arange(len(where))
+        near = KDTree(where).query(where, k=min(NEIGHBOURS + 1, len(where)))[1]
+        i, j = np.append(np.repeat(first, near.shape[1]), first[:-1]), np.append(near, first[1:])
+        i, j = i[i < j], j[i < j]
+        heavy = self.mass[i] >= self.mass[j]
+        i, j = np.where(heavy, i, j), np.where(heavy, j, i)
+        mass = self.mass[i] + self.mass[j]
+        a, b = (self.mass[k][:, None, None] / mass[:, None, None] for k in (i, j))
+        apart, both = self.lower[i] - self.lower[j], b * self.lower[i] + a * self.lower[j]
+        size = np.trace(both, axis1=1, axis2=2)[:, None, None] + np.finfo(float).tiny
+        apart_in_both = np.linalg.solve(both + ROUNDING * size * np.eye(both.shape[1]), apart)
+        lost = mass * (a * b * apart @ apart_in_both).trace(axis1=1, axis2=2)
+        pairs, free = [], np.ones(len(where), dtype=np.bool_)
+        for k in np.argsort(lost, kind="stable").tolist():
+            if free[i[k]] and free[j[k]]:
+                pairs.append(k)
+                free[i[k]] = free[j[k]] = False
+        pairs = pairs[
+            : min(count, max(count // 2, MOST_CLASSES // 8, 1))
+        ]  # the rest may find better ones among those that are joined
+        i, j, a, b = i[pairs], j[pairs], a[pairs], b[pairs]
+        self.upper[i] = a * self.upper[i] + b * self.upper[j]
+        self.lower[i] = _harmonic(self.lower[i], self.lower[j], a, b)
+        self.mass[i] = mass[pairs]
+        return self.only(np.delete(first, j))
+
+    def factors(self, half: float) -> tuple[Array, Array]:
+        """Bounds of E[rho] of each class, with e^{-eta M/2} on either side.
+
+        Low: lambda_max is convex. High: where all of a class is one Y its own, else the largest r with
+        X r^2 - (T X + 1 - (n - 1)^2) r + T <= 0, T = tr E[Y], X = tr E[1/Y].
+        """
+        values = np.linalg.eigvalsh(self.lower)
+        n, low = values.shape[1], half * values[:, -1] * half
+        T = half * np.trace(self.upper, axis1=1, axis2=2) * half
+        values = values - 100 * n * np.finfo(float).eps * values[:, -1:]  # what is smaller is rounding
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            X = np.where(values > 0, 1 / values, np.inf).sum(axis=1) / half / half
+            b = T * X + 1 - (n - 1) ** 2
+            high = (b + np.sqrt(np.maximum(b**2 - 4 * T * X, 0.0))) / (2 * X)
+        high = np.where(np.isfinite(high), np.clip(high, low, np.maximum(T, low)), np.maximum(T, low))
+        return np.asarray(low), np.where((self.upper == self.lower).all(axis=(1, 2)), low, high)
+
+
+def _harmonic(Y: Array, Z: Array, a: Array, b: Array) -> Array:
+    """(a/Y + b/Z)^-1 of stacks, a >= b: R U V (a^2 V + b^2 U)^-1 R', RR' = aY + bZ, RVR' = bZ, U = I - V.
+
+    It is psd whatever the rounding, and what b Z says keeps its digits where b is small.
+    """
+    values, vectors = np.linalg.eigh(a * Y + b * Z)
+    size = np.finfo(float).eps * values[:, -1:] + np.finfo(float).tiny
+    root = np.sqrt(np.maximum(values, size))[:, None, :]
+    back = vectors / root
+    v, turned = np.linalg.eigh(back.swapaxes(1, 2) @ (b * Z) @ back)
+    v, root = v.clip(np.finfo(float).tiny, 1.0)[:, None, :], (vectors * root) @ turned
+    return symmetrise(root * ((1 - v) * v / (a**2 * v + b**2 * (1 - v))) @ root.swapaxes(1, 2))

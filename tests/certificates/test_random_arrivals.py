@@ -1,0 +1,271 @@
+"""Samples lost by chance, or a Poisson process: against all patterns, drawn records, limits, what no filter bears."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+
+import sampling_design as sd
+from sampling_design import PeriodicSchedule, Plant, Schedule
+from sampling_design.certificates import random_arrivals
+from sampling_design.certificates.compare import random_arrivals as module
+from sampling_design.errors import ArgumentError
+from sampling_design.observability import loss_tolerance
+from tests.oracles.families import after_sample, flow
+
+SPIRAL = Plant([[0.1, 1.0], [-1.0, 0.1]], [[1.0, 0.0]])
+TWO = Plant([[0.05, 1.0, 0.0], [-1.0, 0.05, 0.0], [0.0, 0.0, -0.2]], [[1.0, 0.0, 1.0], [0.0, 1.0, 0.5]])
+
+
+@pytest.fixture(scope="module")
+def spiral():
+    return sd.certify(SPIRAL, PeriodicSchedule([0.6, 1.7, 2.5]))
+
+
+@pytest.fixture(scope="module")
+def two():
+    pattern = [[True, False], [False, True], [True, True]]
+    return sd.certify(TWO, PeriodicSchedule([1.0, 0.5, 1.2], first=0.3, outputs=pattern))
+
+
+def factor(certificate, start, times, rows, received):
+    """Rho of one pattern, in information form."""
+    c, now = certificate, start
+    Y = np.linalg.inv(c.P2)
+    for t, row, there in zip(times, rows, received, strict=True):
+        F, W = flow(c.plant.A, c.plant.G, c.Qw, c.eta, t - now)
+        Y, now = F @ Y @ F.T + W, t
+        if there:
+            Y = after_sample(Y, c.plant.C, c.R, c.Qv, row)
+    return np.exp(-c.eta * (now - start)) * eigh(Y, np.linalg.inv(c.P2), eigvals_only=True)[-1]
+
+
+def windows(certificate, periods):
+    """Start, times and outputs of the windows that end at the samples of a period."""
+    s = certificate.schedule
+    rows = np.ones((len(s), certificate.plant.n_outputs), bool) if s.outputs is None else s.outputs
+    times = (s.times + s.period * np.arange(periods + 1)[:, None]).ravel()
+    for k in range(len(s)):
+        at = slice(k + 1, k + 1 + periods * len(s))
+        yield times[k], times[at], np.tile(rows, (periods + 1, 1))[at]
+
+
+@pytest.mark.parametrize("p", [0.0, 0.1, 0.6, 1.0])
+@pytest.mark.parametrize(("name", "periods"), [("spiral", 1), ("spiral", 2), ("two", 2)])
+def test_bounds_coincide_with_the_sum_over_all_patterns(name, periods, p, request):
+    certificate = request.getfixturevalue(name)
+    found = random_arrivals(certificate, p, length=periods * certificate.schedule.period)
+    for k, (start, times, rows) in enumerate(windows(certificate, periods)):
+        patterns = list(itertools.product((True, False), repeat=len(times)))
+        mass = [np.prod(np.where(each, 1 - p, p)) for each in patterns]
+        rho = np.array([factor(certificate, start, times, rows, each) for each in patterns])
+        assert found.probability[k] == pytest.approx([np.dot(mass, rho < 1)] * 2, abs=1e-12)
+        assert found.factor[k] == pytest.approx([np.dot(mass, rho)] * 2, rel=1e-9)
+
+
+def test_few_patterns_leave_bounds_around_the_exact_values(spiral, monkeypatch):
+    exact = random_arrivals(spiral, 0.2, length=3 * spiral.schedule.period)
+    widths = []
+    for most in (2, 16, 64):
+        monkeypatch.setattr(module, "MOST_CLASSES", most)
+        found = random_arrivals(spiral, 0.2, length=3 * spiral.schedule.period)
+        for rough, fine in ((found.probability, exact.probability), (found.factor, exact.factor)):
+            assert np.all(rough[:, 0] <= fine[:, 0] + 1e-12)
+            assert np.all(fine[:, 1] <= rough[:, 1] * (1 + 1e-12))
+        widths.append(np.ptp(found.factor, axis=1).max())
+    assert widths[0] > widths[1] > widths[2] > 0
+
+
+def test_without_losses_it_is_the_certificate_itself(spiral):
+    found = random_arrivals(spiral, 0.0)
+    assert found.contracts == (1.0, 1.0)
+    assert found.mean_factor[1] <= spiral.lam * np.exp(-spiral.eta * found.length) < 1
+    assert found.rate > 0
+    assert found.length >= spiral.horizon().length > found.length - spiral.schedule.period
+
+
+def test_no_expected_factor_contracts_where_no_filter_bears_the_losses(spiral):
+    least = loss_tolerance(SPIRAL, spiral.schedule).upper
+    for periods in (1, 3):
+        found = random_arrivals(spiral, least, length=periods * spiral.schedule.period)
+        assert found.mean_factor[0] >= 1
+        assert found.rate is None
+        assert found.windows_in_a_row(2)[0] <= found.contracts[0]
+        assert "does not shrink" in found.explain()
+
+
+@pytest.mark.parametrize("cases", [2_000, pytest.param(100_000, marks=pytest.mark.long)])
+def test_drawn_records_keep_the_mean(spiral, cases):
+    """The error of the filter restarted each window, from the worst start, with losses that are drawn."""
+    rng, p = np.random.default_rng(5), 0.25
+    found = random_arrivals(spiral, p)
+    worst = int(np.argmax(found.factor[:, 1]))
+    start, times, rows = list(windows(spiral, round(found.length / spiral.schedule.period)))[worst]
+    counts = {}
+    for received in rng.uniform(size=(cases, len(times))) >= p:
+        counts[tuple(received)] = counts.get(tuple(received), 0) + 1
+    rho = {each: factor(spiral, start, times, rows, each) for each in counts}
+    mean = sum(counts[each] * rho[each] for each in counts) / cases
+    spread = np.sqrt(sum(counts[each] * (rho[each] - mean) ** 2 for each in counts) / cases**2)
+    assert abs(mean - found.factor[worst, 0]) < 4 * spread
+    share = sum(counts[each] for each in counts if rho[each] < 1) / cases
+    assert abs(share - found.probability[worst, 0]) < 4 * np.sqrt(0.25 / cases)
+
+
+@pytest.mark.parametrize(("size", "per"), [(1e-9, 1.0), (1e9, 3600.0)])
+def test_units_change_nothing(spiral, size, per):
+    other = Plant(SPIRAL.A / per, SPIRAL.C * size)
+    c = spiral
+    weights = {"P2": c.P2, "Qw": c.Qw / per, "R": c.R / size**2, "Qv": c.Qv / size**2, "eta": c.eta / per}
+    times = PeriodicSchedule(c.schedule.gaps * per, first=c.schedule.first * per)
+    turned = Plant(other.A, other.C, G=other.G / per)
+    made = sd.certify(turned, times, **weights)
+    assert random_arrivals(made, 0.2).contracts == pytest.approx(random_arrivals(c, 0.2).contracts)
+
+
+def test_growth_beyond_doubles_is_bounded_by_nothing():
+    steep = sd.certify(Plant([[10.0]], [[1.0]]), PeriodicSchedule([1.0]))
+    found = random_arrivals(steep, 0.5, length=60.0)
+    assert found.contracts[0] >= 0
+    assert found.mean_factor[1] == np.inf
+    assert "not decided" in found.explain() or "does not shrink" in found.explain()
+
+
+@pytest.mark.parametrize("plant", [Plant([[-100.0]], [[1.0]]), Plant(np.zeros((0, 0)), np.zeros((1, 0)))])
+def test_a_factor_below_all_doubles_still_has_a_rate_that_is_proven(plant):
+    """e^{-eta M} is 0 in doubles; with no states there is no error, and nothing but 0 to bound."""
+    made = sd.certify(plant, PeriodicSchedule([1.0]), eta=8.0)
+    found = random_arrivals(made, 0.3, length=120.0)
+    assert found.contracts[1] == 1.0
+    assert 5.0 < found.rate <= 9.0
+    assert "at the rate" in found.explain()
+
+
+def test_what_it_says(spiral):
+    found = random_arrivals(spiral, 0.05)
+    assert "If each sample is lost with probability 0.05, a window" in found.explain()
+    assert "at the rate" in found.explain()
+    assert found.to_dict()["contracts"] == list(found.contracts)
+    assert "at least 0.9476" in str(found.claim)
+
+
+def test_what_it_refuses(spiral):
+    with pytest.raises(ArgumentError, match=r"`loss_probability` must lie between 0 and 1, got 1\.5"):
+        random_arrivals(spiral, 1.5)
+    with pytest.raises(ArgumentError, match="must be a whole number of periods"):
+        random_arrivals(spiral, 0.1, length=3.0)
+    with pytest.raises(ArgumentError, match="spans 129 samples: at most 128 are followed"):
+        random_arrivals(spiral, 0.1, length=43 * spiral.schedule.period)
+    with pytest.raises(ArgumentError, match=r"spans 1e\+300 samples: at most 128"):
+        random_arrivals(spiral, 0.1, length=1e300 * spiral.schedule.period / len(spiral.schedule))
+    with pytest.raises(ArgumentError, match="spans inf samples"):
+        random_arrivals(sd.certify(Plant([[-0.5]], [[1.0]]), PeriodicSchedule([0.25])), 0.1, length=1e308)
+    finite = sd.certify(Plant([[-0.5]], [[1.0]]), Schedule([1.0, 2.0]))
+    with pytest.raises(ArgumentError, match="must be on a periodic schedule"):
+        random_arrivals(finite, 0.1)
+    with pytest.raises(ArgumentError, match="`certificate` must be"):
+        random_arrivals(SPIRAL, 0.1)
+    with pytest.raises(ArgumentError, match=r"spans 3\.\d+e\+07 time constants of the plant .* at most 1024"):
+        random_arrivals(spiral, arrival_rate=1.0, length=1e7)
+
+
+def drawn_factors(certificate, rate, length, count, seed=7):
+    """Rho of drawn arrivals of the spiral in closed form: its flow grows by e^{t/10} and turns by t; Qw is round."""
+    c, rng = certificate, np.random.default_rng(seed)
+    arrivals = rng.poisson(rate * length, count)
+    times = np.sort(
+        np.where(np.arange(arrivals.max()) < arrivals[:, None], rng.uniform(0, length, (count, arrivals.max())), length)
+    )
+    growth, V = 0.2 + c.eta, 1 / c.R[0, 0] + 1 / c.Qv[0, 0]
+    assert c.Qw == pytest.approx(c.Qw[0, 0] * np.eye(2))
+    Y, now = np.broadcast_to(np.linalg.inv(c.P2), (count, 2, 2)), np.zeros(count)
+    for k in range(arrivals.max() + 1):
+        then = times[:, k] if k < arrivals.max() else np.full(count, length)
+        gap = then - now
+        F = np.moveaxis(np.array([[np.cos(gap), np.sin(gap)], [-np.sin(gap), np.cos(gap)]]), 2, 0)
+        F = F * np.exp(growth * gap / 2)[:, None, None]
+        Y = F @ Y @ F.swapaxes(1, 2) + (np.expm1(growth * gap) / growth / c.Qw[0, 0])[:, None, None] * np.eye(2)
+        seen = np.linalg.inv(np.linalg.inv(Y) + np.diag([1 / V, 0.0]))
+        Y, now = np.where((k < arrivals)[:, None, None], seen, Y), then
+    return np.exp(-c.eta * length) * np.abs(np.linalg.eigvals(c.P2 @ Y)).max(axis=1)
+
+
+@pytest.mark.parametrize(
+    ("rate", "periods", "count"),
+    [
+        (0.6, 1, 4_000),
+        pytest.param(1.5, 1, 100_000, marks=pytest.mark.long),
+        pytest.param(1.0, 3, 100_000, marks=pytest.mark.long),
+    ],
+)
+def test_drawn_poisson_arrivals_lie_between_the_bounds(spiral, rate, periods, count, monkeypatch):
+    if count < 100_000:
+        monkeypatch.setattr(module, "MOST_CLASSES", 48)
+    length = periods * spiral.schedule.period
+    found = random_arrivals(spiral, arrival_rate=rate, length=length)
+    rho = drawn_factors(spiral, rate, length, count)
+    room = 4 / np.sqrt(count)
+    assert found.contracts[0] - room < np.mean(rho < 1) < found.contracts[1] + room
+    assert found.mean_factor[0] - room * rho.std() < rho.mean() < found.mean_factor[1] + room * rho.std()
+    assert found.mean_factor[1] < 3 * found.mean_factor[0] or periods > 1
+    assert found.contracts[1] - found.contracts[0] < 0.5
+
+
+def test_rates_of_nothing_and_of_very_much(spiral, monkeypatch):
+    monkeypatch.setattr(module, "MOST_CLASSES", 8)
+    length = spiral.schedule.period
+    never = random_arrivals(spiral, arrival_rate=0.0, length=length)
+    lost = random_arrivals(spiral, 1.0, length=length)
+    assert never.factor[0] == pytest.approx([lost.factor.max()] * 2, rel=1e-9)
+    rarely = random_arrivals(spiral, arrival_rate=1e-9, length=length)
+    assert rarely.mean_factor == pytest.approx(never.mean_factor, rel=1e-6)
+    assert rarely.contracts == pytest.approx(never.contracts, abs=1e-6)
+    often = random_arrivals(spiral, arrival_rate=1e4)
+    assert often.contracts[0] > 1 - 1e-3
+    assert often.mean_factor[1] < spiral.lam * np.exp(-spiral.eta * often.length) < 1  # today's claim
+    assert often.rate > 0
+    assert "samples come as a Poisson process, 10000 per" in often.explain()
+
+
+def test_a_poisson_process_is_the_limit_of_losses_on_a_fine_grid(spiral, monkeypatch):
+    monkeypatch.setattr(module, "MOST_CLASSES", 32)
+    c, rate, count = spiral, 1.0, 16
+    length = c.schedule.period
+    fine = PeriodicSchedule([length / count] * count)
+    weights = {"P2": c.P2, "Qw": c.Qw, "R": c.R, "Qv": c.Qv, "eta": c.eta}
+    grid = random_arrivals(sd.certify(SPIRAL, fine, **weights), np.exp(-rate * length / count), length=length)
+    limit = random_arrivals(c, arrival_rate=rate, length=length)
+    assert limit.mean_factor[0] * 0.9 < grid.mean_factor[0] < grid.mean_factor[1] < limit.mean_factor[1] * 1.1
+    assert limit.contracts[0] - 0.02 < grid.contracts[0] < grid.contracts[1] < limit.contracts[1] + 0.02
+    assert grid.mean_factor[1] < 1.1 * grid.mean_factor[0]
+
+
+def test_lost_arrivals_thin_the_process(spiral, monkeypatch):
+    monkeypatch.setattr(module, "MOST_CLASSES", 8)
+    thinned = random_arrivals(spiral, 0.25, arrival_rate=2.0)
+    assert thinned.factor == pytest.approx(random_arrivals(spiral, arrival_rate=1.5).factor)
+    assert "each of which is lost with probability 0.25" in thinned.explain()
+    assert thinned.samples == pytest.approx(2.0 * thinned.length)
+
+
+def test_one_state_is_bounded_closely():
+    """One class says almost all where Y is a number that samples bring back to nearly the same."""
+    made = sd.certify(Plant([[0.2]], [[1.0]]), Schedule([1.0, 2.0]))
+    found = random_arrivals(made, arrival_rate=2.0, length=4.0)
+    assert found.mean_factor[1] < 1.02 * found.mean_factor[0]
+    assert found.contracts[1] - found.contracts[0] < 0.02
+    bare = random_arrivals(
+        sd.certify(Plant(np.zeros((0, 0)), np.zeros((1, 0))), PeriodicSchedule([1.0])), arrival_rate=1.0
+    )
+    assert (bare.contracts, bare.mean_factor) == ((1.0, 1.0), (0.0, 0.0))
+
+
+def test_the_other_mean_would_be_no_bound(spiral, monkeypatch):
+    """Of 1/Y the means are harmonic: with the arithmetic one what is called a lower bound is not."""
+    exact = random_arrivals(spiral, 0.4, length=2 * spiral.schedule.period)
+    monkeypatch.setattr(module, "MOST_CLASSES", 4)
+    assert np.all(random_arrivals(spiral, 0.4, length=2 * spiral.schedule.period).factor[:, 0] < exact.factor[:, 0])
+    monkeypatch.setattr(module, "_harmonic", lambda Y, Z, a, b: a * Y + b * Z)
+    wrong = random_arrivals(spiral, 0.4, length=2 * spiral.schedule.period)
+    assert np.any(wrong.factor[:, 0] > 1.01 * exact.factor[:, 0])

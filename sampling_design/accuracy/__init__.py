@@ -3,7 +3,7 @@
 from sampling_design.records.lazy import lazy
 
 _NAMES = {
-    "accuracy": ("guaranteed_accuracy", "accuracy_at_the_time"),
+    "accuracy": ("guaranteed_accuracy",),
     "deviation": ("standard_deviation",),
     "interval": ("state_interval",),
     "limit": ("accuracy_limit",),

@@ -1,5 +1,4 @@
 # Written from the table in __init__.py by `python -m tests.house.front_door`.
-from sampling_design.accuracy.accuracy import accuracy_at_the_time as accuracy_at_the_time
 from sampling_design.accuracy.accuracy import guaranteed_accuracy as guaranteed_accuracy
 from sampling_design.accuracy.deviation import standard_deviation as standard_deviation
 from sampling_design.accuracy.interval import state_interval as state_interval

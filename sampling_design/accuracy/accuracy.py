@@ -11,7 +11,9 @@ from sampling_design.accuracy.accuracy_record import Accuracy, AccuracyBracket
 from sampling_design.accuracy.between_samples import speed_of
 from sampling_design.accuracy.bounds import Bound
 from sampling_design.accuracy.deviation import Intensity, StandardDeviation, deviations
-from sampling_design.accuracy.question import AccuracyQuestion
+from sampling_design.accuracy.question import AccuracyQuestion, ResultDelay
+from sampling_design.accuracy.results_out import SAME
+from sampling_design.accuracy.sample_chain import SampleChain
 from sampling_design.accuracy.search import ChainSearch, RowSearch
 from sampling_design.accuracy.start import InitialError
 from sampling_design.accuracy.timing import added, moved_witness, noise_enough, refuse_tolerance
@@ -27,7 +29,7 @@ from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
-from sampling_design.records.signatures import checked, open_verb
+from sampling_design.records.signatures import open_verb
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 MARGIN = 5e-5
@@ -53,6 +55,7 @@ def guaranteed_accuracy(
     w_intensity: Intensity = None,
     v_deviation: Intensity = None,
     timing_tolerance: float = 0.0,
+    result_delay: ResultDelay = 0.0,
     budget: float | None = None,
     progress: Progress | None = None,
 ) -> Accuracy:
@@ -90,6 +93,9 @@ def guaranteed_accuracy(
         How early or late each sample may be, less than half of the least gap: both sides are then those of all such
         times, which are known once samples are taken. What follows from a sample counts from so much after its planned
         time on. Of a finite schedule `start` and `end` (default: the last sample and so much) leave room for it.
+    result_delay : float, (p,) array or mapping [plant.time_unit]
+        How long after its sample a result comes at most; a mapping gives each output by name a number, or a pair
+        (least, most). Both sides are then those of what is known at the time, results still out.
     budget : float, optional [seconds]
         Searches end then, a few programs for each row that is left after: the bracket is proven, and `closed` says
         where it is wider than `rtol`. An interrupt (Ctrl-C) ends them likewise; a second one is raised.
@@ -105,7 +111,8 @@ def guaranteed_accuracy(
     ------
     ArgumentError
         If a bound is missing, negative or of another shape, a name is unknown, a sample of a finite schedule lies
-        outside `start` and `end`, an endless one is given a start, or `timing_tolerance` does not fit the schedule.
+        outside `start` and `end`, an endless one is given a start, or `timing_tolerance` or `result_delay` do not fit
+        the schedule.
     UndecidedError
         If nothing bounds the error: samples are too far apart, or what `timing_tolerance` adds grows with it.
 
@@ -143,40 +150,13 @@ def guaranteed_accuracy(
     limit = Budget(None if budget is None else checks.positive("budget", budget))
     schedule = meet(plant, schedule)
     rows = wanted_rows(plant, of)
-    question = AccuracyQuestion.of(plant, schedule, w_bound, v_bound, initial_error, start, end, late)
-    if late:
+    question = AccuracyQuestion.of(plant, schedule, w_bound, v_bound, initial_error, start, end, late, result_delay)
+    if question.is_late:
         refuse_tolerance(question, w_intensity is not None or v_deviation is not None)
     deviation = None
     if w_intensity is not None or v_deviation is not None:
         deviation = deviations(question, rows, w_intensity, v_deviation)
     return _answered(question, rows, tolerance, limit, deviation, progress)
-
-
-@checked
-def accuracy_at_the_time(found: Accuracy, result_delay: float, *, rtol: float = RTOL) -> Accuracy:
-    """Return an accuracy again where results come so long after their samples: what is known at the time.
-
-    Parameters
-    ----------
-    found : Accuracy
-        Its question is asked anew. That of a finite schedule ends `result_delay` after its last sample at least.
-    result_delay : float [plant.time_unit]
-        At most; it may be longer than a gap.
-    rtol : float
-        Relative width of the brackets.
-
-    Returns
-    -------
-    Accuracy
-
-    Raises
-    ------
-    ArgumentError
-        If the delay is negative, or does not fit the end of a finite schedule.
-    """
-    question = replace(found.question, result_delay=checks.nonnegative("result_delay", result_delay))
-    refuse_tolerance(question, found.deviation is not None)
-    return _answered(question, found.rows, checks.positive("rtol", rtol), Budget(None), None, None)
 
 
 def _answered(
@@ -238,18 +218,32 @@ def _witness(
     At rest where it attains `rounding` alone.
     """
     witness, j, offset = strongest_witness(side, shown.row, question, shown)
-    if moves:
+    if moves and j < len(side.chain):  # where some results are out, it stays at planned times
         witness = max(witness, moved_witness(side, question, shown, j, offset), key=lambda found: found.value)
     return witness if witness.value > rounding else witness.within(np.inf, 0.0), j, offset
 
 
-def _edges(question: AccuracyQuestion, found: RowSearch | None) -> Array:
+def _edges(question: AccuracyQuestion, chain: SampleChain | None, found: RowSearch | None) -> Array:
     """Where the panels of a profile begin and end: those of any row, or the gaps where no row is bounded."""
-    times = question.nodes
-    lengths = np.diff(times, append=question.end)
-    grids = [np.array([0.0, h]) for h in lengths] if found is None else [opened.d for opened in found.opened]
-    last = question.end + (question.initial is None) * question.late
-    return np.concatenate([*(t + d[:-1] for t, d in zip(times, grids, strict=True)), [last]])
+    if chain is None or found is None:
+        return np.append(question.nodes, question.end)
+    grids = [question.time_of(chain, j) + opened.d for j, opened in found.opened.items()]
+    last = question.end if question.initial is not None else float(grids[0][0] + question.end - question.nodes[0])
+    return np.concatenate([*(d[:-1] for d in grids), [last]])
+
+
+def _at_samples(question: AccuracyQuestion, chain: SampleChain, found: RowSearch) -> Array:
+    """What gains prove at each node once all results of its sample are in."""
+    begins = np.array([question.time_of(chain, j) + opened.d[0] for j, opened in found.opened.items()])
+    comes = question.comes_after
+    complete = question.nodes + np.where(np.isfinite(comes), comes, 0.0).max(axis=1, initial=0.0)
+    period, first = question.end - question.nodes[0], begins[0]
+    tiny = SAME * period
+    if question.initial is None:
+        complete = first + np.mod(complete - first + tiny, period) - tiny
+    nodes = [each[0] for each in found.nodes.values()]
+    at = np.searchsorted(begins, complete - tiny)
+    return np.array([nodes[k] if k < len(nodes) else np.inf for k in at.tolist()])
 
 
 def _record(
@@ -263,7 +257,7 @@ def _record(
 ) -> Accuracy:
     """`finder` searched for what gains prove; `planned`, if given, for what is attained without more noise."""
     times, count, plain = question.nodes, len(rows), question.initial is None
-    edges = _edges(question, next(iter(found.values()), None))
+    edges = _edges(question, None if finder is None else finder.chain, next(iter(found.values()), None))
     lower, upper, worst = np.full(count, np.inf), np.full(count, np.inf), np.full(count, times[0])
     closed, offsets, known_from = np.ones(count, dtype=bool), np.zeros(count), np.full(count, np.inf)
     at_samples = np.full((count, len(times)), np.inf)
@@ -273,16 +267,16 @@ def _record(
     for k, search in found.items():
         assert finder is not None
         again = finder.opened(search.row)  # with what was found for the rows after it
-        at_samples[k] = [nodes[0] for nodes in again.nodes]
-        above[k] = np.concatenate(again.panels)
+        at_samples[k] = _at_samples(question, finder.chain, again)
+        above[k] = np.concatenate(list(again.panels.values()))
         side, shown = (finder, again) if planned is None else (planned, planned.row(search.row, rtol, MOST_SOLVES))
-        below[k] = np.concatenate([side.below(shown, j)[:-1] for j in range(len(shown.opened))])
+        below[k] = np.concatenate([side.below(shown, j)[:-1] for j in shown.opened])
         if not np.isfinite(at_samples[k]).any() and not np.isfinite(above[k]).any():
             continue
         upper[k] = finder.top(again)[0] * (1 + MARGIN)
         witness, j, offset = _witness(side, question, shown, side is planned and not known.modes, KEPT * upper[k])
         witnesses[k], lower[k] = witness, witness.value * (1 - KEPT)
-        worst[k] = times[j] + again.opened[j].d[offset]
+        worst[k] = question.time_of(finder.chain, j) + again.opened[j].d[offset]
         if plain:
             worst[k] -= max(0.0, np.ceil(worst[k] / (question.end - times[0]) - 1)) * (question.end - times[0])
         offsets[k] = finder.offset(again, j, offset)

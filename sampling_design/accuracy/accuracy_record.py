@@ -112,9 +112,10 @@ class Accuracy(AccuracyBracket, CurveRecord):
         return self.question.timing_tolerance or None
 
     @property
-    def result_delay(self) -> float | None:
-        """How long after its sample a result comes; None where it comes at once."""
-        return self.question.result_delay or None
+    def result_delay(self) -> dict[str, float] | None:
+        """How long after its sample a result comes at most, by output; None where all come at once."""
+        delays = self.question.result_delay
+        return None if delays is None else dict(zip(self.plant.outputs.names, delays.tolist(), strict=True))
 
     @property
     def bounds(self) -> SignalBounds:
@@ -141,7 +142,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
         asked = self.question.primitive()
         known = asked.known()
         if rigorous:
-            if self.question.late:
+            if self.question.is_late:
                 raise ArgumentError("`rigorous` is for samples on time that are known at once: leave it out.")
             if self.question.initial is not None or self.unknown:
                 raise ArgumentError(
@@ -201,7 +202,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
         if self.timing_tolerance:
             lines.append(("samples early or late", f"up to {short(self.timing_tolerance)} {unit}"))
         if self.result_delay:
-            lines.append(("results come after", f"{short(self.result_delay)} {unit}"))
+            lines.append(("results come after", self._delays()))
         for k, label in enumerate(self.rows.labels()):
             text = f"{short(self.lower[k])} to {short(self.upper[k])}, worst at {short(self.worst[k])} {unit}"
             if not np.isfinite(self.upper[k]):
@@ -216,6 +217,13 @@ class Accuracy(AccuracyBracket, CurveRecord):
         if self.notice:
             lines.append(("notice", self.notice))
         return lines + ([] if self.deviation is None else self.deviation._rows())
+
+    def _delays(self) -> str:
+        """How long after their samples results come, in words."""
+        found = self.result_delay or {}
+        if len(set(found.values())) == 1:
+            return f"{short(next(iter(found.values())))} {self.plant.time_unit}"
+        return ", ".join(f"{short(delay)} {self.plant.time_unit} ({name})" for name, delay in found.items())
 
     def _why(self) -> str:
         names = ", ".join(self.unknown)
@@ -258,7 +266,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
         if self.timing_tolerance:
             when += f", for samples up to {short(self.timing_tolerance)} {self.plant.time_unit} early or late"
         if self.result_delay:
-            when += f", with results {short(self.result_delay)} {self.plant.time_unit} after their samples"
+            when += f", with results {self._delays()} after their samples"
         return (
             f"{text}{when}, some estimator guarantees {', '.join(parts)}; none guarantees less than "
             f"{short(low if low.size > 1 else low[0], 4)} ({within})."

@@ -88,7 +88,7 @@ class ConeWindow:
     def _staged(self) -> StageProgram | None:
         """The window as a program over stages, if all that is bounded is so entry by entry and nothing is exact."""
         chain, start = self.chain, self.start
-        gaps, samples = [chain.gaps[j] for j in self.nodes[:-1]], [chain.samples[j] for j in self.nodes]
+        gaps, samples = [chain.gap(j) for j in self.nodes[:-1]], [chain.samples[j] for j in self.nodes]
         if self.data is not None or not boxed(chain, self.nodes) or not gaps:
             return None
         fits, S = start.staged()
@@ -102,7 +102,7 @@ class ConeWindow:
         chain, n, q = self.chain, self.chain.D.size, self.chain.G.shape[1]
         K = len(self.nodes)
         self._built = True
-        gaps, samples = [chain.gaps[j] for j in self.nodes[:-1]], [chain.samples[j] for j in self.nodes]
+        gaps, samples = [chain.gap(j) for j in self.nodes[:-1]], [chain.samples[j] for j in self.nodes]
         B = [np.swapaxes(gap.cells, 0, 1).reshape(n, -1) for gap in gaps]
         self._w_at = K * n + np.concatenate([[0], np.cumsum([own.shape[1] for own in B])]).astype(int)
         table, y = ConeTable(int(self._w_at[-1])), self.data or [np.zeros(len(s.H)) for s in samples]
@@ -169,7 +169,7 @@ class ConeWindow:
 
     def _nothing(self) -> Adversary:
         chain = self.chain
-        w = tuple(np.zeros(chain.gaps[j].cells.shape[::2]) for j in self.nodes[:-1])
+        w = tuple(np.zeros(chain.gap(j).cells.shape[::2]) for j in self.nodes[:-1])
         return Adversary(0.0, w, np.zeros((len(self.nodes), chain.D.size)))
 
     def _gains(self, y: Array) -> list[Array]:
@@ -200,7 +200,7 @@ class ConeWindow:
             sample = chain.samples[self.nodes[k]]
             gains[k] = raw[k] + sample.K.T @ (true - meant)
             if k:
-                F = chain.gaps[self.nodes[k - 1]].F
+                F = chain.gap(self.nodes[k - 1]).F
                 true, meant = F.T @ (true - sample.H.T @ gains[k]), F.T @ ahead[k - 1]
         return gains if self.start.rows >= mu.size else cleared(self.chain, self.nodes, self.start, mu, gains)
 
@@ -216,7 +216,7 @@ class ConeWindow:
             z, w = np.zeros((K, n)), []
             z[0] = self._first(point.z[0])
             for k, j in enumerate(self.nodes[:-1]):
-                gap, q, u = chain.gaps[j], chain.G.shape[1], point.w[k]
+                gap, q, u = chain.gap(j), chain.G.shape[1], point.w[k]
                 z[k + 1] = gap.F @ z[k] + np.einsum("mnq,mq->n", gap.cells, u)
                 if corrected:
                     flat = np.swapaxes(gap.cells, 0, 1).reshape(n, -1)

@@ -67,11 +67,11 @@ def open_row(
     known: KnownIntegrals | None = None,
     least: int = GRID[0],
 ) -> RowBetweenSamples:
-    """Return one row (n,) of x after sample j, over the whole gap (from when the sample is taken) or until some time.
+    """Return one row (n,) of x after node j, while no more is known than there, or until some time.
 
     `known` keeps what is the same for this row after all samples with gaps of one length; `least` panels at least.
     """
-    begin, end = (chain.taken(j), chain.length(j)) if until is None else (0.0, until)
+    begin, end = chain.judged[j][2:] if until is None else (0.0, until)
     known = {} if known is None else known
     d = _grid(speed_of(chain), begin, end, least)
     if (begin, end) not in known:

@@ -143,6 +143,18 @@ def finite_atoms(chain: SampleChain, given: Sequence[Array] = ()) -> list[Bounde
     return found
 
 
+def determined_at(chain: SampleChain, path: list[int]) -> Array:
+    """Orthonormal columns that span what the samples of a path from the start determine at its last node."""
+    assert chain.start is not None
+    free, seen = chain.start.free(chain.D.size), list[Array]()
+    if not free.shape[1]:
+        return np.eye(len(free))
+    for k, node in enumerate(path):
+        free = chain.gap(path[k - 1]).F @ free if k else free
+        seen.append(chain.samples[node].H @ free)
+    return _determined(free, seen)
+
+
 def _determined(free: Array, seen: list[Array]) -> Array:
     """Orthonormal columns that span what nothing free and unseen touches.
 

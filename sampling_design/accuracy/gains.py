@@ -36,7 +36,7 @@ def evaluated(
     data: list[Array] | None = None,
 ) -> Gains:
     """Return what gains prove of mu'z_K: h_start(rest) + int h_W(G'g) + sum h_V(gains), plus their data."""
-    cost, g, scale, _ = _followed_back(chain, nodes, mu[:, None], lambda k, _: gains[k][:, None])
+    cost, g, scale, _ = followed_back(chain, nodes, mu[:, None], lambda k, _: gains[k][:, None])
     total = float(cost[0])
     total += start.support(g[:, 0], float(scale[0]))
     if data is not None:
@@ -45,7 +45,7 @@ def evaluated(
     return Gains(total * (1 + ROUNDING), tuple(gains))
 
 
-def _followed_back(
+def followed_back(
     chain: SampleChain,
     nodes: list[int],
     mu: Array,
@@ -66,7 +66,7 @@ def _followed_back(
         scale += np.linalg.norm(step, axis=0)
         g = g - step
         if k:
-            gap = chain.gaps[nodes[k - 1]]
+            gap = chain.gap(nodes[k - 1])
             flown.setdefault(id(gap), (gap, []))[1].append(g)
             g = gap.F.T @ g
             reach = known[k - 1] if known else None
@@ -86,7 +86,7 @@ def filter_gains(chain: SampleChain, nodes: list[int], mu: Array) -> list[Array]
         sample = chain.samples[nodes[k]]
         gains[k] = sample.K.T @ g
         if k:
-            g = chain.gaps[nodes[k - 1]].F.T @ (g - sample.H.T @ gains[k])
+            g = chain.gap(nodes[k - 1]).F.T @ (g - sample.H.T @ gains[k])
     return gains
 
 
@@ -95,8 +95,14 @@ def filtered_bounds(chain: SampleChain, j: int, start: StartSet, known: list[Arr
 
     `known` are bounds on |z| after the samples before: one serves as a start where little is left of the columns.
     """
-    nodes = list(range(j + 1))
-    total, g, scale, reach = _followed_back(chain, nodes, mu, lambda k, g: chain.samples[k].K.T @ g, known)
+    return path_bounds(chain, chain.nodes(j, len(chain)), start, known, mu)
+
+
+def path_bounds(
+    chain: SampleChain, nodes: list[int], start: StartSet, known: Sequence[Array | None], mu: Array
+) -> Array:
+    """Return the same of mu'z at the last of some nodes that begin at the start."""
+    total, g, scale, reach = followed_back(chain, nodes, mu, lambda k, g: chain.samples[nodes[k]].K.T @ g, known)
     if reach is not None:
         return np.asarray((total + reach @ np.abs(g)) * (1 + ROUNDING))
     if start.rows < len(mu):  # what is free at the start must not be touched
@@ -111,14 +117,14 @@ def cleared(chain: SampleChain, nodes: list[int], start: ErrorBefore, mu: Array,
     free = start.free(mu.size)
     seen, flow = [], free
     for k, j in enumerate(nodes):
-        flow = chain.gaps[nodes[k - 1]].F @ flow if k else flow
+        flow = chain.gap(nodes[k - 1]).F @ flow if k else flow
         seen.append(chain.samples[j].H @ flow)
     rows, ends = np.vstack(seen), np.cumsum([len(H) for H in seen])[:-1]
     for _ in range(2):
         rest = mu
         for k in range(len(gains) - 1, -1, -1):
             rest = rest - chain.samples[nodes[k]].H.T @ gains[k]
-            rest = chain.gaps[nodes[k - 1]].F.T @ rest if k else rest
+            rest = chain.gap(nodes[k - 1]).F.T @ rest if k else rest
         change = np.linalg.lstsq(rows.T, free.T @ rest)[0]
         gains = [lam + more for lam, more in zip(gains, np.split(change, ends), strict=True)]
     return gains
@@ -141,10 +147,10 @@ def centre_offset(chain: SampleChain, row: Array, j: int, d: float, gains: tuple
     for k in range(len(nodes) - 1, -1, -1):
         sample, lam = chain.samples[nodes[k]], gains[k - len(nodes)]
         if bounds.v_centre is not None:
-            total -= float(lam @ (bounds.v_centre[nodes[k], sample.outputs] / sample.size))
+            total -= float(lam @ (bounds.v_centre[chain.sample_of(nodes[k]), sample.outputs] / sample.size))
         g = g - np.linalg.solve(chain.L[nodes[k]].T, sample.H.T @ lam)
         if k:
-            flow = flows[1 + nodes[k - 1]]
+            flow = flows[1 + chain.sample_of(nodes[k - 1])]
             total += float(g @ flow[:, n])
             g = g @ flow[:, :n]
     return total

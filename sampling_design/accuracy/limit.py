@@ -293,7 +293,7 @@ def _adversary_in_gap(
 ) -> tuple[LimitWitness, float]:
     """A witness that is admissible at all allowed real times, and by how much it had to shrink for it."""
     found = search.opened(row)
-    j = int(np.argmax([search.chain.length(k) for k in range(len(search.chain))]))
+    j = int(np.argmax([gap.length for gap in search.chain.gaps]))
     at, search.deep, before = 0, SHALLOW, 0.0
     if allowed is not None:
         last = found.opened[j].d.size - 1
@@ -309,7 +309,7 @@ def _adversary_in_gap(
         before = now
         search.deep *= 2
     choices = []
-    for k, opened in enumerate(found.opened):
+    for k, opened in found.opened.items():
         for row_adversary in search.adversaries[k]:
             values = np.abs(opened.mu @ row_adversary.end) + opened.below
             place = 0 if allowed is None else int(np.argmax(values))

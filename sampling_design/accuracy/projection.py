@@ -154,7 +154,7 @@ def project_rows(
     (1968).
     """
     question = found.question
-    if question.late:
+    if question.is_late:
         raise ArgumentError(
             "`projection` is of samples on time, known at once: leave `timing_tolerance`, `result_delay` out."
         )

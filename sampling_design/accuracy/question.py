@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.bounds import Bound, SignalBounds
 from sampling_design.accuracy.finite import finite_atoms, finite_chain
+from sampling_design.accuracy.results_out import with_branches, with_results_out
 from sampling_design.accuracy.sample_chain import SampleChain, endless_chain
 from sampling_design.accuracy.start import InitialError, InitialSet
 from sampling_design.accuracy.undetectable import DetectablePart, known_part
@@ -18,6 +22,43 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import freeze
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+ResultDelay: TypeAlias = npt.ArrayLike | Mapping[str, float | tuple[float, float]]
+"""A number, one for each output, or by name of the output a number or a pair (least, most)."""
+
+
+def result_delays(plant: Plant, given: ResultDelay) -> Array:
+    """Return how long after its sample a result of each output comes at most (p,), from 0 on.
+
+    Raises
+    ------
+    ArgumentError
+        If one is negative, the least is more than the most, or a name is no output.
+    """
+    names = plant.outputs.names
+    if not isinstance(given, Mapping):
+        return freeze(np.full(len(names), checks.bound("result_delay", given, len(names))))
+    checks.known_keys("`result_delay`", given, names)
+    return freeze([delay_span(f"result_delay.{name}", given.get(name, 0.0))[1] for name in names])
+
+
+def delay_span(name: str, given: object) -> tuple[float, float]:
+    """Return the least and the most of a delay that is one number or a pair.
+
+    Raises
+    ------
+    ArgumentError
+        If one is negative, or the least is more than the most.
+    """
+    if not isinstance(given, (tuple, list)):
+        most = checks.nonnegative(name, given)
+        return most, most
+    if len(given) != 2:
+        raise ArgumentError(f"`{name}` must be a number or a pair (least, most), got {given!r:.60}.")
+    least, most = (checks.nonnegative(name, each) for each in given)
+    if least > most:
+        raise ArgumentError(f"`{name}` must be (least, most), got ({least!r}, {most!r}): the least is more.")
+    return least, most
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,17 +73,20 @@ class AccuracyQuestion:
     nodes: Array
     end: float  # of the period that begins at the first node, or of the finite schedule
     timing_tolerance: float = 0.0  # how early or late each sample may be
-    result_delay: float = 0.0  # how long after its sample a result comes
+    result_delay: Array | None = None  # (p,): how long after its sample a result comes at most; None: at once
 
     @classmethod
     def of(
         cls, plant: Plant, schedule: Schedule | PeriodicSchedule, w_bound: Bound, v_bound: Bound,
-        initial_error: InitialError, start: float | None, end: float | None, late: float,
+        initial_error: InitialError, start: float | None, end: float | None, late: float, delay: ResultDelay = 0.0,
     ) -> AccuracyQuestion:  # fmt: skip
-        """Ask about a schedule of either kind, whose samples may be so early or late.
+        """Ask about a schedule of either kind, whose samples may be so early or late, and results so much later.
 
-        Raises ArgumentError if an endless one is given a start, an end or an initial error, or as for `finite`.
+        Raises ArgumentError if an endless one is given a start, an end or an initial error, or as for `finite`
+        and `result_delays`.
         """
+        delays = result_delays(plant, delay)
+        comes_later = delays if delays.any() else None
         if isinstance(schedule, PeriodicSchedule):
             given = [n for n, x in (("initial_error", initial_error), ("start", start), ("end", end)) if x is not None]
             if given:
@@ -50,10 +94,14 @@ class AccuracyQuestion:
                     f"`{given[0]}` is for finite schedules, got a PeriodicSchedule, which has no start. "
                     "Cut it: schedule.between(start, end)."
                 )
-            return replace(cls.endless(plant, schedule, w_bound, v_bound), timing_tolerance=late)
-        until = end if end is not None or not len(schedule) else float(schedule.times[-1]) + late
+            question = cls.endless(plant, schedule, w_bound, v_bound)
+            return replace(question, timing_tolerance=late, result_delay=comes_later)
+        until = end
+        if end is None and len(schedule):
+            mask = np.ones((len(schedule), delays.size), dtype=bool) if schedule.outputs is None else schedule.outputs
+            until = float(np.max(schedule.times + late + np.where(mask, delays, 0.0).max(axis=1, initial=0.0)))
         question = cls.finite(plant, schedule, w_bound, v_bound, initial_error, start, until)
-        return replace(question, timing_tolerance=late)
+        return replace(question, timing_tolerance=late, result_delay=comes_later)
 
     @classmethod
     def endless(cls, plant: Plant, schedule: PeriodicSchedule, w_bound: Bound, v_bound: Bound) -> AccuracyQuestion:
@@ -118,9 +166,30 @@ class AccuracyQuestion:
         return self if noise is None else replace(self, bounds=replace(self.bounds, v=freeze(self.bounds.v + noise)))
 
     @property
-    def late(self) -> float:
-        """How long after its planned time a result is in at the latest."""
-        return self.timing_tolerance + self.result_delay
+    def is_late(self) -> bool:
+        """Whether samples may come late, or results come later than they."""
+        return bool(self.timing_tolerance) or self.result_delay is not None
+
+    @property
+    def comes_after(self) -> Array:
+        """How long after the planned time of each node the result of an output is in at the latest (N, p).
+
+        Infinite where it is not measured.
+        """
+        delays = np.zeros(self.plant.n_outputs) if self.result_delay is None else self.result_delay
+        return np.where(np.isfinite(self.bounds.v), self.timing_tolerance + delays, np.inf)
+
+    @property
+    def last_result(self) -> float:
+        """When the last result of a finite schedule is in."""
+        comes = self.comes_after
+        return float(np.max(self.nodes[:, None] + np.where(np.isfinite(comes), comes, 0.0)))
+
+    def time_of(self, chain: SampleChain, node: int) -> float:
+        """The time of the sample that a node of the chain is, where it is judged."""
+        planned = float(self.nodes[chain.sample_of(node)])
+        turns = np.round((chain.judged[node].time - (planned - self.nodes[0])) / (self.end - self.nodes[0] or 1.0))
+        return planned + float(turns) * float(self.end - self.nodes[0]) * (self.initial is None)
 
     @property
     def samples(self) -> Index:
@@ -144,14 +213,13 @@ class AccuracyQuestion:
             chain = finite_chain(plant, self.nodes, self.end, self.bounds, self.initial)
         else:
             chain = endless_chain(plant, np.diff(self.nodes, append=self.end), self.bounds, moving)
-        late = np.full(len(chain), self.late)
-        late[: self.initial is not None] = 0.0  # the start of a finite chain is no sample where samples may be late
-        return replace(chain, late=late)
+        return with_results_out(chain, self.comes_after) if self.is_late else chain
 
     def chain(self, plant: Plant, moving: Array | None = None) -> tuple[SampleChain, list[BoundedDirections]]:
         """The chain, and what its filter bounds."""
         chain = self.sample_chain(plant, moving)
         if chain.start is not None:
-            return chain, finite_atoms(chain)
+            return chain, with_branches(chain, finite_atoms(chain))
         r = chain.determined
-        return chain, [BoundedDirections(np.eye(plant.n_states)[:, :r], reach[:r]) for reach in chain.reach]
+        atoms = [BoundedDirections(np.eye(plant.n_states)[:, :r], reach[:r]) for reach in chain.reach]
+        return chain, with_branches(chain, atoms)

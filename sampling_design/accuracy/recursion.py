@@ -132,7 +132,7 @@ class PeriodicGains:
                 f"`found` must know every mode, but no sample shows {', '.join(found.unknown)}. "
                 "Leave those states out of the plant."
             )
-        if found.question.late:
+        if found.question.is_late:
             raise ArgumentError("`found` must be of samples on time that are known at once: gains are of one schedule.")
         start = InitialSet.of(plant, initial_error)
         if not start.whole:

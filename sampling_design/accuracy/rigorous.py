@@ -208,7 +208,7 @@ class BallChain:
 
     def top(self, j: int, row: Array, atoms: BoundedDirections, values: list[Ball]) -> Ball:
         """An upper bound on rho of a row over all real times of gap j."""
-        length = self.chain.length(j)
+        length = self.chain.gaps[j].length
         count = int(np.clip(np.ceil(float(np.linalg.norm(self.chain.A, 2)) * length / FINENESS), *GRID))
         _, panels = self.over(length, count)
         c = _table([[ball(x) * d] for x, d in zip(row, self.D, strict=True)], 1)

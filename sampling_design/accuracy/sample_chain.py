@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -128,9 +129,21 @@ class ChainSample:
     K: Array
 
 
+class KnownSpan(NamedTuple):
+    """A time during which no result comes in: all that is known then was in when it began."""
+
+    node: int  # of the latest sample of which anything is in
+    time: float  # of that sample, since the first one of the chain
+    begin: float  # begin, end: since that sample
+    end: float
+
+
 @dataclass(frozen=True, eq=False)
 class SampleChain:
-    """Samples j = 0..N-1 and the gaps behind them; endless (without `start`): after the last comes the first."""
+    """Samples j = 0..N-1 and the gaps behind them; endless (without `start`): after the last comes the first.
+
+    Nodes N, N+1, ... are samples again, of which some results are out: each follows another node.
+    """
 
     plant: Plant
     bounds: SignalBounds
@@ -146,8 +159,11 @@ class SampleChain:
     # how many of the last entries of every z no sample of an endless chain shows: they move on by themselves, and the
     # others are free of them
     hidden: int = 0
-    # (N,): how late each sample may be: what follows from one is said from then on, and until the next may be as late
-    late: Array | None = None
+    # in order of time, what is known when; none: a sample counts from its own time until the next one
+    known_spans: tuple[KnownSpan, ...] = ()
+    # of the nodes beyond the samples: which sample each one is, and the node before it (-1: none)
+    again: tuple[int, ...] = ()
+    before: tuple[int, ...] = ()
     # how fast the panels of a gap take A to be, if not |A|, so that chains in other coordinates have the same panels
     speed: float | None = None
 
@@ -157,15 +173,29 @@ class SampleChain:
         return self.D.size - self.hidden
 
     def __len__(self) -> int:
-        return len(self.samples)
+        return len(self.samples) - len(self.again)
 
-    def length(self, j: int) -> float:
-        """How long it is from sample j until the next one is taken, or to the end."""
-        return self.gaps[j].length + self.taken((j + 1) % len(self)) if j < len(self.gaps) else self.last
+    @cached_property
+    def spans(self) -> tuple[KnownSpan, ...]:
+        """What is known when, in order of time; each has a node of its own."""
+        if self.known_spans:
+            return self.known_spans
+        lengths = [gap.length for gap in self.gaps] + [self.last] * (len(self) - len(self.gaps))
+        times = np.append(0.0, np.cumsum(lengths))
+        return tuple(KnownSpan(j, float(times[j]), 0.0, h) for j, h in enumerate(lengths))
 
-    def taken(self, j: int) -> float:
-        """How long after its time sample j is taken at the latest."""
-        return 0.0 if self.late is None else float(self.late[j])
+    @cached_property
+    def judged(self) -> dict[int, KnownSpan]:
+        """The same by node."""
+        return {span.node: span for span in self.spans}
+
+    def sample_of(self, j: int) -> int:
+        """Which of the samples node j is."""
+        return j if j < len(self) else self.again[j - len(self)]
+
+    def gap(self, j: int) -> ChainGap:
+        """The gap behind node j."""
+        return self.gaps[self.sample_of(j)]
 
     def admissible_start(self, z: Array) -> Array:
         """z_0 with what is known exactly of it put right."""
@@ -179,14 +209,23 @@ class SampleChain:
         return UndrivenMotions.of(self.plant, self.bounds) if self.start is None and not self.hidden else None
 
     def mu(self, j: int, rows: Array) -> Array:
-        """Return rows (k, n) of x at sample j as columns (n, k) that multiply z."""
+        """Return rows (k, n) of x at node j as columns (n, k) that multiply z."""
         return np.asarray((rows * self.D @ self.L[j]).T)
 
     def nodes(self, j: int, count: int) -> list[int]:
-        """Indices of the `count` samples up to and with j, the latest last, or as many as there are."""
+        """Indices of the `count` samples up to and with j, the latest last, or as many as there are.
+
+        Of which some results are out are beside that count.
+        """
+        out = list[int]()
+        while j >= len(self):
+            out.append(j)
+            j = self.before[j - len(self)]
+        if j < 0:
+            return out[::-1]
         if self.start is not None:
-            return list(range(max(0, j + 1 - count), j + 1))
-        return [(j - k) % len(self) for k in range(count - 1, -1, -1)]
+            return [*range(max(0, j + 1 - count), j + 1), *out[::-1]]
+        return [*((j - k) % len(self) for k in range(count - 1, -1, -1)), *out[::-1]]
 
     def refined(self, loss: float) -> SampleChain:
         """Return the chain with cells so fine that their curvature loses no more than `loss`."""

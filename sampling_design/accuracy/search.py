@@ -76,15 +76,18 @@ class RowAdversary:
 
 @dataclass(eq=False)
 class RowSearch:
-    """One row over the whole schedule: where it was solved and an adversary sought, and the bracket."""
+    """One row over the whole schedule: where it was solved and an adversary sought, and the bracket.
+
+    By nodes of the chain, of those after which it is judged, in order of time.
+    """
 
     row: Array
-    opened: list[RowBetweenSamples]
-    nodes: list[Array]
+    opened: dict[int, RowBetweenSamples]
+    nodes: dict[int, Array]
     """Bounds at the offsets of each gap."""
-    panels: list[Array]
+    panels: dict[int, Array]
     """Bounds all along its panels."""
-    solved: list[dict[int, int]]
+    solved: dict[int, dict[int, int]]
     """Offsets at which the program was solved, with the samples back that it took."""
     tried: set[tuple[int, int]] = field(default_factory=set)
     """Where an adversary was sought."""
@@ -121,7 +124,7 @@ class ChainSearch:
         self._enough: set[int] = set()
         """Depths that twice as many samples did not improve on."""
         self.atoms = atoms
-        self.adversaries: list[list[RowAdversary]] = [[] for _ in range(len(chain))]
+        self.adversaries: list[list[RowAdversary]] = [[] for _ in range(len(chain.samples))]
         self._long = chain.start is None and chain.memory > LASTING and boxed(chain, list(range(len(chain))))
         if self._long:
             self.deep, self.back = chain.memory, chain.memory // 2
@@ -151,9 +154,9 @@ class ChainSearch:
         """The last samples up to j, and what is known before the first of them."""
         nodes = self.chain.nodes(j, count)
         if self.chain.start is not None:
-            if nodes[0] and not from_zero and not self.atoms[nodes[0]].whole:
+            if self.chain.sample_of(nodes[0]) and not from_zero and not self.atoms[nodes[0]].whole:
                 nodes = self.chain.nodes(j, len(self.chain))
-            if not nodes[0]:
+            if not self.chain.sample_of(nodes[0]):
                 return nodes, self.chain.start
         if from_zero:
             return nodes, ErrorReach(np.zeros(self.chain.D.size))
@@ -208,10 +211,10 @@ class ChainSearch:
         """Keep a row_adversary, and what it is at the samples of the last period on its way."""
         count = len(adversary.z)
         rests = self.chain.start is None and not adversary.z[0].any()
+        nodes = self.chain.nodes(j, count)[-count:]
         for k in range(max(int(rests), count - len(self.chain)), count):
             part = Adversary(0.0, adversary.w[:k], adversary.z[: k + 1])
-            at = (j - (count - 1 - k)) % len(self.chain)
-            self.adversaries[at].append(RowAdversary(at, part, chain))
+            self.adversaries[nodes[k]].append(RowAdversary(nodes[k], part, chain))
 
     def proven(self, j: int, mu: Array, gains: Gains) -> Gains:
         """What the gains of a start at rest prove when the past is endless."""
@@ -266,12 +269,11 @@ class ChainSearch:
     def opened(self, row: Array) -> RowSearch:
         """A row over the schedule, as far as atoms and adversaries against other rows tell."""
         known: KnownIntegrals = {}
-        gaps = [open_row(self.chain, j, row, known=known) for j in range(len(self.chain))]
-        bounds = [gap.bound(atoms) for gap, atoms in zip(gaps, self.atoms, strict=True)]
-        found = RowSearch(
-            row, gaps, [nodes for nodes, _ in bounds], [panels for _, panels in bounds], [{} for _ in gaps]
-        )
-        found.lower = max(self._reached(found, j) for j in range(len(gaps)))
+        gaps = {j: open_row(self.chain, j, row, known=known) for j in self.chain.judged}
+        bounds = {j: gap.bound(self.atoms[j]) for j, gap in gaps.items()}
+        nodes, panels = ({j: both[side] for j, both in bounds.items()} for side in (0, 1))
+        found = RowSearch(row, gaps, nodes, panels, {j: {} for j in gaps})
+        found.lower = max(self._reached(found, j) for j in gaps)
         return found
 
     def below(self, found: RowSearch, j: int) -> Array:
@@ -329,7 +331,8 @@ class ChainSearch:
     def top(self, found: RowSearch) -> tuple[float, int, int]:
         """The highest bound, its gap and panel; what is not known at all does not count."""
         best = (0.0, 0, 0)
-        for j, (nodes, panels) in enumerate(zip(found.nodes, found.panels, strict=True)):
+        for j, panels in found.panels.items():
+            nodes = found.nodes[j]
             ends = np.where(np.isfinite(nodes), nodes, 0.0)
             high = np.where(np.isfinite(panels), panels, np.maximum(ends[1:], ends[:-1]))
             k = int(np.argmax(high))
@@ -339,7 +342,7 @@ class ChainSearch:
     def _highest(self, found: RowSearch) -> tuple[float, int, int]:
         """The largest bound at a solved offset, its sample and the offset."""
         return max(
-            ((float(found.nodes[j][offset]), j, offset) for j, solved in enumerate(found.solved) for offset in solved),
+            ((float(found.nodes[j][offset]), j, offset) for j, solved in found.solved.items() for offset in solved),
             default=(0.0, 0, 0),
         )
 
@@ -398,7 +401,7 @@ class ChainSearch:
         """Smooth the upper curve, then seek an adversary in every gap where the two bounds are furthest apart."""
         if found.idle:
             return
-        gaps = range(len(found.opened))
+        gaps = list(found.opened)
         for j in gaps:
             if self.budget.over:
                 return
@@ -408,9 +411,9 @@ class ChainSearch:
         if self._long:
             self._rough_profile(found)
             return
-        slack = [self._slack(found, j) for j in gaps]  # a solve on one gap changes that of no other
+        slack = {j: self._slack(found, j) for j in gaps}  # a solve on one gap changes that of no other
         for _ in range(max(FILLED, 2 * len(gaps))):
-            ratio, j, offset = max((r, j, o) for j, (r, o) in enumerate(slack))
+            ratio, j, offset = max((r, j, o) for j, (r, o) in slack.items())
             if ratio <= PROFILE or self.budget.over:
                 break
             if (j, offset) in found.combined or not self.atoms[j].gains:
@@ -422,7 +425,7 @@ class ChainSearch:
             self.deep * float(np.mean([g.cells.shape[0] * g.cells.shape[2] for g in self._coarse.gaps] or [0])) < SMALL
         )
         for _ in range(ATTACKS[small]):
-            ratio, j, offset = max((r, j, o) for j, (r, o) in enumerate(self._apart(found, j) for j in gaps))
+            ratio, j, offset = max((r, j, o) for j in gaps for r, o in [self._apart(found, j)])
             if ratio <= PROFILE or self.budget.over:
                 break
             deep = self.deep
@@ -434,8 +437,7 @@ class ChainSearch:
         """Seek adversaries and gains where the two bounds are furthest apart, a few times each."""
         deep, self.deep = self.deep, self.back
         for both in [True] * ADVERSARIES_LONG + [False] * ADVERSARIES_LONG:
-            apart = [self._apart(found, k) for k in range(len(found.opened))]
-            ratio, j, offset = max((r, k, o) for k, (r, o) in enumerate(apart))
+            ratio, j, offset = max((r, k, o) for k in found.opened for r, o in [self._apart(found, k)])
             if ratio <= PROFILE or self.budget.over:
                 break
             found.tried.add((j, offset))

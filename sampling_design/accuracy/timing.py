@@ -82,10 +82,10 @@ def refuse_tolerance(question: AccuracyQuestion, spread: bool) -> None:
             "depends on it."
         )
     first, last = question.nodes[question.samples][[0, -1]]
-    if nodes[0] > first - late or nodes[0] == first or question.end < last + question.late:
+    if nodes[0] > first - late or nodes[0] == first or question.end < question.last_result * (1 - KEPT):
         raise ArgumentError(
-            f"`start` must lie before the first sample, `timing_tolerance` {short(late)} at least, and `end` so much "
-            f"and `result_delay` {short(question.result_delay)} after the last one, got {short(nodes[0])} and "
+            f"`start` must lie before the first sample, `timing_tolerance` {short(late)} at least, and `end` not "
+            f"before {short(question.last_result)}, when the last result is in, got {short(nodes[0])} and "
             f"{short(question.end)} for samples from {short(first)} to {short(last)}."
         )
 
@@ -244,19 +244,26 @@ def _moved_question(question: AccuracyQuestion, j: int, count: int, shift: Array
 
 
 def keeps_times(witness: AccuracyWitness, question: AccuracyQuestion) -> bool:
-    """Whether the samples of a witness lie within the tolerance of the schedule's, and it ends before the next one."""
+    """Whether a witness ends before any result that it does not hide can be in.
+
+    Its samples lie within the tolerance of the schedule's; of those up to its last one, and of later ones, what it does
+    not hide is out until its end.
+    """
     late, length, number = question.timing_tolerance, question.end - question.nodes[0], len(question.nodes)
-    count = len(witness.samples)
-    places = witness.last + 1 - count + np.arange(count + 1)
+    count, comes, end = len(witness.samples), question.comes_after, float(witness.edges[-1])
+    longest = float(np.max(comes[np.isfinite(comes)], initial=0.0))
+    ahead = 1 + (number - 1 - witness.last if question.initial is not None else int(longest / length + 1) * number)
+    places = witness.last + 1 - count + np.arange(count + ahead)
     planned = question.nodes[places % number] + places // number * length
-    wanted, last = planned[:-1] - witness.samples, float(planned[-1])
-    if question.initial is not None:
-        last = last if places[-1] < number else question.end - question.late
+    wanted, shift = planned[:count] - witness.samples, 0.0
     if question.initial is not None and places[0] == 0:
         shift, wanted = float(question.nodes[0]), wanted[question.samples[0] :]
     else:  # a schedule of this kind may have begun at any time: as early as can be
         shift = float(wanted.max()) - late
-    tiny = KEPT * max(float(witness.edges[-1]), float(np.abs(planned).max()))
-    return bool(
-        np.all(np.abs(wanted - shift) <= late + tiny) and witness.edges[-1] + shift <= last + question.late + tiny
-    )
+    tiny = KEPT * max(end, float(np.abs(planned).max()))
+    in_at = planned[:, None] + comes[places % number] - shift
+    if question.initial is not None:
+        in_at[places >= number] = np.inf
+        in_at = np.vstack([in_at, np.full((1, in_at.shape[1]), question.end - shift)])
+    in_at[:count][witness.outputs] = np.inf
+    return bool(np.all(np.abs(wanted - shift) <= late + tiny) and end <= np.min(in_at) + tiny)

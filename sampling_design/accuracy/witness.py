@@ -203,7 +203,7 @@ def attains(witness: AccuracyWitness, bounds: SignalBounds, initial: InitialSet 
     """
     v, x, moved = witness.simulate(bounds.w)  # an entry that the witness hardly uses may close a gap, too
     period = [(witness.last - k) % len(bounds.v) for k in range(len(v))][::-1]
-    legal = np.array_equal(witness.outputs, np.isfinite(bounds.v[period]))
+    legal = not np.any(witness.outputs & ~np.isfinite(bounds.v[period]))  # what it does not hide must be out
     begun = 0.0
     if initial is not None and witness.last + 1 == len(v):
         begun = initial.excess(witness.states[0])
@@ -234,11 +234,11 @@ def physical(row: Array, opened: RowBetweenSamples, row_adversary: RowAdversary,
     chain, count = row_adversary.chain, len(row_adversary.adversary.w) + 1
     reached = float(opened.mu[offset] @ row_adversary.end)
     sign = -1.0 if reached < 0 else 1.0
-    nodes = chain.nodes(row_adversary.sample, count)
+    nodes = chain.nodes(row_adversary.sample, count)[-count:]
     scale = chain.bounds.w
     edges, w, samples, now = [np.zeros(1)], [], [0.0], 0.0
     for j, u in zip(nodes[:-1], row_adversary.adversary.w, strict=True):
-        gap = chain.gaps[j]
+        gap = chain.gap(j)
         edges.append(now + (gap.length - gap.edges[::-1])[1:])
         w.append(sign * u[::-1] * scale)
         now += gap.length
@@ -254,9 +254,9 @@ def physical(row: Array, opened: RowBetweenSamples, row_adversary: RowAdversary,
             u = np.divide(mean, size, out=np.zeros_like(mean), where=size > 0)
         else:
             u = np.sign(mean)
-        edges.append(now + d[1:])
+        edges.append(now + (d[-1] - d[::-1])[1:])
         w.append(u[::-1] * scale)
-    measured = np.zeros((len(chain), chain.plant.n_outputs), dtype=bool)
+    measured = np.zeros((len(chain.samples), chain.plant.n_outputs), dtype=bool)
     for j in set(nodes):
         measured[j, chain.samples[j].outputs] = True
     return AccuracyWitness(
@@ -265,7 +265,7 @@ def physical(row: Array, opened: RowBetweenSamples, row_adversary: RowAdversary,
         edges=freeze(np.concatenate(edges)),
         w=freeze(np.concatenate(w) if w else np.zeros((0, scale.size))),
         samples=freeze(samples),
-        last=row_adversary.sample,
+        last=chain.sample_of(row_adversary.sample),
         states=freeze(
             sign * np.array([chain.D * (chain.L[j] @ z) for j, z in zip(nodes, row_adversary.adversary.z, strict=True)])
         ),

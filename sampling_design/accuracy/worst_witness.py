@@ -17,9 +17,10 @@ def left_open(question: AccuracyQuestion, finder: ChainSearch | None, upper: Arr
     """Return the eigenvalues that the samples of a finite schedule leave open, if a wanted row is infinite."""
     if finder is None or np.isfinite(upper).all():
         return ()
-    chain, basis = finder.chain, finder.atoms[-1].basis
+    chain, last = finder.chain, finder.chain.spans[-1].node
+    basis = finder.atoms[last].basis
     free = np.linalg.svd(basis, full_matrices=True)[0][:, basis.shape[1] :]
-    return open_modes(question.plant.A, chain.D[:, None] * chain.L[-1] @ free)
+    return open_modes(question.plant.A, chain.D[:, None] * chain.L[last] @ free)
 
 
 def strongest_witness(
@@ -28,7 +29,7 @@ def strongest_witness(
     """Return the strongest adversary as a witness that is flown anew and made admissible, its sample and its offset."""
     best: tuple[AccuracyWitness, int, int] | None = None
     adversaries = []
-    for j, opened in enumerate(found.opened):
+    for j, opened in found.opened.items():
         sure = np.isfinite(found.nodes[j])
         if not sure.any():
             continue

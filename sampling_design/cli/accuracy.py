@@ -54,6 +54,10 @@ def accuracy(
     timing_tolerance: Annotated[
         float, typer.Option(help="How early or late each sample may be: the error guaranteed at all such times.")
     ] = 0.0,
+    result_delay: Annotated[
+        str | None,
+        typer.Option(help="How long after its sample a result comes at most, one number or one for each output."),
+    ] = None,
     budget: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="After which brackets stay as they are. Default: none.")
     ] = None,
@@ -79,6 +83,7 @@ def accuracy(
             w_intensity=numbers("--w-intensity", w_intensity, plant.disturbances.names),
             v_deviation=numbers("--v-deviation", v_deviation, plant.outputs.names),
             timing_tolerance=timing_tolerance,
+            result_delay=numbers("--result-delay", result_delay, plant.outputs.names) or 0.0,
             budget=None if budget is None else positive("budget", budget),
             progress=progress,
         )

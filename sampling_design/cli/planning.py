@@ -101,6 +101,10 @@ def next_sample(
         str | None,
         typer.Option(metavar="DATE", help="Local date, or time passed since the start; default: the last sample."),
     ] = None,
+    awaited: Annotated[
+        list[str] | None,
+        typer.Option(metavar="'SENSOR DATE'", help="A sample that was taken and whose result is not in; repeat it."),
+    ] = None,
 ) -> None:
     """Say by when the next sample must be taken so that every tolerance is kept, now and afterwards.
 
@@ -113,7 +117,8 @@ def next_sample(
     record = None
     if measurements_file is not None:
         record = _record(settings, result, measurements_file)
-    found = sd.next_sample(result, record, now=_now(settings, result, now))
+    out = [_awaited(settings, result, text) for text in awaited or ()]
+    found = sd.next_sample(result, record, now=_now(settings, result, now), awaited=out)
     folder = settings.folder()
     if folder is not None:
         settings.write_json(folder / "next.json", found.to_dict())
@@ -133,17 +138,26 @@ def _record(
     return [(float(t), np.where(taken, 0.0, np.nan), None) for t, taken in samples]  # whatever was read
 
 
-def _now(settings: Settings, result: Plan, text: str | None) -> float | None:
+def _awaited(settings: Settings, result: Plan, text: str) -> tuple[float, str]:
+    """A sensor and when it was read, as `lab 2026-03-02T09:00`."""
+    name, _, when = text.strip().partition(" ")
+    t = _now(settings, result, when.strip() or None, "--awaited")
+    if t is None:
+        raise ArgumentError(f"`--awaited` must be a sensor and when it was read, as 'lab 3.5', got {text!r}.")
+    return t, name
+
+
+def _now(settings: Settings, result: Plan, text: str | None, flag: str = "--now") -> float | None:
     """A date, or a number in the plant's time unit."""
     if text is None:
         return None
     calendar = result.requirement.calendar
     try:
-        return number("--now", float(text))
+        return number(flag, float(text))
     except ValueError:
         if calendar is None:
-            raise ArgumentError(f"`--now` must be a number of {result.plant.time_unit}, got {text!r}.") from None
-    date = parse_date("--now", text, calendar.zone)
+            raise ArgumentError(f"`{flag}` must be a number of {result.plant.time_unit}, got {text!r}.") from None
+    date = parse_date(flag, text, calendar.zone)
     if datetime.fromisoformat(text).tzinfo is None:
         settings.notice(f"Dates without a zone are read in {calendar.zone}.")
     return calendar.elapsed_at(date) / result.minutes(1.0)

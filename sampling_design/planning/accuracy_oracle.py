@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from sampling_design.accuracy.finite import NO_ERROR
+from sampling_design.accuracy.results_out import ResultsIn, results_in
 from sampling_design.accuracy.start import StartSet
 from sampling_design.planning.adversary_program import DisturbedTrajectory, GridWindow, in_stages, opened
 from sampling_design.planning.discrete_plant import DiscretePlant, UndetectedModes, hidden_at
 from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.hidden_trajectories import HiddenTrajectory, peaks_of
-from sampling_design.planning.problem import PlanProblem, RowGoal
+from sampling_design.planning.problem import WHOLE, PlanProblem, RowGoal
 from sampling_design.planning.work_prices import EXCESS
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
@@ -27,6 +29,15 @@ REMEMBERED = 8  # choices of which it is remembered what they came to
 SHALLOW = (16, 4)  # shares of the past that refute a choice first, where all of it makes a large program
 FARTHEST = 200  # periods beyond which the past is not followed
 SCALED = 1 + 1e-9  # a trajectory is divided by the largest ratio of its w to the bound times this
+
+
+class GridSpan(NamedTuple):
+    """A stretch of the grid in which no result comes in, after the latest sample of which something is in."""
+
+    last: int  # the step of that sample
+    begin: int  # begin, length: offsets from it that are looked at
+    length: int
+    out: tuple[Index, Mask] | None = None  # the steps of samples of which some results are out, and what is in (k, p)
 
 
 class AccuracyOracle:
@@ -82,35 +93,57 @@ class AccuracyOracle:
         goals = self.problem.guaranteed
         turns = all(goal.at != "given times" for goal in self.problem.goals)
         worst, found = self._deviations(chosen)
-        at = np.flatnonzero(chosen.any(axis=1))
-        gaps = np.diff(np.append(at, at[0] + self.problem.steps))
-        order = np.argsort(-gaps, kind="stable")[: LONGEST if longest and turns else None].tolist() if goals else []
-        depths = self._depths(chosen, int(at[order[0]]), above) if order else []
+        spans = self.spans(chosen)
+        order = sorted(spans, key=lambda span: -span.length)[: LONGEST if longest and turns else None] if goals else []
+        depths = self._depths(chosen, order[0].last, above) if order else []
         for back in depths:
             known: set[bytes] = set()
-            for k in order:
+            for span in order:
                 if turns:  # a gap like another one, and all that came before it: its trajectories are the same, turned
-                    like = np.roll(chosen, -int(at[k]), axis=0).tobytes()
+                    like = np.roll(chosen, -span.last, axis=0).tobytes() + bytes(
+                        str((span.begin, span.length)), "ascii"
+                    )
                     if like in known:
                         continue
                     known.add(like)
-                trajectories = self._gap(chosen, int(at[k]), int(gaps[k]), goals, above, back)
+                trajectories = self._gap(chosen, span, goals, above, back)
                 found += [trajectory for trajectory in trajectories if back == depths[-1] or trajectory.reach > above]
                 worst = max([worst, *(trajectory.reach for trajectory in trajectories)])
                 if worst > above:
                     return worst, found
         return worst, found
 
+    def spans(self, chosen: Mask) -> list[GridSpan]:
+        """The gaps of a choice; where results are out for a while, from one result to the next."""
+        steps, at = self.problem.steps, np.flatnonzero(chosen.any(axis=1))
+        if self.problem.result_delay is None:
+            gaps = np.diff(np.append(at, at[0] + steps))
+            return [GridSpan(t, 0, h) for t, h in zip(at.tolist(), gaps.tolist(), strict=True)]
+        delays = np.where(chosen[at], self.problem.result_delay / self.problem.step, np.inf)
+        found = results_in((at - at[0]).astype(float), delays, period=float(steps))
+        return [span for each in found if (span := self.span_of(each, int(at[0]))) is not None]
+
+    def span_of(self, each: ResultsIn, first: int) -> GridSpan | None:
+        """A stretch in which the same results are in, on the grid; None if it holds no step but its beginning."""
+        last = round(float(each.times[-1]))
+        begin = int(np.floor(each.begin - last + WHOLE)) + 1  # what comes in at a step is looked at after it
+        length = int(np.floor(each.end - last + WHOLE))
+        if begin > length:
+            return None
+        return GridSpan(first + last, begin, length, (first + np.round(each.times).astype(np.intp), each.seen))
+
     def elsewhere(self, chosen: Mask, trajectory: HiddenTrajectory, level: float) -> list[HiddenTrajectory]:
         """The strongest one against a goal that is broken in a gap, for each gap but that in which a known one ends."""
-        at = np.flatnonzero(chosen.any(axis=1))
-        gaps = np.diff(np.append(at, at[0] + self.problem.steps))
         goals = self.problem.guaranteed
         found = list[HiddenTrajectory]()
-        for last, length in zip(at.tolist(), gaps.tolist(), strict=True):
-            if (trajectory.end - last) % self.problem.steps > length:
-                found += self._gap(chosen, last, length, goals, level, self.back)
+        for span in self.spans(chosen):
+            if not self._holds(span, trajectory.end):
+                found += self._gap(chosen, span, goals, level, self.back)
         return [other for other in found if other.reach > level]
+
+    def _holds(self, span: GridSpan, end: int) -> bool:
+        """Whether a step lies in a stretch, up to whole periods."""
+        return (end - span.last - span.begin) % self.problem.steps <= span.length - span.begin
 
     def _depths(self, chosen: Mask, last: int, above: float) -> list[int]:
         """How far back a choice is judged: a shorter past refutes it, too, and is all that most choices need."""
@@ -144,16 +177,15 @@ class AccuracyOracle:
                     return found
         return None
 
-    def _gap(
-        self, chosen: Mask, last: int, length: int, goals: list[int], above: float, back: int
-    ) -> list[HiddenTrajectory]:
-        """The strongest ones that end in the gap after a sample; of few measurements, up to one beyond `above`."""
+    def _gap(self, chosen: Mask, span: GridSpan, goals: list[int], above: float, back: int) -> list[HiddenTrajectory]:
+        """The strongest ones that end in a gap; of few measurements, up to one beyond `above`."""
         if not self.back:
-            self._look_back(chosen, last, length, goals)
-        window = self._window(chosen, last, back or self.back)
+            self._look_back(chosen, span, goals)
+        window = self._window(chosen, span, back or self.back)
+        last, length = span.last, span.length
         best: list[HiddenTrajectory] = []
         for g in sorted(goals, key=lambda g: g != self._broken_last):
-            looks = self.looked(window, g, last, length, above)
+            looks = self.looked(window, g, last, length, above, begin=span.begin)
             trajectory = self._trajectory(window, last, max(looks, key=lambda o: (looks[o], o)), g) if looks else None
             best += [trajectory] if trajectory is not None else []
             if self.few and trajectory is not None and trajectory.reach > above:
@@ -163,16 +195,27 @@ class AccuracyOracle:
 
     def ending(self, chosen: Mask, trajectory: HiddenTrajectory, level: float) -> HiddenTrajectory | None:
         """The strongest trajectory that ends where another one does and that a choice hides; None up to a level."""
-        at = np.flatnonzero(chosen.any(axis=1))
-        since = (trajectory.end - at - (not trajectory.at_sample)) % self.problem.steps + (not trajectory.at_sample)
-        length = int(since.min(initial=self.problem.steps + 1))
-        if length > (0 if trajectory.at_sample else self.motion.longest):
-            return None
-        last = int(at[np.argmin(since)])
-        window = self._window(chosen, last, self.back)
+        if self.problem.held is None:
+            at = np.flatnonzero(chosen.any(axis=1))
+            since = (trajectory.end - at - (not trajectory.at_sample)) % self.problem.steps + (not trajectory.at_sample)
+            length = int(since.min(initial=self.problem.steps + 1))
+            if length > (0 if trajectory.at_sample else self.motion.longest):
+                return None
+            span = GridSpan(int(at[np.argmin(since)]), 0, length)
+        else:
+            if not chosen.any():
+                return None
+            whole = next((span for span in self.spans(chosen) if self._holds(span, trajectory.end)), None)
+            if whole is None:
+                return None
+            length = whole.begin + (trajectory.end - whole.last - whole.begin) % self.problem.steps
+            if length > self.motion.longest:
+                return None
+            span = whole._replace(length=length)
+        window = self._window(chosen, span, self.back)
         if self.reach(window, length, trajectory.goal) <= level:
             return None
-        return self._trajectory(window, last, length, trajectory.goal)
+        return self._trajectory(window, span.last, length, trajectory.goal)
 
     def drifting(self, undetected: UndetectedModes, level: float) -> HiddenTrajectory | None:
         """A motion that reaches a level since nothing outside `undetected.where` shows it, however long it drifts.
@@ -180,17 +223,16 @@ class AccuracyOracle:
         None where w does not drive it, or only slowly.
         """
         hidden = self.problem.allowed & ~undetected.where
-        at = np.flatnonzero(hidden.any(axis=1))
-        gaps = np.diff(np.append(at, at[:1] + self.problem.steps))
         goals = self.problem.guaranteed
-        if not goals or not at.size:
+        if not goals or not hidden.any():
             return None
-        last, length = int(at[np.argmax(gaps)]), int(gaps.max())
+        span = max(self.spans(hidden), key=lambda each: each.length)
+        last, length = span.last, span.length
         back, knots = self.back or 2 * length, 0
         while back <= FARTHEST * self.problem.steps and knots < MOST_KNOTS:
-            window = self._window(hidden, last, back)
+            window = self._window(hidden, span, back)
             for g in goals:
-                looks = self.looked(window, g, last, length, level)
+                looks = self.looked(window, g, last, length, level, begin=span.begin)
                 if max(looks.values(), default=0.0) > level:
                     trajectory = self._trajectory(window, last, max(looks, key=lambda o: (looks[o], o)), g)
                     if trajectory is not None and trajectory.reach > level:
@@ -222,7 +264,9 @@ class AccuracyOracle:
         if goal.at == "after each sample":
             return {} if begin else {0: self.reach(window, 0, g)}
         if goal.at == "given times":
-            within = {int(o) for o in (goal.steps - last) % self.problem.steps if begin <= o <= length}
+            steps = self.problem.steps
+            first = begin + (goal.steps - last - begin) % steps
+            within = {int(o) for each in first for o in np.arange(each, length + 1, steps)}
             return {offset: self.reach(window, offset, g) for offset in sorted(within)}
         if not closely:
             return {length: self.reach(window, length, g)}
@@ -239,10 +283,14 @@ class AccuracyOracle:
             found[farthest] = self.reach(window, farthest, g)
         return found
 
-    def _window(self, chosen: Mask, last: int, back: int) -> GridWindow:
-        """The window of samples of an endless schedule up to a step."""
-        knots = self._knots(chosen, last, back)
-        return GridWindow(self.motion, knots, chosen[knots % self.problem.steps])
+    def _window(self, chosen: Mask, span: GridSpan, back: int) -> GridWindow:
+        """The window of samples of an endless schedule up to a step, without what is out."""
+        knots = self._knots(chosen, span.last, back)
+        seen = chosen[knots % self.problem.steps]
+        if span.out is not None:
+            count = min(len(span.out[0]), len(knots))
+            seen = np.concatenate([seen[: len(knots) - count], span.out[1][len(span.out[1]) - count :]])
+        return GridWindow(self.motion, knots, seen)
 
     def _knots(self, chosen: Mask, last: int, back: int) -> Index:
         """The steps of its samples."""
@@ -254,12 +302,12 @@ class AccuracyOracle:
         long = np.flatnonzero(np.diff(knots) > self.motion.longest)
         return knots[long[-1] + 1 :] if long.size else knots
 
-    def _look_back(self, chosen: Mask, last: int, length: int, goals: list[int]) -> None:
+    def _look_back(self, chosen: Mask, span: GridSpan, goals: list[int]) -> None:
         """Find how far back matters."""
-        before, back = np.zeros(len(goals)), 2 * length
+        before, back = np.zeros(len(goals)), 2 * span.length
         while True:
-            window = self._window(chosen, last, back)
-            now = np.array([self.reach(window, length, g) for g in goals])
+            window = self._window(chosen, span, back)
+            now = np.array([self.reach(window, span.length, g) for g in goals])
             if np.all((now <= before * (1 + SETTLED)) & (now > 0)) or len(window.knots) >= MOST_KNOTS:
                 break
             before, back = now, 2 * back
@@ -296,7 +344,7 @@ class AccuracyOracle:
         if flight is None:
             return None
         flight = opened(self.motion, flight, self.rows[g], offset)
-        return self.scaled(flight, g, last + offset, offset == 0, window)
+        return self.scaled(flight, g, last + offset, offset == 0 and self.problem.held is None, window)
 
     def scaled(
         self, flight: DisturbedTrajectory, g: int, end: int, at_sample: bool, window: GridWindow | None = None
@@ -316,7 +364,9 @@ class AccuracyOracle:
         if reach <= 0:
             return None
         steps = self.problem.steps
-        return HiddenTrajectory(g, reach, end, at_sample, peaks_of(outputs / factor, steps, at_sample), flight)
+        return HiddenTrajectory(
+            g, reach, end, at_sample, peaks_of(outputs / factor, steps, at_sample, self.problem.held), flight
+        )
 
     def weakly_observable(
         self, g: int, end: int, level: float, weights: Array, known: Mask, every: int, back: int
@@ -331,10 +381,10 @@ class AccuracyOracle:
         keep = (np.arange(back, -1, -1) % every == 0) | np.isin(grid % steps, measured)
         keep[0] = True
         knots = grid[keep]
-        seen = known[knots % steps].copy()
-        seen[-1] = False
-        excess = np.where(seen, 0.0, weights[knots % steps])
-        excess[-1] = 0.0
+        seen, excess = known[knots % steps].copy(), weights[knots % steps].copy()
+        out = (end - knots)[:, None] <= (np.zeros(seen.shape[1]) if self.problem.held is None else self.problem.held)
+        seen[out] = False
+        excess[seen | out] = 0.0
         window = GridWindow(self.motion, knots, seen, excess)
         self.work.add(EXCESS, window.entries)
         flight = window.least_observable(self.rows[g], level * self.problem.goals[g].tolerance)

@@ -255,7 +255,10 @@ class _Dating:
         real, seen = real[order], seen[order]
         if start <= 0:
             return begun(self.plan, real, seen, self.clock)
-        whole = SampleSequence(real, seen, len(real), self.clock, late=self.plan.problem.timing_tolerance)
+        problem = self.plan.problem
+        whole = SampleSequence(
+            real, seen, len(real), self.clock, late=problem.timing_tolerance, result_delay=problem.result_delay
+        )
         return replace(whole, first=departs_and_returns(self.plan, whole)[0])
 
     def added(self, level: float) -> list[DatedSample]:

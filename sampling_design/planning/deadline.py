@@ -11,7 +11,14 @@ import numpy as np
 from sampling_design.planning.adversary_program import GridWindow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import WHOLE
-from sampling_design.planning.sequence import steps_skipped, window_after
+from sampling_design.planning.sequence import (
+    JudgedSpan,
+    is_past,
+    judged_at_once,
+    longest_out,
+    spans_of,
+    window_after,
+)
 from sampling_design.planning.sequence_deviation import SampleSequence, departs_and_returns, spread_of
 from sampling_design.records.arrays import Array
 
@@ -41,12 +48,13 @@ class GoalDue:
 
 @dataclass(frozen=True, eq=False)
 class GapLooks:
-    """One goal in the gap after sample k: times that were looked at, in order, and its ratios to the tolerance."""
+    """One goal in gap k: times that were looked at, in order, and its ratios to the tolerance."""
 
     k: int
     goal: str
     times: Array
     ratios: Array
+    end: float  # when the gap is over
 
     def first(self, level: float = 1.0) -> GoalDue:
         """The first look at or above a level; if there is none, the worst."""
@@ -80,7 +88,7 @@ def kept_from(plan: PlanFigures, sequence: SampleSequence, until: float, level: 
         above = np.flatnonzero(gap.ratios > level)
         if above.size:
             after = int(above[-1]) + 1
-            kept = max(kept, float(gap.times[after] if after < gap.times.size else sequence.times[gap.k + 1]))
+            kept = max(kept, float(gap.times[after] if after < gap.times.size else gap.end))
         if kept > latest:
             return np.inf
     return kept
@@ -89,7 +97,11 @@ def kept_from(plan: PlanFigures, sequence: SampleSequence, until: float, level: 
 def reached_at(plan: PlanFigures, history: SampleSequence, since: float, until: float, level: float) -> float:
     """When the first goal is above a level if nothing more is measured; infinite if none is before a time."""
     past = _ending(history, max(until, float(history.times[-1]) + WHOLE * plan.problem.step), since)
-    looks = [*_in_gap(plan, past, len(past.times) - 2, level), *_spread(plan, past, np.inf)]
+    ahead = spans_of(plan, past)
+    if past.result_delay is None:
+        ahead = [span for span in ahead if span.k == len(past.times) - 2]
+    looks = [look for i, span in enumerate(ahead) for look in _in_gap(plan, past, i, span, level)]
+    looks += _spread(plan, past, np.inf)
     over = [float(look.times[look.ratios > level][0]) for look in looks if np.any(look.ratios > level)]
     return min(over, default=np.inf)
 
@@ -109,8 +121,8 @@ def exceeded_since(plan: PlanFigures, sequence: SampleSequence, now: float) -> G
     spread = {k: list(looks) for k, looks in groupby(_spread(plan, past, np.inf), key=lambda look: look.k)}
     pending = {goal.name for goal in plan.goals}
     found: dict[str, GoalDue] = {}
-    for k in range(len(past.times) - 2, past.start - 1, -1):
-        for look in [*_in_gap(plan, past, k, 1.0), *spread.get(k, ())]:
+    for i, span in [*enumerate(spans_of(plan, past))][::-1]:
+        for look in [*_in_gap(plan, past, i, span, 1.0), *spread.get(span.k, ())]:
             if look.goal not in pending:
                 continue
             kept = np.flatnonzero(look.ratios < 1)
@@ -128,35 +140,35 @@ def exceeded_since(plan: PlanFigures, sequence: SampleSequence, now: float) -> G
 def _bounded(plan: PlanFigures, sequence: SampleSequence, until: float, level: float) -> Iterator[GapLooks]:
     """Of the goals that are guaranteed, gap by gap, until what a change does has faded below a level."""
     worst = before = 0.0
-    start, back = sequence.start, departs_and_returns(plan, sequence)[1]
-    for k in range(start, len(sequence.times) - 1):
-        if sequence.times[k] >= until:
+    back, out, count = departs_and_returns(plan, sequence)[1], longest_out(plan), judged_at_once(plan)
+    for i, span in enumerate(spans_of(plan, sequence)):
+        if span.since(sequence, plan.oracle) >= until + out:
             return
-        for look in _in_gap(plan, sequence, k, level):
+        for look in _in_gap(plan, sequence, i, span, level):
             worst = max(worst, float(look.ratios.max()))
             yield look
-        if (k - start) % plan.samples == plan.samples - 1:
-            if worst <= min(before, level) and k >= back:
+        if i % count == count - 1:
+            if worst <= min(before, level) and is_past(plan, sequence, span, back):
                 return
             worst, before = 0.0, worst
 
 
-def _in_gap(plan: PlanFigures, sequence: SampleSequence, k: int, level: float) -> Iterator[GapLooks]:
+def _in_gap(plan: PlanFigures, sequence: SampleSequence, i: int, span: JudgedSpan, level: float) -> Iterator[GapLooks]:
     """The same of one gap; where the level is crossed, to the step."""
     oracle = plan.oracle
     goals = oracle.problem.guaranteed
     if not goals:
         return
-    window, last, length = window_after(oracle, sequence, k)
+    window, last = window_after(oracle, sequence, span)
     for g in goals:
-        looks = oracle.looked(window, g, last, length, begin=steps_skipped(oracle, sequence, k))
+        looks = oracle.looked(window, g, last, span.length, begin=span.begin)
         if not looks:
             continue
         if oracle.problem.goals[g].at == "all times":
             _to_the_step(plan, window, g, looks, level)
         offsets = np.array(sorted(looks))
         ratios = np.array([looks[offset] for offset in offsets.tolist()])
-        yield GapLooks(k, plan.goals[g].name, (last + offsets) * oracle.problem.step, ratios)
+        yield GapLooks(i, plan.goals[g].name, (last + offsets) * oracle.problem.step, ratios, span.end)
 
 
 def _to_the_step(plan: PlanFigures, window: GridWindow, g: int, looks: dict[int, float], level: float) -> None:
@@ -175,4 +187,4 @@ def _spread(plan: PlanFigures, sequence: SampleSequence, until: float) -> Iterat
     if plan.deviation is None:
         return
     for k, goal, offsets, ratios in spread_of(plan).gaps(sequence, until):
-        yield GapLooks(k, goal.name, float(sequence.times[k]) + offsets, ratios)
+        yield GapLooks(k, goal.name, float(sequence.times[k]) + offsets, ratios, float(sequence.times[k + 1]))

@@ -68,7 +68,7 @@ def delayed(plan: PlanFigures, k: int, late: float) -> SampleSequence:
     t, mask = float(plan.schedule.times[k]) + late, plan.chosen[plan.chosen.any(axis=1)][k]
     times = np.concatenate([before[0], [t], after[0]])
     seen = np.concatenate([before[1], mask[None], after[1]])
-    return SampleSequence(times, seen, before[0].size, late=plan.problem.timing_tolerance)
+    return _sequence(plan, times, seen, before[0].size)
 
 
 def without(plan: PlanFigures, k: int, count: int) -> SampleSequence:
@@ -76,7 +76,12 @@ def without(plan: PlanFigures, k: int, count: int) -> SampleSequence:
     before, after = _around(plan, k, count)
     times = np.concatenate([before[0], after[0]])
     seen = np.concatenate([before[1], after[1]])
-    return SampleSequence(times, seen, before[0].size, late=plan.problem.timing_tolerance)
+    return _sequence(plan, times, seen, before[0].size)
+
+
+def _sequence(plan: PlanFigures, times: Array, seen: Mask, first: int) -> SampleSequence:
+    problem = plan.problem
+    return SampleSequence(times, seen, first, late=problem.timing_tolerance, result_delay=problem.result_delay)
 
 
 def _around(plan: PlanFigures, k: int, count: int) -> tuple[tuple[Array, Mask], tuple[Array, Mask]]:

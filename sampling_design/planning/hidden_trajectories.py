@@ -54,14 +54,19 @@ class HiddenTrajectory:
         return np.minimum(self.peaks, missing) / missing if missing > 0 else np.ones_like(self.peaks)
 
 
-def peaks_of(outputs: Array, steps: int, at_sample: bool) -> Array:
-    """Largest |output| (T+1, p) by steps back from the end, folded into one period; the end itself only if asked."""
+def peaks_of(outputs: Array, steps: int, at_sample: bool, held: Index | None = None) -> Array:
+    """Largest |output| (T+1, p) by steps back from the end, folded into one period; the end itself only if asked.
+
+    Results that are out may be anything: those of each output for the last `held` steps (p,).
+    """
     T, p = len(outputs), outputs.shape[1]
     periods = -(-T // steps)
     back = np.zeros((periods * steps, p))
     back[:T] = np.abs(outputs[::-1])
     if not at_sample:
         back[0] = 0.0
+    for i, steps_out in enumerate(() if held is None else held.tolist()):
+        back[: steps_out + 1, i] = 0.0
     return np.asarray(back.reshape(periods, steps, p).max(axis=0))
 
 

@@ -10,11 +10,12 @@ from sampling_design.accuracy.start import InitialSet
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.planning.opening import DAYS, week_hours
-from sampling_design.planning.requirement import KINDS, PlanRequirement, SensorTerms, duration
+from sampling_design.planning.requirement import KINDS, PlanRequirement, SensorTerms, duration, result_span
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import wanted_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.records.checks import freeze
 from sampling_design.records.units import SECONDS, spoken, time_factor
 from sampling_design.schedules.schedule import PeriodicSchedule
 
@@ -65,6 +66,19 @@ class PlanProblem:
     initial: InitialSet  # what is known of the state's error when the plan starts
     # how early or late each sample may be [the plant's time unit]; samples are more than twice as far apart
     timing_tolerance: float = 0.0
+    # (p, 2): how long after its sample a result comes at least and at most [the plant's time unit]; None: at once
+    result_delays: Array | None = None
+
+    @property
+    def result_delay(self) -> Array | None:
+        """How long a result of each sensor is out at most (p,); None where all come at once."""
+        return None if self.result_delays is None else self.result_delays[:, 1]
+
+    @property
+    def held(self) -> Index | None:
+        """Steps back up to which a reading is out at the moment before some step (p,); None where none is ever out."""
+        delay = self.result_delay
+        return None if delay is None else np.floor(delay / self.step + WHOLE).astype(np.intp)
 
     def asked_rows(self) -> list[str] | Array | None:
         """What the goals ask for where a mode that does not decay is hidden from all outputs; None: the whole state.
@@ -226,7 +240,30 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
         most_cost=np.inf if requirement.cost_limit is None else requirement.cost_limit,
         initial=InitialSet.of(plant, requirement.initial_error),
         timing_tolerance=late,
+        result_delays=_delays(requirement, terms, unit, plant, goals),
     )
+
+
+def _delays(
+    requirement: PlanRequirement, terms: list[SensorTerms], unit: str, plant: Plant, goals: tuple[RowGoal, ...]
+) -> Array | None:
+    """How long results are out at least and at most (p, 2), in the plant's time unit; None where all come at once."""
+    factor = time_factor(unit, plant.time_unit)
+    found = np.zeros((len(terms), 2))
+    for k, (name, term) in enumerate(zip(plant.outputs.names, terms, strict=True)):
+        if term.result_delay is not None:
+            found[k] = np.multiply(result_span(f"sensors.{name}.result_delay", term.result_delay, unit), factor)
+    if not found.any():
+        return None
+    if any(goal.spread for goal in goals):
+        raise ArgumentError("`result_delay` is for goals that are guaranteed, not for standard deviations.")
+    after = next((goal.name for goal in goals if goal.at == "after each sample"), None)
+    if after is not None:
+        raise ArgumentError(
+            f"`accuracy.{after}.at` must be all times or given ones where results come later (`result_delay`), got "
+            '"after each sample": its result is not in then.'
+        )
+    return freeze(found)
 
 
 def _tolerance(requirement: PlanRequirement, unit: str, plant: Plant, period: float) -> float:

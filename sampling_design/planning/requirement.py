@@ -9,6 +9,7 @@ from typing import ClassVar, TypeAlias
 
 import numpy.typing as npt
 
+from sampling_design.accuracy.question import delay_span
 from sampling_design.accuracy.start import InitialError
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.opening import OpeningCalendar, week_hours
@@ -39,6 +40,16 @@ def duration(name: str, value: object, unit: str) -> float:
     if not found or found[2] not in SECONDS or float(found[1]) <= 0:
         raise ArgumentError(f'`{name}` must be a time like 0.25 or "15 min", got {value!r:.60}.')
     return float(found[1]) * (SECONDS[found[2]] / SECONDS[unit])
+
+
+def result_span(name: str, value: object, unit: str) -> tuple[float, float]:
+    """Return how long a result takes at least and at most in `unit`: one time, or a pair of times.
+
+    Raises ArgumentError if one is negative or no time, or the least is more than the most.
+    """
+    pair = value if isinstance(value, (tuple, list)) else (value, value)
+    each = [duration(name, x, unit) if isinstance(x, str) else checks.nonnegative(name, x) for x in pair]
+    return delay_span(name, each if isinstance(value, (tuple, list)) else each[0])
 
 
 @frozen
@@ -109,11 +120,14 @@ class SensorTerms(PlainRecord):
         Least time between two measurements of this sensor.
     noise_deviation : float, optional
         Standard deviation of a measurement's error; needed of at least one sensor for goals of that kind.
+    result_delay : float or str, or a pair of these, optional
+        How long after its sample a result comes, or (least, most). Tolerances are then kept by what is known at the
+        time, with results still out. Default: at once.
 
     Raises
     ------
     ArgumentError
-        If a number is negative, or hours are not understood.
+        If a number is negative, the least delay is more than the most, or hours are not understood.
     """
 
     price: float = 0.0
@@ -122,8 +136,9 @@ class SensorTerms(PlainRecord):
     longest_use: int | None = None
     spacing: Duration | None = None
     noise_deviation: float | None = None
+    result_delay: Duration | tuple[Duration, Duration] | None = None
 
-    _plain = "price noise_bound? noise_deviation? longest_use? spacing? hours?"
+    _plain = "price noise_bound? noise_deviation? longest_use? spacing? result_delay? hours?"
 
     def __post_init__(self) -> None:
         self._check(
@@ -132,13 +147,22 @@ class SensorTerms(PlainRecord):
             longest_use=checks.whole,
             hours=week_hours,
         )
+        if self.result_delay is not None:
+            result_span("result_delay", self.result_delay, "h")
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("price", short(self.price))]
         for key in ("noise_bound", "noise_deviation", "longest_use"):
             value = getattr(self, key)
             rows += [] if value is None else [(key.replace("_", " "), short(value))]
-        return rows + ([] if self.spacing is None else [("spacing", f"{self.spacing}")])
+        rows += [] if self.spacing is None else [("spacing", f"{self.spacing}")]
+        if self.result_delay is None:
+            return rows
+        delay = self.result_delay
+        return [
+            *rows,
+            ("results after", f"{delay[0]} to {delay[1]}" if isinstance(delay, (tuple, list)) else f"{delay}"),
+        ]
 
     def explain(self) -> str:
         """Say the terms in words."""

@@ -30,6 +30,8 @@ from sampling_design.records.signatures import checked
 _NUMBERS = list_of(nonnegative)
 _duration = by_kind({str: text}, positive)
 """A number of time units, or text with a unit of its own."""
+_DELAYS = list_of(by_kind({str: text}, nonnegative), 2)
+_delay = by_kind({str: text, list: _DELAYS, tuple: _DELAYS}, nonnegative)  # a time, or the least and the most of it
 _bound = by_kind({list: _NUMBERS, tuple: _NUMBERS}, nonnegative)  # one number, or one for each entry
 _when = by_kind({str: word(*TIMES)}, _NUMBERS)  # a word, or times of the period
 
@@ -64,6 +66,7 @@ _SENSOR = table(
         "hours": _hours,
         "longest_use": count,
         "spacing": _duration,
+        "result_delay": _delay,
     },
 )
 _CALENDAR = table(

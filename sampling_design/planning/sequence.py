@@ -8,10 +8,12 @@ again no larger than the plan's proof supposes, and as many more as that proof l
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, open_row
+from sampling_design.accuracy.results_out import results_in
 from sampling_design.accuracy.sample_chain import SampleChain
 from sampling_design.accuracy.search import ChainSearch
 from sampling_design.errors import UndecidedError
@@ -20,10 +22,17 @@ from sampling_design.planning.adversary_program import GridWindow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import WHOLE, RowGoal
 from sampling_design.planning.sequence_chain import plan_chain, sequence_chain
-from sampling_design.planning.sequence_deviation import SampleSequence, asked, departs_and_returns, phase_of, spread_of
+from sampling_design.planning.sequence_deviation import (
+    GRAIN,
+    SampleSequence,
+    asked,
+    departs_and_returns,
+    phase_of,
+    spread_of,
+)
 from sampling_design.planning.transient_bound import settled_factors
 from sampling_design.planning.work_prices import BETWEEN, CHAIN, GAINS, STARTED
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, Index, Mask
 
 SHARPER = 40  # offsets of a gap that are solved, at most
 HOPELESS, FEW = 10.0, 4  # a bound so many times what is asked for, after so many solves, is not proven closer
@@ -31,6 +40,20 @@ ROUNDED = 1e-12  # share by which two offsets of one gap may differ that are the
 
 FADED = 0.01
 """What a change still adds to a gap, as a share of the plan's own accuracy, from which on it is not proven closer."""
+
+
+class JudgedSpan(NamedTuple):
+    """A stretch of a sequence on the grid in which no result comes in: a gap, where all come at once."""
+
+    k: int  # the latest sample of which something is in
+    begin: int  # begin, length: offsets from it that are looked at
+    length: int
+    end: float  # when it is over
+    out: Mask | None = None  # (i, p): what is in of the last samples, of some of which not all is
+
+    def since(self, sequence: SampleSequence, oracle: AccuracyOracle) -> float:
+        """From when on it is looked at."""
+        return float(sequence.times[self.k]) + (self.begin * oracle.problem.step if self.out is not None else 0.0)
 
 
 def looks_back(plan: PlanFigures) -> int:
@@ -80,26 +103,24 @@ def worst_ratio(
 def _bounded_worst(plan: PlanFigures, sequence: SampleSequence, above: float, until: float, *, closely: bool) -> float:
     """The same of the goals that are guaranteed; what a change does fades: so many gaps no worse end it."""
     worst = before = here = 0.0
-    where = None
-    oracle, count, back = plan.oracle, plan.samples, departs_and_returns(plan, sequence)[1]
-    goals = oracle.problem.guaranteed
-    start = sequence.start
-    for k in range(start, len(sequence.times) - 1):
-        if sequence.times[k] >= until:
+    where: tuple[GridWindow, int, int, int, int] | None = None
+    oracle, back = plan.oracle, departs_and_returns(plan, sequence)[1]
+    goals, out, count = oracle.problem.guaranteed, longest_out(plan), judged_at_once(plan)
+    for i, span in enumerate(spans_of(plan, sequence)):
+        if span.since(sequence, oracle) >= until + out:
             break
-        window, last, length = window_after(oracle, sequence, k)
+        window, last = window_after(oracle, sequence, span)
         for g in goals:
             far = min(above, max(worst, 1.0))  # what is far below neither breaks anything nor is the worst
-            begin = steps_skipped(oracle, sequence, k)
-            looks = oracle.looked(window, g, last, length, far, begin=begin, closely=closely)
+            looks = oracle.looked(window, g, last, span.length, far, begin=span.begin, closely=closely)
             found = max(looks.values(), default=0.0)
-            where = (window, g, last, length, begin) if found > max(worst, here) else where
+            where = (window, g, last, span.length, span.begin) if found > max(worst, here) else where
             here = max(here, found)
             if here > above:
                 return here
         worst = max(worst, here)
-        if (k - start) % count == count - 1:
-            if here <= before and k >= back:
+        if i % count == count - 1:
+            if here <= before and is_past(plan, sequence, span, back):
                 break
             before, here = here, 0.0
     if where is not None and not closely:
@@ -107,40 +128,95 @@ def _bounded_worst(plan: PlanFigures, sequence: SampleSequence, above: float, un
     return worst
 
 
-def steps_skipped(oracle: AccuracyOracle, sequence: SampleSequence, k: int) -> int:
-    """Steps of the gap after a sample that are not judged."""
-    return int(np.ceil(sequence.skipped(k) / oracle.problem.step - WHOLE))
+def longest_out(plan: PlanFigures) -> float:
+    """How long a result may be out."""
+    delay = plan.problem.result_delay
+    return 0.0 if delay is None else float(delay.max())
 
 
-def window_after(oracle: AccuracyOracle, sequence: SampleSequence, k: int) -> tuple[GridWindow, int, int]:
-    """The window that ends with a sample, its step, and how many steps it is to the next one.
+def judged_at_once(plan: PlanFigures) -> int:
+    """Stretches that are judged before it is asked whether what a change does has faded: those of a period."""
+    return plan.samples if plan.problem.result_delay is None else int(plan.chosen.sum())
+
+
+def is_past(plan: PlanFigures, sequence: SampleSequence, span: JudgedSpan, back: int) -> bool:
+    """Whether a stretch comes after some sample, and after what was out then."""
+    if sequence.result_delay is None:
+        return span.k >= back
+    return back < len(sequence.times) and bool(sequence.times[span.k] >= sequence.times[back] + longest_out(plan))
+
+
+def spans_of(plan: PlanFigures, sequence: SampleSequence) -> list[JudgedSpan]:
+    """The stretches of a sequence that are judged, on the grid."""
+    step, times = plan.problem.step, sequence.times
+    if sequence.result_delay is None:
+        knots = _knots(plan.oracle, sequence)
+        return [
+            JudgedSpan(k, int(np.ceil(sequence.skipped(k) / step - WHOLE)), int(knots[k + 1] - knots[k]), times[k + 1])
+            for k in range(sequence.start, len(times) - 1)
+        ]
+    comes = sequence.comes_after(np.isfinite(plan.problem.v_bound), late=False)
+    first, found, tiny = float(times[0]), list[JudgedSpan](), WHOLE * step
+    for each in results_in(times - first, comes, end=float(times[-1]) - first):
+        if each.end + first <= sequence.judged_since + tiny:
+            continue
+        k, at = int(each.samples[-1]), float(each.times[-1])
+        since = max(each.begin, sequence.since - first)
+        begin = int(np.floor((since - at) / step + WHOLE)) + (since > tiny)  # what comes in at a step is in after it
+        length = int(np.floor((each.end - at) / step + WHOLE))
+        if begin <= length:
+            found.append(JudgedSpan(k, begin, length, each.end + first, each.seen))
+    return found
+
+
+def _knots(oracle: AccuracyOracle, sequence: SampleSequence) -> Index:
+    """The steps of a sequence's samples."""
+    return np.floor(sequence.times / oracle.problem.step + 0.5).astype(np.intp)  # halves never meet
+
+
+def window_after(oracle: AccuracyOracle, sequence: SampleSequence, span: JudgedSpan) -> tuple[GridWindow, int]:
+    """The window of what is in during a stretch, and the step of its last sample.
 
     It reaches as far back as matters to the plan, and over as many samples: where some are late or lost, farther.
     """
-    knots = np.floor(sequence.times[: k + 2] / oracle.problem.step + 0.5).astype(np.intp)  # halves never meet
-    planned = int(np.searchsorted(knots, knots[max(sequence.first - 1, 0)] - oracle.back))
-    count = max(sequence.first - 1, 0) - planned
-    low = min(int(np.searchsorted(knots, knots[k] - oracle.back)), max(k - count, 0))
+    k, first, knots = span.k, min(max(sequence.first - 1, 0), span.k), _knots(oracle, sequence)[: span.k + 1]
+    planned = int(np.searchsorted(knots, knots[first] - oracle.back))
+    low = min(int(np.searchsorted(knots, knots[k] - oracle.back)), max(k - (first - planned), 0))
     start = oracle.initial_set if sequence.begins and low == 0 else None
-    window = GridWindow(oracle.motion, knots[low : k + 1], sequence.seen[low : k + 1], start=start)
-    return window, int(knots[k]), int(knots[k + 1] - knots[k])
+    seen = sequence.seen[low : k + 1]
+    if span.out is not None:
+        count = min(len(span.out), len(seen))
+        seen = np.concatenate([seen[: len(seen) - count], span.out[len(span.out) - count :]])
+    return GridWindow(oracle.motion, knots[low:], seen, start=start), int(knots[k])
 
 
 def gap_ratios(plan: PlanFigures, sequence: SampleSequence, since: float, until: float) -> dict[int, float]:
     """The ratio of accuracy to tolerance in each gap that ends after a time and begins before another, in floats."""
     oracle, times = plan.oracle, sequence.times
-    goals = oracle.problem.guaranteed
     found: dict[int, float] = {}
     if plan.deviation is not None:
         for k, _, _, ratios in spread_of(plan).gaps(sequence, until):
             if times[k + 1] > since:
                 found[k] = max(found.get(k, 0.0), float(ratios.max()))
-    first = max(sequence.first - 1, int(np.searchsorted(times, since, side="right")) - 1, 0)
-    for k in range(first, min(int(np.searchsorted(times, until)), times.size - 1) if goals else 0):
-        window, last, length = window_after(oracle, sequence, k)
-        looks = [value for g in goals for value in oracle.looked(window, g, last, length).values()]
-        found[k] = max(found.get(k, 0.0), *looks)
+    goals = oracle.problem.guaranteed
+    for span in spans_of(plan, replace(sequence, since=max(sequence.since, since))) if goals else ():
+        begin = span.since(sequence, oracle)
+        if begin >= until:
+            break
+        window, last = window_after(oracle, sequence, span)
+        looks = [v for g in goals for v in oracle.looked(window, g, last, span.length, begin=span.begin).values()]
+        for k in gaps_of(sequence, span.k, begin, span.end):
+            found[k] = max(found.get(k, 0.0), *looks)
     return found
+
+
+def gaps_of(sequence: SampleSequence, k: int, begin: float, end: float) -> range:
+    """The gaps between samples in which a stretch after one of them lies."""
+    if sequence.result_delay is None:
+        return range(k, k + 1)
+    tiny = GRAIN * float(sequence.times[-1] - sequence.times[0])
+    low = int(np.searchsorted(sequence.times, begin + tiny, side="right")) - 1
+    return range(max(low, 0), max(int(np.searchsorted(sequence.times, end - tiny, side="left")), low + 1, 1))
 
 
 def proven_ratio(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, float] | None = None) -> float:
@@ -191,18 +267,25 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, 
     goals = [(goal, KnownIntegrals()) for goal in problem.goals if not goal.spread]
     usual = max(r / g.tolerance for r, g in zip(plan.reached.tolist(), problem.goals, strict=True) if not g.spread)
     factors = _settling(plan, sequence, search, filtered, settled + back)
-    for k in range(sequence.start, settled + back):
+    for span in search.chain.spans:
+        k = search.chain.sample_of(span.node)
+        begin, end = (float(times[k]) + offset for offset in (span.begin, span.end))
+        if k < sequence.start if sequence.result_delay is None else end <= sequence.judged_since:
+            continue
+        if k >= settled + back:
+            break
         here = float(usual) * factors[k]
         if not here <= max(min(worst, 1.0), usual * (1 + FADED)):
             here, skipped = 0.0, sequence.skipped(k)
             for goal, known in goals:
                 work.spend(BETWEEN)
-                opened = open_row(search.chain, k, goal.row, known=known).since(skipped)
-                at = [offset for offset in asked(plan, sequence, k, goal) if offset >= skipped]
-                here = max(here, _gap_bound(search, opened, k, goal, at) / goal.tolerance)
+                opened = open_row(search.chain, span.node, goal.row, known=known).since(skipped)
+                at = [d for d in asked(plan, sequence, k, goal, (span.begin, span.end)) if d >= skipped]
+                here = max(here, _gap_bound(search, opened, span.node, goal, at) / goal.tolerance)
         worst = max(worst, here)
         if gaps is not None:
-            gaps[k] = max(gaps.get(k, 0.0), here)
+            for gap in gaps_of(sequence, k, begin, end):
+                gaps[gap] = max(gaps.get(gap, 0.0), here)
         elif worst > 1:
             return worst
     wider = _wider(search, plan, sequence, range(settled, settled + memory), 1 / usual if 0 < usual < 1 else np.inf)
@@ -249,7 +332,7 @@ def _gap_bound(search: ChainSearch, opened: RowBetweenSamples, k: int, goal: Row
     """A bound on one row over the gap after a sample: offsets are solved where it is highest, until it is enough."""
     enough = goal.tolerance
     if goal.at == "after each sample":
-        at = search.chain.taken(k)
+        at = search.chain.judged[k].begin
         return at_offset(search, goal.row, k, at) if opened.d[0] <= at * (1 + ROUNDED) else 0.0
     if goal.at == "given times":
         return max((at_offset(search, goal.row, k, d) for d in asked), default=0.0)
@@ -286,10 +369,14 @@ def known_at(plan: PlanFigures, history: SampleSequence, t: float) -> dict[str, 
 
 def _bounds_at(plan: PlanFigures, history: SampleSequence, t: float, *, limited: bool) -> dict[str, float]:
     """The same of the goals that are guaranteed."""
-    search = ChainSearch(*sequence_chain(plan, plan_chain(plan), history, limited=limited))
+    search = ChainSearch(*sequence_chain(plan, plan_chain(plan), history, limited=limited, until=t))
     search.back = looks_back(plan)
     last = max(0, history.taken(t))
-    since = t - float(history.times[last])
+    if history.result_delay is not None:
+        begins = np.array([float(history.times[0]) + span.time + span.begin for span in search.chain.spans])
+        tiny = GRAIN * plan.schedule.period
+        last = search.chain.spans[max(0, int(np.searchsorted(begins, t + tiny, side="right")) - 1)].node
+    since = t - float(history.times[search.chain.sample_of(last)])
     return {goal.name: at_offset(search, goal.row, last, since) for goal in plan.goals if not goal.spread}
 
 
@@ -306,7 +393,8 @@ def _settling(
 ) -> list[float]:
     """How much more than the plan's gaps those of a sequence are at most; infinite where they are not the plan's."""
     factors = np.full(stop, np.inf)
-    if any(goal.at == "given times" for goal in plan.goals):  # which offsets those are differs from gap to gap
+    given = any(goal.at == "given times" for goal in plan.goals)  # which offsets those are differs from gap to gap
+    if given or sequence.result_delay is not None:
         return factors.tolist()
     gaps = {id(gap) for gap in own.gaps}
     same = np.array([id(gap) in gaps for gap in search.chain.gaps[:stop]])
@@ -324,7 +412,9 @@ def _is_the_plan(search: ChainSearch, own: SampleChain, settled: int) -> bool:
     """Whether the samples and gaps of a chain are those of the plan's own from one of them on."""
     chain = search.chain
     samples, gaps = ({id(part) for part in parts} for parts in (own.samples, own.gaps))
-    return {id(part) for part in chain.samples[settled:]} <= samples and {id(g) for g in chain.gaps[settled:]} <= gaps
+    return {id(part) for part in chain.samples[settled : len(chain)]} <= samples and {
+        id(g) for g in chain.gaps[settled:]
+    } <= gaps
 
 
 def _beyond(search: ChainSearch, k: int, reach: Array, room: float) -> float:

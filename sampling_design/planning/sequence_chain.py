@@ -13,6 +13,7 @@ from sampling_design.accuracy.between_samples import KnownIntegrals
 from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.finite import DIFFUSE, NO_ERROR, covariance_root, finite_atoms, start_covariance
 from sampling_design.accuracy.gap_table import GapTable
+from sampling_design.accuracy.results_out import with_branches, with_results_out
 from sampling_design.accuracy.sample_chain import (
     ChainGap,
     ChainSample,
@@ -72,9 +73,32 @@ def plan_chain(plan: PlanFigures) -> SampleChain:
 
 
 def sequence_chain(
+    plan: PlanFigures,
+    own: SampleChain,
+    sequence: SampleSequence,
+    settles: int = 1,
+    *,
+    limited: bool = True,
+    until: float = -np.inf,
+) -> tuple[SampleChain, list[BoundedDirections]]:
+    """The chain of a sequence (up to its last sample, or `until` a time) and what its filter bounds.
+
+    `own` is the plan's chain. Results count once they are in.
+
+    Raises UndecidedError as for `_chain_of_samples`.
+    """
+    chain, atoms = _chain_of_samples(plan, own, sequence, settles, limited=limited)
+    if sequence.result_delay is None and not sequence.lateness.any():
+        return chain, atoms
+    comes = sequence.comes_after(np.isfinite(plan.problem.v_bound), late=True)
+    chain = with_results_out(replace(chain, last=max(0.0, until - float(sequence.times[-1]))), comes)
+    return chain, with_branches(chain, atoms)
+
+
+def _chain_of_samples(
     plan: PlanFigures, own: SampleChain, sequence: SampleSequence, settles: int = 1, *, limited: bool = True
 ) -> tuple[SampleChain, list[BoundedDirections]]:
-    """The chain of a sequence and what its filter bounds; `own` is the plan's chain.
+    """The chain of a sequence and what its filter bounds, all results in at once; `own` is the plan's chain.
 
     Coordinates and gains after a sample that is the plan's are the plan's: any of them are a proof. Before the first
     change the plan's filter bounds the error, whatever it once was; where the sequence is the plan's start, what is
@@ -281,7 +305,8 @@ def _noisier_chain(
             root, sample = own.L[phase], _noisier(own.samples[phase], plan.problem.v_bound, noise[k])
         L.append(root)
         samples.append(sample)
-    own, same = replace(own, late=sequence.lateness), _same_gaps(plan, own, phases, gaps)
+    same = _same_gaps(plan, own, phases, gaps)
+    own = replace(own, L=own.L[: len(own)], samples=own.samples[: len(own)], again=(), before=(), known_spans=())
     table = GapTable(own.A, own.G, np.ones(len(own.A)))
     made: list[ChainGap] = []
     for k, h in enumerate(gaps.tolist()):

@@ -50,6 +50,10 @@ class SampleSequence:
     """How early or late each sample may be."""
     sure: Array = field(default_factory=lambda: np.zeros(0))
     """The same of the first samples, where it is otherwise: 0 where the time is known."""
+    result_delay: Array | None = None
+    """How long after its sample a result of each output comes at most (p,); None: at once."""
+    came: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """Of the first samples, when each result was in (k, p); NaN where it is not yet, or `result_delay` says it."""
 
     @cached_property
     def shown(self) -> Array:
@@ -61,6 +65,21 @@ class SampleSequence:
         """How early or late each sample may be (K,)."""
         return np.append(self.sure, np.full(max(0, len(self.times) - self.sure.size), self.late))[: len(self.times)]
 
+    def comes_after(self, told: Mask | np.bool_, *, late: bool) -> Array:
+        """How long after its sample each result that tells something (p,) is in (K, p); infinite where none is read.
+
+        Where samples may be early or late (`late`), after its planned time, at the latest.
+        """
+        found = (
+            np.zeros(self.seen.shape) if self.result_delay is None else np.tile(self.result_delay, (len(self.times), 1))
+        )
+        found = found + self.lateness[:, None] if late else found
+        count = min(len(self.came), len(self.times))
+        if count:
+            known = self.came[:count] - self.times[:count, None]
+            found[:count] = np.where(np.isnan(known), found[:count], known)
+        return np.where(self.seen & told, found, np.inf)
+
     def until(self, count: int) -> SampleSequence:
         """The first so many samples."""
         return replace(self, times=self.times[:count], seen=self.seen[:count])
@@ -69,6 +88,12 @@ class SampleSequence:
     def start(self) -> int:
         """Index of the sample before the first gap that is judged."""
         return max(self.first - 1, 0, self.taken(self.since))
+
+    @property
+    def judged_since(self) -> float:
+        """Nothing that is over by this time is judged."""
+        begun = float((self.times + self.lateness)[self.first - 1]) if self.first else -np.inf
+        return max(begun, self.since) + self._tiny
 
     def taken(self, t: float) -> int:
         """Index of the last sample that is taken by a time, however late; -1 if there is none."""
@@ -114,13 +139,14 @@ def begun(plan: PlanFigures, times: Array, seen: Mask, clock: PlanClock = ORDINA
 
     One that is planned at the start may come up to the tolerance after it: half as late as that, or early.
     """
-    late, sure = plan.problem.timing_tolerance, np.zeros(1)
+    late, sure, delay = plan.problem.timing_tolerance, np.zeros(1), plan.problem.result_delay
     if times.size and times[0] == 0 and late:
         times, sure = np.append(late / 2, times[1:]), np.array([0.0, late / 2])
     if not times.size or times[0] > 0:
         times = np.append(0.0, times)
         seen = np.concatenate([np.zeros((1, plan.plant.n_outputs), dtype=bool), seen])
-    return SampleSequence(times, seen, 0, clock, begins=True, late=late, sure=sure if late else np.zeros(0))
+    sure = sure if late else np.zeros(0)
+    return SampleSequence(times, seen, 0, clock, begins=True, late=late, sure=sure, result_delay=delay)
 
 
 def too_soon(problem: PlanProblem, times: Array, seen: Mask, taken: int = 0) -> Mask:
@@ -161,13 +187,15 @@ def departs_and_returns(plan: PlanFigures, sequence: SampleSequence) -> tuple[in
     return (int(other[0]), int(other[-1])) if other.size else (len(own), 0)
 
 
-def asked(plan: PlanFigures, sequence: SampleSequence, k: int, goal: RowGoal) -> list[float]:
-    """Offsets in the gap after a sample at which a goal with given times must hold, on the plan's clock."""
+def asked(
+    plan: PlanFigures, sequence: SampleSequence, k: int, goal: RowGoal, span: tuple[float, float] | None = None
+) -> list[float]:
+    """Offsets after a sample, in its gap or a `span`, at which a goal of given times must hold on the plan's clock."""
     if goal.at != "given times":
         return []
     problem, start = plan.problem, float(sequence.times[k])
-    begin, stop = (sequence.times + sequence.lateness)[k : k + 2] - start
-    shown = sequence.shown[k : k + 2]
+    begin, stop = (sequence.times + sequence.lateness)[k : k + 2] - start if span is None else span
+    shown = sequence.shown[k] + np.array([0.0, stop])
     phases = np.round(goal.steps) * problem.step
     periods = np.arange(np.floor(shown[0] / problem.period), np.ceil(shown.max() / problem.period) + 2) * problem.period
     offsets = np.sort(sequence.clock.elapsed((periods[:, None] + phases[None, :]).ravel())) - start

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,24 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import Plain, Record, short
 from sampling_design.records.signatures import checked
+
+
+class AwaitedResult(NamedTuple):
+    """A sample that was taken and whose result is not in yet.
+
+    Attributes
+    ----------
+    output : str
+    t : float
+        When it was taken.
+    earliest, latest : float
+        When its result comes at least and at most, as the requirement says.
+    """
+
+    output: str
+    t: float
+    earliest: float
+    latest: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,6 +77,8 @@ class NextSample(Record):
         How well each goal is known now, whatever was read [its unit]: proven, or a standard deviation.
     judged_until : float
         The first closed day with a sample of the plan that is too far ahead to be judged; inf if there is none.
+    awaited : tuple of AwaitedResult
+        Results that are out now and counted on: each from its `latest` on.
     """
 
     plan: Plan
@@ -75,6 +96,7 @@ class NextSample(Record):
     exceeded: GoalDue | None = None
     known: dict[str, float] = field(default_factory=dict)
     judged_until: float = np.inf
+    awaited: tuple[AwaitedResult, ...] = ()
 
     @property
     def keeps(self) -> bool:
@@ -110,6 +132,7 @@ class NextSample(Record):
             unit = f" {goal.unit}" if goal.unit else ""
             now = f"within {short(value, 4)}{unit}" if np.isfinite(value) else "not known yet"
             rows.append((f"{name} now", f"{now} (tolerance {short(goal.tolerance)})"))
+        rows += [(f"{one.output} of {self.when(one.t)}", f"is out, in {self._comes(one)}") for one in self.awaited]
         rows += [("exceeded", f"{self.exceeded.goal} since {self.when(self.exceeded.time)}")] if self.exceeded else []
         rows.append(("latest" if self.keeps else "soonest help", self._read_at(self.latest, self.outputs)))
         rows += [("later" if self.keeps else "then", self._later(self.due))] if self.due else []
@@ -122,6 +145,11 @@ class NextSample(Record):
             np.isfinite(self.judged_until)
         )
         return [*rows, ("of the tolerance", f"{short(self.ratio, 4)} {'proven' if self.proven else '(not proven)'}")]
+
+    def _comes(self, one: AwaitedResult) -> str:
+        """When a result comes, in words."""
+        between = f"from {self.when(one.earliest, self.now)} to " if self.now < one.earliest < one.latest else "by "
+        return between + self.when(one.latest, self.now)
 
     def _again(self) -> str:
         """From when on every tolerance is kept again."""
@@ -204,6 +232,10 @@ class NextSample(Record):
             "exceeded": deadline(self.exceeded),
             "known": {name: value if np.isfinite(value) else None for name, value in self.known.items()},
             "judged_until": plain(self.judged_until),
+            "awaited": [
+                {"output": one.output, "t": plain(one.t), "earliest": plain(one.earliest), "latest": plain(one.latest)}
+                for one in self.awaited
+            ],
         }
 
 
@@ -213,6 +245,7 @@ def next_sample(
     record: Iterable[tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]] | None = None,
     *,
     now: float | None = None,
+    awaited: Iterable[tuple[float, str]] = (),
     prove: bool = True,
 ) -> NextSample:
     """Return the latest time of the next sample after which every tolerance is kept from now on, for ever.
@@ -230,6 +263,9 @@ def next_sample(
     now : float, optional
         Default: the last sample of the record, else 0. All times have passed since the plan's start [the plant's time
         unit], so that a day on which clocks are put forward has 23 h.
+    awaited : iterable of (t, output)
+        Samples since the first one of the record that were taken and whose results are not in; each counts from its
+        `result_delay` on. One that should be in by now counts as lost. Without a record the plan's own are out.
     prove : bool
         Prove the answer by gains over all real times; else it rests on the search alone.
 
@@ -240,7 +276,8 @@ def next_sample(
     Raises
     ------
     ArgumentError
-        If the plan does not keep its tolerances, or the record is not in order.
+        If the plan does not keep its tolerances, the record is not in order, or what is awaited is no sensor with a
+        `result_delay`, was not taken by `now`, or is in the record.
 
     Notes
     -----
@@ -254,6 +291,7 @@ def next_sample(
     overshoots. Earlier than `latest` is as good where the plan has no spacing: it is one sample more; with spacing, a
     sample may push out one of the plan's. *Assumptions.* The bounds, and later samples, and those before the record, up
     to the plan's `timing_tolerance` early or late, the next one too; those of the record were taken when it says.
+    Results come by their `result_delay`: what is awaited counts from then on, and what is in counts now.
     Values play no part: it holds whatever is read.
 
     References
@@ -264,10 +302,11 @@ def next_sample(
         raise ArgumentError("`plan` must keep its tolerances: it does not, so there is nothing to go on keeping.")
     step = plan.problem.step
     taken = _taken(plan, record)
-    last = taken[0][-1] if taken is not None and taken[0].size else 0.0
+    last = taken.times[-1] if taken is not None and taken.times.size else 0.0
     at = float(last) if now is None else checks.number("now", now)
-    if taken is not None and taken[0].size and at < last - 1e-9 * step:
+    if taken is not None and taken.times.size and at < last - 1e-9 * step:
         raise ArgumentError(f"`now` must not lie before the last sample {float(last)!r}, got {at!r}.")
+    taken = _with_awaited(plan, taken, [*awaited], at)
     run = NextChoices(plan, _history(plan, taken, at), at)
     exceeded = run.exceeded()
     full = run.answer(None, prove)
@@ -299,6 +338,7 @@ def next_sample(
         exceeded=exceeded,
         known=known_at(plan, run.history, at),
         judged_until=run.judged_until(max(at, full.t)),
+        awaited=_out(plan, run.history, at),
     )
 
 
@@ -306,9 +346,17 @@ def _named(plan: Plan, mask: Mask) -> tuple[str, ...]:
     return tuple(name for name, seen in zip(plan.plant.outputs.names, mask, strict=True) if seen)
 
 
+class _Taken(NamedTuple):
+    """Samples of a record: times, what each measured, and of that what is in."""
+
+    times: Array
+    seen: Mask
+    known: Mask
+
+
 def _taken(
     plan: Plan, record: Iterable[tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]] | None
-) -> tuple[Array, Mask] | None:
+) -> _Taken | None:
     """Times and outputs of a record."""
     if record is None:
         return None
@@ -331,36 +379,104 @@ def _taken(
             )
         times.append(t)
         seen.append(y)
-    return np.array(times), np.array(seen).reshape(-1, plan.plant.n_outputs)
+    mask = np.array(seen, dtype=bool).reshape(-1, plan.plant.n_outputs)
+    return _Taken(np.array(times), mask, mask)
 
 
-def _history(plan: Plan, taken: tuple[Array, Mask] | None, now: float) -> SampleSequence:
+def _with_awaited(plan: Plan, taken: _Taken | None, awaited: list[tuple[float, str]], now: float) -> _Taken | None:
+    """A record with the samples whose results are still out; those that should be in by now are lost."""
+    if not awaited:
+        return taken
+    problem, names, tiny = plan.problem, plan.plant.outputs.names, 1e-6 * plan.problem.step
+    if taken is None:
+        raise ArgumentError(
+            "`awaited` needs a `record`: without one the plan was followed, and its own results are out."
+        )
+    found = {t: (seen.copy(), known.copy()) for t, seen, known in zip(*taken, strict=True)}
+    for item in awaited:
+        if not isinstance(item, (tuple, list)) or len(item) != 2 or not isinstance(item[1], str):
+            raise ArgumentError(f"`awaited` must hold pairs (t, output), got {checks.described(item)}.")
+        t, name = checks.number("awaited", item[0]), item[1]
+        checks.known_keys("`awaited`", [name], names)
+        j = names.index(name)
+        delay = 0.0 if problem.result_delay is None else float(problem.result_delay[j])
+        if not delay:
+            raise ArgumentError(f"`awaited` names {name}, which has no `result_delay`: its results come at once.")
+        near = min(found, key=lambda other: abs(other - t), default=t)
+        t = near if abs(near - t) <= tiny else t
+        if t > now + tiny:
+            raise ArgumentError(f"`awaited` must have been taken by now, {now!r}, got {name} at {t!r}.")
+        seen, _known = found.setdefault(t, (np.zeros(len(names), dtype=bool), np.zeros(len(names), dtype=bool)))
+        if seen[j]:
+            raise ArgumentError(f"`awaited` names {name} at {t!r}, which is in the record or named twice.")
+        seen[j] = t + delay + problem.timing_tolerance > now + tiny  # else it is lost
+    found = {t: masks for t, masks in sorted(found.items()) if masks[0].any()}
+    both = np.array(list(found.values()), dtype=bool).reshape(-1, 2, len(names))
+    return _Taken(np.array(list(found)), both[:, 0], both[:, 1])
+
+
+def _out(plan: Plan, history: SampleSequence, now: float) -> tuple[AwaitedResult, ...]:
+    """What was taken by now and is out."""
+    delays = plan.problem.result_delays
+    if delays is None:
+        return ()
+    comes, tiny = history.times[:, None] + history.comes_after(np.True_, late=True), 1e-6 * plan.problem.step
+    pending = np.argwhere(np.isfinite(comes) & (comes > now + tiny) & (history.times[:, None] <= now + tiny))
+    return tuple(
+        AwaitedResult(plan.plant.outputs.names[j], t, t + float(delays[j, 0]), float(comes[k, j]))
+        for k, j in pending.tolist()
+        for t in [float(history.times[k])]
+    )
+
+
+def _history(plan: Plan, taken: _Taken | None, now: float) -> SampleSequence:
     """Everything measured until now, and how much of it is the plan's: from its start, until that settles by proof."""
     mean = plan.schedule.period / len(plan.schedule)
     span = (looks_back(plan) + 1) * mean + plan.schedule.period
     tiny = 1e-6 * plan.problem.step
-    taken = taken if taken is not None and taken[0].size else None
-    until = now + tiny if taken is None else float(taken[0][0]) - tiny
+    taken = taken if taken is not None and taken.times.size else None
+    until = now + tiny if taken is None else float(taken.times[0]) - tiny
     since, wider = settled_from_start(plan) if until >= span else (np.inf, np.inf)
     if until - span < since:
         begun = from_start(plan, until, plan.clock)
         if taken is None:
             return begun
         before = begun.times < until
-        times, seen = np.concatenate([begun.times[before], taken[0]]), np.concatenate([begun.seen[before], taken[1]])
-        return replace(begun, times=times, seen=seen, sure=np.append(begun.lateness[before], np.zeros(len(taken[0]))))
-    late, (times, seen) = plan.problem.timing_tolerance, planned(plan, until - span, until, plan.clock)
+        times, seen = (
+            np.concatenate([begun.times[before], taken.times]),
+            np.concatenate([begun.seen[before], taken.seen]),
+        )
+        sure = np.append(begun.lateness[before], np.zeros(len(taken.times)))
+        return replace(begun, times=times, seen=seen, sure=sure, came=_came(plan, int(before.sum()), taken, now))
+    problem, (times, seen) = plan.problem, planned(plan, until - span, until, plan.clock)
+    late, delay = problem.timing_tolerance, problem.result_delay
     if taken is None:
-        return SampleSequence(times, seen, _unchanged(plan, times), plan.clock, wider=wider, late=late)
+        first = _unchanged(plan, times)
+        return SampleSequence(times, seen, first, plan.clock, wider=wider, late=late, result_delay=delay)
     wanted = planned(plan, until, now + tiny, plan.clock)
     same, count = 0, times.size
-    for t, mask, due, meant in zip(taken[0], taken[1], wanted[0], wanted[1], strict=False):
+    for t, mask, due, meant in zip(taken.times, taken.seen, wanted[0], wanted[1], strict=False):
         if abs(t - due) > tiny or not np.array_equal(mask, meant):
             break
         same += 1
-    times, seen = np.concatenate([times, taken[0]]), np.concatenate([seen, taken[1]])
-    first, sure = min(count + same, _unchanged(plan, times)), np.append(np.full(count, late), np.zeros(len(taken[0])))
-    return SampleSequence(times, seen, first, plan.clock, wider=wider, late=late, sure=sure)
+    times, seen = np.concatenate([times, taken.times]), np.concatenate([seen, taken.seen])
+    first, sure = (
+        min(count + same, _unchanged(plan, times)),
+        np.append(np.full(count, late), np.zeros(len(taken.times))),
+    )
+    came = _came(plan, count, taken, now)
+    return SampleSequence(
+        times, seen, first, plan.clock, wider=wider, late=late, sure=sure, result_delay=delay, came=came
+    )
+
+
+def _came(plan: Plan, before: int, taken: _Taken, now: float) -> Array:
+    """When each result of a history was in: those of the record by now, none earlier than was said."""
+    delay = plan.problem.result_delay
+    if delay is None:
+        return np.zeros((0, 0))
+    known = np.where(taken.known, np.minimum(taken.times[:, None] + delay, now), np.nan)
+    return np.vstack([np.full((before, delay.size), np.nan), known])
 
 
 def _unchanged(plan: Plan, times: Array) -> int:

@@ -74,6 +74,14 @@ def hidden(A, C, G, times, seen, c, end, w, v, cells=6, rest=True):
     return -found.fun * size, nodes, states, found.x[K * n :].reshape(-1, cells, q) * w
 
 
+def at_the_time(system, times, seen, delays, c, t, w, v, cells=6, rest=True):
+    """The same at a time `t` where results come `delays` (p,) or (K, p) after their samples: of those in by then."""
+    A, C, G = system
+    came = np.asarray(times, float)[:, None] + np.broadcast_to(delays, np.shape(seen))
+    known = np.asarray(seen, bool) & (came <= t + 1e-9 * max(1.0, abs(t)))
+    return hidden(A, C, G, times, known, c, t, w, v, cells, rest)[0]
+
+
 def from_now(system, times, seen, rows, now, until, step, w, v):
     """Times of a grid from `now` until some time, and the worst of the rows there, each over its tolerance.
 

@@ -5,7 +5,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.planning import discrete_plant as room
-from sampling_design.planning.accuracy_oracle import QUARTERS, SETTLED, AccuracyOracle
+from sampling_design.planning.accuracy_oracle import QUARTERS, SETTLED, AccuracyOracle, GridSpan
 from sampling_design.planning.adversary_program import GridWindow
 from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.problem import pose_plan
@@ -29,7 +29,7 @@ def test_the_worst_time_of_a_gap_is_found_between_its_quarters():
     problem, chosen = posed(BODY, 6.4, 0.2, [0, 26])
     oracle = AccuracyOracle(problem, motion_of(problem))
     oracle.back = 128
-    window = oracle._window(chosen, 0, 128)
+    window = oracle._window(chosen, GridSpan(0, 0, 26), 128)
     found = max(oracle.looked(window, 0, 0, 26).values())
     every = [oracle.reach(window, offset, 0) for offset in range(27)]
     assert found == max(every)

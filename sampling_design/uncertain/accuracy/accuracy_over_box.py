@@ -262,10 +262,10 @@ def refuse_others(where: str, **others: object) -> None:
     Raises
     ------
     ArgumentError
-        The first of them that is not None, or that is a `timing_tolerance` other than 0.
+        The first of them that is not None, or that is a `timing_tolerance` or `result_delay` other than 0.
     """
     for name, value in others.items():
-        if value is not None and (name, value) != ("timing_tolerance", 0.0):
+        if value is not None and not (name in ("timing_tolerance", "result_delay") and value == 0.0):
             raise ArgumentError(f"`{name}` must be left out for accuracy {where}.")
 
 

@@ -1,0 +1,142 @@
+"""Results that come later in a requirement: its file, its refusals, what a plan and the next sample say of them."""
+
+import json
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.planning.evidence import PlanBound
+from sampling_design.planning.problem import pose_plan
+from sampling_design.planning.proven_choice import proven_plan
+from sampling_design.planning.requirement_file import (
+    plan_requirement_from_dict,
+    read_plan_requirement,
+    write_plan_requirement,
+)
+
+WALK = sd.Plant([[0.0]], [[1.0], [1.0]], states=["level"], outputs=["gauge", "lab"])
+
+
+def wanted(goal=0.6, delay=(0.5, 1.5), **more):
+    sensors = {"gauge": {"noise_bound": 0.3, "price": 1.0}, "lab": {"noise_bound": 0.02, "price": 1.0}}
+    sensors["lab"]["result_delay"] = delay
+    return sd.PlanRequirement(
+        {"level": goal}, **{"period": 4.0, "grid": 0.5, "w_bound": 0.1, "sensors": sensors, **more}
+    )
+
+
+def planned(requirement, gauge, lab):
+    problem = pose_plan(WALK, requirement)
+    chosen = np.zeros_like(problem.allowed)
+    chosen[gauge, 0] = chosen[lab, 1] = True
+    return proven_plan(problem, chosen, PlanBound((), None, None), "budget")
+
+
+def test_a_plan_is_as_good_as_what_is_known_at_the_time():
+    """For x' = w: the exact result of age 4 + 1.5 - it is the last one until the next is in - says .02 + .55."""
+    plan = planned(wanted(), [], [0])
+    assert plan.reached[0] == pytest.approx(0.57, rel=2e-3)
+    assert planned(wanted(delay=None), [], [0]).reached[0] == pytest.approx(0.42, rel=2e-3)
+    both = planned(wanted(), [2], [0])  # the gauge of time 5 is better until the laboratory's result of 4 is in
+    assert both.reached[0] == pytest.approx(0.02 + 0.5, rel=2e-3)
+    assert plan.verify()
+
+
+def test_the_cheapest_plan_and_its_bound_count_with_the_delay():
+    found = sd.plan_samples(WALK, wanted(0.46), search_seconds=4.0, certificate=False, robustness=False)
+    assert found.keeps
+    assert found.verify()
+    assert found.bound.cost.value == pytest.approx(found.cost)
+    at_once = sd.plan_samples(WALK, wanted(0.46, None), search_seconds=4.0, certificate=False, robustness=False)
+    assert at_once.cost == 1.0 < found.cost
+
+
+def test_a_file_keeps_the_delay(tmp_path):
+    for delay in (1.5, "90 min", (0.5, 1.5), ("30 min", "2 h")):
+        asked = wanted(delay=delay, time_unit="h")
+        again = read_plan_requirement(write_plan_requirement(asked, tmp_path / "wanted.toml"))
+        assert again.to_dict() == asked.to_dict()
+        assert "results after" in asked.sensors["lab"].explain()
+    plan = planned(wanted(), [], [0])
+    read = sd.read_plan(plan.save(tmp_path / "plan.json"))
+    assert read.verify()
+    assert read.reached[0] == plan.reached[0]
+    forged = json.loads((tmp_path / "plan.json").read_text())
+    forged["requirement"]["sensors"]["lab"]["result_delay"] = 2.5
+    (tmp_path / "plan.json").write_text(json.dumps(forged))
+    with pytest.raises(FileFormatError, match=r"`reached` is .* where the schedule gives"):
+        sd.read_plan(tmp_path / "plan.json")
+
+
+@pytest.mark.parametrize(
+    ("delay", "said"),
+    [
+        (-1.0, "`sensors.lab.result_delay` must not be negative"),
+        ("soon", '`result_delay` must be a time like 0.25 or "15 min"'),
+        ((2.0, 1.0), "the least is more"),
+        (("2 h", "30 min"), "the least is more"),
+        ((1.0, 2.0, 3.0), r"must be a number or a pair \(least, most\)"),
+    ],
+)
+def test_a_delay_that_is_none_is_refused(delay, said):
+    with pytest.raises(ArgumentError, match=said.replace("sensors.lab.", "(sensors.lab.)?")):
+        wanted(delay=delay)
+    tree = wanted().to_dict()
+    tree["sensors"]["lab"]["result_delay"] = list(delay) if isinstance(delay, tuple) else delay
+    with pytest.raises(FileFormatError, match="result_delay"):
+        plan_requirement_from_dict(tree)
+
+
+def test_what_delays_do_not_fit_is_refused():
+    with pytest.raises(ArgumentError, match="must be all times or given ones where results come later"):
+        pose_plan(WALK, wanted({"tolerance": 0.6, "at": "after each sample"}))
+    goals = {"level": {"tolerance": 0.6, "kind": "standard deviation"}}
+    sensors = {"lab": {"noise_deviation": 0.1, "result_delay": 1.0}}
+    asked = sd.PlanRequirement(goals, period=4.0, grid=0.5, w_intensity=0.1, sensors=sensors)
+    with pytest.raises(ArgumentError, match="`result_delay` is for goals that are guaranteed"):
+        pose_plan(WALK, asked)
+
+
+ROWS = [(4.0 * k, [np.nan, 0.0], None) for k in range(3)]
+
+
+def test_what_is_awaited_is_said_and_counts_when_it_is_in():
+    plan = planned(wanted(0.7), [], [0])
+    found = sd.next_sample(plan, ROWS, now=12.5, awaited=[(12.0, "lab")], prove=False)
+    assert found.keeps
+    assert found.known["level"] == pytest.approx(0.02 + 0.45, rel=1e-2)  # of the sample at 8: that of 12 is out
+    assert [one[:2] for one in found.awaited] == [("lab", 12.0)]
+    assert dict(found._rows())["lab of 12 s"] == "is out, in by 13.5 s"
+    assert found.to_dict()["awaited"][0]["latest"]["time"] == 13.5
+    at_once = sd.next_sample(plan, [*ROWS, (12.0, [np.nan, 0.0], None)], now=12.5, prove=False)
+    assert at_once.known["level"] == pytest.approx(0.02 + 0.05, rel=1e-2)
+    without = sd.next_sample(plan, ROWS, now=12.5, prove=False)
+    assert without.latest < found.latest
+    overdue = sd.next_sample(plan, ROWS, now=13.75, awaited=[(12.0, "lab")], prove=False)
+    assert not overdue.awaited
+    assert overdue.latest == sd.next_sample(plan, ROWS, now=13.75, prove=False).latest
+    followed = sd.next_sample(plan, now=12.25, prove=False)
+    assert [one[:2] for one in followed.awaited] == [("lab", 12.0)]
+
+
+@pytest.mark.parametrize(
+    ("awaited", "said"),
+    [
+        ([(12.0, "gauge")], "`awaited` names gauge, which has no `result_delay`"),
+        ([(12.0, "labb")], "unknown key 'labb' in `awaited`"),
+        ([(14.0, "lab")], "`awaited` must have been taken by now, 12.5"),
+        ([(8.0, "lab")], "which is in the record or named twice"),
+        ([(12.0, "lab"), (12.0, "lab")], "which is in the record or named twice"),
+        ([12.0], r"`awaited` must hold pairs \(t, output\)"),
+    ],
+)
+def test_what_cannot_be_awaited_is_refused(awaited, said):
+    with pytest.raises(ArgumentError, match=said):
+        sd.next_sample(planned(wanted(0.7), [], [0]), ROWS, now=12.5, awaited=awaited)
+
+
+def test_without_a_record_nothing_is_awaited_by_name():
+    with pytest.raises(ArgumentError, match="`awaited` needs a `record`"):
+        sd.next_sample(planned(wanted(0.7), [], [0]), now=12.5, awaited=[(12.0, "lab")])

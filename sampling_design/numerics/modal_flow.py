@@ -294,9 +294,10 @@ def _refined(
             W = W + W @ (np.eye(len(A)) - V @ W)
         S = W @ (long @ V)
         off = np.where(same, 0, S)
-        physical = scale[:, None] * (V @ off @ W) / scale
-        if np.linalg.norm(off.astype(complex)) <= goal and np.linalg.norm(physical.astype(complex)) <= allowed:
-            break
+        if np.linalg.norm(off.astype(complex)) <= goal:
+            physical = scale[:, None] * (V @ off @ W) / scale
+            if np.linalg.norm(physical.astype(complex)) <= allowed:
+                break
         V = V + V @ _decoupling(np.where(same, S, 0), off, values, parts, same)
     else:
         return [], np.inf, "the modal blocks do not separate"
@@ -334,13 +335,17 @@ def _block(T: Entries, V: Entries, W: Entries, values: Entries, far: float) -> _
     mean = mean.real + 0j if real else mean
     N = T - mean * np.eye(m)
     powers = [np.eye(m, dtype=np.clongdouble)]
-    for _ in range(m + _EXTRA_TERMS):
+    while len(powers) <= m > 1:
         powers.append(powers[-1] @ N)
     terms = [(V @ P @ W).astype(complex) for P in powers]
-    spread = float(np.max(np.abs(np.linalg.eigvals(N.astype(complex)))))
-    # entries of N^m no larger than the rounding of its products: N is nilpotent
-    rounding = np.abs(V) @ np.linalg.matrix_power(np.abs(N).astype(float), m) @ np.abs(W)
-    nilpotent = m == 1 or np.linalg.norm(terms[m]) <= 8 * m * _LONG * float(np.linalg.norm(rounding.astype(float)))
+    spread, nilpotent = float(np.max(np.abs(np.linalg.eigvals(N.astype(complex))))), m == 1
+    if not nilpotent:  # but for the rounding of its products it may be
+        rounding = np.abs(V) @ np.linalg.matrix_power(np.abs(N).astype(float), m) @ np.abs(W)
+        nilpotent = bool(np.linalg.norm(terms[m]) <= 8 * m * _LONG * float(np.linalg.norm(rounding.astype(float))))
+    if not nilpotent:
+        for _ in range(_EXTRA_TERMS):
+            powers.append(powers[-1] @ N)
+            terms.append((V @ powers[-1] @ W).astype(complex))
     kept, reach = (m, np.inf) if nilpotent else _polynomial(terms, m, spread, far)
     narrow = (N.astype(complex), V.astype(complex), W.astype(complex))
     return _Block(complex(mean), *narrow, 1.0 if real else 2.0, reach, tuple(terms[:kept]))

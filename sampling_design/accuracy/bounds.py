@@ -34,13 +34,7 @@ class SignalBounds:
 
     @classmethod
     def of(
-        cls,
-        plant: Plant,
-        samples: int,
-        mask: Mask | None,
-        w_bound: Bound,
-        v_bound: Bound,
-        times: Array | None = None,
+        cls, plant: Plant, samples: int, mask: Mask | None, w_bound: Bound, v_bound: Bound, times: Array | None = None
     ) -> SignalBounds:
         """Return the bounds as typed by a user.
 

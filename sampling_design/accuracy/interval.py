@@ -14,12 +14,7 @@ from sampling_design.accuracy import interval_file
 from sampling_design.accuracy.bounds import Bound
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.outliers import left_out
-from sampling_design.accuracy.readings import (
-    Arrived,
-    Readings,
-    arrived,
-    rows_of,
-)
+from sampling_design.accuracy.readings import Arrived, Readings, arrived, rows_of
 from sampling_design.accuracy.record_program import DISPROVED, SPREADS, RecordProgram, RowEnd
 from sampling_design.accuracy.record_readings import beginning, read_record
 from sampling_design.accuracy.undetectable import unseen_modes

@@ -51,7 +51,7 @@ class RecordCones:
             longer[: len(root)] = root
             turned = -np.asarray(np.linalg.solve(L, longer / D[:, None]))
             table.add(-np.asarray(np.linalg.solve(L, path[0])), (self._starts, np.eye(self._n)), (0, turned))
-        self._seen(table, np.asarray(H @ L / unit[:, None]))
+        self._pose_readings(table, np.asarray(H @ L / unit[:, None]))
         self.b, self._A, self._cones = table.b(), table.matrix(), table.cones
         interior = not self._exact.size  # without one the last digits of every step count
         self.solver = ConeSolver(self._A, self._cones, tolerance=tolerance, scaled=interior)
@@ -78,7 +78,7 @@ class RecordCones:
         moved = np.asarray(np.linalg.solve(L, np.swapaxes(joined, 0, 1).reshape(self._n, -1)))
         table.flow(F, moved, [len(own) * self._q for own in cells], self._starts, self._w_at)
 
-    def _seen(self, table: ConeTable, H: Array) -> None:
+    def _pose_readings(self, table: ConeTable, H: Array) -> None:
         """Readings and bounds: first what is exact, then what is linear, then what is round."""
         read = self._readings
         y, size = self._shown / self._unit, read.size / self._unit

@@ -112,7 +112,7 @@ class RecordProgram:
         return DisturbanceQuadrature(self.gaps)
 
     @cached_property
-    def _spread(self) -> Array:
+    def _gap_noise(self) -> Array:
         """(K-1, n, n) sum over the cells of a gap of their squares: its noise, for scaling only."""
         n = len(self.table.D)
         cells = [gap.cells(0) for gap in self.gaps]
@@ -122,8 +122,8 @@ class RecordProgram:
     def unit(self) -> Array:
         """(R,) the size of the noise of each row, or what stands for it: for scaling only."""
         read, driven = self.readings, np.zeros(len(self.H))
-        if len(self._spread):
-            driven = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", self.H, self._spread.mean(axis=0), self.H), 0.0))
+        if len(self._gap_noise):
+            driven = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", self.H, self._gap_noise.mean(axis=0), self.H), 0.0))
         size = np.linalg.norm(self.H, axis=1)
         stand_in = np.where(driven > 0, driven, np.where(size > 0, size, 1.0))
         stand_in = np.where(read.below, stand_in, EXACT * stand_in)
@@ -145,7 +145,7 @@ class RecordProgram:
         for k, (a, b) in enumerate(zip(read.offsets[:-1], read.offsets[1:], strict=True)):
             if k:
                 with np.errstate(over="ignore", invalid="ignore"):
-                    P = propagate(P, self.F[k - 1], self._spread[k - 1])
+                    P = propagate(P, self.F[k - 1], self._gap_noise[k - 1])
                 if not np.abs(P).max(initial=0.0) < BEYOND:  # as good as nothing is known of what was before
                     P = np.eye(n) * BEYOND
             if b > a:

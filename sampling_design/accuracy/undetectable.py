@@ -164,13 +164,7 @@ def _invariant(A: Array, group: list[complex], others: list[complex]) -> Complex
 
 
 def _hidden(
-    A: Array,
-    C: Array,
-    X: Complex,
-    value: complex,
-    times: Array,
-    period: float,
-    outputs: list[Index],
+    A: Array, C: Array, X: Complex, value: complex, times: Array, period: float, outputs: list[Index]
 ) -> Complex:
     """Combinations of the columns of X that no sample shows."""
     within = X.conj().T @ A @ X - value.real * np.eye(X.shape[1])  # of X alone, its growth taken out: never overflows

@@ -332,7 +332,7 @@ class Frame:
         flow = np.exp(np.minimum(rate, 300)) * (1 + 1e-6)
         return np.asarray((step * flow) ** 2 / 8 * (size(second) + lost))
 
-    def held(self) -> float | None:
+    def invariant_bound(self) -> float | None:
         """A number s <= 1, if one is found, such that Y <= s I at the start and ever after, with samples or without.
 
         Where s (A + A') + S <= 0 the flow takes s I below itself at once, and so for ever, with all that lies below it.

@@ -93,7 +93,7 @@ def flow_forms(P: Array, slope: Array, size: Array, A: Array, G: Array, Qw: Arra
     return form, sizes
 
 
-def spread(P: Array, E: Array, EG: Array) -> Array:
+def form_radii(P: Array, E: Array, EG: Array) -> Array:
     """Bounds of the entries by which `flow_forms` changes where A and G are off by at most E and EG."""
     drift, off, q = np.abs(P) @ E, np.abs(P) @ EG, EG.shape[-1]
     corner = drift + np.swapaxes(drift, 1, 2)
@@ -113,7 +113,7 @@ def flows(c: Inclusion, P: Array, Qw: Array, work: Work) -> float:
             form, terms = flow_forms(
                 stack, np.tile(slope, (k, 1, 1)), np.tile(size, (k, 1, 1)), A, G, Qw, c.weights.eta
             )
-            below, above = bounds(form, terms, spread(stack, EA, EG))
+            below, above = bounds(form, terms, form_radii(stack, EA, EG))
             return below.reshape(k, m).min(axis=1), above.reshape(k, m).min(axis=1)
 
         def robust(M: Array, E: Array, moving: Array) -> tuple[Array, int]:
@@ -127,7 +127,7 @@ def flows(c: Inclusion, P: Array, Qw: Array, work: Work) -> float:
             _, terms = flow_forms(stack, slopes, sizes, top[:, :, :n], top[:, :, n:], Qw, c.weights.eta)
             moves = [flow_forms(stack, none, none, d[:, :, :n], d[:, :, n:], 0 * Qw, 0.0)[0] for d in D]
             stacked = np.array(moves).reshape(len(D), *form.shape)
-            left, spent = definite_robustly(form, terms, stacked, spread(stack, E[:, :, :n], E[:, :, n:]))
+            left, spent = definite_robustly(form, terms, stacked, form_radii(stack, E[:, :, :n], E[:, :, n:]))
             return left.reshape(k, m).min(axis=1), spent
 
         return Cells(c, c.model, P, work).prove(FLOW, slacks, True, len(both), robust)
@@ -146,7 +146,7 @@ def at_corners(c: Inclusion, found: Members, both: Array, slope: Array, size: Ar
         def who(_: int, where: str = found.name(point)) -> str:
             return where
 
-        slack = min(slack, least(FLOW, form, terms, taus, spread(both, stacks[1], stacks[3]), who))
+        slack = min(slack, least(FLOW, form, terms, taus, form_radii(both, stacks[1], stacks[3]), who))
     return slack
 
 
@@ -189,7 +189,7 @@ def multiplied(c: Inclusion, both: Array, slope: Array, size: Array, taus: Array
         [np.concatenate([terms + top, sides], 2), np.concatenate([np.swapaxes(sides, 1, 2), corner], 2)], 1
     )
     radius = np.zeros_like(full)
-    radius[:, : n + q, : n + q] = spread(both, stack[1], stack[3])
+    radius[:, : n + q, : n + q] = form_radii(both, stack[1], stack[3])
     try:
         return least(f"{FLOW} with multipliers", full, sizes, taus, radius)
     except Refused as error:  # the multipliers fail, which says nothing of the members: is there one that does?

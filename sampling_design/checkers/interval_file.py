@@ -6,20 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from .parts import AROUND, Plant
-from .strict import (
-    Array,
-    Tree,
-    flag,
-    list_of,
-    matrix,
-    nonnegative,
-    number,
-    or_nothing,
-    positive,
-    refuse,
-    table,
-    text,
-)
+from .strict import Array, Tree, flag, list_of, matrix, nonnegative, number, or_nothing, positive, refuse, table, text
 
 MOST_ROWS = 5000  # that were read
 _numbers = list_of(number)

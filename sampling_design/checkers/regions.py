@@ -54,7 +54,7 @@ class Cells:
             low, high = low[inside], high[inside]
             if not len(low):
                 break
-            M, E, moving = self.spread(low, high, of_f)
+            M, E, moving = self.enclosure(low, high, of_f)
             finite = np.isfinite(E).all(axis=(1, 2)) & np.isfinite(moving).all(axis=(0, 2, 3))
             unbounded = each * 2**CORNERS * int(np.sum(~finite))  # as if they were judged, or halving had no end
             spent += unbounded
@@ -91,10 +91,10 @@ class Cells:
 
     def jacobians(self, low: Array, high: Array, of_f: bool) -> Parts:
         """Middles and radii of (A, G) side by side, or of C, over each cell."""
-        M, E, moving = self.spread(low, high, of_f)
+        M, E, moving = self.enclosure(low, high, of_f)
         return M, E + np.abs(moving).sum(axis=0)
 
-    def spread(self, low: Array, high: Array, of_f: bool) -> tuple[Array, Array, Array]:
+    def enclosure(self, low: Array, high: Array, of_f: bool) -> tuple[Array, Array, Array]:
         """Middles, radii, and matrices of which any multiples in [-1, 1] may be added; see `slopes.py`."""
         return enclosed(self.region, low, high, of_f)
 

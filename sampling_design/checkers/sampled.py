@@ -124,7 +124,7 @@ class Windows(Frame):
 
     def prove(self, samples: bool = False) -> float:
         """Prove Y <= I from all real starts (or from sample starts only) to all later times; return the slack."""
-        if (held := self.held()) is not None:
+        if (held := self.invariant_bound()) is not None:
             return float(self.one - held)
         schedule, Y, E = self.schedule, self.start[None], self.start_band[None]
         last = np.array([self.reach.argmax()])

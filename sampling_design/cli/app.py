@@ -32,8 +32,7 @@ PANELS = {
             "plan.info", "Show a plant: its modes, which of them must be seen, and how many samples that takes."
         ),
         "design": Command(
-            "plan.design",
-            "Design an endless periodic schedule, with its proven sigma and a bound that none can beat.",
+            "plan.design", "Design an endless periodic schedule, with its proven sigma and a bound that none can beat."
         ),
         "pareto": Command("what_if.pareto", "Design for several counts: what more samples buy."),
         "losses": Command(
@@ -62,13 +61,9 @@ PANELS = {
             "Bracket the least sigma over every schedule with COUNT samples, SPACING apart, in each WINDOW.",
         ),
         "certify": Command(
-            "prove.certify",
-            "Prove sample-based exponential i-iIOSS on a schedule, or on every schedule of a family.",
+            "prove.certify", "Prove sample-based exponential i-iIOSS on a schedule, or on every schedule of a family."
         ),
-        "verify": Command(
-            "prove.verify",
-            "Check a certificate or an interval from its data alone.",
-        ),
+        "verify": Command("prove.verify", "Check a certificate or an interval from its data alone."),
         "robustness": Command(
             "what_if.robustness",
             "Say how late samples may come, and how many may be lost, before a certificate no longer holds.",
@@ -82,7 +77,7 @@ PANELS = {
         "estimate": Command(
             "track.estimate",
             "Estimate the state from measurements, with a radius that holds the truth if noise keeps its bounds.",
-        ),
+        )
     },
     "Did the promise hold": {
         "validate": Command(

@@ -234,7 +234,7 @@ class _Run:
             known += [f"gap {100 * max(1 - self.sigma / self.bound, 0.0):.1f} %"] if len(known) == 2 else []
             self.progress(fraction, ", ".join([*known, message]))
 
-    def held(self, step: Callable[[], Held]) -> Held:
+    def guarded(self, step: Callable[[], Held]) -> Held:
         """What a step gives; after an interrupt what it has by then, and every later step as if time were up."""
         try:
             return step()
@@ -268,8 +268,8 @@ class _Run:
             self.bound = bound
             self.say(fraction, f"bounding {samples} samples per period")
 
-        self.held(lambda: self.begin(samples, fraction))
-        found = self.held(lambda: bounded(self.designed, self.requirement, samples, self.budget, bounded_by))
+        self.guarded(lambda: self.begin(samples, fraction))
+        found = self.guarded(lambda: bounded(self.designed, self.requirement, samples, self.budget, bounded_by))
         self.bound = found.bound.value
         return found
 
@@ -326,25 +326,25 @@ class _Run:
 
         rng = np.random.default_rng([self.seed, sized.problem.samples])  # the same for a count, whatever came before
         problem = sized.canon.inside
-        first = self.held(lambda: search(problem, sized.relaxation, rng, self.starts, self.budget, inner, enough))
+        first = self.guarded(lambda: search(problem, sized.relaxation, rng, self.starts, self.budget, inner, enough))
         found, chosen = first, problem.mask(first.times)
         if problem.is_costly:
-            found, chosen = self.held(lambda: affordable(problem, first, sized.relaxation, self.budget, enough))
-        tied = self.held(lambda: self.tied(sized, rng, found.sigma))
+            found, chosen = self.guarded(lambda: affordable(problem, first, sized.relaxation, self.budget, enough))
+        tied = self.guarded(lambda: self.tied(sized, rng, found.sigma))
         reached = max([found.sigma, *(sigma for _, _, sigma in tied)])
         target = max(reached, known / size)
         steps, most, gap = _cuts(problem, self.branches)
         self.sigma = max(self.sigma, target * size)
-        bound = self.held(
+        bound = self.guarded(
             lambda: narrowed(problem, sized.inner, target, steps, self.budget, cutting, most=most, near=gap)
         )
         cut = bound
-        bound = sized.bound if cut is sized.inner else self.held(lambda: cut.brought_back(sized.canon))
+        bound = sized.bound if cut is sized.inner else self.guarded(lambda: cut.brought_back(sized.canon))
         time_left = not self.budget.over
-        self.held(lambda: self.say(near, "proving sigma over all window positions"))
+        self.guarded(lambda: self.say(near, "proving sigma over all window positions"))
         times, chosen = brought_back(sized.canon, found.times, chosen)
         asked = [*candidates(sized.problem, times, chosen), *((t, mask) for t, mask, _ in tied)]
-        proven = self.held(lambda: [self.proven(sized.problem, times, mask) for times, mask in asked])
+        proven = self.guarded(lambda: [self.proven(sized.problem, times, mask) for times, mask in asked])
         schedule, proof = max(proven, key=lambda pair: pair[1].lower)
         return ScheduleDesign(
             schedule=schedule,

@@ -68,12 +68,7 @@ class EstimateTable:
     """
 
     def __init__(
-        self,
-        plant: Plant,
-        path: str | os.PathLike[str],
-        *,
-        origin: str | None = None,
-        radii: str = "intervals",
+        self, plant: Plant, path: str | os.PathLike[str], *, origin: str | None = None, radii: str = "intervals"
     ):
         self.plant, self.radii = plant, check_radii(radii)
         self._zero = date_of("`origin`", 0, origin) if origin else None

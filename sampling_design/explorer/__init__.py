@@ -2,10 +2,5 @@
 
 from sampling_design.records.lazy import lazy
 
-_NAMES = {
-    "bench": ("Bench",),
-    "notebook": ("explore",),
-    "scenes": ("SCENES", "scene"),
-    "server": ("serve",),
-}
+_NAMES = {"bench": ("Bench",), "notebook": ("explore",), "scenes": ("SCENES", "scene"), "server": ("serve",)}
 __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)

@@ -330,14 +330,7 @@ def _grid(duration: float, step: float, samples: Array) -> Array:
 
 
 def ratios(
-    grid: Array,
-    x: Array,
-    w: Array,
-    v: Array,
-    y: Array,
-    measured: Mask,
-    P1: Array,
-    weights: NonlinearWeights,
+    grid: Array, x: Array, w: Array, v: Array, y: Array, measured: Mask, P1: Array, weights: NonlinearWeights
 ) -> Array:
     """Return, at each grid time, right side over left side of (16) for differences of one pair, all scaled.
 

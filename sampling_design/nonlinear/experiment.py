@@ -128,10 +128,7 @@ def patient_run(
 
 
 def _estimates(
-    scheme: NonlinearMovingHorizonEstimator,
-    times: Array,
-    y: Array,
-    chosen: Mask,
+    scheme: NonlinearMovingHorizonEstimator, times: Array, y: Array, chosen: Mask
 ) -> tuple[Array, tuple[SolverRun, ...]]:
     """Run one scheme over the chosen samples and return its estimate at every time, and its solves."""
     scheme.start(model.PRIOR_START)

@@ -382,7 +382,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         if nodes[0].sample.y is None and s <= nodes[0].t + slack:
             first = nodes[0]
             last = self.loop.since(first, min([node.t for node in nodes[1:] if node.counted == node.t], default=t))
-            root = fixed if self.promise is None else self._arrival(first.t, last)
+            root = fixed if self.promise is None else self._arrival_weight(first.t, last)
             return NonlinearStart(first.t, first.x, first.beta, last, root, nodes[1:], True, True)
         anchor = state.node_before(s + slack)
         node = nodes[anchor]
@@ -395,12 +395,12 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         last = self.loop.since(node, at)
         root = fixed
         if self.promise is not None:
-            root = self._arrival(at, last)
+            root = self._arrival_weight(at, last)
         elif self.filtered:
             root = self._information(Y, fixed)
         return NonlinearStart(at, x, square, last, root, nodes[anchor if closed else anchor + 1 :], closed, False)
 
-    def _arrival(self, t: float, last: float) -> Array:
+    def _arrival_weight(self, t: float, last: float) -> Array:
         """Return the root of P(tau), scaled; beyond the certified gaps of P at the longest one."""
         promise = self.promise
         assert promise is not None

@@ -29,11 +29,7 @@ class NonlinearWeights:
     twice: float = 2.0
 
 
-def scaled_weights(
-    plant: NonlinearPlant,
-    cost: CostFunction,
-    name: str = "P2",
-) -> NonlinearWeights:
+def scaled_weights(plant: NonlinearPlant, cost: CostFunction, name: str = "P2") -> NonlinearWeights:
     """Return physical weights in scaled coordinates; the defaults are those of the linear estimator.
 
     `name` is what the weight of states is called in messages. Without a value: P2 = diag(1/s_x^2), Qw = diag(1/s_w^2),

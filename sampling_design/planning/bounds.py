@@ -40,12 +40,7 @@ Finder: TypeAlias = Callable[[Array, float], None]
 
 
 def separated(
-    cover: CoveringRows,
-    pool: HiddenTrajectories,
-    level: float,
-    keys: list[Key],
-    work: Budget,
-    below: float = np.inf,
+    cover: CoveringRows, pool: HiddenTrajectories, level: float, keys: list[Key], work: Budget, below: float = np.inf
 ) -> tuple[list[Key], Array]:
     """Rows of the pool until the relaxation keeps them all, and its point, among choices below a cost."""
     keys = [key for key in keys if pool.trajectories[key[0]].reach >= level]
@@ -80,7 +75,7 @@ def _violated(
 ) -> list[Key]:
     """Ends at which a fractional point sees too little of a trajectory, first where it sees least."""
     steps = pool.steps
-    z = cover.seen(x)
+    z = cover.coverage(x)
     spectrum = np.fft.rfft(z, axis=0)
     fresh: list[tuple[float, Key]] = []
     for a, view in views.items():

@@ -169,7 +169,7 @@ class CoveringRows:
         """The variable of each step and sensor, or of each step's sample (M, 1) where samples are whole; -1: none."""
         return self.place[:, self.used[:1]] if self.whole else self.place
 
-    def seen(self, x: Array) -> Array:
+    def coverage(self, x: Array) -> Array:
         """How much of each step and sensor, or of each step's sample, a point of the program measures."""
         return np.where(self.places >= 0, x[self.places], 0.0)
 

@@ -67,7 +67,7 @@ def first_due(plan: PlanFigures, sequence: SampleSequence, until: float) -> Goal
     """The first goal to reach its tolerance in a sequence before a time; if none does, the one that comes nearest."""
     nearest: GoalDue | None = None
     firsts: list[GoalDue] = []
-    for looks in (_bounded(plan, sequence, until, 1.0), _spread(plan, sequence, until)):
+    for looks in (_bounded(plan, sequence, until, 1.0), _deviations(plan, sequence, until)):
         for _, gap in groupby(looks, key=lambda look: look.k):
             found = [look.first() for look in gap]
             breaks = [due for due in found if due.breaks]
@@ -84,7 +84,7 @@ def kept_from(plan: PlanFigures, sequence: SampleSequence, until: float, level: 
     Where a goal is too high up to the end of a gap, from the sample there on.
     """
     kept = max(sequence.since, float(sequence.times[sequence.start]))
-    for gap in chain(_spread(plan, sequence, until), _bounded(plan, sequence, until, level)):
+    for gap in chain(_deviations(plan, sequence, until), _bounded(plan, sequence, until, level)):
         above = np.flatnonzero(gap.ratios > level)
         if above.size:
             after = int(above[-1]) + 1
@@ -101,7 +101,7 @@ def reached_at(plan: PlanFigures, history: SampleSequence, since: float, until: 
     if past.result_delay is None:
         ahead = [span for span in ahead if span.k == len(past.times) - 2]
     looks = [look for i, span in enumerate(ahead) for look in _in_gap(plan, past, i, span, level)]
-    looks += _spread(plan, past, np.inf)
+    looks += _deviations(plan, past, np.inf)
     over = [float(look.times[look.ratios > level][0]) for look in looks if np.any(look.ratios > level)]
     return min(over, default=np.inf)
 
@@ -118,7 +118,7 @@ def exceeded_since(plan: PlanFigures, sequence: SampleSequence, now: float) -> G
     `ratio` is that of the last look. The sequence is what was measured until now.
     """
     past = _ending(sequence, max(now, float(sequence.times[-1]) + WHOLE * plan.problem.step))
-    spread = {k: list(looks) for k, looks in groupby(_spread(plan, past, np.inf), key=lambda look: look.k)}
+    spread = {k: list(looks) for k, looks in groupby(_deviations(plan, past, np.inf), key=lambda look: look.k)}
     pending = {goal.name for goal in plan.goals}
     found: dict[str, GoalDue] = {}
     for i, span in [*enumerate(spans_of(plan, past))][::-1]:
@@ -182,7 +182,7 @@ def _to_the_step(plan: PlanFigures, window: GridWindow, g: int, looks: dict[int,
             low, high = (middle, high) if (looks[middle] >= level) == sides[0] else (low, middle)
 
 
-def _spread(plan: PlanFigures, sequence: SampleSequence, until: float) -> Iterator[GapLooks]:
+def _deviations(plan: PlanFigures, sequence: SampleSequence, until: float) -> Iterator[GapLooks]:
     """The same of standard deviations."""
     if plan.deviation is None:
         return

@@ -49,12 +49,7 @@ SAME = 1e-3  # figures in a file may differ from those worked out anew by this s
 MOST_TREE = 10_000  # nodes of a tree of proofs that a file may hold: more takes minutes to check
 
 _TRAJECTORY = table(
-    {
-        "goal": count,
-        "end": count,
-        "at_sample": flag,
-        "reach": positive,
-    },
+    {"goal": count, "end": count, "at_sample": flag, "reach": positive},
     {"knots": list_of(count), "states": matrix(), "w": matrix(), "point": list_of(list_of(nonnegative, 3))},
 )
 _FLIGHT = ("knots", "states", "w")
@@ -69,11 +64,7 @@ _ROBUSTNESS = table(
     }
 )
 _START = table(
-    {
-        "time_unit": time_unit,
-        **dict.fromkeys(("from_time", "ratio"), or_nothing(nonnegative)),
-        "bounded": flag,
-    }
+    {"time_unit": time_unit, **dict.fromkeys(("from_time", "ratio"), or_nothing(nonnegative)), "bounded": flag}
 )
 _TREE: Reader = table(
     {

@@ -245,7 +245,7 @@ class _Planning:
         search.add(trajectories, 1.0)
         self.kept = worst <= 1
         if self.kept:
-            self.progress.held(everything, worst)
+            self.progress.found(everything, worst)
         search.seed(1.0)
         search.starts = self.started()
         search.share = SOUGHT

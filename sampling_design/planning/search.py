@@ -227,7 +227,7 @@ class PlanSearch:
             if self.oracle.few:
                 size = self.cover.sizes(trajectory, ends, level)
                 ends = ends[size == size.min(initial=self.problem.allowed.size)]
-            ends = ends[_spread(ends.size, SPREAD_ENDS)]
+            ends = ends[_evenly(ends.size, SPREAD_ENDS)]
             fresh += [(a, int(e)) for e in ends if (a, int(e)) not in known]
         return fresh
 
@@ -273,7 +273,7 @@ class PlanSearch:
         """Remember the best choice."""
         self.found.chosen, self.found.worst = chosen, worst
         self.held.append((chosen, worst))
-        self.progress.held(chosen, worst)
+        self.progress.found(chosen, worst)
 
     def polished(self, chosen: Mask) -> Mask:
         """Move one measurement at a time to where the trajectories so far prove least, while that gains."""
@@ -451,6 +451,6 @@ class PlanSearch:
                 return
 
 
-def _spread(size: int, count: int) -> Index:
+def _evenly(size: int, count: int) -> Index:
     """So many places of a list, evenly spread."""
     return np.round(np.linspace(0, size - 1, min(count, size))).astype(np.intp)

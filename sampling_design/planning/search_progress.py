@@ -29,7 +29,7 @@ class PlanProgress:
     bound: float = 0.0
     done: float = 0.0
 
-    def held(self, chosen: Mask, ratio: float) -> None:
+    def found(self, chosen: Mask, ratio: float) -> None:
         """Tell of a choice that is held, if it is the best so far; `ratio` is its accuracy over the tolerances."""
         if self._figure(chosen, ratio) < self.reached:
             self._known(chosen, ratio)

@@ -266,7 +266,7 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, 
     search.back = back
     goals = [(goal, KnownIntegrals()) for goal in problem.goals if not goal.spread]
     usual = max(r / g.tolerance for r, g in zip(plan.reached.tolist(), problem.goals, strict=True) if not g.spread)
-    factors = _settling(plan, sequence, search, filtered, settled + back)
+    factors = _transient_factors(plan, sequence, search, filtered, settled + back)
     for span in search.chain.spans:
         k = search.chain.sample_of(span.node)
         begin, end = (float(times[k]) + offset for offset in (span.begin, span.end))
@@ -388,7 +388,7 @@ def at_offset(search: ChainSearch, row: Array, k: int, d: float) -> float:
     return float(search.gains(k, opened.mu[-1]).value + opened.above[-1])
 
 
-def _settling(
+def _transient_factors(
     plan: PlanFigures, sequence: SampleSequence, search: ChainSearch, own: SampleChain, stop: int
 ) -> list[float]:
     """How much more than the plan's gaps those of a sequence are at most; infinite where they are not the plan's."""

@@ -11,12 +11,7 @@ import numpy.typing as npt
 from scipy.linalg import lapack, qr, solve_triangular
 
 from sampling_design.errors import MathematicsError
-from sampling_design.plants.clusters import (
-    EigenvalueCluster,
-    clusters_of,
-    eigenvalue_clusters,
-    format_eigenvalue,
-)
+from sampling_design.plants.clusters import EigenvalueCluster, clusters_of, eigenvalue_clusters, format_eigenvalue
 from sampling_design.plants.grouping import CLUSTER_CAP, SchurForm, balanced_schur
 from sampling_design.plants.plant import Plant, Signals, replace_matrices
 from sampling_design.records import checks
@@ -102,10 +97,7 @@ class ModalSplit(TableRecord, PlainRecord):
             ("line", f"Re >= {short(0.0 - self.decay_rate / 2)} 1/{self.plant.time_unit}"),
             ("eigenvalues retained", _listed(self.retained_clusters)),
             ("eigenvalues residual", _listed(c for c in self.clusters if c not in self.retained_clusters)),
-            (
-                "too near the line",
-                ", ".join(near) or "none",
-            ),
+            ("too near the line", ", ".join(near) or "none"),
             ("separation", short(self.separation, 3)),
             ("condition", short(self.condition, 3)),
         ]

@@ -115,15 +115,15 @@ def _drawn(log: ScheduleLog) -> tuple[float, float]:
 
 
 def _times(log: ScheduleLog, ax: Axes, low: float, high: float) -> Axes:
-    def seen(times: Array) -> Array:
+    def visible(times: Array) -> Array:
         return times[(low <= times) & (times <= high)]
 
-    ax.vlines(seen(log.planned.times), 0.6, 1.4, color=style.ALLOWED, linewidth=1.8)
-    ax.vlines(seen(log.actual.times), -0.4, 0.4, color=style.MEASURED, linewidth=1.8)
+    ax.vlines(visible(log.planned.times), 0.6, 1.4, color=style.ALLOWED, linewidth=1.8)
+    ax.vlines(visible(log.actual.times), -0.4, 0.4, color=style.MEASURED, linewidth=1.8)
     drawn = (low <= log.planned.times) & (log.planned.times <= high) & (log.match >= 0)
     for k in np.flatnonzero(drawn):
         ax.plot([log.planned.times[k], log.actual.times[log.match[k]]], [0.6, 0.4], color=style.TRUTH, linewidth=0.6)
-    missed, extra = seen(log.missed), seen(log.extra)
+    missed, extra = visible(log.missed), visible(log.extra)
     ax.plot(missed, np.ones(missed.size), "x", color=style.FAILED)
     ax.plot(extra, np.zeros(extra.size), "o", color=style.ATTAINED, markerfacecolor="none")
     ax.set_yticks([0, 1], ["actual", "planned"])

@@ -47,12 +47,7 @@ def _bar(label: str) -> Iterator[Progress]:
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[note]}"),
-    )
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("{task.fields[note]}"))
     with Bar(*columns, console=console, transient=True) as bar:
         task = bar.add_task(label, total=1.0, note="")
         yield lambda fraction, message: bar.update(task, completed=fraction, note=message)

@@ -12,15 +12,7 @@ from sampling_design.records import checks
 from sampling_design.records.checks import Seed
 from sampling_design.records.record import short
 from sampling_design.records.units import check_time_unit
-from sampling_design.schedules.family import (
-    AnySchedule,
-    SamplingFamily,
-    Steps,
-    extent,
-    gap_steps,
-    in_family_unit,
-    pick,
-)
+from sampling_design.schedules.family import AnySchedule, SamplingFamily, Steps, extent, gap_steps, in_family_unit, pick
 from sampling_design.schedules.sampling_set import ROUNDING
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 

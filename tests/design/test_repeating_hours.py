@@ -8,7 +8,7 @@ from sampling_design.design.bounds.evidence import first_bound, placed_part
 from sampling_design.design.bounds.relaxation import grams_at, relax_placed, repeating, solve_relaxation
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
-from sampling_design.design.search.fedorov_exchange import is_admissible, spread
+from sampling_design.design.search.fedorov_exchange import at_shares, is_admissible
 from sampling_design.design.search.rotations import rotated
 from sampling_design.plants import library
 from sampling_design.records.budget import Budget
@@ -79,7 +79,7 @@ def test_ends_that_a_shift_rounds_are_not_lost():
     reached = np.sqrt(worst_sigma2(case, np.array(alone)).max())
     assert 0.85 * np.sqrt(found.value) < reached < np.sqrt(found.value)
     rng = np.random.default_rng(0)
-    drawn = np.array([t for t in (spread(case, rng.uniform(size=30)) for _ in range(12)) if t is not None])
+    drawn = np.array([t for t in (at_shares(case, rng.uniform(size=30)) for _ in range(12)) if t is not None])
     assert np.sqrt(worst_sigma2(case, drawn).max()) < 0.8 * reached
 
 

@@ -14,7 +14,7 @@ from sampling_design.design.problem.gram import ScaledRows
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.search import local_search
-from sampling_design.design.search.fedorov_exchange import is_admissible, packed, repaired, shares_of, spread
+from sampling_design.design.search.fedorov_exchange import at_shares, is_admissible, packed, repaired, shares_of
 from sampling_design.design.search.local_search import _kick, _ranked, _Refinement, search
 from sampling_design.design.search.refine import refined
 from sampling_design.numerics.linalg import expm_batch
@@ -32,7 +32,7 @@ def problem(**changes):
 def test_spread_and_shares_undo_each_other(forbidden):
     case = problem(forbidden=forbidden)
     shares = np.sort((np.arange(7) + np.random.default_rng(1).uniform(0.2, 0.8, 7)) / 7)
-    times = spread(case, shares)
+    times = at_shares(case, shares)
     assert is_admissible(case, times)
     np.testing.assert_allclose(shares_of(case, times), shares, atol=1e-9)
 
@@ -125,7 +125,7 @@ def test_fewer_kicks_are_tried_of_many_samples(monkeypatch):
     for samples in (4, 96):
         turning = problem(samples=samples, spacing=0.05, window=12.0, period=12.0)
         stretching = replace(turning, plant=Plant(turning.plant.A * units[:, None] / units, turning.plant.C / units))
-        times = spread(turning, (np.arange(samples) + 0.5) / samples)
+        times = at_shares(turning, (np.arange(samples) + 0.5) / samples)
         for case in (turning, stretching):
             _kick(_Refinement(case, ENDLESS, np.inf, times, 1e9, []), np.random.default_rng(0), 100)
     assert tried.count(4) == 12
@@ -230,7 +230,7 @@ def test_kicks_end_where_all_that_was_refined_ends_alike(monkeypatch):
     monkeypatch.setattr(local_search, "refined", the_same_again)
     case = problem(samples=4, spacing=0.05, window=12.0, period=11.0)
     assert case.turning is None
-    times = spread(case, (np.arange(4) + 0.5) / 4)
+    times = at_shares(case, (np.arange(4) + 0.5) / 4)
     for found, most in ((trials(*[2.0] * 11), 0), (trials(*[2.0] * 8), 2 * 3), (trials(1.0, 1.5, 1.8, 2.0), 2 * 12)):
         tried.clear()
         _kick(_Refinement(case, ENDLESS, np.inf, times, 4.0, found), np.random.default_rng(0), 100)

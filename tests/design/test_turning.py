@@ -9,7 +9,7 @@ from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import _worst_of_positions, worst_sigma2
 from sampling_design.design.problem.turning import UNSURE
 from sampling_design.design.search import smooth
-from sampling_design.design.search.fedorov_exchange import is_admissible, spread
+from sampling_design.design.search.fedorov_exchange import at_shares, is_admissible
 from sampling_design.design.search.refine import refined
 from sampling_design.design.search.rotations import exchanged_hours
 from sampling_design.design.search.smooth import smoothed
@@ -122,7 +122,7 @@ def test_it_leads_as_far_as_semidefinite_programs_mostly_and_keeps_to_what_is_as
     case, rng = problem(**changes), np.random.default_rng(9)
     ratios = []
     while len(ratios) < 5:
-        times = spread(case, rng.uniform(size=7 - case.fixed.size))
+        times = at_shares(case, rng.uniform(size=7 - case.fixed.size))
         if times is None or not is_admissible(case, times):
             continue
         before = float(worst_sigma2(case, times[None])[0])

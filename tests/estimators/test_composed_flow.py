@@ -106,7 +106,7 @@ def test_gaps_of_a_batch_are_those_of_one_by_one(units):
     batch.prepare(gaps, gaps, prior)
     for gap in gaps:
         one, many = alone.one(gap), batch.one(gap)
-        found, made = one.arrival(prior), many.arrival(prior)
+        found, made = one.arrival_information(prior), many.arrival_information(prior)
         assert in_own_units(made.information, found.information) < 1e-9
         np.testing.assert_array_equal(made.band, lower_band(made.information, 3)[0])
         if one.joint is None:
@@ -125,9 +125,11 @@ def test_what_loses_digits_is_left_alone_in_a_batch():
     table.known([0.5, 2.0, 3000.0])
     table.prepare([0.5, 2.0, 3000.0], [2.0, 3000.0], prior)
     assert all(table.one(gap).joint is None for gap in (0.5, 2.0))
-    assert (table.one(2.0).arrival(prior) is None) == (FlowTable(weights).one(2.0).arrival(prior) is None)
+    assert (table.one(2.0).arrival_information(prior) is None) == (
+        FlowTable(weights).one(2.0).arrival_information(prior) is None
+    )
     with np.errstate(over="ignore", invalid="ignore"):
-        assert table.one(3000.0).arrival(prior) is None
+        assert table.one(3000.0).arrival_information(prior) is None
 
 
 def in_own_units(found, expected):

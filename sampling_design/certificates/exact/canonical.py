@@ -117,14 +117,7 @@ def evened(canon: ScaledProblem) -> ScaledProblem:
     weights = tuple(W * u * u[:, None] for W, u in ((Qw * time, w), (R, y), (Qv, y)))
     kept = [W if np.count_nonzero(W - np.diag(np.diagonal(W))) else cut(W) for W in weights]
     return ScaledProblem(
-        found,
-        schedule,
-        NoiseWeights(*kept),
-        canon.x * x,
-        canon.w * w,
-        canon.y * y,
-        canon.time * time,
-        np.ones_like(x),
+        found, schedule, NoiseWeights(*kept), canon.x * x, canon.w * w, canon.y * y, canon.time * time, np.ones_like(x)
     )
 
 

@@ -17,12 +17,7 @@ from scipy.linalg import block_diag, schur, solve_sylvester
 from sampling_design.certificates.exact.canonical import ScaledProblem, canonical, evened
 from sampling_design.certificates.exact.given_weights import NoiseWeights
 from sampling_design.certificates.exact.own_decay import lyapunov_shapes
-from sampling_design.certificates.exact.weight_choice import (
-    SEARCH_WORK,
-    ChosenWeights,
-    WeightSearch,
-    choose_weights,
-)
+from sampling_design.certificates.exact.weight_choice import SEARCH_WORK, ChosenWeights, WeightSearch, choose_weights
 from sampling_design.certificates.exact.window_gains import WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.checkers.work import Work

@@ -127,13 +127,5 @@ def window_problem(
         gaps = np.diff(times, prepend=0.0)
         reach, period = gaps.copy(), None
     return WindowProblem(
-        A=A,
-        noise=noise,
-        rows=rows,
-        eta=eta,
-        root=root,
-        gaps=gaps,
-        reach=reach,
-        times=times,
-        period=period,
+        A=A, noise=noise, rows=rows, eta=eta, root=root, gaps=gaps, reach=reach, times=times, period=period
     )

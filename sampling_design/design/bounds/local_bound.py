@@ -54,12 +54,12 @@ def tied_windows(problem: DesignProblem, zones: Array) -> Index:
     for j in range(problem.samples):
         for ends in (0,) if whole else (0, 1):
             for right in (0, 1):
-                held = _held(problem, zones, j, ends, right)
+                held = _samples_within(problem, zones, j, ends, right)
                 rows.append((j, ends, right, int(held.max()) if grows and held.size else j))
     return np.array(rows, dtype=np.intp)
 
 
-def _held(problem: DesignProblem, zones: Array, j: int, ends: int, right: int) -> Index:
+def _samples_within(problem: DesignProblem, zones: Array, j: int, ends: int, right: int) -> Index:
     """Samples, counted on over the periods, that the window can hold for some schedule in the zones."""
     k, P, T = problem.samples, problem.period, problem.window
     tiny = _SAME * P
@@ -111,7 +111,7 @@ def _terms(problem: DesignProblem, zones: Array, windows: Index) -> _Terms:
     window, first, second, lag, ahead, weights, own = [], [], [], [], [], [], []
     for m, (j, ends, right, anchor) in enumerate(windows.tolist()):
         at = middle[anchor % k] + P * (anchor // k)
-        held = _held(problem, zones, j, ends, right)
+        held = _samples_within(problem, zones, j, ends, right)
         for index in held.tolist():
             window.append(m)
             first.append(index % k)

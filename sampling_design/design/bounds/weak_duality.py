@@ -64,7 +64,7 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Pr
     home = np.clip(np.searchsorted(bases, middle) - 1, 0, bases.size - 1)
     used, home = np.unique(home, return_inverse=True)
     ends = np.append(bases, period)
-    Y0 = _held(problem, starts, Z, bases[used], (bases[used] + ends[used + 1]) / 2)
+    Y0 = _multipliers_over(problem, starts, Z, bases[used], (bases[used] + ends[used + 1]) / 2)
     norm = float(np.linalg.norm(A, 2))
     apart = period if norm == 0.0 else _NODE / max(norm, float(np.linalg.norm(A, 1)) / 2)
     ahead = np.floor((left - bases[used][home]) / apart)  # nodes from the base, for each piece
@@ -151,7 +151,7 @@ def _forms(C: Array, Y: Array) -> Array:
     return np.asarray(np.einsum("pi,sij,pj->sp", C, Y, C))
 
 
-def _held(problem: DesignProblem, starts: Array, Z: Array, at: Array, inside: Array) -> Array:
+def _multipliers_over(problem: DesignProblem, starts: Array, Z: Array, at: Array, inside: Array) -> Array:
     """Y at the times `at`, over the windows that hold the times `inside` (same piece)."""
     n = problem.plant.n_states
     count = int(np.ceil(problem.window / problem.period - 1e-9))

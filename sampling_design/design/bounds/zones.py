@@ -3,8 +3,8 @@
 Let s_i be the samples of an endless schedule, k to a period P, and D_i = s_i - i P/k: how late sample i is
 against even spacing. D repeats after k samples. From the sample where D is least, follower j comes after
 j P/k or more, for every j at once (the cycle lemma); from the sample where D is largest, after j P/k or
-less. That sample is the origin: sample 0. Where the requirement may be shifted by `turn`, the origin lies in
-[0, turn] from where the problem's periods begin (`DesignProblem.origin`), at 0 alone if it may be shifted at will.
+less. That sample is the origin: sample 0. Where the requirement may be shifted by `least_shift`, the origin lies
+in [0, that] from where the problem's periods begin (`DesignProblem.origin`), at 0 alone if it may be shifted at will.
 Where it may not be shifted by less than a period, or times are fixed, samples are "sorted": counted from the first of
 that period, or from the first fixed one in it, and every way to share out the others between the fixed ones is a region
 of its own. Every sample then has a zone, and boxes of zones are cut in two again and again (`branching`).
@@ -23,7 +23,6 @@ from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.records.arrays import Array, Mask
 
 Side = Literal["late", "early", "sorted"]
-SIDES: tuple[Side, ...] = ("late", "early", "sorted")
 
 MOST_REGIONS = 64  # ways to share out samples between fixed times beyond which zones are not tried
 TINY = 1e-12  # slack of every zone, in periods: rounding in a schedule's times cannot carry a sample out of its zone
@@ -39,7 +38,7 @@ def zoned(problem: DesignProblem) -> bool:
 
 def sides(problem: DesignProblem) -> tuple[Side, ...]:
     """From which sample the others can be counted."""
-    if problem.fixed.size > (1 if _open(problem) else 0) or turn(problem) == problem.period:
+    if problem.fixed.size > (1 if _open(problem) else 0) or least_shift(problem) == problem.period:
         return ("sorted",)
     return ("late", "early")
 
@@ -49,7 +48,7 @@ def _open(problem: DesignProblem) -> bool:
     return not problem.forbidden.size and all(a is None for a in problem.available)
 
 
-def turn(problem: DesignProblem) -> float:
+def least_shift(problem: DesignProblem) -> float:
     """The least shift after which the same times are allowed: 0 where all are, else a fraction of the period."""
     if _open(problem):
         return 0.0
@@ -88,14 +87,14 @@ def origin_zones(problem: DesignProblem, side: Side) -> Array:
     first, last = j * problem.spacing, P - (k - j) * problem.spacing
     even = j * (P / k)
     low, high = (even, last) if side == "late" else (first, even)
-    low, high = np.minimum(low, high), np.maximum(low, high) + turn(problem)
-    low[0], high[0] = 0.0, max(turn(problem) - problem.shut, 0.0)
+    low, high = np.minimum(low, high), np.maximum(low, high) + least_shift(problem)
+    low[0], high[0] = 0.0, max(least_shift(problem) - problem.shut, 0.0)
     return np.stack([low - TINY * P, high + TINY * P], axis=1) + begins(problem, side)
 
 
 def begins(problem: DesignProblem, side: Side) -> float:
     """The time from which zones are counted: 0 where the requirement may be shifted at will."""
-    return problem.origin if side == "sorted" or turn(problem) > 0 else 0.0
+    return problem.origin if side == "sorted" or least_shift(problem) > 0 else 0.0
 
 
 def _shared_out(samples: int, fixed: int) -> Iterator[tuple[int, ...]]:

@@ -20,7 +20,7 @@ from sampling_design.design.problem.choices import affordable_choices
 from sampling_design.design.problem.feasible import changed
 from sampling_design.design.problem.numbers import SLACK, DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
-from sampling_design.design.search.fedorov_exchange import even, is_admissible, rounded, spread
+from sampling_design.design.search.fedorov_exchange import at_shares, even, is_admissible, rounded
 from sampling_design.design.search.local_search import FIRST_STEPS, HOPELESS, FoundSchedule, SearchTrial
 from sampling_design.design.search.refine import refined
 from sampling_design.errors import InfeasibleRequirementError
@@ -153,7 +153,7 @@ def _promising(problem: DesignProblem, starts: list[Array]) -> list[tuple[Array,
     """
     choices = np.array(affordable_choices(problem))
     rng = np.random.default_rng(0)
-    drawn = [spread(problem, rng.uniform(size=problem.samples - problem.fixed.size)) for _ in range(_DRAWN)]
+    drawn = [at_shares(problem, rng.uniform(size=problem.samples - problem.fixed.size)) for _ in range(_DRAWN)]
     pool = [*starts, *(t for t in drawn if t is not None and is_admissible(problem, t))]
     found: list[tuple[float, bytes, Array, Mask]] = []
     for times in pool if choices.size else ():

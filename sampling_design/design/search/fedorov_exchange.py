@@ -37,10 +37,10 @@ def rounded(problem: DesignProblem, found: Relaxation, offset: float) -> Array |
 def even(problem: DesignProblem, offset: float) -> Array | None:
     """Evenly spaced over the allowed time, repaired."""
     spare = problem.samples - problem.fixed.size
-    return spread(problem, (np.arange(spare) + offset) / max(spare, 1))
+    return at_shares(problem, (np.arange(spare) + offset) / max(spare, 1))
 
 
-def spread(problem: DesignProblem, shares: Array) -> Array | None:
+def at_shares(problem: DesignProblem, shares: Array) -> Array | None:
     """Free samples at these shares (in [0, 1)) of the allowed time, fixed ones beside them, repaired."""
     lengths = np.diff(problem.intervals, axis=1)[:, 0]
     ends = np.cumsum(lengths)

@@ -25,7 +25,7 @@ from collections.abc import Callable
 import numpy as np
 
 from sampling_design.design.bounds.relaxation import Relaxation
-from sampling_design.design.bounds.zones import turn
+from sampling_design.design.bounds.zones import least_shift
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.turning import TurningWindows
 from sampling_design.records.arrays import Array, Index, Mask
@@ -80,7 +80,7 @@ def annealed(
 
 def places(problem: DesignProblem, found: Relaxation) -> Array:
     """The hours that weigh most, in every repetition, sorted."""
-    shift = turn(problem)
+    shift = least_shift(problem)
     hours = np.mod(found.times, shift)
     order = np.argsort(hours, kind="stable")
     first = np.flatnonzero(np.append(True, np.diff(hours[order]) > _SAME * shift))
@@ -115,7 +115,7 @@ class HeatBath:
         shape = (times.size, -1, every.shape[-1])
         return every[:, :-1].reshape(shape), every[:, 1:].reshape(shape)
 
-    def seen(self, others: Array, early: Array, late: Array, free: Index) -> Array:
+    def least_eigenvalues(self, others: Array, early: Array, late: Array, free: Index) -> Array:
         """(m, k) at most the least eigenvalue of each window, one more sample at each of the `free` places.
 
         The windows begin just before each of the `others` (k - 1 of them, sorted, with their rows), and before it.
@@ -150,7 +150,7 @@ class HeatBath:
             free = np.flatnonzero(self.room(others))
             if not free.size:
                 continue
-            seen = self.seen(others, early[rest], late[rest], free) / self.unit
+            seen = self.least_eigenvalues(others, early[rest], late[rest], free) / self.unit
             least = seen.min(axis=1)
             soft = least - np.log(np.exp(-_SHARPNESS * (seen - least[:, None])).sum(axis=1)) / _SHARPNESS
             heat = _WARM * (_COOL / _WARM) ** (step / steps) / times.size

@@ -8,20 +8,20 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sampling_design.design.bounds.relaxation import Relaxation, repeating
-from sampling_design.design.bounds.zones import turn
+from sampling_design.design.bounds.zones import least_shift
 from sampling_design.design.problem.gram import MANY_STATES
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.problem.stopping import Interrupted
 from sampling_design.design.problem.turning import TurningWindows
 from sampling_design.design.search.fedorov_exchange import (
+    at_shares,
     even,
     exchanged,
     is_admissible,
     packed,
     rounded,
     shares_of,
-    spread,
 )
 from sampling_design.design.search.heat_bath import annealed
 from sampling_design.design.search.refine import refined
@@ -313,7 +313,7 @@ def _first_steps(run: _Refinement, times: Array, before: float) -> tuple[Array, 
 def _kicked(problem: DesignProblem, times: Array, rng: np.random.Generator) -> Array | None:
     """A few free samples moved at once, near or far; or where hours repeat, two samples' times of day exchanged."""
     held = times[~np.isin(times, problem.fixed)]
-    parts = round(problem.period / turn(problem)) if repeating(problem) else 1
+    parts = round(problem.period / least_shift(problem)) if repeating(problem) else 1
     if parts > 1 and held.size > 1 and rng.uniform() < _EXCHANGED:
         return exchanged_hours(problem, times, *rng.choice(held.size, 2, replace=False))
     shares = shares_of(problem, held)
@@ -322,7 +322,7 @@ def _kicked(problem: DesignProblem, times: Array, rng: np.random.Generator) -> A
     if parts > 1:  # another hour of the same day
         near = (np.floor(shares[moved] * parts) + rng.uniform(size=moved.size)) / parts
     shares[moved] = (near if rng.uniform() < 0.5 else rng.uniform(size=moved.size)) % 1.0
-    return spread(problem, shares)
+    return at_shares(problem, shares)
 
 
 def _restart(run: _Refinement, rng: np.random.Generator) -> None:
@@ -332,7 +332,7 @@ def _restart(run: _Refinement, rng: np.random.Generator) -> None:
     for _ in range(_RESTARTS):
         if run.is_over or size == 0:
             return
-        drawn = [spread(problem, rng.uniform(size=size)) for _ in range(DRAWS)]
+        drawn = [at_shares(problem, rng.uniform(size=size)) for _ in range(DRAWS)]
         pool = np.array([t for t in drawn if t is not None and is_admissible(problem, t)]).reshape(-1, problem.samples)
         values = worst_sigma2(problem, pool)
         for i in np.argsort(-values, kind="stable")[:_SEEING]:
@@ -373,5 +373,5 @@ def _starts(
             shares = (np.arange(size) + rng.uniform() + 0.3 * rng.normal(size=size)) / max(size, 1) % 1.0
         else:
             shares = rng.uniform(size=size)
-        found.append(("random", spread(problem, shares)))
+        found.append(("random", at_shares(problem, shares)))
     return [(name, t) for name, t in found if t is not None and is_admissible(problem, t)]

@@ -135,13 +135,13 @@ class GapFlow:
         """Take what a prior was found to be worth."""
         self._arrival = Y, found
 
-    def arrival(self, Y: Array) -> ArrivalInformation | None:
+    def arrival_information(self, Y: Array) -> ArrivalInformation | None:
         """Return what a prior of covariance Y is worth after the gap, the inverse of growth F Y F' + W.
 
         None where that would lose digits. What was asked for last is kept.
         """
         if self._arrival is None or self._arrival[0] is not Y:
-            self._arrival = Y, _arrival(self._carried(Y))
+            self._arrival = Y, _information_of(self._carried(Y))
         return self._arrival[1]
 
     def covariance(self, Y: Array) -> Array:
@@ -365,7 +365,7 @@ def _joint(F: Array, W: Array) -> tuple[Array | None, float]:
     return joint, COVARIANCE_ERROR * condition
 
 
-def _arrival(M: Array) -> ArrivalInformation | None:
+def _information_of(M: Array) -> ArrivalInformation | None:
     """Return the inverse of a covariance, in both forms."""
     found = _half(M)
     if found is None:

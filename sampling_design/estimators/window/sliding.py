@@ -344,7 +344,7 @@ class SlidingBand:
             x, Y, size, noise, heard = self._opened(opening)
             size, noise = size * begin, noise * begin
         flow, drift = gap
-        arrival = flow.arrival(Y)
+        arrival = flow.arrival_information(Y)
         if arrival is None:
             return None
         count = len(known)
@@ -394,7 +394,7 @@ class SlidingBand:
 
         There x and Y are known; `flow` leads from x to `moved` beside the first node's reference.
         """
-        arrival = flow.arrival(Y)
+        arrival = flow.arrival_information(Y)
         assert arrival is not None
         begun = flow.growth * Y.dot(flow.F.T.dot(arrival.information.dot(deviation[: self._n] - moved)))
         places = self._places[first : len(self._known) + 1].copy()

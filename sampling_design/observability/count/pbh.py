@@ -53,12 +53,7 @@ class UnobservableModes(Record):
     tolerance: float
     names: tuple[str, ...]
 
-    _table = {
-        "unseen": "{__len__}",
-        "modes": "{describe:or -}",
-        "margin": "{margin:3}",
-        "tolerance": "{tolerance:3}",
-    }
+    _table = {"unseen": "{__len__}", "modes": "{describe:or -}", "margin": "{margin:3}", "tolerance": "{tolerance:3}"}
 
     def __len__(self) -> int:
         return self.eigenvalues.size

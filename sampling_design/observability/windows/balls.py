@@ -120,7 +120,7 @@ def see_in_balls(
     for bits in PRECISIONS:
         with precision(bits):
             try:
-                seen = _seen(plant, schedule, pieces, exact, clock)
+                seen = _observed(plant, schedule, pieces, exact, clock)
             except BudgetSpentError:
                 return None
             except ZeroDivisionError:  # the Gramian is not certainly invertible at this precision
@@ -129,7 +129,7 @@ def see_in_balls(
     return None
 
 
-def _seen(
+def _observed(
     plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, exact: list[Fraction], clock: Budget
 ) -> WindowWitness:
     """The least of the windows that are looked at, at the precision that is set: all over, then around the least."""

@@ -122,7 +122,7 @@ class SphereTables:
             there, back = rows.plant.transition(np.array([rows.slack, -rows.slack]))
             self.pulled = bool(np.linalg.norm(there) * np.linalg.norm(back) < _CONDITION)
         self.basis, inverse = rows.coordinates(worst - worst[0] if self.pulled else worst)
-        turn = self._turn(worst)
+        turn = self._rotation(worst)
         self.basis, inverse = self.basis @ turn, turn.T @ inverse
         inner = inverse @ rows.A @ self.basis
         self.speed = float(np.linalg.norm(inner, 2))
@@ -134,7 +134,7 @@ class SphereTables:
         self._kept: dict[int, tuple[CurveTable, Array]] = {}
         self._starts: dict[int, StartTable] = {}
 
-    def _turn(self, worst: Array) -> Array:
+    def _rotation(self, worst: Array) -> Array:
         """The rotation to the axes that the first sample sees, then to those of the worst schedule known.
 
         Cells lie along these axes: thin where schedules see much, long where they see little.

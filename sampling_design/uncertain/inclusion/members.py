@@ -122,9 +122,7 @@ class PosedMembers:
         """A root of the information that the nominal plant keeps; of its balance where there is none."""
         if self.stiff:
             return information_root(
-                self.members.dynamics.mean(axis=0)[:, : self.centre.n_states],
-                self.centre.states.scales,
-                self.longest,
+                self.members.dynamics.mean(axis=0)[:, : self.centre.n_states], self.centre.states.scales, self.longest
             )
         try:
             prior = np.diag(1 / self.centre.states.scales**2)

@@ -11,16 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sampling_design.numerics.balls import (
-    Ball,
-    ball,
-    flint,
-    frobenius,
-    identity,
-    largest,
-    matrix,
-    positive_part,
-)
+from sampling_design.numerics.balls import Ball, ball, flint, frobenius, identity, largest, matrix, positive_part
 from sampling_design.numerics.branch_and_bound import all_proven
 from sampling_design.observability.sigma_bracket import ProvenSigma
 from sampling_design.observability.windows.balls import SHAVES, nearest_proven

@@ -30,6 +30,7 @@ from sampling_design.records.checks import freeze
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.records.signatures import open_verb
+from sampling_design.schedules.jitter import Timing, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 MARGIN = 5e-5
@@ -54,7 +55,7 @@ def guaranteed_accuracy(
     end: float | None = None,
     w_intensity: Intensity = None,
     v_deviation: Intensity = None,
-    timing_tolerance: float = 0.0,
+    timing_tolerance: Timing = 0.0,
     result_delay: ResultDelay = 0.0,
     budget: float | None = None,
     progress: Progress | None = None,
@@ -89,10 +90,12 @@ def guaranteed_accuracy(
         Of a finite schedule; default its first and its last sample.
     w_intensity, v_deviation : float or array, optional
         Sizes of white noises, as for `standard_deviation`, which then stands beside.
-    timing_tolerance : float [plant.time_unit]
-        How early or late each sample may be, less than half of the least gap: both sides are then those of all such
-        times, which are known once samples are taken. What follows from a sample counts from so much after its planned
-        time on. Of a finite schedule `start` and `end` (default: the last sample and so much) leave room for it.
+    timing_tolerance : float, pair (early, late), or dict of these by output [plant.time_unit]
+        How early or late each sample may be, together less than the least gap: both sides are then those of all such
+        times, which are known once samples are taken. What follows from a sample counts from `late` after its planned
+        time on; the sample times of the record are the middles. Of a finite schedule `start` and `end` (default: the
+        last sample and `late`) leave room for it. By output: those of one sample may fall apart, each within its own;
+        `lower` is then that of times at which they come together.
     result_delay : float, (p,) array or mapping [plant.time_unit]
         How long after its sample a result comes at most; a mapping gives each output by name a number, or a pair
         (least, most). Both sides are then those of what is known at the time, results still out.
@@ -146,7 +149,7 @@ def guaranteed_accuracy(
     True
     """
     tolerance = checks.positive("rtol", RTOL if rtol is None else rtol)
-    late = checks.nonnegative("timing_tolerance", timing_tolerance)
+    late = TimingTolerance.of(timing_tolerance, plant.outputs.names)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
     schedule = meet(plant, schedule)
     rows = wanted_rows(plant, of)

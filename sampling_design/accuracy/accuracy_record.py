@@ -19,7 +19,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import WantedRows
 from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.record import CurveRecord, PlainRecord, TableRecord, Variable, short
+from sampling_design.records.record import CurveRecord, Plain, PlainRecord, TableRecord, Variable, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 
@@ -107,9 +107,10 @@ class Accuracy(AccuracyBracket, CurveRecord):
         return self.question.schedule
 
     @property
-    def timing_tolerance(self) -> float | None:
+    def timing_tolerance(self) -> Plain:
         """How early or late each sample may be; None where samples come on time."""
-        return self.question.timing_tolerance or None
+        late = self.question.timing_tolerance
+        return late.plain if late else None
 
     @property
     def result_delay(self) -> dict[str, float] | None:
@@ -199,8 +200,8 @@ class Accuracy(AccuracyBracket, CurveRecord):
         else:
             span = f"from {short(self.question.nodes[0])} to {short(self.question.end)} {unit}"
             lines = [("samples", f"{len(self.schedule)}, {span}")]
-        if self.timing_tolerance:
-            lines.append(("samples early or late", f"up to {short(self.timing_tolerance)} {unit}"))
+        if late := self.question.timing_tolerance:
+            lines.append(("samples come", late.describe(unit)))
         if self.result_delay:
             lines.append(("results come after", self._delays()))
         for k, label in enumerate(self.rows.labels()):
@@ -263,8 +264,8 @@ class Accuracy(AccuracyBracket, CurveRecord):
             when = "Where the samples determine them"
         elif late:
             when = f"From {short(max(self.known_from[k] for k in late))} {self.plant.time_unit} on"
-        if self.timing_tolerance:
-            when += f", for samples up to {short(self.timing_tolerance)} {self.plant.time_unit} early or late"
+        if self.question.timing_tolerance:
+            when += f", for samples {self.question.timing_tolerance.describe(self.plant.time_unit)}"
         if self.result_delay:
             when += f", with results {self._delays()} after their samples"
         return (

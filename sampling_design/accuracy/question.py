@@ -21,6 +21,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import freeze
+from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 ResultDelay: TypeAlias = npt.ArrayLike | Mapping[str, float | tuple[float, float]]
@@ -69,16 +70,18 @@ class AccuracyQuestion:
     schedule: Schedule | PeriodicSchedule
     bounds: SignalBounds  # one row of v for each node
     initial: InitialSet | None  # None: the schedule is endless
-    # (N,): sample times of the period; of a finite schedule its start, which may be a sample, and its samples
+    # (N,): sample times of the period; of a finite schedule its start, which may be a sample, and its samples. Where
+    # these come early or late, their centres
     nodes: Array
     end: float  # of the period that begins at the first node, or of the finite schedule
-    timing_tolerance: float = 0.0  # how early or late each sample may be
+    timing_tolerance: TimingTolerance = ON_TIME
     result_delay: Array | None = None  # (p,): how long after its sample a result comes at most; None: at once
 
     @classmethod
     def of(
         cls, plant: Plant, schedule: Schedule | PeriodicSchedule, w_bound: Bound, v_bound: Bound,
-        initial_error: InitialError, start: float | None, end: float | None, late: float, delay: ResultDelay = 0.0,
+        initial_error: InitialError, start: float | None, end: float | None, late: TimingTolerance,
+        delay: ResultDelay = 0.0,
     ) -> AccuracyQuestion:  # fmt: skip
         """Ask about a schedule of either kind, whose samples may be so early or late, and results so much later.
 
@@ -95,13 +98,19 @@ class AccuracyQuestion:
                     "Cut it: schedule.between(start, end)."
                 )
             question = cls.endless(plant, schedule, w_bound, v_bound)
-            return replace(question, timing_tolerance=late, result_delay=comes_later)
+            return replace(
+                question, nodes=freeze(question.nodes + late.shift), end=question.end + late.shift,
+                timing_tolerance=late, result_delay=comes_later,
+            )  # fmt: skip
         until = end
         if end is None and len(schedule):
             mask = np.ones((len(schedule), delays.size), dtype=bool) if schedule.outputs is None else schedule.outputs
-            until = float(np.max(schedule.times + late + np.where(mask, delays, 0.0).max(axis=1, initial=0.0)))
+            comes = np.where(mask, delays + late.late, max(late.late))
+            until = float(np.max(schedule.times + comes.max(axis=1, initial=0.0)))
         question = cls.finite(plant, schedule, w_bound, v_bound, initial_error, start, until)
-        return replace(question, timing_tolerance=late, result_delay=comes_later)
+        nodes = question.nodes.copy()
+        nodes[question.samples] += late.shift
+        return replace(question, nodes=freeze(nodes), timing_tolerance=late, result_delay=comes_later)
 
     @classmethod
     def endless(cls, plant: Plant, schedule: PeriodicSchedule, w_bound: Bound, v_bound: Bound) -> AccuracyQuestion:
@@ -158,8 +167,8 @@ class AccuracyQuestion:
             return self
         middle = None if self.bounds.v_centre is None else freeze(self.bounds.v_centre[:part])
         bounds = replace(self.bounds, v=freeze(self.bounds.v[:part]), v_centre=middle)
-        end = float(found.times[0] + found.period)
-        return replace(self, schedule=found, bounds=bounds, nodes=found.times, end=end)
+        nodes = found.times + self.timing_tolerance.shift
+        return replace(self, schedule=found, bounds=bounds, nodes=freeze(nodes), end=float(nodes[0] + found.period))
 
     def noisier(self, noise: Array | None) -> AccuracyQuestion:
         """The same question with so much more noise (N, p)."""
@@ -172,12 +181,12 @@ class AccuracyQuestion:
 
     @property
     def comes_after(self) -> Array:
-        """How long after the planned time of each node the result of an output is in at the latest (N, p).
+        """How long after each node the result of an output is in at the latest (N, p).
 
         Infinite where it is not measured.
         """
         delays = np.zeros(self.plant.n_outputs) if self.result_delay is None else self.result_delay
-        return np.where(np.isfinite(self.bounds.v), self.timing_tolerance + delays, np.inf)
+        return np.where(np.isfinite(self.bounds.v), self.timing_tolerance.forward + delays, np.inf)
 
     @property
     def last_result(self) -> float:

@@ -31,6 +31,7 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import short
+from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 
 ENOUGH = 1.03
 """Noise that is so much more than what a tolerance adds is not sought closer."""
@@ -61,12 +62,7 @@ def refuse_tolerance(question: AccuracyQuestion, spread: bool) -> None:
     """
     late, nodes = question.timing_tolerance, question.nodes
     gaps = np.diff(question.nodes[question.samples], append=[question.end] * (question.initial is None))
-    least = float(np.min(gaps, initial=np.inf))
-    if late and 2 * late >= least * (1 - KEPT):
-        raise ArgumentError(
-            f"`timing_tolerance` must be less than half of the least gap {short(least)}, got {short(late)}: samples "
-            "would change places."
-        )
+    late.require_order(float(np.min(gaps, initial=np.inf)) * (1 - KEPT))
     if late and (question.bounds.w_centre is not None or question.bounds.v_centre is not None):
         raise ArgumentError("`timing_tolerance` is for bounds centred at 0. Subtract their middle from the data.")
     if spread:
@@ -82,11 +78,12 @@ def refuse_tolerance(question: AccuracyQuestion, spread: bool) -> None:
             "depends on it."
         )
     first, last = question.nodes[question.samples][[0, -1]]
-    if nodes[0] > first - late or nodes[0] == first or question.end < question.last_result * (1 - KEPT):
+    planned = first - late.shift, last - late.shift
+    if nodes[0] > first - late.radius or nodes[0] == first or question.end < question.last_result * (1 - KEPT):
         raise ArgumentError(
-            f"`start` must lie before the first sample, `timing_tolerance` {short(late)} at least, and `end` not "
-            f"before {short(question.last_result)}, when the last result is in, got {short(nodes[0])} and "
-            f"{short(question.end)} for samples from {short(first)} to {short(last)}."
+            f"`start` must lie before the first sample, `timing_tolerance` {short(max(late.early))} at least, and "
+            f"`end` not before {short(question.last_result)}, when the last result is in, got {short(nodes[0])} and "
+            f"{short(question.end)} for samples from {short(planned[0])} to {short(planned[1])}."
         )
 
 
@@ -124,9 +121,7 @@ def noise_enough(question: AccuracyQuestion, known: DetectablePart, budget: Budg
     why = "the error that makes their times matter grows with them. Ask for a smaller `timing_tolerance`."
     if not np.isfinite(found).all():
         why = f"they may show {', '.join(known.modes)}, which samples on time do not. Change the period a little."
-    raise UndecidedError(
-        f"undecided: nothing bounds what samples up to {short(question.timing_tolerance)} early or late may do: {why}"
-    )
+    raise UndecidedError(f"undecided: nothing bounds what samples {question.timing_tolerance.describe()} may do: {why}")
 
 
 def is_enough(noise: Array, found: Array, room: float = MORE / 2) -> bool:
@@ -136,26 +131,33 @@ def is_enough(noise: Array, found: Array, room: float = MORE / 2) -> bool:
 
 def added(search: ChainSearch, question: AccuracyQuestion, known: DetectablePart, seek: bool = False) -> Array:
     """Return g (N, p): what samples add at most that come so early or late, by the atoms of a search, or new ones."""
-    late = question.timing_tolerance
-    g = np.zeros_like(question.bounds.v)
+    late, g = question.timing_tolerance, np.zeros_like(question.bounds.v)
+    forward, back = (np.broadcast_to(side, question.plant.n_outputs) for side in (late.forward, late.back))
     tables: dict[int, tuple[KnownIntegrals, KnownIntegrals]] = {}
     for j in question.samples.tolist():
         for i in question.bounds.measured(j).tolist():
             row = question.plant.C[i]
             if known.unknown.shape[1] and any(known.touches(row @ power) for power in _powers(question.plant.A)):
                 return np.full_like(g, np.inf)
-            g[j, i] = sample_adds(search, j, row @ known.lift, late, tables.setdefault(i, ({}, {})), seek)
+            sides = float(forward[i]), float(back[i])
+            g[j, i] = sample_adds(search, j, row @ known.lift, sides, tables.setdefault(i, ({}, {})), seek)
     if question.bounds.v_ball:
         g = np.where(np.isfinite(question.bounds.v), np.linalg.norm(g, axis=1, keepdims=True), 0.0)
     return g
 
 
 def sample_adds(
-    search: ChainSearch, j: int, row: Array, late: float, known: tuple[KnownIntegrals, KnownIntegrals], seek: bool
-) -> float:
-    """Return what sample j of an output adds at most; `row` (n,) is that of x, `known` serves all samples of it."""
+    search: ChainSearch, j: int, row: Array, sides: tuple[float, float],
+    known: tuple[KnownIntegrals, KnownIntegrals], seek: bool,
+) -> float:  # fmt: skip
+    """Return what sample j of an output adds at most that is so late or early; `row` (n,) is that of x.
+
+    `known` serves all samples of that output.
+    """
     most = 0.0
-    for back, table in enumerate(known):
+    for back, (late, table) in enumerate(zip(sides, known, strict=True)):
+        if not late:
+            continue
         opened = moved_row(search.chain, j, row, late, bool(back), table)
         if seek:
             search.gains(j, opened.mu[-1])
@@ -212,7 +214,7 @@ def moved_witness(
 
 
 def _worst_times(
-    chain: SampleChain, at: int, gains: Gains, adversary: Adversary, ahead: Array, late: float, before: Array
+    chain: SampleChain, at: int, gains: Gains, adversary: Adversary, ahead: Array, late: TimingTolerance, before: Array
 ) -> Array:
     """How late each sample of a window is, the latest last, so that the adversary gains; as before where none does.
 
@@ -226,7 +228,7 @@ def _worst_times(
     for k, (node, lam, z) in enumerate(zip(nodes, gains.gains[-len(nodes) :], adversary.z, strict=True)):
         L, w = chain.L[node], (cells[k][0] + cells[k + 1][-1]) / 2
         tilt[k] = lam @ chain.samples[node].H @ np.linalg.solve(L, chain.A @ (L @ z) + chain.G @ w)
-    return np.where(tilt == 0, before, -late * np.sign(tilt))
+    return np.where(tilt == 0, before, np.where(tilt > 0, -late.back.min(), late.forward.min()))
 
 
 def _moved_question(question: AccuracyQuestion, j: int, count: int, shift: Array) -> tuple[AccuracyQuestion, int]:
@@ -238,9 +240,9 @@ def _moved_question(question: AccuracyQuestion, j: int, count: int, shift: Array
         times = (question.nodes + length * np.arange(periods)[:, None]).ravel()
         at, end, v = (periods - 2) * number + j, float(times[0] + periods * length), np.tile(v, (periods, 1))
     times[at + 1 - shift.size : at + 1] += shift
-    times[at + 1 : at + 2] += late
+    times[at + 1 : at + 2] += late.forward.min()
     bounds = replace(question.bounds, v=freeze(v))
-    return replace(question, bounds=bounds, nodes=freeze(times), end=end, timing_tolerance=0.0), at
+    return replace(question, bounds=bounds, nodes=freeze(times), end=end, timing_tolerance=ON_TIME), at
 
 
 def keeps_times(witness: AccuracyWitness, question: AccuracyQuestion) -> bool:
@@ -250,20 +252,22 @@ def keeps_times(witness: AccuracyWitness, question: AccuracyQuestion) -> bool:
     not hide is out until its end.
     """
     late, length, number = question.timing_tolerance, question.end - question.nodes[0], len(question.nodes)
+    back, forward = float(late.back.min()), float(late.forward.min())  # of all outputs together
     count, comes, end = len(witness.samples), question.comes_after, float(witness.edges[-1])
     longest = float(np.max(comes[np.isfinite(comes)], initial=0.0))
     ahead = 1 + (number - 1 - witness.last if question.initial is not None else int(longest / length + 1) * number)
     places = witness.last + 1 - count + np.arange(count + ahead)
     planned = question.nodes[places % number] + places // number * length
-    wanted, shift = planned[:count] - witness.samples, 0.0
+    early, shift = planned[:count] - witness.samples, 0.0
     if question.initial is not None and places[0] == 0:
-        shift, wanted = float(question.nodes[0]), wanted[question.samples[0] :]
+        shift, early = float(question.nodes[0]), early[question.samples[0] :]
     else:  # a schedule of this kind may have begun at any time: as early as can be
-        shift = float(wanted.max()) - late
+        shift = float(early.max()) - back
     tiny = KEPT * max(end, float(np.abs(planned).max()))
     in_at = planned[:, None] + comes[places % number] - shift
     if question.initial is not None:
         in_at[places >= number] = np.inf
         in_at = np.vstack([in_at, np.full((1, in_at.shape[1]), question.end - shift)])
     in_at[:count][witness.outputs] = np.inf
-    return bool(np.all(np.abs(wanted - shift) <= late + tiny) and end <= np.min(in_at) + tiny)
+    near = np.all(early - shift <= back + tiny) and np.all(shift - early <= forward + tiny)
+    return bool(near and end <= np.min(in_at) + tiny)

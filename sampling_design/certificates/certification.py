@@ -44,7 +44,7 @@ from sampling_design.records.evidence import SolverRecord
 from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
-from sampling_design.schedules.jitter import Jitter
+from sampling_design.schedules.jitter import Jitter, Timing, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 if TYPE_CHECKING:  # the families' programs are loaded when one is asked for
@@ -114,7 +114,7 @@ def certify(
 ) -> FamilyCertificate: ...  # fmt: skip
 @overload
 def certify(
-    plant: Plant | OpenPlant, schedule: AnySchedule, *, timing_tolerance: float, eta: float | None = ...,
+    plant: Plant | OpenPlant, schedule: AnySchedule, *, timing_tolerance: Timing, eta: float | None = ...,
     P2: npt.ArrayLike | None = ..., Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ...,
     Qv: npt.ArrayLike | None = ..., noise_gain: float = ..., budget: float | None = ..., memory: int | None = ...,
     progress: Progress | None = ..., of: Wanted = ...,
@@ -138,7 +138,7 @@ def certify(
     noise_gain: float = 3.0,
     budget: float | None = None,
     memory: int | None = None,
-    timing_tolerance: float = 0.0,
+    timing_tolerance: Timing = 0.0,
     progress: Progress | None = None,
     of: Wanted = None,
 ) -> SampledCertificate:
@@ -172,9 +172,10 @@ def certify(
         it holds some; a second one ends the call.
     memory : int, optional
         For a family alone: how much of the past its graph remembers; see `certify_family`.
-    timing_tolerance : float [plant.time_unit]
-        Other than 0: of one schedule, how early or late each sample may be. All such times are the family
-        `Jitter(schedule, timing_tolerance)`, whose certificate is returned.
+    timing_tolerance : float, or pair (early, late) [plant.time_unit]
+        Other than 0: of one schedule, how early or late each sample may be. All such times are a `Jitter` family, about
+        the schedule itself or, where early and late differ, half of their difference after it: its certificate is
+        returned. A first sample that could come before time 0 is refused.
     progress : callable, optional
         Called with (fraction, message).
     of : str, sequence of str, or (k, n) array, optional
@@ -224,13 +225,13 @@ def certify(
     >>> certificate.verify().passed
     True
     """
-    if checks.nonnegative("timing_tolerance", timing_tolerance):
+    if late := TimingTolerance.of(timing_tolerance):
         if schedule is None or isinstance(schedule, SamplingFamily):
             raise ArgumentError(
                 f"`timing_tolerance` is for one schedule, got {checks.described(schedule)}: a family says itself which "
                 "times its samples may have."
             )
-        schedule = Jitter(schedule, timing_tolerance)
+        schedule = Jitter.around(schedule, late)
     if not isinstance(plant, Plant):
         if of is not None:
             raise ArgumentError("`of` is for exactly known plants: certify all states of this one.")

@@ -12,7 +12,7 @@ from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.projection import Projection
 from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for
-from sampling_design.cli.settings import Settings, numbers, record_table
+from sampling_design.cli.settings import Settings, TimingOption, numbers, record_table, timing, timing_number
 from sampling_design.errors import ArgumentError
 from sampling_design.records.checks import positive
 
@@ -51,9 +51,7 @@ def accuracy(
     projection: Annotated[
         str, typer.Option("--projection", help="Two states, FIRST,SECOND: the exact set of errors, drawn with -o.")
     ] = "",
-    timing_tolerance: Annotated[
-        float, typer.Option(help="How early or late each sample may be: the error guaranteed at all such times.")
-    ] = 0.0,
+    timing_tolerance: TimingOption = None,
     result_delay: Annotated[
         str | None,
         typer.Option(help="How long after its sample a result comes at most, one number or one for each output."),
@@ -82,7 +80,7 @@ def accuracy(
             initial_error=numbers("--initial-error", initial_error, plant.states.names),
             w_intensity=numbers("--w-intensity", w_intensity, plant.disturbances.names),
             v_deviation=numbers("--v-deviation", v_deviation, plant.outputs.names),
-            timing_tolerance=timing_tolerance,
+            timing_tolerance=timing(timing_tolerance or "0", timing_number),
             result_delay=numbers("--result-delay", result_delay, plant.outputs.names) or 0.0,
             budget=None if budget is None else positive("budget", budget),
             progress=progress,

@@ -12,7 +12,16 @@ from rich.table import Table as RichTable
 
 import sampling_design as sd
 from sampling_design.cli import reading
-from sampling_design.cli.settings import Settings, end_bracket, end_unseen, record_table, table
+from sampling_design.cli.settings import (
+    Settings,
+    TimingOption,
+    end_bracket,
+    end_unseen,
+    record_table,
+    table,
+    timing,
+    timing_number,
+)
 from sampling_design.design.schedule_design import ScheduleDesign
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.default_window import default_window
@@ -115,9 +124,7 @@ def design(
     samples: Annotated[int | None, typer.Option(help="Exactly so many samples per period.")] = None,
     target_sigma: Annotated[float | None, typer.Option(help="Fewest samples that reach this sigma.")] = None,
     cost_limit: Annotated[float | None, typer.Option(help="Most that the measurements of a period may cost.")] = None,
-    timing_tolerance: Annotated[
-        float | None, typer.Option(help="How early or late each sample may be: the least sigma over all such times.")
-    ] = None,
+    timing_tolerance: TimingOption = None,
     branches: Annotated[
         int | None, typer.Option(help="Boxes of schedules cut in two to narrow the upper bound; more take longer.")
     ] = None,
@@ -140,7 +147,8 @@ def design(
     plant = reading.plant(plant_file)
     flags: dict[str, object] = {"window": window, "period": period, "spacing": spacing, "samples": samples}
     flags.update(target_sigma=target_sigma, cost_limit=cost_limit, decay_rate=settings.decay_rate)
-    flags.update(timing_tolerance=timing_tolerance, of=settings.asked_rows)
+    late = None if timing_tolerance is None else timing(timing_tolerance, timing_number)
+    flags.update(timing_tolerance=late, of=settings.asked_rows)
     if settings.folder() is None and start is not None:  # said before the design is computed, not after
         raise ArgumentError("`--start` writes a calendar, so it needs a folder. Give --output DIR.")
     if zone is not None and start is None:
@@ -188,9 +196,7 @@ def sigma(
     schedule_file: ScheduleFile,
     window: Annotated[float | None, typer.Option(help="Window length [plant's time unit].")] = None,
     rigorous: Annotated[bool, typer.Option("--rigorous", help="Prove the lower bound in ball arithmetic.")] = False,
-    timing_tolerance: Annotated[
-        float, typer.Option(help="How early or late each sample may be: the least sigma over all such times.")
-    ] = 0.0,
+    timing_tolerance: TimingOption = None,
 ) -> None:
     """Prove how well a schedule sees the plant: the least sigma over every real window position.
 
@@ -207,6 +213,6 @@ def sigma(
     with settings.progress("sigma") as progress:
         result = sd.window_sigma(
             split.retained, schedule, length, budget=settings.budget, progress=progress, rigorous=rigorous,
-            timing_tolerance=timing_tolerance,
+            timing_tolerance=timing(timing_tolerance or "0", timing_number),
         )  # fmt: skip
     end_bracket(settings, replace(result, coordinates=coordinates_in(split)), "sigma")

@@ -13,13 +13,18 @@ from rich.table import Table
 
 import sampling_design as sd
 from sampling_design.cli import reading
-from sampling_design.cli.settings import Settings, record_table, table
+from sampling_design.cli.settings import Settings, TimingOption, record_table, table, timing
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.opening import WEEK
 from sampling_design.planning.plan_record import Plan
 from sampling_design.records.checks import number
 from sampling_design.schedules.time_stamps import parse_date
+
+
+def _duration(text: str) -> float | str:
+    """A number, or text with a unit, such as "15 min"."""
+    return float(text) if text.replace(".", "", 1).isdecimal() else text
 
 
 def plan(
@@ -38,9 +43,7 @@ def plan(
             help="Work of the search, as seconds of a core; what follows may take as much again, and 2 s.",
         ),
     ] = 60.0,
-    timing_tolerance: Annotated[
-        str | None, typer.Option(metavar="TIME", help="How early or late each sample may be, as 0.25 or '15 min'.")
-    ] = None,
+    timing_tolerance: TimingOption = None,
     person: Annotated[str, typer.Option(metavar="NAME", help="Who takes the samples, for the sheet.")] = "",
     compare: Annotated[
         Path | None, typer.Option(metavar="PLAN", help="Another plan (plan.json) to set beside this one.")
@@ -60,8 +63,7 @@ def plan(
     if plant is None:
         raise ArgumentError(f"`PLANT` is missing: {plant_file} is a requirement that holds no plant.")
     if timing_tolerance is not None:
-        number = timing_tolerance.replace(".", "", 1).isdecimal()
-        requirement = requirement.replace(timing_tolerance=float(timing_tolerance) if number else timing_tolerance)
+        requirement = requirement.replace(timing_tolerance=timing(timing_tolerance, _duration))
     other = None if compare is None else reading.plan(compare)
     with settings.progress("plan") as progress:
         result = sd.plan_samples(plant, requirement, search_seconds=search_seconds, progress=progress)

@@ -16,12 +16,13 @@ from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.checkers.strict import Tree
 from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile, schedule_for
-from sampling_design.cli.settings import Settings, record_table, table
+from sampling_design.cli.settings import Settings, record_table, table, timing, timing_number
 from sampling_design.errors import ArgumentError
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import positive
 from sampling_design.records.file_io import write_text
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
+from sampling_design.schedules.jitter import TimingTolerance
 
 LEAST_LEFT = 1e-3
 """Seconds that the comparison of horizons is given where the certificate has taken all of them: its row says so."""
@@ -50,7 +51,9 @@ Spaced = Annotated[
     tuple[float, int, float] | None,
     typer.Option(metavar="T K E", help="Every schedule with K samples in each window T, E apart."),
 ]
-Jittered = Annotated[float | None, typer.Option(help="SCHEDULE with every sample up to this early or late.")]
+Jittered = Annotated[
+    str | None, typer.Option(metavar="TIME", help="SCHEDULE with every sample up to this early or late, or EARLY:LATE.")
+]
 Lost = Annotated[
     tuple[int, int] | None, typer.Option(metavar="D W", help="SCHEDULE with at most D of any W samples lost.")
 ]
@@ -167,7 +170,7 @@ def _times(settings: Settings, plant: sd.Plant, path: Path | None, families: Tre
             return schedule
         if kind == "lost":
             return sd.LostSamples(schedule, *families[kind])
-        return sd.Jitter(schedule, families[kind])
+        return sd.Jitter.around(schedule, TimingTolerance.of(timing(families[kind], timing_number)))
     except ArgumentError as error:
         raise ArgumentError(_as_typed(str(error), str(kind))) from None
 

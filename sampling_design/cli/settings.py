@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from types import NoneType
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args, get_type_hints
 
 import typer
 from typer.models import OptionInfo
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from sampling_design.records.record import Record
     from sampling_design.records.workers import Workers
 
+
+T = TypeVar("T")
 
 COMMON_FLAGS: dict[str, tuple[object, object]] = {
     "as_json": (Annotated[bool, typer.Option("--json", help="Print the result as JSON.")], False),
@@ -332,6 +334,45 @@ def numbers(flag: str, text: str | None, names: Sequence[str] = ()) -> float | l
         each = f", or {len(names)}: one for each of {', '.join(names)}" if len(names) > 1 else ""
         raise ArgumentError(f"`{flag}` must be one number{each}, got {text!r}. Decimals have a point, not a comma.")
     return values if len(values) > 1 else values[0]
+
+
+def timing(text: str, time: Callable[[str], T]) -> T | list[T] | dict[str, T | list[T]]:
+    """How early or late samples may be: TIME or EARLY:LATE, or NAME=either with commas between, one for each output."""
+    if "=" not in text:
+        return _early_late(text, time)
+    named = [part.partition("=") for part in text.split(",")]
+    return {name.strip(): _early_late(value, time) for name, _, value in named}
+
+
+def _early_late(text: str, time: Callable[[str], T]) -> T | list[T]:
+    values = [time(part.strip()) for part in text.split(":")]
+    return values if len(values) > 1 else values[0]
+
+
+def timing_number(text: str) -> float:
+    """A time without a unit.
+
+    Raises
+    ------
+    ArgumentError
+        If it is no number.
+    """
+    try:
+        return float(text)
+    except ValueError:
+        raise ArgumentError(
+            f"`--timing-tolerance` must be TIME, EARLY:LATE or NAME=TIME,... in numbers, got {text!r}."
+        ) from None
+
+
+TimingOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="TIME",
+        help="How early or late each sample may be: TIME, EARLY:LATE, or NAME=TIME,... for each output by itself.",
+    ),
+]
+"""What is said then holds at all such times."""
 
 
 def _flags(kind: type) -> list[inspect.Parameter]:

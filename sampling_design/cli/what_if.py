@@ -17,9 +17,12 @@ from sampling_design.cli.settings import (
     Hands,
     Scheduler,
     Settings,
+    TimingOption,
     end_bracket,
     end_unseen,
     record_table,
+    timing,
+    timing_number,
     workforce,
 )
 from sampling_design.design.pareto import NO_NEED, NO_TIME
@@ -37,6 +40,7 @@ def worst_case(
     spacing: Annotated[float, typer.Option(help="Least time between two samples.")],
     rtol: Annotated[float, typer.Option(help="Relative width of the bracket.")] = 0.01,
     rigorous: Annotated[bool, typer.Option("--rigorous", help="Prove the lower bound in ball arithmetic.")] = False,
+    timing_tolerance: TimingOption = None,
 ) -> None:
     """Bracket the least sigma over every schedule with COUNT samples, SPACING apart, in each WINDOW.
 
@@ -50,8 +54,9 @@ def worst_case(
     family = sd.SpacedWindows(window, count, spacing)
     with settings.progress("worst case") as progress:
         result = sd.worst_case_sigma(
-            split.retained, family, rtol, budget=settings.budget, progress=progress, rigorous=rigorous
-        )
+            split.retained, family, rtol, budget=settings.budget, progress=progress, rigorous=rigorous,
+            timing_tolerance=timing(timing_tolerance or "0", timing_number),
+        )  # fmt: skip
     end_bracket(settings, replace(result, coordinates=coordinates_in(split)), "worst_case")
 
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sampling_design.observability.windows.pieces import window_pieces
-from sampling_design.observability.windows.window_sigma import WindowSigma, sigma_of_pieces, window_sigma
+from sampling_design.observability.windows.window_sigma import WindowSigma, sigma_of_pieces
 from sampling_design.plants.plant import Plant
 from sampling_design.records.record import Plain, Record, short
+from sampling_design.schedules.jitter import TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, ScheduleDetails
 
 SHARE = 0.01
@@ -24,12 +25,13 @@ class DesignDeviations(Record):
 
     Attributes
     ----------
-    tolerance : float
+    tolerance : TimingTolerance
         How early or late each sample may be.
     late : float
         Sigma over windows of the design's length for all such times.
     late_wider : float
-        The same over windows that are 2 `tolerance` longer: they hold every sample that was planned in the shorter one.
+        The same over windows that are early and late together longer: they hold every sample that was planned in the
+        shorter one.
     lost : float
         Sigma if any one sample is lost once.
     lost_sample : int
@@ -37,7 +39,7 @@ class DesignDeviations(Record):
     time_unit : str
     """
 
-    tolerance: float
+    tolerance: TimingTolerance
     late: float
     late_wider: float
     lost: float
@@ -47,7 +49,7 @@ class DesignDeviations(Record):
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
         return {
-            "tolerance": self.tolerance,
+            "tolerance": self.tolerance.plain,
             "late": self.late,
             "late_wider": self.late_wider,
             "lost": self.lost,
@@ -55,19 +57,21 @@ class DesignDeviations(Record):
         }
 
     def _rows(self) -> list[tuple[str, str]]:
-        early = f"{short(self.tolerance)} {self.time_unit}"
-        wider = f"windows {short(2 * self.tolerance)} {self.time_unit} longer"
+        wider = f"windows {short(2 * self.tolerance.radius)} {self.time_unit} longer"
         return [
-            (f"if {early} early or late", f"{short(self.late)}; {short(self.late_wider)} in {wider}"),
+            (
+                f"if {self.tolerance.describe(self.time_unit)}",
+                f"{short(self.late)}; {short(self.late_wider)} in {wider}",
+            ),
             ("if one sample is lost", f"{short(self.lost)} (sample {self.lost_sample + 1})"),
         ]
 
     def explain(self) -> str:
         """Say what is left of sigma."""
-        early, wider = (f"{short(length)} {self.time_unit}" for length in (self.tolerance, 2 * self.tolerance))
+        wider = f"{short(2 * self.tolerance.radius)} {self.time_unit}"
         return (
-            f"If samples come up to {early} early or late, sigma is at least {short(self.late)}, and over windows that "
-            f"are {wider} longer {short(self.late_wider)}; if one is lost, {short(self.lost)}."
+            f"If samples come {self.tolerance.describe(self.time_unit)}, sigma is at least {short(self.late)}, and "
+            f"over windows that are {wider} longer {short(self.late_wider)}; if one is lost, {short(self.lost)}."
         )
 
     @property
@@ -77,37 +81,39 @@ class DesignDeviations(Record):
 
 
 def deviations_of(
-    plant: Plant, schedule: PeriodicSchedule, window: float, asked: float = 0.0, sigma: float = 0.0
+    plant: Plant, schedule: PeriodicSchedule, window: float, asked: TimingTolerance, sigma: float = 0.0
 ) -> DesignDeviations:
     """Prove what is left of sigma if samples come early or late, or one is lost.
 
     As early or late as was `asked`, for which `sigma` is proven, else by a share of the least gap.
     """
-    tolerance = asked or SHARE * float(schedule.gaps.min())
+    tolerance = asked or TimingTolerance.of(SHARE * float(schedule.gaps.min()))
 
     def left(length: float) -> float:
-        if length <= 2 * tolerance:
+        if length <= 2 * tolerance.radius:
             return 0.0
-        return window_sigma(plant, schedule, length, RTOL, timing_tolerance=tolerance).lower
+        pieces = window_pieces(schedule, length, late=tolerance)
+        return sigma_of_pieces(plant, schedule, pieces, RTOL, np.inf).lower
 
     lost, worst = _lost(plant, schedule, window, asked)
-    wider = left(window + 2 * tolerance)
+    wider = left(window + 2 * tolerance.radius)
     return DesignDeviations(tolerance, sigma if asked else left(window), wider, lost, worst, plant.time_unit)
 
 
-def _lost(plant: Plant, schedule: PeriodicSchedule, window: float, late: float) -> tuple[float, int]:
+def _lost(plant: Plant, schedule: PeriodicSchedule, window: float, late: TimingTolerance) -> tuple[float, int]:
     """Proven sigma if any one sample is lost once, and whose loss leaves that: over the windows that could hold it.
 
     What sees more than the worst that was found by then is not looked at closely.
     """
     found: WindowSigma | None = None
     least, worst = np.inf, 0
-    begin = schedule.period * np.ceil((window + 2 * late) / schedule.period)
+    more = window + 2 * late.radius
+    begin = schedule.period * np.ceil(more / schedule.period)
     for i, t in enumerate((schedule.times + begin).tolist()):
-        held = schedule.between(t - window - 2 * late, t + window + 2 * late + float(schedule.gaps.max()))
+        held = schedule.between(t - more, t + more + float(schedule.gaps.max()))
         kept = np.abs(held.times - t) > schedule.gaps.min() / 2
         rest = replace(held, times=held.times[kept], outputs=None if held.outputs is None else held.outputs[kept])
-        pieces = window_pieces(rest, window, t - window - late, late)
+        pieces = window_pieces(rest, window, t - window - late.radius, late)
         seen = sigma_of_pieces(plant, rest, pieces, RTOL, np.inf, reached=found)
         if seen.lower < least:
             least, worst = seen.lower, i

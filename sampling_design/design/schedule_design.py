@@ -26,6 +26,7 @@ from sampling_design.records.evidence import Claim, SolverRecord
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, PlainRecord, counted, short
 from sampling_design.records.units import spoken
+from sampling_design.schedules.jitter import TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 
@@ -116,9 +117,13 @@ class ScheduleDesign(PlainRecord):
         """What is left of sigma if samples come early or late or one is lost; None where nothing has to be observed."""
         if self.schedule is None or not self.sigma > 0:
             return None
-        asked = self.requirement
-        window = float(asked.window or 0)
-        return deviations_of(self.split.retained, self.schedule, window, asked.timing_tolerance, self.sigma)
+        window = float(self.requirement.window or 0)
+        return deviations_of(self.split.retained, self.schedule, window, self.late, self.sigma)
+
+    @property
+    def late(self) -> TimingTolerance:
+        """How early or late samples may come, as was asked."""
+        return TimingTolerance.of(self.requirement.timing_tolerance, self.plant.outputs.names)
 
     @cached_property
     def problem(self) -> DesignProblem:
@@ -131,8 +136,7 @@ class ScheduleDesign(PlainRecord):
         """What is claimed, and how strongly."""
         if self.schedule is None:
             return Claim("no samples needed: nothing is retained", theorem="Theorem 16", strength="proven")
-        late = short(self.requirement.timing_tolerance) if self.requirement.timing_tolerance else ""
-        times = (f"each sample is within {late} of the schedule's time",) if late else ()
+        times = (f"samples are {self.late.describe(self.plant.time_unit)}",) if self.late else ()
         return Claim(
             f"sigma >= {short(self.sigma)} over every window of length {short(self.requirement.window)}, and no "
             f"admissible schedule with {self._counts} samples per period exceeds {short(self.upper_bound)}",
@@ -246,7 +250,7 @@ class ScheduleDesign(PlainRecord):
             entering = rows and f" that enters {rows}"
             told = ". ".join(f"{what[0].upper()}{what[1:]}: {value}" for what, value in self._unobserved().items())
             return f"No samples needed: every mode{entering} decays by itself at the rate asked for. {told}."
-        asked, unit = self.requirement.timing_tolerance, self.plant.time_unit
+        asked, unit = self.late, self.plant.time_unit
         many = f"{counted(len(self.schedule), 'sample')} every {short(self.schedule.period)} {self.plant.time_unit}"
         if not self.sigma > 0:
             window = (
@@ -259,7 +263,7 @@ class ScheduleDesign(PlainRecord):
                 f"{short(self.upper_bound)}, which does not show that there is none."
             )
         sees = "sees" if len(self.schedule) == 1 else "see"
-        late = f", each up to {short(asked)} {unit} early or late" if asked else ""
+        late = f", each {asked.describe(unit)}" if asked else ""
         return (
             f"{many} {sees} {rows or 'every state direction'} in every window with sigma >= {short(self.sigma)}{late}; "
             f"no admissible schedule can exceed {short(self.upper_bound)}, so at most {100 * self.gap:.1f} % "
@@ -288,7 +292,7 @@ def prove(
     """Sigma of the retained part over all real window positions."""
     found = window_sigma(
         split.retained, schedule, float(requirement.window or 0), rtol, budget, progress,
-        timing_tolerance=requirement.timing_tolerance,
+        timing_tolerance=TimingTolerance.of(requirement.timing_tolerance).plain,
     )  # fmt: skip
     return replace(found, coordinates=coordinates_in(split))
 

@@ -47,6 +47,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import RowsAsked
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
+from sampling_design.schedules.jitter import Timing
 
 if TYPE_CHECKING:
     from sampling_design.numerics.conic_programs import Problem
@@ -84,7 +85,7 @@ class MovingHorizonEstimator(WindowedEstimator):
     w_bound, v_bound, initial_error : float or array, optional
         Bounds on |w(t)|, |v| and |x - prior|: a number bounds the Euclidean norm, a vector each entry. All
         three are needed for a radius; the first two default to what `constraints` on w and v allow.
-    timing_tolerance : float
+    timing_tolerance : float, or pair (early, late)
         How early or late [time] a sample may be and still count as on schedule, beyond the rounding of the times and
         what the certificate itself allows (`Jitter`). Default 0. What the certificate of exact times is worth then is
         what `robustness` says of such deviations.
@@ -155,7 +156,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         w_bound: npt.ArrayLike | None = None,
         v_bound: npt.ArrayLike | None = None,
         initial_error: npt.ArrayLike | None = None,
-        timing_tolerance: float = 0.0,
+        timing_tolerance: Timing = 0.0,
         schedule_zero: float = 0.0,
         input_side: str = "right",
         maximum_delay: float | None = None,

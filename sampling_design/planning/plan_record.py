@@ -130,7 +130,7 @@ class Plan(PlanFigures):
         if not problem.is_admissible(self.chosen):
             return False
         if self.accuracy is not None and not (
-            self.accuracy.question.timing_tolerance == problem.timing_tolerance and self.accuracy.verify()
+            self.accuracy.question.timing_tolerance.radius == problem.timing_tolerance and self.accuracy.verify()
         ):
             return False
         if self.deviation is not None:

@@ -268,9 +268,10 @@ def _delays(
 
 def _tolerance(requirement: PlanRequirement, unit: str, plant: Plant, period: float) -> float:
     """How early or late samples may be, in the plant's time unit."""
-    if requirement.timing_tolerance is None:
+    asked = requirement.early_or_late(unit, plant.outputs.names)
+    if not asked:
         return 0.0
-    late = duration("timing_tolerance", requirement.timing_tolerance, unit) * time_factor(unit, plant.time_unit)
+    late = max(*asked.early, *asked.late) * time_factor(unit, plant.time_unit)
     if 2 * late >= period * (1 - WHOLE):
         raise ArgumentError(
             f"`timing_tolerance` must be less than half of the period {spoken(period, plant.time_unit)}, got "

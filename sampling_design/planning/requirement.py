@@ -18,8 +18,10 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen, plain
 from sampling_design.records.record import PlainRecord, WrittenRecord, counted, short
 from sampling_design.records.units import SECONDS, check_time_unit
+from sampling_design.schedules.jitter import TimingTolerance
 
 Duration: TypeAlias = float | str
+PlanTiming: TypeAlias = Duration | Sequence[Duration] | Mapping[str, Duration | Sequence[Duration]]
 DisturbanceBound: TypeAlias = float | Sequence[float] | None
 
 FORMAT = "sampling-design/plan-requirement/1"
@@ -206,9 +208,10 @@ class PlanRequirement(WrittenRecord):
     initial_error : number, array or dict, optional
         Bound on the state's error when the plan starts, as for `accuracy`: one on its norm, half-widths, a weight, or
         by name of the state. Default: nothing is known then.
-    timing_tolerance : float or str, optional
+    timing_tolerance : float or str, pair (early, late), or dict of these by output, optional
         How early or late each sample may be: tolerances that are guaranteed are then kept at all such times, and
-        samples lie more than twice as far apart. Default: samples come on time.
+        samples lie more than twice as far apart. A plan is made for the largest of several, early and late alike, which
+        is safe; outputs of one sample may fall apart by as much. Default: samples come on time.
 
     Raises
     ------
@@ -246,7 +249,7 @@ class PlanRequirement(WrittenRecord):
     time_unit: str | None = None
     w_intensity: DisturbanceBound = None
     initial_error: InitialError = None
-    timing_tolerance: Duration | None = None
+    timing_tolerance: PlanTiming | None = None
 
     def __post_init__(self) -> None:
         own: dict[str, object] = {}
@@ -262,9 +265,11 @@ class PlanRequirement(WrittenRecord):
         )
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
-        for key in ("period", "grid", "spacing", "timing_tolerance"):
+        for key in ("period", "grid", "spacing"):
             if getattr(self, key) is not None:
                 duration(key, getattr(self, key), self.time_unit or "h")
+        if self.timing_tolerance is not None:
+            self.early_or_late(self.time_unit or "h")
         if self.aim is not None:
             checks.word("aim", self.aim, AIMS)
         own["aim"] = self.aim or (AIMS[0] if self.samples is None and self.cost_limit is None else AIMS[1])
@@ -273,6 +278,20 @@ class PlanRequirement(WrittenRecord):
                 "`aim` is most accurate, which needs `samples` or `cost_limit`: else all times are best."
             )
         self._hold(**own)
+
+    def early_or_late(self, unit: str, outputs: Sequence[str] | None = None) -> TimingTolerance:
+        """How early or late samples may be, in a unit; `outputs`: the names of the plant's, where they are known yet.
+
+        Raises
+        ------
+        ArgumentError
+            If a time is neither a number nor text with a unit, or negative, or an output is unknown.
+        """
+
+        def time(name: str, value: object) -> float:
+            return duration(name, value, unit) if isinstance(value, str) else checks.nonnegative(name, value)
+
+        return TimingTolerance.of(0.0 if self.timing_tolerance is None else self.timing_tolerance, outputs, time)
 
     def replace(self, **changes: object) -> PlanRequirement:
         """Return a copy with some entries changed.

@@ -32,6 +32,9 @@ _duration = by_kind({str: text}, positive)
 """A number of time units, or text with a unit of its own."""
 _DELAYS = list_of(by_kind({str: text}, nonnegative), 2)
 _delay = by_kind({str: text, list: _DELAYS, tuple: _DELAYS}, nonnegative)  # a time, or the least and the most of it
+_time = by_kind({str: text}, nonnegative)
+_early_late = by_kind({list: list_of(_time, 2), tuple: list_of(_time, 2)}, _time)
+_TIMING = by_kind({Mapping: by_name(_early_late)}, _early_late)  # a duration, early and late, or either by output
 _bound = by_kind({list: _NUMBERS, tuple: _NUMBERS}, nonnegative)  # one number, or one for each entry
 _when = by_kind({str: word(*TIMES)}, _NUMBERS)  # a word, or times of the period
 
@@ -76,7 +79,8 @@ _CALENDAR = table(
 _TREE = table(
     {"format": word(FORMAT)},
     {
-        **dict.fromkeys(("period", "grid", "spacing", "timing_tolerance"), _duration),
+        **dict.fromkeys(("period", "grid", "spacing"), _duration),
+        "timing_tolerance": _TIMING,
         "samples": count,
         "cost_limit": positive,
         "visit_price": nonnegative,

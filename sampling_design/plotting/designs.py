@@ -47,8 +47,7 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str |
         label = bottom.get_xlabel()
         style.dates(bottom, schedule.time_unit, schedule.origin)
         bottom.set_xlabel(label.replace(f" [{schedule.time_unit}]", f" {schedule.time_unit}"))
-    asked = result.requirement.timing_tolerance
-    late = f" for samples up to {short(asked)} {result.plant.time_unit} early or late" if asked else ""
+    late = f" for samples {result.late.describe(result.plant.time_unit)}" if result.late else ""
     figure.suptitle(f"{result.plant.name}: sigma {short(result.sigma, 4)} proven{late}, gap {100 * result.gap:.1f} %")
     return style.Panels([top, bottom])
 
@@ -58,8 +57,8 @@ def _deviations(ax: Axes, result: ScheduleDesign) -> float:
     found = result.deviations
     if found is None:
         return result.sigma
-    late = f"if {short(found.tolerance, 3)} {found.time_unit} early or late: {short(found.late, 4)}"
-    if result.requirement.timing_tolerance == 0:
+    late = f"if {found.tolerance.describe(found.time_unit)}: {short(found.late, 4)}"
+    if not result.late:
         ax.axhline(found.late, color=style.ATTAINED, linestyle="-.", linewidth=1.0, label=late)
     lost = f"if one sample is lost: {short(found.lost, 4)}"
     ax.axhline(found.lost, color=style.FAILED, linestyle=":", linewidth=1.0, label=lost)

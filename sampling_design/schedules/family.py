@@ -60,7 +60,7 @@ class FamilyVariation:
 
 
 @dataclass(frozen=True)
-class TimingTolerance:
+class Leeway:
     """How far a sample may lie from a plan, and how many may be missing: what can be judged one sample at a time.
 
     Parameters
@@ -163,7 +163,7 @@ class SamplingFamily(PlainRecord, ABC):
     # What a sample taken is held against (estimators/online/).
 
     @property
-    def leeway(self) -> TimingTolerance | None:
+    def leeway(self) -> Leeway | None:
         """The plan and how far its samples may leave it, if that says all; None: `contains` is asked."""
         return None
 

@@ -1,12 +1,12 @@
-"""Schedules near a nominal one: every sample a little early or late."""
+"""How early and late samples may be, and the schedules near a nominal one that this allows."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import gcd
-from typing import Self
+from typing import Self, TypeAlias
 
 import numpy as np
 
@@ -22,9 +22,9 @@ from sampling_design.schedules.family import (
     AnySchedule,
     FamilyStep,
     FamilyVariation,
+    Leeway,
     SamplingFamily,
     Steps,
-    TimingTolerance,
     Word,
     extent,
     in_family_unit,
@@ -39,6 +39,199 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 DEVIATION_CELLS = (1, 2, 4, 8)
 """Cells of a sample's deviation, per level of memory."""
 _LONGEST_LAP = 1_000_000  # samples after which the periods of two periodic schedules must have met
+
+EarlyLate: TypeAlias = float | Sequence[float]
+Timing: TypeAlias = EarlyLate | Mapping[str, EarlyLate]
+"""How early or late samples may be: one number, a pair (early, late), or either by name of the output."""
+
+
+@dataclass(frozen=True)
+class TimingTolerance:
+    """How early and how late each sample may be: a planned t is a real time in [t - early, t + late].
+
+    One number each, for samples whose outputs are read together; or one for each output, each of which is then read at
+    a time of its own: the outputs of one planned sample may fall apart by as much as their tolerances say.
+
+    An unequal pair is an equal one about another time: `shift` after the planned time lies the *centre*, and every real
+    time lies within `radius` of it. Where outputs have tolerances of their own, the centre is a time that all allow.
+
+    Parameters
+    ----------
+    early, late : tuple of float
+        One number, or one for each name.
+    names : tuple of str
+        The outputs that have a tolerance of their own; empty where all come together.
+    """
+
+    early: tuple[float, ...] = (0.0,)
+    late: tuple[float, ...] = (0.0,)
+    names: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        value: object,
+        outputs: Sequence[str] | None = None,
+        time: Callable[[str, object], float] = checks.nonnegative,
+    ) -> Self:
+        """Return the tolerance that a number, a pair, or a table of these says; an output without one is on time.
+
+        `outputs` are the names of the plant's, where they are known yet; `time` reads a number.
+
+        Raises
+        ------
+        ArgumentError
+            If it is none of these, a number is negative, or an output is unknown.
+        """
+        name = "timing_tolerance"
+        if isinstance(value, Mapping):
+            names = tuple(str(key) for key in value) if outputs is None else tuple(outputs)
+            checks.known_keys(f"`{name}`", map(str, value), names)
+            on_time = (0.0, 0.0)
+            pairs = [_pair(f"{name}.{key}", value[key], time) if key in value else on_time for key in names]
+            return cls(tuple(a for a, _ in pairs), tuple(b for _, b in pairs), names) if names else cls()
+        early, late = _pair(name, value, time)
+        return cls((early,), (late,))
+
+    def __bool__(self) -> bool:
+        return max(*self.early, *self.late) > 0
+
+    @property
+    def apart(self) -> bool:
+        """Whether outputs come apart."""
+        return bool(self.names)
+
+    @property
+    def span(self) -> float:
+        """The earliest to the latest reading of one planned time: twice the radius where outputs come together."""
+        return max(self.early) + max(self.late)
+
+    @property
+    def shift(self) -> float:
+        """How long after the planned time the centre lies."""
+        middle = (max(self.late) - max(self.early)) / 2
+        return min(max(middle, -min(self.early)), min(self.late))
+
+    @property
+    def radius(self) -> float:
+        """How far from the centre a reading may be."""
+        return max(max(self.early) + self.shift, max(self.late) - self.shift)
+
+    @property
+    def back(self) -> Array:
+        """(p,) or (1,): how long before the centre each output may be read."""
+        return np.array(self.early) + self.shift
+
+    @property
+    def forward(self) -> Array:
+        """(p,) or (1,): how long after the centre each output may be read."""
+        return np.array(self.late) - self.shift
+
+    @property
+    def radii(self) -> Array:
+        """(p,) or (1,): how far from the middle of its own times each output may be read."""
+        return (np.array(self.early) + self.late) / 2
+
+    @property
+    def offsets(self) -> Array:
+        """(p,) or (1,): how long after the centre that middle lies; 0 where outputs come together."""
+        return (np.array(self.late) - self.early) / 2 - self.shift
+
+    def scaled(self, factor: float) -> Self:
+        """Return it in another unit of time."""
+        early, late = (tuple(factor * x for x in side) for side in (self.early, self.late))
+        return type(self)(early, late, self.names)
+
+    @property
+    def plain(self) -> Timing:
+        """As it is written: a number, a pair, or a table of these."""
+        each: list[EarlyLate] = [a if a == b else [a, b] for a, b in zip(self.early, self.late, strict=True)]
+        return dict(zip(self.names, each, strict=True)) if self.apart else each[0]
+
+    def describe(self, unit: str = "") -> str:
+        """In words, such as "up to 2 min early or 20 min late"."""
+        unit = unit and f" {unit}"
+        sides = [_in_words(a, b, unit) for a, b in zip(self.early, self.late, strict=True)]
+        return ", ".join(f"{n} {side}" for n, side in zip(self.names, sides, strict=True)) if self.apart else sides[0]
+
+    def require_order(self, least: float) -> None:
+        """Refuse a tolerance with which samples so far apart could change places.
+
+        Raises
+        ------
+        ArgumentError
+        """
+        if self and self.span >= least:
+            equal = self.early == self.late and not self.apart
+            limit = "less than half of" if equal else "early and late, together less than"
+            raise ArgumentError(
+                f"`timing_tolerance` must be {limit} the least gap {short(least)}, got {_shown(self)}: samples could "
+                "change places."
+            )
+
+    def require_together(self, what: str) -> None:
+        """Refuse tolerances of single outputs where samples are one reading.
+
+        Raises
+        ------
+        ArgumentError
+        """
+        if self.apart:
+            raise ArgumentError(
+                f"`timing_tolerance` of single outputs lets them fall apart, and {what} is of samples whose outputs "
+                "are read together: give one number or a pair (early, late)."
+            )
+
+
+ON_TIME = TimingTolerance()
+"""Samples come when they are planned."""
+
+
+def _in_words(early: float, late: float, unit: str) -> str:
+    if early == late:
+        return f"up to {short(early)}{unit} early or late" if early else "on time"
+    told = [f"up to {short(t)}{unit} {side}" for t, side in ((early, "early"), (late, "late")) if t]
+    return " or ".join(told)
+
+
+def _shown(tolerance: TimingTolerance) -> str:
+    plain = tolerance.plain
+    return short(plain) if isinstance(plain, float) else f"{plain}"
+
+
+def _pair(name: str, value: object, time: Callable[[str, object], float]) -> tuple[float, float]:
+    """Early and late, of a number or two."""
+    if isinstance(value, (list, tuple, np.ndarray)):
+        if len(value) != 2:
+            raise ArgumentError(f"`{name}` must be one number or two, (early, late), got {len(value)} numbers.")
+        return time(f"{name}[0]", value[0]), time(f"{name}[1]", value[1])
+    both = time(name, value)
+    return both, both
+
+
+def moved(schedule: AnySchedule, by: float) -> AnySchedule:
+    """Return the schedule with every sample so much later (or earlier, if negative).
+
+    Raises
+    ------
+    ArgumentError
+        If its first sample would come before time 0.
+    """
+    if not by:
+        return schedule
+    times = np.asarray(schedule.times) + by
+    if times.size and times[0] < 0:
+        raise ArgumentError(
+            f"`timing_tolerance`: a first sample at {short(schedule.times[0])} cannot be so much earlier than late: "
+            f"plan it at {short(-by)} or later, or give one number."
+        )
+    if not schedule.endless:
+        return Schedule(times, schedule.outputs, **schedule._details())
+    mask, period = schedule.outputs, schedule.period
+    if times[0] > period:  # one that begins so late has two periods as one
+        times, period = np.append(times, times + period), 2 * period
+        mask = None if mask is None else np.tile(mask, (2, 1))
+    return PeriodicSchedule.from_times(times, period, mask, **schedule._details())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -83,6 +276,19 @@ class Jitter(SamplingFamily, kind="jitter"):
                 f"`timing_tolerance` must be less than half of the least gap {short(least)}, got "
                 f"{short(self.timing_tolerance)}: samples could change places."
             )
+
+    @classmethod
+    def around(cls, schedule: AnySchedule, tolerance: TimingTolerance) -> Self:
+        """Return the schedules whose samples are so early or late: those within the radius about their centres.
+
+        Raises
+        ------
+        ArgumentError
+            As for the family, or if outputs have tolerances of their own, or the first centre lies before time 0.
+        """
+        tolerance.require_together("a family of schedules")
+        SamplingSet(schedule)
+        return cls(moved(schedule, tolerance.shift), tolerance.radius)
 
     @property
     def time_unit(self) -> str | None:
@@ -188,9 +394,9 @@ class Jitter(SamplingFamily, kind="jitter"):
         return type(self)(schedule, self.timing_tolerance)
 
     @property
-    def leeway(self) -> TimingTolerance:
+    def leeway(self) -> Leeway:
         """Every sample within the tolerance."""
-        return TimingTolerance(self.schedule, radius=self.timing_tolerance)
+        return Leeway(self.schedule, radius=self.timing_tolerance)
 
     def suspects(
         self, periods: Sequence[float], rng: np.random.Generator, quick: bool = False

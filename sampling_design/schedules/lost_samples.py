@@ -18,9 +18,9 @@ from sampling_design.schedules.family import (
     START,
     AnySchedule,
     FamilyStep,
+    Leeway,
     SamplingFamily,
     Steps,
-    TimingTolerance,
     Word,
     in_family_unit,
     masks_of,
@@ -202,9 +202,9 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
         return type(self)(schedule, self.most, self.of)
 
     @property
-    def leeway(self) -> TimingTolerance:
+    def leeway(self) -> Leeway:
         """Every sample on time or missing."""
-        return TimingTolerance(self.schedule, most=self.most, of=self.of)
+        return Leeway(self.schedule, most=self.most, of=self.of)
 
     def suspects(
         self, periods: Sequence[float], rng: np.random.Generator, quick: bool = False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +15,7 @@ from scipy.optimize import linprog
 from sampling_design import PeriodicSchedule, Plant, Schedule, guaranteed_accuracy
 from sampling_design.accuracy.recursion import PeriodicGains
 from sampling_design.errors import ArgumentError, UndecidedError
+from sampling_design.schedules.jitter import TimingTolerance
 from sampling_design.uncertain.plants.parameter import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests.cases import few
@@ -112,7 +114,7 @@ def test_an_integrator_waits_from_an_early_sample_to_a_late_one():
     assert found.profile.edges[[0, -1]] == pytest.approx([1.1, 2.1])
     assert np.all(np.diff(found.profile.edges) > 0)
     assert "up to 0.1 s early or late" in found.explain()
-    assert ("samples early or late", "up to 0.1 s") in found._rows()
+    assert ("samples come", "up to 0.1 s early or late") in found._rows()
     assert found.to_dict()["timing_tolerance"] == 0.1
 
 
@@ -184,11 +186,67 @@ def test_too_little_noise_and_times_beyond_the_tolerance_are_not_proven():
     assert not replace(found, noise=found.noise * 0.98).verify()
     assert not replace(found, noise=None).verify()
     assert not replace(found, upper=found.upper * 0.999).verify()
-    tight = replace(found.question, timing_tolerance=0.05)
+    tight = replace(found.question, timing_tolerance=TimingTolerance.of(0.05))
     assert not replace(found, question=tight).verify()
     exact = uneven(0.0)
     longer = replace(exact.question, nodes=exact.question.nodes * 0.99)  # a witness at other times than the schedule's
     assert not replace(exact, question=longer, upper=exact.upper * 2)._lower_holds(0, exact.question.known())
+
+
+@pytest.mark.parametrize("sides", [(0.02, 0.08), (0.1, 0.0)])
+def test_early_apart_from_late_is_one_number_about_another_time(sides):
+    said = guaranteed_accuracy(OSCILLATOR, UNEVEN, w_bound=0.02, v_bound=0.1, timing_tolerance=sides)
+    same = guaranteed_accuracy(OSCILLATOR, UNEVEN, w_bound=0.02, v_bound=0.1, timing_tolerance=0.05)
+    assert said.upper == pytest.approx(same.upper, rel=1e-9)
+    assert said.lower == pytest.approx(same.lower, rel=1e-9)
+    assert said.verify()
+    shift = (sides[1] - sides[0]) / 2
+    assert said.profile.edges == pytest.approx(same.profile.edges + shift)
+    finite = {"w_bound": 0.02, "v_bound": 0.1, "initial_error": 1.0, "start": 0.0}
+    told = guaranteed_accuracy(OSCILLATOR, FINITE, timing_tolerance=sides, **finite)
+    moved = Schedule(FINITE.times + shift)
+    again = guaranteed_accuracy(OSCILLATOR, moved, timing_tolerance=0.05, **finite)
+    assert told.upper == pytest.approx(again.upper, rel=1e-9)
+    assert told.verify()
+
+
+def _apart(plant: Plant, row: Array, real: list[Array], t: float, w: float, v: float) -> float:
+    """How far w moves a row by t while each output reads zero at its own times (within v), from rest."""
+    n, q = plant.G.shape
+    times = np.unique(np.concatenate([*real, [t]]))
+    x, shown = np.zeros((n, 0)), list[Array]()
+    for a, b in pairwise(times.tolist()):
+        joint = expm(np.block([[plant.A, plant.G], [np.zeros((q, n + q))]]) * (b - a) / CELLS)
+        for _ in range(CELLS):
+            x = np.hstack([joint[:n, :n] @ x, joint[:n, n:]])
+        shown += [plant.C[i] @ x for i, own in enumerate(real) if (b in own and b < t) or (b == t and b in own)]
+    rows = np.vstack([np.pad(part, (0, x.shape[1] - part.size)) for part in shown])
+    found = linprog(-(row @ x), np.vstack([rows, -rows]), np.full(2 * len(rows), v), bounds=(-w, w))
+    return -float(found.fun)
+
+
+@pytest.mark.parametrize("seed", few(range(20), 0))
+def test_outputs_that_fall_apart_make_no_error_larger_than_is_proven(seed: int):
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(2, 2))
+    A -= np.eye(2) * (np.max(np.linalg.eigvals(A).real) + 0.1)
+    plant, gap = Plant(A, rng.normal(size=(2, 2)), outputs=["a", "b"]), float(rng.uniform(0.5, 1.0))
+    sides = np.round(0.06 * gap * rng.choice([0.0, 0.5, 1.0], size=(2, 2)), 6)
+    tolerance = {"a": tuple(sides[0]), "b": tuple(sides[1])}
+    row = np.eye(2)[0]
+    found = guaranteed_accuracy(
+        plant, PeriodicSchedule([gap]), w_bound=[0.3, 0.3], v_bound=[0.2, 0.2], of=[row], timing_tolerance=tolerance
+    )
+    assert found.verify()
+    planned, least = 10 * gap * np.ones(1) + gap * np.arange(BACK), np.inf
+    best = 0.0
+    for _ in range(12):
+        real = [planned - a + rng.choice([0.0, 0.5, 1.0], planned.size) * (a + b) for a, b in sides]
+        last = min(float(own[-1]) for own in real)
+        best = max(best, _apart(plant, row, [own[:-1] for own in real], last, 0.3, 0.2))
+        least = min(least, best)
+    assert best <= found.upper[0] * (1 + 1e-9)
+    assert 0 < found.lower[0] <= found.upper[0]
 
 
 def test_where_the_error_grows_with_the_times_nothing_is_claimed():

@@ -108,9 +108,25 @@ def test_a_range_that_holds_pi_is_refused_with_pi(shell):
 
 def test_jitter_and_losses_need_a_schedule(shell, tmp_path):
     write_schedule(PeriodicSchedule([1.0], time_unit="s"), tmp_path / "even.csv")
-    assert shell("certify", OSCILLATOR, tmp_path / "even.csv", "--timing-tolerance", 0.05, "--eta", 0.1).code == 0
+    assert shell("certify", OSCILLATOR, tmp_path / "even.csv", "--timing-tolerance", "0:0.1", "--eta", 0.1).code == 0
     assert shell("certify", OSCILLATOR, tmp_path / "even.csv", "--lost", 1, 3, "--eta", 0.1).code == 0
     assert shell("certify", OSCILLATOR, "--spaced", 2, 2, 0.5, "--eta", 0.1).code == 0
+
+
+def test_a_tolerance_is_typed_as_one_number_two_or_by_output(shell, tmp_path):
+    write_schedule(PeriodicSchedule([1.0], time_unit="s"), tmp_path / "even.csv")
+    windows = ("sigma", OSCILLATOR, tmp_path / "even.csv", "--window", 4, "--json", "--timing-tolerance")
+    found = [json.loads(shell(*windows, said).out) for said in ("0.1", "0:0.2", "position=0:0.2")]
+    assert found[0]["lower"] == pytest.approx(found[1]["lower"], rel=1e-9)
+    assert found[0]["lower"] == pytest.approx(found[2]["lower"], rel=1e-6)
+    assert [said["timing_tolerance"] for said in found] == [0.1, [0.0, 0.2], {"position": [0.0, 0.2]}]
+    known = ("accuracy", OSCILLATOR, tmp_path / "even.csv", "--w", 0.02, "--v", 0.4, "--json", "--timing-tolerance")
+    assert json.loads(shell(*known, "0:0.2").out)["timing_tolerance"] == [0.0, 0.2]
+    rule = ("worst-case", OSCILLATOR, "--window", 4, "--count", 3, "--spacing", 0.5, "--json", "--timing-tolerance")
+    assert json.loads(shell(*rule, "0.1:0.05").out)["family"]["window"] == pytest.approx(4.15)
+    refused = shell(*windows, "ten")
+    assert refused.code == 2
+    assert "`--timing-tolerance` must be TIME, EARLY:LATE or NAME=TIME,... in numbers, got 'ten'" in refused.err
 
 
 def test_families_exclude_each_other_and_say_what_they_need():
@@ -219,7 +235,7 @@ def test_detectability_goes_without_schedules(shell, tmp_path):
     assert result.err == (
         "sampling-design: `--detectability` is about the plant alone and goes without a SCHEDULE file.\n"
     )
-    for family in ({"gap_range": (1.0, 2.0)}, {"spaced": (2.0, 2, 0.5)}, {"timing_tolerance": 0.1}, {"lost": (1, 3)}):
+    for family in ({"gap_range": (1.0, 2.0)}, {"spaced": (2.0, 2, 0.5)}, {"timing_tolerance": "0.1"}, {"lost": (1, 3)}):
         flag = next(iter(family)).replace("_", "-")
         with pytest.raises(ArgumentError, match=f"is about the plant alone and goes without `--{flag}`"):
             certify(Settings(), OSCILLATOR, detectability=True, **family)

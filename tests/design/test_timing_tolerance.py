@@ -64,10 +64,10 @@ def test_texts_files_and_losses_say_for_which_times(designs, tmp_path):
     design = designs[1]
     assert "each up to 0.02 s early or late" in design.explain().split(";")[0]
     assert f"If one sample is lost, sigma is at least {design.deviations.lost:.6g}." in design.explain()
-    assert f"each sample is within {LATE} of the schedule's time" in design.claim.assumptions
+    assert f"samples are up to {LATE} s early or late" in design.claim.assumptions
     assert f"each up to {LATE} early or late" in ASKED.explain()
     assert "up to 0.02" in str(ASKED)
-    assert design.deviations.tolerance == LATE
+    assert design.deviations.tolerance.plain == LATE
     assert design.deviations.late == design.sigma
     assert sd.sample_losses(design).lower.min() == pytest.approx(design.deviations.lost, rel=0.02)
     front = sd.pareto_front(OSCILLATOR, WIDER, [4])
@@ -75,6 +75,33 @@ def test_texts_files_and_losses_say_for_which_times(designs, tmp_path):
     again = read_requirement(write_requirement(ASKED, tmp_path / "wish.toml"))
     assert again.to_dict() == ASKED.to_dict()
     assert design.to_dict()["requirement"]["timing_tolerance"] == LATE
+
+
+def test_early_apart_from_late_is_the_same_design_about_other_times(designs, tmp_path):
+    asked = WIDER.replace(timing_tolerance=(0.0, 2 * LATE))
+    design = sd.design_schedule(OSCILLATOR, asked)
+    assert design.sigma == pytest.approx(designs[1].sigma, rel=1e-9)
+    assert design.upper_bound == pytest.approx(designs[1].upper_bound, rel=1e-9)
+    assert design.verify()
+    assert "each up to 0.04 s late" in design.explain()
+    again = read_requirement(write_requirement(asked, tmp_path / "wish.toml"))
+    assert again.to_dict() == asked.to_dict()
+    minutes = asked.replace(time_unit="min")
+    assert sd.design.problem.posing.in_unit(minutes, "s").timing_tolerance == [0.0, 120 * LATE]
+
+
+def test_outputs_with_tolerances_of_their_own(tmp_path):
+    plant = sd.Plant(A, np.eye(2), outputs=["a", "b"])
+    asked = WIDER.replace(samples=3, timing_tolerance={"a": LATE, "b": (0.0, LATE)})
+    design, alike = (
+        sd.design_schedule(plant, each) for each in (asked, asked.replace(timing_tolerance={"a": LATE, "b": LATE}))
+    )
+    assert alike.sigma <= design.sigma <= design.upper_bound
+    assert design.verify()
+    again = read_requirement(write_requirement(asked, tmp_path / "wish.json"))
+    assert again.timing_tolerance == {"a": LATE, "b": [0.0, LATE]}
+    with pytest.raises(ArgumentError, match="unknown key 'c'"):
+        sd.design_schedule(plant, asked.replace(timing_tolerance={"c": LATE}))
 
 
 def test_another_unit_of_time_changes_nothing(designs):
@@ -100,8 +127,8 @@ def test_opening_hours_and_counts_that_are_left_open():
     ("changes", "words"),
     [
         ({"timing_tolerance": -1.0}, "`timing_tolerance` must not be negative"),
-        ({"timing_tolerance": 0.1}, "`timing_tolerance` must be less than half of the least time between two samples"),
-        ({"timing_tolerance": 4.0, "spacing": 9.0}, "`window` must be longer than twice `timing_tolerance` 4"),
+        ({"timing_tolerance": 0.1}, "early and late together, must be less than the least time between two samples"),
+        ({"timing_tolerance": 4.0, "spacing": 9.0}, "`window` must be longer than early and late together, 8"),
     ],
 )
 def test_a_tolerance_that_is_too_large_is_refused(changes, words):

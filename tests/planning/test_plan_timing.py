@@ -10,6 +10,7 @@ from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.planning import sequence_chain
 from sampling_design.planning.disturbed import without
 from sampling_design.planning.problem import pose_plan
+from sampling_design.planning.requirement_file import plan_requirement_from_dict
 from sampling_design.planning.sequence import proven_ratio
 from sampling_design.records.budget import Budget, BudgetSpentError
 
@@ -125,6 +126,12 @@ def test_what_is_said_of_the_next_sample_holds_at_all_real_times(plan):
 def test_samples_are_so_far_apart_that_they_keep_their_order():
     assert pose_plan(PLANT, WANTED.replace(timing_tolerance="200 ms")).spacing == 1
     assert pose_plan(PLANT, WANTED.replace(timing_tolerance="250 ms")).spacing == 2
+    for said in (("100 ms", "200 ms"), (0.0, 0.2), {"fix": 0.2}):  # a plan is made for the largest
+        wanted = WANTED.replace(timing_tolerance=said)
+        assert pose_plan(PLANT, wanted).timing_tolerance == pytest.approx(0.2)
+        assert plan_requirement_from_dict(wanted.to_dict()).to_dict() == wanted.to_dict()
+    with pytest.raises(ArgumentError, match="unknown key 'fx'"):
+        pose_plan(PLANT, WANTED.replace(timing_tolerance={"fx": 0.2}))
     with pytest.raises(ArgumentError, match="`timing_tolerance` must be less than half of the period 4 s, got 2 s"):
         pose_plan(PLANT, WANTED.replace(timing_tolerance=2.0))
     with pytest.raises(ArgumentError, match="`timing_tolerance` is for goals that are guaranteed"):

@@ -19,7 +19,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.schedule_watch import ScheduleWatch
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import generator
-from sampling_design.schedules.family import OUTWARD, START, FamilyStep, SamplingFamily, TimingTolerance
+from sampling_design.schedules.family import OUTWARD, START, FamilyStep, Leeway, SamplingFamily
 from sampling_design.schedules.family_files import family_from_dict
 
 
@@ -104,8 +104,8 @@ class Shifted(SamplingFamily, kind="shifted"):
         return self.schedule
 
     @property
-    def leeway(self) -> TimingTolerance:
-        return TimingTolerance(self.schedule, self.late, most=1, of=3)
+    def leeway(self) -> Leeway:
+        return Leeway(self.schedule, self.late, most=1, of=3)
 
     def contains(self, schedule: Any) -> bool:
         raise AssertionError("a leeway says all")

@@ -21,10 +21,11 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import time_factor
+from sampling_design.schedules.jitter import TimingTolerance
 
 MOST_DEFAULT_SAMPLES = 24
 """Samples of a period that are taken unasked, at most: more take minutes."""
-TIMES = ("window", "period", "spacing", "timing_tolerance")
+TIMES = ("window", "period", "spacing")
 """What a requirement says in its unit of time, beside what is within the period."""
 
 
@@ -75,23 +76,24 @@ def resolve(split: ModalSplit, requirement: Requirement) -> ResolvedRequirement:
         r = r.replace(spacing=_known(r.window) / (4 * max(r.samples.values())))
         used["spacing"] = r.spacing
     r._check_within(_known(r.period))
-    if 2 * r.timing_tolerance >= _known(r.spacing):
+    late = TimingTolerance.of(r.timing_tolerance, split.plant.outputs.names)
+    if late and late.span >= _known(r.spacing):
         raise ArgumentError(
-            f"`timing_tolerance` must be less than half of the least time between two samples, {short(r.spacing)}, got "
-            f"{short(r.timing_tolerance)}: they could change places. Ask for a wider `spacing`."
+            f"`timing_tolerance`, early and late together, must be less than the least time between two samples, "
+            f"{short(r.spacing)}, got {short(late.span)}: they could change places. Ask for a wider `spacing`."
         )
     return ResolvedRequirement(r, used, count)
 
 
 def _held(requirement: Requirement) -> float:
     """The part of a window whose planned samples lie in it whatever their real times are."""
-    window, late = _known(requirement.window), requirement.timing_tolerance
-    if not window > 2 * late:
+    window, late = _known(requirement.window), TimingTolerance.of(requirement.timing_tolerance)
+    if not window > 2 * late.radius:
         raise ArgumentError(
-            f"`window` must be longer than twice `timing_tolerance` {short(late)}, got {short(window)}: no sample is "
-            "certain to lie in it."
+            f"`window` must be longer than early and late together, {short(2 * late.radius)}, got {short(window)}: no "
+            "sample is certain to lie in it."
         )
-    return window - 2 * late
+    return window - 2 * late.radius
 
 
 def repeated(requirement: Requirement, periods: int) -> Requirement:
@@ -129,6 +131,7 @@ def in_unit(requirement: Requirement, unit: str) -> Requirement:
         return requirement.replace(time_unit=unit)
     c = time_factor(str(requirement.time_unit), unit)
     times = {k: v * c for k in TIMES if (v := getattr(requirement, k)) is not None}
+    times["timing_tolerance"] = TimingTolerance.of(requirement.timing_tolerance).scaled(c).plain
     outputs = {
         name: {"available": None if a.available is None else a.available * c, "cost": a.cost}
         for name, a in requirement.outputs.items()
@@ -146,20 +149,22 @@ def in_unit(requirement: Requirement, unit: str) -> Requirement:
 def pose(plant: Plant, requirement: Requirement, samples: int, check: bool = True) -> DesignProblem:
     """Return the numbers of the design with `samples` per period; `requirement` is resolved.
 
-    With samples that come up to d early or late, no schedule has a larger sigma over windows of T than exact ones have
-    over windows of T - 2d, of the state d before these begin: of the plant (A, C e^{Ad}). Those planned within d of a
-    window's ends may be out of it, and all others on time. Raises InfeasibleRequirementError if no schedule meets it;
-    names the obstacle and the nearest requirement that works.
+    With samples that come up to a early or b late, no schedule has a larger sigma over windows of T than exact ones
+    have over windows of T - a - b, of the state a before these begin, read (b - a)/2 after they are planned: of the
+    plant (A, C e^{A(a + b)/2}). Those planned within a of a window's beginning or b of its end may be out of it, and
+    all others in the middle. Of outputs with tolerances of their own each has its row, and the least a and b hold.
+    Raises InfeasibleRequirementError if no schedule meets it; names the obstacle and the nearest one that works.
     """
     names = plant.outputs.names
     checks.known_keys("`outputs` of the requirement", requirement.outputs, names)
     access = [requirement.outputs.get(name) for name in names]
     prices = np.array([0.0 if a is None else a.cost for a in access])
-    late = requirement.timing_tolerance
+    late = TimingTolerance.of(requirement.timing_tolerance, names)
+    lost = min(late.early) + min(late.late)
     problem = DesignProblem(
-        plant=Plant(plant.A, plant.C @ plant.transition(np.array([late]))[0]) if late else plant,
-        window=_held(requirement),
-        late=late,
+        plant=_read_in_the_middle(plant, late) if late else plant,
+        window=_held(requirement) + 2 * late.radius - lost,
+        late=lost / 2,
         period=_known(requirement.period),
         spacing=_known(requirement.spacing),
         samples=samples,
@@ -177,6 +182,15 @@ def pose(plant: Plant, requirement: Requirement, samples: int, check: bool = Tru
                 str(error), error.obstacle, _as_asked(error.nearest, requirement, names)
             ) from None
     return problem
+
+
+def _read_in_the_middle(plant: Plant, late: TimingTolerance) -> Plant:
+    """The plant whose outputs show, when a sample is planned, what each shows in the middle of its own times.
+
+    Of the state at a window's beginning, the least `early` before the first sample that it is sure of is planned.
+    """
+    after = np.broadcast_to((np.array(late.late) - late.early) / 2 + min(late.early), plant.n_outputs)
+    return Plant(plant.A, np.einsum("pi,pij->pj", plant.C, plant.transition(after)))
 
 
 def _as_asked(change: dict[str, Any], requirement: Requirement, names: tuple[str, ...]) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.record import Plain, Record, WrittenRecord, short
 from sampling_design.records.units import check_time_unit
+from sampling_design.schedules.jitter import Timing, TimingTolerance
 
 FORMAT = "sampling-design/requirement/1"
 COUNTS = ("exactly", "at_least", "at_most")
@@ -92,10 +93,10 @@ class Requirement(WrittenRecord):
         each sample measures, at least one.
     time_unit : str, optional
         Unit of all times here; None means the plant's.
-    timing_tolerance : float
-        How early or late each sample may come, less than half of `spacing`: sigma is then the least over all such real
+    timing_tolerance : float, pair (early, late), or dict of these by output
+        How early or late each sample may come, together less than `spacing`: sigma is then the least over all such real
         times too, and the bound is one of that least sigma. A window that just holds a sample may lose it; one that is
-        2 `timing_tolerance` longer than a whole number of gaps does not.
+        early + late longer than a whole number of gaps does not.
 
     Raises
     ------
@@ -135,13 +136,13 @@ class Requirement(WrittenRecord):
     cost_limit: float | None = None
     of: Converted[Wanted, tuple[str, ...] | Array | None] = field(default=None, kw_only=True)  # type: ignore[arg-type]
     time_unit: str | None = field(default=None, kw_only=True)
-    timing_tolerance: float = field(default=0.0, kw_only=True)
+    timing_tolerance: Converted[Timing, Plain] = field(default=0.0, kw_only=True)  # type: ignore[arg-type]
 
     def __post_init__(self) -> None:
         own: dict[str, object] = {}
         lengths = ("window", "period", "spacing", "target_sigma", "cost_limit")
-        rates = ("decay_rate", "timing_tolerance")
-        self._check(**dict.fromkeys(lengths, checks.positive), **dict.fromkeys(rates, checks.nonnegative))
+        self._check(**dict.fromkeys(lengths, checks.positive), decay_rate=checks.nonnegative)
+        own["timing_tolerance"] = TimingTolerance.of(self.timing_tolerance).plain
         own["samples"] = _counts(self.samples)
         own["forbidden"] = _intervals("forbidden", () if self.forbidden is None else self.forbidden)
         own["fixed"] = checks.increasing("fixed", () if self.fixed is None else self.fixed)
@@ -176,8 +177,8 @@ class Requirement(WrittenRecord):
         rows += [
             (f"output {k}", f"{_spans(v.available, 'always')}, cost {short(v.cost)}") for k, v in self.outputs.items()
         ]
-        if self.timing_tolerance:
-            rows.append(("samples early or late", f"up to {short(self.timing_tolerance)}"))
+        if late := TimingTolerance.of(self.timing_tolerance):
+            rows.append(("samples come", late.describe()))
         if self.cost_limit is not None:
             rows.append(("cost limit", f"{short(self.cost_limit)} a period"))
         return rows
@@ -197,8 +198,8 @@ class Requirement(WrittenRecord):
             parts.append(f"none in {_spans(self.forbidden, '')}")
         if self.fixed.size:
             parts.append(f"always at {short(self.fixed)}")
-        if self.timing_tolerance:
-            parts.append(f"each up to {short(self.timing_tolerance)} early or late")
+        if late := TimingTolerance.of(self.timing_tolerance):
+            parts.append(f"each {late.describe()}")
         if self.cost_limit is not None:
             parts.append(f"cost at most {short(self.cost_limit)} a period")
         return ", ".join(parts) + "."

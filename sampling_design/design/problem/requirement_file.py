@@ -31,13 +31,17 @@ _ACCESS = table({}, {"available": _SPANS, "cost": nonnegative})
 _OF = by_kind({str: text}, by_first({str: list_of(text)}, matrix()))
 """A name, names, or rows of numbers."""
 
+_EARLY_LATE = by_kind({list: list_of(nonnegative, 2), tuple: list_of(nonnegative, 2)}, nonnegative)
+TIMING = by_kind({Mapping: by_name(_EARLY_LATE)}, _EARLY_LATE)
+"""One number, early and late, or either by output."""
+
 _TREE = table(
     {"format": word(FORMAT)},
     {
         **dict.fromkeys(("window", "period", "spacing", "target_sigma", "cost_limit"), positive),
         "samples": by_kind({Mapping: _COUNTS}, count),
         "decay_rate": nonnegative,
-        "timing_tolerance": nonnegative,
+        "timing_tolerance": TIMING,
         "forbidden": _SPANS,
         "fixed": list_of(nonnegative),
         "outputs": by_name(_ACCESS),

@@ -9,7 +9,8 @@ import numpy as np
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.schedules.family import AnySchedule, SamplingFamily, TimingTolerance
+from sampling_design.schedules.family import AnySchedule, Leeway, SamplingFamily
+from sampling_design.schedules.jitter import Timing, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 ROUNDINGS = 4.0
@@ -39,7 +40,7 @@ class ScheduleWatch:
         if schedule is None or isinstance(schedule, SamplingFamily):
             family, plan = schedule, None if schedule is None else schedule.leeway
         else:
-            family, plan = None, TimingTolerance(schedule)
+            family, plan = None, Leeway(schedule)
         self.family = family if plan is None else None
         self.nominal: AnySchedule | None = None
         self.zero = zero
@@ -153,12 +154,13 @@ class ScheduleClaim:
         note: str = "",
         schedule: AnySchedule | SamplingFamily | None = None,
         time_unit: str = "",
-        timing_tolerance: float = 0.0,
+        timing_tolerance: Timing = 0.0,
         schedule_zero: float = 0.0,
     ):
         self.note, self.watch = note, None
-        tolerance = checks.nonnegative("timing_tolerance", timing_tolerance)
-        zero = checks.number("schedule_zero", schedule_zero)
+        late = TimingTolerance.of(timing_tolerance)
+        late.require_together("a claim for a schedule")
+        tolerance, zero = late.radius, checks.number("schedule_zero", schedule_zero) + late.shift
         if schedule is not None:
             self.watch = ScheduleWatch(schedule, time_unit, tolerance, zero)
 

@@ -110,9 +110,13 @@ class _Pieced:
             rows = np.concatenate(
                 [rows.reshape(len(tau), -1, n), np.zeros((len(tau), max(0, n - most * p), n))], axis=1
             )
-            held = np.asarray(np.linalg.qr(rows, mode="r"))
-            if pieces.timing_tolerance:
-                held = rows_of_any_time(held, self.plant.A, pieces.timing_tolerance)
+            late = pieces.timing_tolerance
+            if late.apart:  # each row has a tolerance of its own
+                each = np.append(np.tile(late.radii, most), np.zeros(rows.shape[1] - most * p))
+                held = rows_of_any_time(rows, self.plant.A, each)
+            else:
+                held = np.asarray(np.linalg.qr(rows, mode="r"))
+                held = rows_of_any_time(held, self.plant.A, np.full(n, late.radius)) if late else held
             _, singular[part], right[part] = np.linalg.svd(held)
             squares = np.sum(np.where(weight, np.sum(self.plant.C**2, axis=1), 0.0), axis=-1)
             size[part] = np.sqrt(np.sum(squares * np.sum(flow**2, axis=(-1, -2)), axis=-1))

@@ -15,6 +15,7 @@ import numpy as np
 from sampling_design.errors import ArgumentError
 from sampling_design.records.arrays import Array, Integers, Mask
 from sampling_design.records.record import Record, short
+from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 # events closer than this, relative to the largest time, are one event: sums of gaps and differences
@@ -72,7 +73,7 @@ class Pieces:
     """Window starts in [left[g], right[g]] hold the samples times[first[g]:stop[g]] and no other.
 
     They stand for every window that begins at `start` or later (and ends with the last sample of a finite schedule).
-    With a `timing_tolerance` these are the samples that it holds at all real times within that of the planned `times`.
+    With a `timing_tolerance` `times` are the centres, and these are the samples that it holds at all real times.
     """
 
     left: Array
@@ -85,16 +86,18 @@ class Pieces:
     window: float
     tolerance: float
     start: float
-    timing_tolerance: float = 0.0
+    timing_tolerance: TimingTolerance = ON_TIME
 
     def __len__(self) -> int:
         return self.left.size
 
-    def widened(self, by: float) -> Pieces:
-        """The windows that are wider by so much at both ends, with the samples that they hold if each moves as far."""
+    def widened(self, late: TimingTolerance) -> Pieces:
+        """The windows that are wider by the radius at both ends, and what these hold of samples at their centres."""
+        by, shift = late.radius, late.shift
         return replace(
-            self, left=self.left - by, right=self.right - by, window=self.window + 2 * by, timing_tolerance=by
-        )
+            self, left=self.left + (shift - by), right=self.right + (shift - by), window=self.window + 2 * by,
+            times=self.times + shift, timing_tolerance=late,
+        )  # fmt: skip
 
     def samples(self, g: int) -> Array:
         """Times of the samples on piece g."""
@@ -118,23 +121,26 @@ class Pieces:
 
 
 def window_pieces(
-    schedule: Schedule | PeriodicSchedule, window: float, start: float | None = None, late: float = 0.0
+    schedule: Schedule | PeriodicSchedule,
+    window: float,
+    start: float | None = None,
+    late: TimingTolerance = ON_TIME,
 ) -> Pieces:
     """Return the pieces of all full windows that begin at `start` or later.
 
-    With samples that may come up to `late` early or late, those of windows that are by so much shorter at both ends.
+    With samples that may come early or late, those of windows that are by the radius shorter at both ends.
 
     A finite schedule is judged from its first sample unless `start` says otherwise: where a clock has its zero is no
     property of the schedule. An endless one is judged from time 0 on. One period stands for all windows in its rhythm;
     if its first sample comes later than that rhythm has one, the windows that miss what came before are judged too.
     """
-    asked, window = window, window - 2 * late
+    asked, window = window, window - 2 * late.radius
     if schedule.endless:
         start = 0.0 if start is None else start
         high, missed = schedule.first + schedule.period, schedule.first - float(schedule.gaps[0])
         low = min(start, schedule.first) if start < missed - SAME_TIME * high else schedule.first
         slack = SAME_TIME * (high + window)
-        held = schedule.between(low, high + window + slack)
+        held = schedule.between(low - late.radius, high + window + slack + late.radius)
     else:
         held = schedule
         first, last = (float(schedule.times[0]), float(schedule.times[-1])) if len(schedule) else (0.0, 0.0)
@@ -142,7 +148,7 @@ def window_pieces(
         high = last - window
         if high < low - SAME_TIME * max(window, abs(last)):
             spans = f"spans {short(last - low)}" if start is None else f"ends {short(last - low)} after `start`"
-            spans += f" with up to {short(late)} more at both ends" if late else ""
+            spans += f" with up to {short(late.radius)} more at both ends" if late else ""
             raise ArgumentError(
                 f"`window` must fit into the schedule, which {spans}, got {short(asked)}. "
                 "A finite schedule is judged from its first full window to its last."

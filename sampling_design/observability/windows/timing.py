@@ -17,6 +17,7 @@ import numpy as np
 from sampling_design.observability.windows.pieces import Pieces, WindowWitness
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Mask
+from sampling_design.schedules.jitter import TimingTolerance
 
 MOST_TRIED = 24
 """Windows in which late and early samples are tried for the attained bound: those that see least without them."""
@@ -27,17 +28,16 @@ _GAIN = 1e-9  # relative: by less sigma does not fall in a turn
 _EPS = float(np.finfo(float).eps)
 
 
-def rows_of_any_time(rows: Array, A: Array, tolerance: float) -> Array:
-    """Return (m, n, n) rows that see no more than `rows` (m, n, n) at times up to `tolerance` away; zero if nothing."""
-    n, (first, second, third) = len(A), _SHARES
-    W = np.swapaxes(rows, 1, 2) @ rows
-    one, two, three = rows @ A, rows @ A @ A, rows @ A @ A @ A
-    terms = [np.swapaxes(term, 1, 2) @ term for term in (one, two)]
-    last = np.sum(three**2, axis=(1, 2)) * (tolerance**3 / 6) ** 2 * np.exp(2 * tolerance * np.linalg.norm(A, 2))
-    lost = tolerance**2 / first * terms[0] + tolerance**4 / 4 / second * terms[1]
+def rows_of_any_time(rows: Array, A: Array, tolerance: Array) -> Array:
+    """Return rows (m, n, n) that see no more than `rows` (m, k, n) at times up to `tolerance` (k,) away, or zero."""
+    n, count, (first, second, third) = len(A), max(rows.shape[1:]), _SHARES
+    W, d = np.swapaxes(rows, 1, 2) @ rows, tolerance[:, None]
+    one, two, three = d * rows @ A, d**2 / 2 * rows @ A @ A, d**3 / 6 * rows @ A @ A @ A
+    last = np.sum(three**2 * np.exp(2 * d * np.linalg.norm(A, 2)), axis=(1, 2))
+    lost = np.swapaxes(one, 1, 2) @ one / first + np.swapaxes(two, 1, 2) @ two / second
     lost = lost + (last / third)[:, None, None] * np.eye(n)
-    rounding = 8 * n * n * _EPS * (np.trace(W, axis1=1, axis2=2) + np.trace(lost, axis1=1, axis2=2))
-    result, best = np.zeros_like(rows), np.zeros(len(rows))
+    rounding = 8 * n * count * _EPS * (np.trace(W, axis1=1, axis2=2) + np.trace(lost, axis1=1, axis2=2))
+    result, best = np.zeros((len(rows), n, n)), np.zeros(len(rows))
     for k in _FACTORS:
         M = (1 - k) * W - (1 / k - 1) * lost - ((1 + 1 / k) * rounding)[:, None, None] * np.eye(n)
         values, vectors = np.linalg.eigh((M + np.swapaxes(M, 1, 2)) / 2)
@@ -48,26 +48,50 @@ def rows_of_any_time(rows: Array, A: Array, tolerance: float) -> Array:
     return result
 
 
+def middle_rows(plant: Plant, late: TimingTolerance) -> Plant:
+    """The plant whose outputs show at the centre of a sample what each shows at the middle of its own real times."""
+    if not late.apart:
+        return plant
+    return Plant(plant.A, np.einsum("pi,pij->pj", plant.C, plant.transition(late.offsets)))
+
+
 def moved_window(plant: Plant, pieces: Pieces, g: int, start: float) -> WindowWitness:
     """Return a window along real times of its samples at which it sees little: they and a state are sought in turn."""
-    planned, mask = pieces.samples(g), pieces.measured(g)
-    places = np.array([-1.0, 0.0, 1.0]) * pieces.timing_tolerance
-    times, kept = planned, None
+    centres, mask, late, n = pieces.samples(g), pieces.measured(g), pieces.timing_tolerance, plant.n_states
+    if late.apart:  # outputs that come nearly on time may be in it where others may be out
+        centres, mask = pieces.times, _surely_held(plant, pieces, start)
+        inside = mask.any(axis=1)
+        centres, mask = centres[inside], mask[inside]
+    apart = np.zeros((centres.size, plant.n_outputs if late.apart else 1))
+    places = [apart - late.back, apart, apart + late.forward]  # each (k, 1), or (k, p) where outputs fall apart
+    moves, kept = apart + late.offsets, None
     for _ in range(_TURNS):
-        rows = _rows(plant, times - start, mask)
-        full = np.vstack([rows, np.zeros((max(0, plant.n_states - len(rows)), plant.n_states))])
+        times = centres[:, None] + moves
+        rows = _rows(plant, times - start, mask).reshape(-1, n)
+        full = np.vstack([rows, np.zeros((max(0, n - len(rows)), n))])
         _, singular, right = np.linalg.svd(full)
         if kept is not None and not singular[-1] < kept.sigma * (1 - _GAIN):
             break
-        kept = WindowWitness(start + pieces.window, "at", times, right[-1], float(singular[-1]))
-        shown = [_rows(plant, planned + e - start, mask) @ right[-1] for e in places]
-        sizes = np.linalg.norm(np.reshape(shown, (places.size, planned.size, plant.n_outputs)), axis=2)
-        times = planned + places[np.argmin(sizes, axis=0)]
+        held = times if mask is None or not late.apart else times[mask]
+        kept = WindowWitness(start + pieces.window, "at", np.unique(held), right[-1], float(singular[-1]))
+        seen = np.array([_rows(plant, centres[:, None] + e - start, mask) @ right[-1] for e in places])
+        size = np.abs(seen) if late.apart else np.linalg.norm(seen, axis=2, keepdims=True)
+        best = np.argmin(size, axis=0)
+        moves = np.choose(best, places)
     assert kept is not None  # the first turn keeps one
     return kept
 
 
+def _surely_held(plant: Plant, pieces: Pieces, start: float) -> Mask:
+    """(K, p): which outputs of which samples are read in the window that starts there, whenever they are read."""
+    late, tiny = pieces.timing_tolerance, pieces.tolerance
+    first, last = pieces.times[:, None] - late.back, pieces.times[:, None] + late.forward
+    held = (first > start + tiny) & (last < start + pieces.window - tiny)
+    return held if pieces.mask is None else held & pieces.mask
+
+
 def _rows(plant: Plant, lags: Array, mask: Mask | None) -> Array:
-    """C e^{A lag}, zero where an output is not measured."""
-    rows = plant.C @ plant.transition(lags)
-    return np.reshape(rows if mask is None else rows * mask[..., None], (-1, plant.n_states))
+    """(k, p, n): C e^{A lag}, of lags (k, 1) or one for each output (k, p); zero where an output is not measured."""
+    flow = plant.transition(np.ravel(lags)).reshape(*lags.shape, plant.n_states, plant.n_states)
+    rows = np.einsum("pi,kpij->kpj", plant.C, np.broadcast_to(flow, (len(lags), plant.n_outputs, *flow.shape[2:])))
+    return np.asarray(rows if mask is None else rows * mask[..., None])

@@ -19,7 +19,7 @@ from sampling_design.observability.sigma_bracket import (
 )
 from sampling_design.observability.windows.bracket import WindowBracket, bracket_sigma
 from sampling_design.observability.windows.pieces import Pieces, WindowWitness, window_pieces
-from sampling_design.observability.windows.timing import MOST_TRIED, moved_window
+from sampling_design.observability.windows.timing import MOST_TRIED, middle_rows, moved_window
 from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
@@ -28,8 +28,9 @@ from sampling_design.records.arrays import Array, Integers
 from sampling_design.records.declarations import Column
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import CurveRecord, TableRecord, Variable, short
+from sampling_design.records.record import CurveRecord, Plain, TableRecord, Variable, short
 from sampling_design.records.signatures import open_verb
+from sampling_design.schedules.jitter import ON_TIME, Timing, TimingTolerance
 from sampling_design.schedules.sampling_set import SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -88,9 +89,9 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
         Which both bounds and the witness's direction refer to: "scaled" (x/s_x, y/s_y) where the plant has scales, else
         "physical".
     time_unit : str
-    timing_tolerance : float
-        Both bounds are those of all real times within so much of the schedule's: the witness holds such times, the
-        profile the schedule's own windows, shorter by twice as much.
+    timing_tolerance : float, pair of floats, or dict of these
+        Both bounds are those of all real times that are so early or late: the witness holds such times, the profile is
+        of samples at their centres, in windows as much shorter at both ends.
     rigorous : bool
         Whether `lower` is proven in ball arithmetic, a theorem about the stated doubles.
     slack : float
@@ -104,7 +105,7 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
     from_time: float = field(default=0.0, kw_only=True)
     time_unit: str = field(default="s", kw_only=True)
     slack: float = field(default=0.0, kw_only=True)
-    timing_tolerance: float = field(default=0.0, kw_only=True)
+    late: TimingTolerance = field(default=ON_TIME, kw_only=True)
 
     _plain = (
         "lower upper closed status window from_time rtol time_unit refers_to:_refers_to rigorous slack "
@@ -117,22 +118,22 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
         "worst window ends": "{witness.position} {time_unit}",
         "samples in it": "{witness.samples.size}",
         "window": "{window} {time_unit}, from {from_time} {time_unit} on",
-        "samples early or late": "{_late}",
+        "samples come": "{_late}",
         "status": "{status}",
     }
 
     @property
     def claim(self) -> Claim:
         """What `lower` claims, and on what grounds."""
-        late = short(self.timing_tolerance) if self.timing_tolerance else ""
         wider = f", samples in [t - T - {self.slack:.3g}, t + {self.slack:.3g}]" if self.slack else ""
         return Claim(
             f"sigma_n(O_s e^(-A(t-T))) >= {short(self.lower)} for every real window end t >= T + "
             f"{short(self.from_time)}, T = {short(self.window)}{wider}",
             theorem="Theorem 14, hypothesis" + (", in ball arithmetic" if self.rigorous else ""),
             assumptions=(
-                f"the plant's matrices {'are exact, ' if late else 'and '}the sample times are "
-                + (f"within {late} of the schedule's" if late else "exact"),
+                f"the plant's matrices are exact, samples are {self._late()}"
+                if self.late
+                else "the plant's matrices and the sample times are exact",
                 f"{self.coordinates} coordinates",
             ),
         )
@@ -155,11 +156,12 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
         return {"window_end": profile.t, "sigma": profile.sigma, "piece": profile.piece, "proven": proven}
 
     @property
-    def _tolerance(self) -> str:
-        return f"{short(self.timing_tolerance)} {self.time_unit}"
+    def timing_tolerance(self) -> Plain:
+        """How early or late each sample may be, as it is written."""
+        return self.late.plain
 
     def _late(self) -> str | None:
-        return f"up to {self._tolerance}" if self.timing_tolerance else None
+        return self.late.describe(self.time_unit) if self.late else None
 
     def explain(self) -> str:
         """Say what was proven, where the worst window is, and why a bracket did not close."""
@@ -182,7 +184,7 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
                 f"proven, as A is a function of time and no table. {where}."
             )
         later = f" from {short(self.from_time)} {self.time_unit} on" if self.from_time else ""
-        later += f", for samples up to {self._tolerance} early or late" if self.timing_tolerance else ""
+        later += f", for samples {self._late()}" if self.late else ""
         proven = f"Sigma is at least {short(self.lower)} over every window of {length}{later} ({self._grounds})"
         return self._concluded(proven, where, _REASONS)
 
@@ -197,7 +199,7 @@ def window_sigma(
     progress: Progress | None = None,
     rigorous: bool = False,
     start: float | None = None,
-    timing_tolerance: float = 0.0,
+    timing_tolerance: Timing = 0.0,
     of: Wanted = None,
 ) -> WindowSigma:
     """Bound sigma over all real positions of a sliding window.
@@ -227,10 +229,11 @@ def window_sigma(
     start : float, optional [plant.time_unit]
         Where the first window begins. Of a finite schedule such as 0, where the plan counts from there and not from its
         first sample; of an endless one whose `first` comes late such as `first`, to judge its rhythm alone.
-    timing_tolerance : float [plant.time_unit]
-        How early or late each sample may be, less than half of the least gap: the least sigma over all such real times
-        too. A window that just holds a sample may lose it then; in windows of T + 2 `timing_tolerance`, which hold all
-        samples planned in T, sigma falls to that of T continuously. Of exactly known plants.
+    timing_tolerance : float, pair (early, late), or dict of these by output [plant.time_unit]
+        How early or late each sample may be, together less than the least gap: the least sigma over all such real times
+        too. A window that just holds a sample may lose it then; in windows of T + early + late, which hold all samples
+        planned in T, sigma falls to that of T continuously. By output: those of one sample may fall apart, each within
+        its own; a window counts with a sample only where it is sure of all its outputs. Of exactly known plants.
     of : str, sequence of str, or (k, n) array, optional
         Only these rows of the state: names of states or outputs, or the rows (`functional_plant`). Sigma is then the
         least |O x| over |H x|, in coordinates that the rows share with states that count next to nothing.
@@ -281,20 +284,15 @@ def window_sigma(
     """
     plant = part_for(plant, of, window)
     aligned = meet(plant, schedule)
-    late = checks.nonnegative("timing_tolerance", timing_tolerance)
+    late = TimingTolerance.of(timing_tolerance, plant.outputs.names)
     if late:
-        least = SamplingSet(aligned).min_gap
-        if 2 * late >= least:
-            raise ArgumentError(
-                f"`timing_tolerance` must be less than half of the least gap {short(least)}, got {short(late)}: "
-                "samples could change places."
-            )
+        late.require_order(SamplingSet(aligned).min_gap)
         if rigorous:
             raise ArgumentError("`rigorous` is for exact sample times: leave it or `timing_tolerance` out.")
-        if not 2 * late < checks.positive("window", window):
+        if not 2 * late.radius < checks.positive("window", window):
             raise ArgumentError(
-                f"`window` must be longer than twice `timing_tolerance` {short(late)}, got {short(window)}: no sample "
-                "is certain to lie in it."
+                f"`window` must be longer than early and late together, {short(2 * late.radius)}, got {short(window)}: "
+                "no sample is certain to lie in it."
             )
     pieces, tolerance, seconds = asked(aligned, window, start, RTOL if rtol is None else rtol, budget, late)
     return sigma_of_pieces(plant, aligned, pieces, tolerance, seconds, progress, rigorous=rigorous)
@@ -306,7 +304,7 @@ def asked(
     start: float | None,
     rtol: float,
     budget: float | None,
-    late: float = 0.0,
+    late: TimingTolerance = ON_TIME,
 ) -> tuple[Pieces, float, float]:
     """Return the window's pieces along a schedule in the plant's unit, the tolerance and the seconds, all checked.
 
@@ -332,7 +330,8 @@ def sigma_of_pieces(
     `reached` is what was found over other pieces: windows that see more than that are not looked at closely.
     """
     own = plant.scaled() if plant.has_scales else plant
-    found = bracket_sigma(own, pieces, rtol, seconds, progress, np.inf if reached is None else reached.upper)
+    shown = middle_rows(own, pieces.timing_tolerance)
+    found = bracket_sigma(shown, pieces, rtol, seconds, progress, np.inf if reached is None else reached.upper)
     result = record_of(
         found, rtol, plant.time_unit, coordinates_of(plant.has_scales, isinstance(plant, FunctionalPlant))
     )
@@ -358,8 +357,7 @@ def _with_tolerance(record: WindowSigma, plant: Plant, found: WindowBracket) -> 
     status, lower = found.status, min(found.lower, worst.sigma)
     if status in ("closed", "rounding", "below rounding") and worst.sigma > 0:  # of rows that stand for all times
         status = "closed" if lower >= (1 - record.rtol) * worst.sigma else "timing"
-    tolerance = pieces.timing_tolerance
-    return replace(record, lower=lower, upper=worst.sigma, witness=worst, status=status, timing_tolerance=tolerance)
+    return replace(record, lower=lower, upper=worst.sigma, witness=worst, status=status, late=pieces.timing_tolerance)
 
 
 def _hidden(found: WindowBracket) -> bool:

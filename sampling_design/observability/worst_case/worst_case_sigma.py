@@ -33,6 +33,7 @@ from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import counted, short
 from sampling_design.records.signatures import open_verb
+from sampling_design.schedules.jitter import Timing
 from sampling_design.schedules.spaced_windows import SpacedWindows
 
 MOST_MEMORY = 2.0  # GiB that a search over the times of all samples may take
@@ -161,6 +162,7 @@ def worst_case_sigma(
     progress: Progress | None = None,
     rigorous: bool = False,
     of: Wanted = None,
+    timing_tolerance: Timing = 0.0,
 ) -> WorstCaseSigma:
     """Bracket the least sigma over all schedules with k samples, epsilon apart, in a window.
 
@@ -189,6 +191,9 @@ def worst_case_sigma(
         Only these rows of the state: names of states or outputs, or the rows (`functional_plant`). Sigma is then the
         least |O x| over |H x|, in coordinates that the rows share with states that count next to nothing.
         Default: all states.
+    timing_tolerance : float, or pair (early, late) [plant.time_unit]
+        How early or late each planned sample may be. Real times then keep `family.loosened(timing_tolerance)`, windows
+        so much longer and samples so much nearer, and that rule is judged: `upper` is its own.
 
     Returns
     -------
@@ -237,6 +242,7 @@ def worst_case_sigma(
     >>> bool(0.99 * sigma.upper <= sigma.lower <= sigma.upper)
     True
     """
+    family = family.loosened(timing_tolerance)
     plant = part_for(plant, of, family.window)
     tolerance, seconds = asked(plant, family, RTOL if rtol is None else rtol, budget)
     generator = checks.generator(rng)

@@ -23,6 +23,7 @@ from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.schedules.family import period_of
+from sampling_design.schedules.jitter import TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.branching import BALL_ROOM, bisected
 from sampling_design.uncertain.box.expansion import BoxCells
@@ -265,7 +266,8 @@ def refuse_others(where: str, **others: object) -> None:
         The first of them that is not None, or that is a `timing_tolerance` or `result_delay` other than 0.
     """
     for name, value in others.items():
-        if value is not None and not (name in ("timing_tolerance", "result_delay") and value == 0.0):
+        on_time = name == "timing_tolerance" and not TimingTolerance.of(value)
+        if value is not None and not on_time and not (name == "result_delay" and value == 0.0):
             raise ArgumentError(f"`{name}` must be left out for accuracy {where}.")
 
 

@@ -17,6 +17,7 @@ from sampling_design.records.checks import Seed
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
+from sampling_design.schedules.jitter import Timing
 from sampling_design.schedules.spaced_windows import SpacedWindows
 from sampling_design.uncertain.box.branching import BALL_ROOM
 from sampling_design.uncertain.box.expansion import UP, BoxCells
@@ -105,8 +106,10 @@ def worst_case_over_box(
     rng: Seed = None,
     progress: Progress | None = None,
     rigorous: bool = False,
+    timing_tolerance: Timing = 0.0,
 ) -> WorstCaseOverBox:
     """Bracket the worst case over the box: single plants, and what they say of all within a cell (`least_over`)."""
+    family = family.loosened(timing_tolerance)
     tolerance, seconds = asked(plant, family, RTOL if rtol is None else rtol, budget)
     model = BoxModel.of(plant, "worst_case_sigma")
     if not model.n:

@@ -1,0 +1,97 @@
+"""How early or late samples may be: one number, early apart from late, or each output by itself."""
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design.errors import ArgumentError
+from sampling_design.schedules.jitter import ON_TIME, TimingTolerance, moved
+
+
+@pytest.mark.parametrize(
+    ("said", "shift", "radius", "words"),
+    [
+        (0.2, 0.0, 0.2, "up to 0.2 s early or late"),
+        ((0.1, 0.3), 0.1, 0.2, "up to 0.1 s early or up to 0.3 s late"),
+        ([0.0, 0.4], 0.2, 0.2, "up to 0.4 s late"),
+        ({"a": 0.2, "b": (0.0, 0.4)}, 0.1, 0.3, "a up to 0.2 s early or late, b up to 0.4 s late"),
+        ({"a": 0.2, "b": 0.0}, 0.0, 0.2, "a up to 0.2 s early or late, b on time"),
+    ],
+)
+def test_every_real_time_lies_within_the_radius_of_the_centre(said, shift, radius, words):
+    late = TimingTolerance.of(said)
+    assert (late.shift, late.radius) == pytest.approx((shift, radius))
+    for early, after in zip(late.early, late.late, strict=True):
+        assert -early <= late.shift <= after  # the centre is a time that all allow
+        assert max(early + late.shift, after - late.shift) <= late.radius + 1e-12
+    assert np.all(late.back >= 0)
+    assert np.all(late.forward >= 0)
+    assert late.back - late.radii == pytest.approx(-late.offsets)
+    assert late.describe("s") == words
+    assert TimingTolerance.of(late.plain) == late
+    assert late.scaled(60.0).radius == pytest.approx(60 * late.radius)
+    assert late
+    assert not ON_TIME
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        (-0.1, "`timing_tolerance` must not be negative"),
+        ((0.1, -0.1), r"`timing_tolerance\[1\]` must not be negative"),
+        ((0.1, 0.1, 0.1), r"must be one number or two, \(early, late\), got 3 numbers"),
+        ({"a": "x"}, "`timing_tolerance.a`"),
+    ],
+)
+def test_what_is_no_tolerance_is_refused(said, words):
+    with pytest.raises(ArgumentError, match=words):
+        TimingTolerance.of(said)
+
+
+def test_families_are_about_the_centre():
+    family = sd.Jitter.around(sd.PeriodicSchedule([1.0, 0.7]), TimingTolerance.of((0.1, 0.3)))
+    assert family.contains(sd.PeriodicSchedule([1.0, 0.7], first=1.3))
+    assert family.contains(sd.PeriodicSchedule([1.0, 0.7], first=0.9))
+    assert not family.contains(sd.PeriodicSchedule([1.0, 0.7], first=0.85))
+    with pytest.raises(ArgumentError, match="fall apart, and a family of schedules is of samples"):
+        sd.Jitter.around(sd.PeriodicSchedule([1.0]), TimingTolerance.of({"y1": 0.1}))
+    with pytest.raises(ArgumentError, match="early and late, together less than the least gap 1"):
+        sd.window_sigma(sd.Plant([[0.0]], [[1.0]]), sd.PeriodicSchedule([1.0]), 9.0, timing_tolerance=(0.3, 0.9))
+
+
+@pytest.mark.parametrize("by", [0.3, -0.3, 0.0])
+def test_a_moved_schedule_has_its_samples_later(by):
+    for schedule in (sd.PeriodicSchedule([1.0]), sd.PeriodicSchedule([0.5, 0.7], first=1.2), sd.Schedule([0.5, 1.0])):
+        later = moved(schedule, by)
+        assert later.between(0, 9).times == pytest.approx((schedule.between(0, 9 - by)).times + by)
+    with pytest.raises(ArgumentError, match=r"first sample at 0 cannot be so much earlier than late: plan it at 0\.3"):
+        moved(sd.Schedule([0.0, 1.0]), -0.3)
+
+
+def test_certificates_hold_for_early_apart_from_late():
+    plant, schedule = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), sd.PeriodicSchedule([1.0], first=0.4)
+    found = sd.certify(plant, schedule, timing_tolerance=(0.0, 0.1), eta=0.3)
+    assert found.verify().passed
+    assert found.family.timing_tolerance == 0.05
+    assert found.family.contains(sd.PeriodicSchedule([1.0], first=0.5))
+    assert found.family.contains(sd.PeriodicSchedule([1.0], first=0.4))
+
+
+def test_a_rule_for_windows_is_loosened():
+    rule = sd.SpacedWindows(4.0, 3, 0.5)
+    assert rule.loosened(0.0) is rule
+    found = rule.loosened((0.1, 0.2))
+    assert (found.window, found.count, found.spacing) == (pytest.approx(4.3), 3, pytest.approx(0.2))
+    plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+    said = sd.worst_case_sigma(plant, rule, timing_tolerance=0.15)
+    assert said.lower == pytest.approx(sd.worst_case_sigma(plant, rule.loosened(0.15)).lower)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        planned = rule.draw(rng).times
+        real = np.maximum(planned + rng.uniform(-0.15, 0.15, planned.size), 0.0)
+        assert rule.loosened(0.15).contains(sd.Schedule(real))
+    box = sd.UncertainPlant(plant, [sd.UncertainParameter("k", 0.0, 0.01, A=[[0.0, 0.0], [1.0, 0.0]], nominal=0.0)])
+    wide = sd.worst_case_sigma(box, rule, timing_tolerance=0.15, rtol=0.3)
+    assert wide.lower <= said.upper
+    with pytest.raises(ArgumentError, match="could change places"):
+        sd.worst_case_sigma(plant, rule, timing_tolerance=0.3)

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+import typer
 from rich.table import Table as RichTable
 
 import sampling_design as sd
+from sampling_design.certificates.for_bounds import ErrorBoundArguments
 from sampling_design.cli.settings import Settings, rows_table, table
+from sampling_design.errors import ArgumentError
 from sampling_design.estimators.estimate_file import (
+    FEW_STATES,
+    MOST_INTERVALS,
     EstimateBlock,
     EstimateColumns,
     EstimateTable,
@@ -22,21 +29,83 @@ from sampling_design.estimators.online.curve import CurveCollector
 from sampling_design.estimators.online.envelope import EstimateEnvelope
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.tally import EstimateCounts
+from sampling_design.estimators.record_intervals import estimates_despite_outliers, smoothed_along
 from sampling_design.records.arrays import Array
 from sampling_design.records.file_io import AtomicWriter
 from sampling_design.records.record import short
+
+
+@dataclass(frozen=True)
+class EstimateOptions:
+    """What is worked out along a record, and how it is written."""
+
+    radii: Annotated[
+        str | None,
+        typer.Option(
+            help="intervals: as narrow as data and bounds allow; centred: the same, and each estimate in the middle of "
+            "its interval, where no other has a smaller radius; ellipsoids: wider, a hundred times faster. Default: "
+            f"intervals up to {MOST_INTERVALS} rows (of more than {FEW_STATES} states: fewer), ellipsoids beyond."
+        ),
+    ] = None
+    tube: Annotated[
+        bool,
+        typer.Option(
+            "--tube",
+            help="With -o: prove and draw what holds each state between the samples, too; a tenth of a second a row.",
+        ),
+    ] = False
+    leave_out: Annotated[
+        str | None,
+        typer.Option(help="Samples to leave out, by the numbers that a contradiction names, with commas between."),
+    ] = None
+    outliers: Annotated[
+        str | None,
+        typer.Option(
+            metavar="Q[:M]",
+            help="At most Q samples (of the last M) are wild, nobody knows which: radii that hold whichever they are.",
+        ),
+    ] = None
+    smooth: Annotated[
+        bool, typer.Option("--smooth", help="What all rows say of each time, not only those up to it.")
+    ] = False
+
+    @property
+    def wild(self) -> int | tuple[int, int]:
+        """How many samples may be wild, of the last so many.
+
+        Raises
+        ------
+        ArgumentError
+            If the text is no such numbers, or does not go with another option.
+        """
+        if self.outliers is None:
+            return 0
+        if self.radii not in (None, "centred"):
+            raise ArgumentError(f"`--radii` {self.radii} does not go with --outliers: its radii are those of middles.")
+        try:
+            most, *among = (int(word) for word in self.outliers.split(":"))
+        except ValueError:
+            most, among = 0, []
+        if most < 1 or len(among) > 1:
+            raise ArgumentError(f"`--outliers` must be Q or Q:M, 1 or 1:10, got {self.outliers!r}.")
+        return (most, *among) if among else most  # type: ignore[return-value]
 
 
 def followed(
     settings: Settings,
     estimator: sd.MovingHorizonEstimator,
     record: sd.Measurements,
-    radii: str | None,
+    options: EstimateOptions,
     guarantee: str,
-    tube: bool = False,
+    bounds: ErrorBoundArguments,
 ) -> EstimateCounts:
-    """Estimate at every row of `record`; write and show what was asked for; `tube`: draw it between rows, too."""
-    kind, plant, folder = check_radii(radii or _usual(settings, estimator, record)), estimator.plant, settings.folder()
+    """Estimate at every row of `record`, or at its samples where it is smoothed; write and show what was asked for."""
+    wild, tube = options.wild, options.tube
+    if wild:
+        most, among = (wild, "") if isinstance(wild, int) else (wild[0], f"last {wild[1]} ")
+        guarantee = f"Radii hold if at most {most} of the {among}samples are wild."
+    asked = options.radii or ("centred" if wild else _usual(settings, estimator, record))
+    kind, plant, folder = check_radii(asked), estimator.plant, settings.folder()
     drawn = folder is not None and not settings.no_picture
     curve = (
         CurveCollector(estimator, centred=kind == "centred", start=estimator.state.last.t) if drawn and tube else None
@@ -51,7 +120,15 @@ def followed(
                 open_files.enter_context(each)
         tally, last = EstimateCounts(plant.time_unit) if columns is None else columns.tally, None
         with settings.progress("estimate") as progress:
-            for some in estimates_along(estimator, record, kind, curve, progress):
+            if wild:
+                found = estimates_despite_outliers(
+                    estimator, record, bounds, wild, smooth=options.smooth, progress=progress
+                )
+            elif options.smooth:
+                found = smoothed_along(estimator, record, bounds, kind)
+            else:
+                found = estimates_along(estimator, record, kind, curve, progress)
+            for some in found:
                 last = some[-1]
                 if rows is not None or columns is not None:  # always where there is a picture
                     block = EstimateBlock.of(some, kind)

@@ -11,7 +11,7 @@ import typer
 import sampling_design as sd
 from sampling_design.certificates.for_bounds import ErrorBoundArguments
 from sampling_design.cli import reading
-from sampling_design.cli.following import followed
+from sampling_design.cli.following import EstimateOptions, followed
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for, window_length
 from sampling_design.cli.prove import sampling_certificate
 from sampling_design.cli.settings import (
@@ -24,7 +24,6 @@ from sampling_design.cli.settings import (
     workforce,
 )
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.estimate_file import FEW_STATES, MOST_INTERVALS
 from sampling_design.plants.functional import split_needed, weighed_over
 from sampling_design.records.file_io import write_text
 from sampling_design.records.record import short
@@ -53,25 +52,8 @@ def estimate(
     v_bound: VBound = None,
     initial_error: InitialError = None,
     eta: Eta = None,
-    radii: Annotated[
-        str | None,
-        typer.Option(
-            help="intervals: as narrow as data and bounds allow; centred: the same, and each estimate in the middle of "
-            "its interval, where no other has a smaller radius; ellipsoids: wider, a hundred times faster. Default: "
-            f"intervals up to {MOST_INTERVALS} rows (of more than {FEW_STATES} states: fewer), ellipsoids beyond."
-        ),
-    ] = None,
-    tube: Annotated[
-        bool,
-        typer.Option(
-            "--tube",
-            help="With -o: prove and draw what holds each state between the samples, too; a tenth of a second a row.",
-        ),
-    ] = False,
-    leave_out: Annotated[
-        str | None,
-        typer.Option(help="Samples to leave out, by the numbers that a contradiction names, with commas between."),
-    ] = None,
+    *,
+    how: EstimateOptions,
 ) -> None:
     """Estimate the state from measurements, with a radius that holds the truth if noise keeps its bounds.
 
@@ -80,8 +62,10 @@ def estimate(
 
     Example: sampling-design estimate examples/plants/oscillator.toml examples/data/oscillator.csv -o out
     """
-    if tube and (settings.output is None or settings.no_picture):
+    if how.tube and (settings.output is None or settings.no_picture):
         raise ArgumentError("`--tube` is for the picture: give a folder for it (-o DIR), and leave out --no-picture.")
+    if how.tube and (how.wild or how.smooth):
+        raise ArgumentError("`--tube` is of estimates as they came: leave it out with --outliers and --smooth.")
     plant = settings.part(reading.plant(plant_file))
     bounds = _bounds(plant, w_bound, v_bound, initial_error)
     schedule = None if schedule_file is None else schedule_for(settings, plant, schedule_file)
@@ -90,7 +74,7 @@ def estimate(
         _check_origins(record, schedule)
     if not record.measured.any():
         raise ArgumentError(f"`MEASUREMENTS` {measurement_file} holds no measurement.")
-    record = record.in_order() if leave_out is None else record.without(*_numbered(leave_out))
+    record = record.in_order() if how.leave_out is None else record.without(*_numbered(how.leave_out))
     certificate = None if certificate_file is None else sampling_certificate(certificate_file, plant)
     first = numbers("--prior", prior, plant.states.names)
     with settings.progress("certificate") as progress:
@@ -102,9 +86,19 @@ def estimate(
     for name, text in chosen.defaults_used.items():
         settings.notice(text if name == "notice" else f"--{name.replace('_', '-')} not given: {text}.")
     settings.notice(words)
-    tally = followed(settings, chosen.estimator, record, radii, words, tube)
+    tally = followed(settings, chosen.estimator, record, how, words, _used(plant, bounds))
     if tally.contradictions or tally.status["bounds disproved"]:
         raise typer.Exit(1)
+
+
+def _used(plant: sd.Plant, bounds: ErrorBoundArguments) -> ErrorBoundArguments:
+    """The bounds, with the plant's scales where none was given, as the estimator has them."""
+    w, v, error = bounds["w_bound"], bounds["v_bound"], bounds["initial_error"]
+    return ErrorBoundArguments(
+        w_bound=plant.disturbances.scales if w is None else w,
+        v_bound=plant.outputs.scales if v is None else v,
+        initial_error=plant.states.scales if error is None else error,
+    )
 
 
 def _numbered(text: str) -> list[int]:

@@ -9,6 +9,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.cli import following
+from sampling_design.cli.following import EstimateOptions
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.estimators import estimate_file
@@ -31,6 +32,7 @@ PLANT = sd.Plant(
     inputs=["pump"],
 )
 BOUNDS = {"w_bound": 0.01, "v_bound": 0.2, "initial_error": 1.5}
+ELLIPSOIDS = EstimateOptions("ellipsoids")
 
 
 def drawn_file(rng, path, rows=60, dates=False, awkward=True):
@@ -101,7 +103,7 @@ def test_estimates_written_one_by_one_are_those_of_the_record(tmp_path, monkeypa
         object.__setattr__(moved, "radii", whole.ellipsoid_radii)
         moved.__dict__["estimates"] = tuple(with_proof(each, None) for each in whole.estimates)
     settings = Settings("estimate", output=tmp_path / "out", as_json=True, quiet=True)
-    tally = following.followed(settings, estimator(), record, radii, "words")
+    tally = following.followed(settings, estimator(), record, EstimateOptions(radii), "words", BOUNDS)
     printed = capsys.readouterr().out
     expected = {**moved.to_dict(), "radii_of": radii, "guarantee": "words", "horizon": 3.0}
     assert printed == to_json(settings.named(expected)) == (tmp_path / "out/estimates.json").read_text()
@@ -114,12 +116,14 @@ def test_estimates_written_one_by_one_are_those_of_the_record(tmp_path, monkeypa
 
 def test_an_error_in_a_later_row_leaves_no_file(tmp_path):
     record = sd.Measurements(PLANT, [1.0, 50.0, 2.0], [[1.0, 0.0]] * 3, [[0.0]] * 3)
-    settings = Settings("estimate", output=tmp_path / "out", quiet=True)
+    settings, estimator = (
+        Settings("estimate", output=tmp_path / "out", quiet=True), sd.MovingHorizonEstimator(PLANT, horizon=3.0)
+    )  # fmt: skip
     with pytest.raises(ArgumentError, match="goes back beyond the window"):
-        following.followed(settings, sd.MovingHorizonEstimator(PLANT, horizon=3.0), record, "ellipsoids", "words")
+        following.followed(settings, estimator, record, ELLIPSOIDS, "words", BOUNDS)
     assert list((tmp_path / "out").iterdir()) == []
     with pytest.raises(ArgumentError, match="`radii` must be one of intervals, centred, ellipsoids, got 'ellipses'"):
-        following.followed(settings, sd.MovingHorizonEstimator(PLANT, horizon=3.0), record, "ellipses", "")
+        following.followed(settings, estimator, record, EstimateOptions("ellipses"), "", BOUNDS)
 
 
 def test_memory_does_not_grow_with_the_record():
@@ -131,7 +135,7 @@ def test_memory_does_not_grow_with_the_record():
         settings = Settings("estimate", quiet=True)
         tracemalloc.start()
         estimator = sd.MovingHorizonEstimator(PLANT, horizon=3.0, cost=sd.CostFunction(eta=0.1), **BOUNDS)
-        following.followed(settings, estimator, record, "ellipsoids", "words")
+        following.followed(settings, estimator, record, ELLIPSOIDS, "words", BOUNDS)
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return peak

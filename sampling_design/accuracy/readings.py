@@ -25,7 +25,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.checks import freeze
 
-Arrived = tuple[float, object, npt.ArrayLike | None]
+Arrived = tuple[float | tuple[float, float], object, npt.ArrayLike | None]
 
 
 Row = TypeVar("Row")

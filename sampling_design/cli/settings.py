@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from sampling_design.design.schedule_design import ScheduleDesign
-    from sampling_design.observability.windows.window_sigma import WindowSigma
+    from sampling_design.observability.windows.window_record import WindowSigma
     from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseSigma
     from sampling_design.plants.plant import Plant
     from sampling_design.records.record import Record

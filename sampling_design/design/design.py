@@ -28,7 +28,7 @@ from sampling_design.design.sizes import check_size
 from sampling_design.errors import InfeasibleRequirementError, SolverError
 from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
 from sampling_design.observability.sigma_bracket import rtol_and_seconds
-from sampling_design.observability.windows.window_sigma import WindowSigma
+from sampling_design.observability.windows.window_record import WindowSigma
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted

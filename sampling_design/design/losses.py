@@ -9,12 +9,11 @@ import numpy as np
 
 from sampling_design.design.count_problem import bounded
 from sampling_design.design.design import design_schedule
-from sampling_design.design.deviations import periods_touched, without_sample
 from sampling_design.design.problem.posing import pose, repeated
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
-from sampling_design.observability.windows.window_sigma import WindowSigma
+from sampling_design.observability.windows.window_record import WindowSigma
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
@@ -24,6 +23,7 @@ from sampling_design.records.checks import Seed
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, TableRecord, short
 from sampling_design.records.signatures import checked
+from sampling_design.schedules.schedule import PeriodicSchedule, ScheduleDetails
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -239,3 +239,19 @@ def _fewer(design: ScheduleDesign, asked: Requirement, budget: Budget, rng: Seed
     if found.status == "interrupted":
         raise KeyboardInterrupt
     return found.upper_bound
+
+
+def periods_touched(schedule: PeriodicSchedule, window: float) -> int:
+    """Periods that a window can touch, plus one."""
+    return int(np.ceil(window / schedule.period)) + 1
+
+
+def without_sample(schedule: PeriodicSchedule, i: int, periods: int) -> PeriodicSchedule | None:
+    """The schedule without sample i in one of so many periods; None where there is no other sample."""
+    times = (schedule.times + schedule.period * np.arange(periods)[:, None]).ravel()
+    if times.size == 1:
+        return None
+    keep = np.arange(times.size) != i
+    mask = None if schedule.outputs is None else np.tile(schedule.outputs, (periods, 1))[keep]
+    details = ScheduleDetails(time_unit=schedule.time_unit, output_names=schedule.output_names)
+    return PeriodicSchedule.from_times(times[keep], periods * schedule.period, mask, **details)

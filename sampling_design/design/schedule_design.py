@@ -9,7 +9,6 @@ import numpy as np
 
 from sampling_design.design.bounds.evidence import UpperBound
 from sampling_design.design.counts import rival_counts
-from sampling_design.design.deviations import DesignDeviations, deviations_of
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.posing import pose
 from sampling_design.design.problem.requirement import Requirement
@@ -18,7 +17,9 @@ from sampling_design.observability.count.default_window import default_window
 from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
 from sampling_design.observability.sigma_bracket import coordinates_in
-from sampling_design.observability.windows.window_sigma import WindowSigma, window_sigma
+from sampling_design.observability.windows.deviations import deviations_of
+from sampling_design.observability.windows.window_record import SigmaDeviations, WindowSigma
+from sampling_design.observability.windows.window_sigma import window_sigma
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import rows_in_words
@@ -113,7 +114,7 @@ class ScheduleDesign(PlainRecord):
         return float(np.sum(prices) * len(self.schedule) if mask is None else np.sum(mask * prices))
 
     @cached_property
-    def deviations(self) -> DesignDeviations | None:
+    def deviations(self) -> SigmaDeviations | None:
         """What is left of sigma if samples come early or late or one is lost; None where nothing has to be observed."""
         if self.schedule is None or not self.sigma > 0:
             return None

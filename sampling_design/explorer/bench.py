@@ -20,7 +20,8 @@ from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import ArgumentError, SamplingDesignError
 from sampling_design.observability.count.default_window import default_window
 from sampling_design.observability.count.zero_count import zero_count_bound
-from sampling_design.observability.windows.window_sigma import WindowSigma, window_sigma
+from sampling_design.observability.windows.window_record import WindowSigma
+from sampling_design.observability.windows.window_sigma import window_sigma
 from sampling_design.planning.plan import plan_samples
 from sampling_design.planning.problem import PlanProblem, pose_plan
 from sampling_design.planning.requirement import PlanRequirement

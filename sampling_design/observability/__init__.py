@@ -11,7 +11,8 @@ _NAMES = {
     "count.functional": ("functional_plant",),
     "windows.sampled": ("observability_gramian", "observability_matrix", "sigma_min"),
     "windows.pieces": ("WindowWitness",),
-    "windows.window_sigma": ("WindowProfile", "WindowSigma", "window_sigma"),
+    "windows.window_record": ("SigmaDeviations", "WindowProfile", "WindowSigma"),
+    "windows.window_sigma": ("window_sigma",),
     "worst_case.worst_case_sigma": ("WorstCaseProfile", "WorstCaseSigma", "worst_case_sigma"),
 }
 __getattr__, __dir__, __all__ = lazy(__name__, _NAMES, modules=("count", "windows", "worst_case"))

@@ -15,8 +15,9 @@ from sampling_design.observability.windows.pieces import WindowWitness as Window
 from sampling_design.observability.windows.sampled import observability_gramian as observability_gramian
 from sampling_design.observability.windows.sampled import observability_matrix as observability_matrix
 from sampling_design.observability.windows.sampled import sigma_min as sigma_min
-from sampling_design.observability.windows.window_sigma import WindowProfile as WindowProfile
-from sampling_design.observability.windows.window_sigma import WindowSigma as WindowSigma
+from sampling_design.observability.windows.window_record import SigmaDeviations as SigmaDeviations
+from sampling_design.observability.windows.window_record import WindowProfile as WindowProfile
+from sampling_design.observability.windows.window_record import WindowSigma as WindowSigma
 from sampling_design.observability.windows.window_sigma import window_sigma as window_sigma
 from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseProfile as WorstCaseProfile
 from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseSigma as WorstCaseSigma

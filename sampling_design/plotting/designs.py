@@ -11,7 +11,7 @@ from sampling_design.design.schedule_design import ScheduleDesign
 from sampling_design.errors import ArgumentError
 from sampling_design.plotting import style
 from sampling_design.plotting.schedules import draw_schedule
-from sampling_design.plotting.windows import draw_window_sigma
+from sampling_design.plotting.windows import draw_deviations, draw_window_sigma
 from sampling_design.records.arrays import Array
 from sampling_design.records.record import short
 from sampling_design.schedules.schedule import PeriodicSchedule
@@ -37,10 +37,10 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str |
     figure, (top, bottom) = style.new_figure(2, ratios=(0.75 + 0.3 * rows, 2.4), row_height=2.6 + 0.1 * rows)
     _time_line(schedule, result, top)
     shown = result.window
-    draw_window_sigma(shown, bottom)
+    draw_window_sigma(shown, bottom, beside=False)
     note = f"no admissible schedule exceeds {short(result.upper_bound, 4)}"
     bottom.axhline(result.upper_bound, color=style.TRUTH, linestyle="--", linewidth=1.0, label=note)
-    least = _deviations(bottom, result)
+    least = draw_deviations(result.deviations, bottom, late=not result.late)
     style.legend(bottom, 2)
     style.from_below(bottom, min(shown.lower, least), max(result.upper_bound, float(shown.profile.sigma.max())))
     if schedule.origin is not None:
@@ -50,19 +50,6 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str |
     late = f" for samples {result.late.describe(result.plant.time_unit)}" if result.late else ""
     figure.suptitle(f"{result.plant.name}: sigma {short(result.sigma, 4)} proven{late}, gap {100 * result.gap:.1f} %")
     return style.Panels([top, bottom])
-
-
-def _deviations(ax: Axes, result: ScheduleDesign) -> float:
-    """Draw what late samples and a lost one leave; the least of it."""
-    found = result.deviations
-    if found is None:
-        return result.sigma
-    late = f"if {found.tolerance.describe(found.time_unit)}: {short(found.late, 4)}"
-    if not result.late:
-        ax.axhline(found.late, color=style.ATTAINED, linestyle="-.", linewidth=1.0, label=late)
-    lost = f"if one sample is lost: {short(found.lost, 4)}"
-    ax.axhline(found.lost, color=style.FAILED, linestyle=":", linewidth=1.0, label=lost)
-    return min(found.late, found.lost)
 
 
 def _time_line(schedule: PeriodicSchedule, result: ScheduleDesign, ax: Axes) -> Axes:

@@ -5,13 +5,28 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
-from sampling_design.observability.windows.window_sigma import WindowSigma
+from sampling_design.observability.windows.window_record import SigmaDeviations, WindowSigma
 from sampling_design.plotting import style
 from sampling_design.records.record import short
 
 
-def draw_window_sigma(result: WindowSigma, ax: Axes | None = None, *, columns: int = 3) -> Axes:
-    """Draw sigma over the window's end: attained values, proven bound, and the worst position."""
+def draw_deviations(found: SigmaDeviations | None, ax: Axes, *, late: bool) -> float:
+    """Draw what late samples (unless they were asked for) and a lost one leave; the least of it."""
+    if found is None:
+        return np.inf
+    if late:
+        label = f"if {found.tolerance.describe(found.time_unit)}: {short(found.late, 4)}"
+        ax.axhline(found.late, color=style.ATTAINED, linestyle="-.", linewidth=1.0, label=label)
+    lost = f"if one sample is lost: {short(found.lost, 4)}"
+    ax.axhline(found.lost, color=style.FAILED, linestyle=":", linewidth=1.0, label=lost)
+    return min(found.late, found.lost)
+
+
+def draw_window_sigma(result: WindowSigma, ax: Axes | None = None, *, columns: int = 3, beside: bool = True) -> Axes:
+    """Draw sigma over the window's end: attained values, proven bound, and the worst position.
+
+    And, `beside`, what samples that come late or are lost leave of it.
+    """
     ax = style.new_axes(ax)
     profile = result.profile
     label: str | None = "sigma of the window"
@@ -26,7 +41,8 @@ def draw_window_sigma(result: WindowSigma, ax: Axes | None = None, *, columns: i
     face = style.ATTAINED if result.witness.side == "at" else "none"
     worst = f"attained: {short(result.upper, 4)}, window ends {result.witness.position}"
     ax.plot([result.witness.t], [result.upper], "o", color=style.ATTAINED, markerfacecolor=face, label=worst)
-    style.from_below(ax, min(result.lower, float(profile.sigma.min())), float(profile.sigma.max()))
+    least = min(result.lower, draw_deviations(result.deviations, ax, late=not result.late) if beside else np.inf)
+    style.from_below(ax, min(least, float(profile.sigma.min())), float(profile.sigma.max()))
     ax.set_xlabel(style.time_label(result.time_unit, f"end of the window of length {short(result.window)}"))
     kind = result.coordinates
     ax.set_ylabel("sigma (state at window's start)" if kind == "physical" else f"sigma ({kind}, at start)")

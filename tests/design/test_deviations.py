@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
-from sampling_design.design.deviations import SHARE, deviations_of, without_sample
+from sampling_design.design.losses import without_sample
+from sampling_design.observability.windows.deviations import SHARE, deviations_of
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 
@@ -16,13 +17,13 @@ def design():
 
 def test_a_design_says_what_late_and_lost_samples_leave(design):
     found = design.deviations
-    assert found.tolerance == pytest.approx(SHARE * np.pi / 2)
+    assert found.tolerance.radius == pytest.approx(SHARE * np.pi / 2)
     assert found.late == pytest.approx(1.0, rel=0.03)  # three of four samples
     assert found.late_wider == pytest.approx(design.sigma, rel=0.02)
     assert found.late < found.late_wider < design.sigma
     assert found.lost == pytest.approx(1.0, rel=0.02)
     text, rows = str(design), design.explain()
-    assert "if 0.015708 s early or late" in text
+    assert "if up to 0.015708 s early or late" in text
     assert "if one sample is lost" in text
     assert f"{found.late:.6g}" in rows
     assert design.to_dict()["deviations"] == found.to_dict()

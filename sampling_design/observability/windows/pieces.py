@@ -99,6 +99,16 @@ class Pieces:
             times=self.times + shift, timing_tolerance=late,
         )  # fmt: skip
 
+    def losing(self, k: int, outputs: int) -> Pieces | None:
+        """The windows that hold sample k, without what it measures; None where none holds it."""
+        on = (self.first <= k) & (k < self.stop)
+        if not on.any():
+            return None
+        mask = np.ones((len(self.times), outputs), dtype=bool) if self.mask is None else self.mask.copy()
+        mask[k] = False
+        left, right = self.left[on], self.right[on]
+        return replace(self, left=left, right=right, first=self.first[on], stop=self.stop[on], mask=mask)
+
     def samples(self, g: int) -> Array:
         """Times of the samples on piece g."""
         return self.times[self.first[g] : self.stop[g]]

@@ -11,7 +11,7 @@ from sampling_design.observability.alignment import meet
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
 from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.pieces import Pieces
-from sampling_design.observability.windows.window_sigma import asked
+from sampling_design.observability.windows.window_record import asked
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress

@@ -5,7 +5,7 @@ from __future__ import annotations
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import meet
 from sampling_design.observability.sigma_bracket import coordinates_of
-from sampling_design.observability.windows.window_sigma import WindowSigma, asked, record_of
+from sampling_design.observability.windows.window_record import WindowSigma, asked, record_of
 from sampling_design.records import checks
 from sampling_design.records.progress import Progress
 from sampling_design.schedules.schedule import Schedule

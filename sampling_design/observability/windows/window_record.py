@@ -1,0 +1,357 @@
+"""What is found of sigma over every real position of a sliding window, and what is left of it if samples deviate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from importlib.util import find_spec
+
+import numpy as np
+
+from sampling_design.observability.sigma_bracket import (
+    NO_STATES,
+    SigmaBracket,
+    coordinates_of,
+    in_balls,
+    rtol_and_seconds,
+)
+from sampling_design.observability.windows.bracket import WindowBracket, bracket_sigma
+from sampling_design.observability.windows.pieces import Pieces, WindowWitness, window_pieces
+from sampling_design.observability.windows.timing import MOST_TRIED, middle_rows, moved_window
+from sampling_design.plants.functional import FunctionalPlant
+from sampling_design.plants.plant import Plant
+from sampling_design.records import checks
+from sampling_design.records.arrays import Array, Integers
+from sampling_design.records.declarations import Column
+from sampling_design.records.evidence import Claim
+from sampling_design.records.progress import Progress
+from sampling_design.records.record import CurveRecord, Plain, Record, TableRecord, Variable, short
+from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+
+RTOL = 0.001
+"""Default width of the bracket, relative."""
+HIDING = 1e3
+"""Growth within a window from which on a sigma that doubles lose is asked of balls: n eps |O| is then far above the
+n eps |C| below which sigma counts as zero."""
+HANDED_OVER = 20.0
+"""Seconds that balls have for what was only asked of floats."""
+_REASONS = {
+    "budget": "the budget ran out before the bracket closed; more time narrows it",
+    "interrupted": "the search was interrupted before the bracket closed; more time narrows it",
+    "rounding": "rounding in the exponentials keeps the bracket open; scale the plant",
+    "timing": "what late and early samples may take away is bounded no better",
+}
+
+
+@dataclass(frozen=True)
+class WindowProfile:
+    """Sigma over the window's end, for pictures: one curve per piece, with a jump between two pieces.
+
+    `t`, `sigma` and `piece` hold the points, ordered; the ends of a piece are one-sided limits.
+    `start`, `stop` and `lower` hold for each piece its interval of window ends and its proven bound.
+    """
+
+    t: Array
+    sigma: Array
+    piece: Integers
+    start: Array
+    stop: Array
+    lower: Array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SigmaDeviations(Record):
+    """Proven sigma of a schedule that is not kept to the letter.
+
+    Attributes
+    ----------
+    tolerance : TimingTolerance
+        How early or late each sample may be.
+    late : float
+        Sigma over windows of the design's length for all such times.
+    late_wider : float
+        The same over windows that are early and late together longer: they hold every sample that was planned in the
+        shorter one.
+    lost : float
+        Sigma if any one sample is lost once.
+    lost_sample : int
+        Which loss leaves that, counted from 0.
+    time_unit : str
+    """
+
+    tolerance: TimingTolerance
+    late: float
+    late_wider: float
+    lost: float
+    lost_sample: int
+    time_unit: str
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data."""
+        return {
+            "tolerance": self.tolerance.plain,
+            "late": self.late,
+            "late_wider": self.late_wider,
+            "lost": self.lost,
+            "lost_sample": self.lost_sample,
+        }
+
+    def _rows(self) -> list[tuple[str, str]]:
+        wider = f"windows {short(2 * self.tolerance.radius)} {self.time_unit} longer"
+        return [
+            (
+                f"if {self.tolerance.describe(self.time_unit)}",
+                f"{short(self.late)}; {short(self.late_wider)} in {wider}",
+            ),
+            ("if one sample is lost", f"{short(self.lost)} (sample {self.lost_sample + 1})"),
+        ]
+
+    def explain(self) -> str:
+        """Say what is left of sigma."""
+        wider = f"{short(2 * self.tolerance.radius)} {self.time_unit}"
+        return (
+            f"If samples come {self.tolerance.describe(self.time_unit)}, sigma is at least {short(self.late)}, and "
+            f"over windows that are {wider} longer {short(self.late_wider)}; if one is lost, {short(self.lost)}."
+        )
+
+    @property
+    def lost_only(self) -> str:
+        """The sentence where the other says again what was asked for."""
+        return f"If one sample is lost, sigma is at least {short(self.lost)}."
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
+    """Bounds on the least sigma over all real positions of a window along one schedule.
+
+    Attributes
+    ----------
+    lower : float
+        Proven for every real position, limits just after a departure or before an arrival included.
+    upper : float
+        Attained at `witness`.
+    witness : WindowWitness
+    status : str
+        Why the search ended: "closed", "too few samples", "below rounding", "budget", "interrupted", "rounding",
+        "timing" where late and early samples leave the bracket wider than `rtol`, "no states", or "sampled" where the
+        plant varies in time by functions: `lower` is 0 then, and nothing is proven.
+    window : float
+    from_time : float
+        Every window that begins then or later is covered: 0 for an endless schedule, the first sample of a finite one,
+        or what `start` said.
+    profile : WindowProfile
+    coordinates : str
+        Which both bounds and the witness's direction refer to: "scaled" (x/s_x, y/s_y) where the plant has scales, else
+        "physical".
+    time_unit : str
+    timing_tolerance : float, pair of floats, or dict of these
+        Both bounds are those of all real times that are so early or late: the witness holds such times, the profile is
+        of samples at their centres, in windows as much shorter at both ends.
+    rigorous : bool
+        Whether `lower` is proven in ball arithmetic, a theorem about the stated doubles.
+    beside : callable, optional
+        What works out `deviations`.
+    slack : float
+        With `rigorous`: the windows of that theorem are [t - T - slack, t + slack]. Zero unless samples leave and
+        arrive within rounding of each other, which count as one event.
+    """
+
+    witness: WindowWitness
+    window: float
+    profile: WindowProfile
+    from_time: float = field(default=0.0, kw_only=True)
+    time_unit: str = field(default="s", kw_only=True)
+    slack: float = field(default=0.0, kw_only=True)
+    late: TimingTolerance = field(default=ON_TIME, kw_only=True)
+    beside: Callable[[], SigmaDeviations] | None = field(default=None, kw_only=True)
+
+    _plain = (
+        "lower upper closed status window from_time rtol time_unit refers_to:_refers_to rigorous slack "
+        "timing_tolerance deviations witness{t side samples direction} coordinates claim"
+    )
+    _refers_to = "the state at the window's start"
+
+    _table = {
+        **SigmaBracket._table,
+        "worst window ends": "{witness.position} {time_unit}",
+        "samples in it": "{witness.samples.size}",
+        "window": "{window} {time_unit}, from {from_time} {time_unit} on",
+        "samples come": "{_late}",
+        "status": "{status}",
+    }
+
+    @property
+    def claim(self) -> Claim:
+        """What `lower` claims, and on what grounds."""
+        wider = f", samples in [t - T - {self.slack:.3g}, t + {self.slack:.3g}]" if self.slack else ""
+        return Claim(
+            f"sigma_n(O_s e^(-A(t-T))) >= {short(self.lower)} for every real window end t >= T + "
+            f"{short(self.from_time)}, T = {short(self.window)}{wider}",
+            theorem="Theorem 14, hypothesis" + (", in ball arithmetic" if self.rigorous else ""),
+            assumptions=(
+                f"the plant's matrices are exact, samples are {self._late()}"
+                if self.late
+                else "the plant's matrices and the sample times are exact",
+                f"{self.coordinates} coordinates",
+            ),
+        )
+
+    def _variables(self) -> dict[str, Variable]:
+        profile, time = self.profile, self.time_unit
+        return {
+            "window_end": Variable(("point",), profile.t, time),
+            "sigma": Variable(("point",), profile.sigma),
+            "piece_of": Variable(("point",), profile.piece),
+            "piece": Variable(("piece",), np.unique(profile.piece)),
+            "start": Variable(("piece",), profile.start, time),
+            "stop": Variable(("piece",), profile.stop, time),
+            "proven": Variable(("piece",), profile.lower),
+        }
+
+    def _columns(self) -> dict[str, Column]:
+        profile = self.profile
+        proven = profile.lower[np.searchsorted(np.unique(profile.piece), profile.piece)]
+        return {"window_end": profile.t, "sigma": profile.sigma, "piece": profile.piece, "proven": proven}
+
+    @cached_property
+    def deviations(self) -> SigmaDeviations | None:
+        """What is left of `lower` if samples come early or late or one is lost, worked out when it is asked for.
+
+        None where sigma is nothing, where only ball arithmetic sees it, over a box of plants and in varying time.
+        """
+        return self.beside() if self.beside is not None and 0 < self.lower < np.inf and not self.rigorous else None
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [*super()._rows(), *([] if self.deviations is None else self.deviations._rows())]
+
+    @property
+    def timing_tolerance(self) -> Plain:
+        """How early or late each sample may be, as it is written."""
+        return self.late.plain
+
+    def _late(self) -> str | None:
+        return self.late.describe(self.time_unit) if self.late else None
+
+    def explain(self) -> str:
+        """Say what was proven, where the worst window is, and why a bracket did not close."""
+        where = (
+            f"The worst window ends {self.witness.position} {self.time_unit} with {self.witness.samples.size} samples"
+        )
+        if self.status == "no states":
+            return NO_STATES
+        if self.status == "too few samples":
+            empty = " The window is shorter than a gap." if self.witness.samples.size == 0 else ""
+            return f"{where}, too few for {self.witness.direction.size} states: sigma is 0.{empty}"
+        if self.status == "below rounding":
+            hidden = "" if self.rigorous else " What growth hides from doubles, ball arithmetic sees: extra `rigorous`."
+            state = short(self.witness.direction)
+            return f"{where}; it does not see the state {state}: sigma is zero to rounding.{hidden}"
+        length = f"{short(self.window)} {self.time_unit}"
+        if self.status == "sampled":
+            return (
+                f"Sigma falls to {short(self.upper)} among the windows of {length} that were looked at; nothing is "
+                f"proven, as A is a function of time and no table. {where}."
+            )
+        later = f" from {short(self.from_time)} {self.time_unit} on" if self.from_time else ""
+        later += f", for samples {self._late()}" if self.late else ""
+        proven = f"Sigma is at least {short(self.lower)} over every window of {length}{later} ({self._grounds})"
+        told = self._concluded(proven, where, _REASONS)
+        left = self.deviations
+        return told if left is None else f"{told} {left.lost_only if self.late else left.explain()}"
+
+
+def asked(
+    schedule: Schedule | PeriodicSchedule,
+    window: float,
+    start: float | None,
+    rtol: float,
+    budget: float | None,
+    late: TimingTolerance = ON_TIME,
+) -> tuple[Pieces, float, float]:
+    """Return the window's pieces along a schedule in the plant's unit, the tolerance and the seconds, all checked.
+
+    Raises ArgumentError if the window does not fit, or a number is out of range.
+    """
+    length, first = checks.positive("window", window), None if start is None else checks.nonnegative("start", start)
+    return window_pieces(schedule, length, first, late), *rtol_and_seconds(rtol, budget)
+
+
+def sigma_of_pieces(
+    plant: Plant,
+    schedule: Schedule | PeriodicSchedule,
+    pieces: Pieces,
+    rtol: float,
+    seconds: float,
+    progress: Progress | None = None,
+    *,
+    rigorous: bool = False,
+    reached: WindowSigma | None = None,
+    handed_over: float = HANDED_OVER,
+) -> WindowSigma:
+    """Return the record of some pieces of a schedule in the plant's unit.
+
+    `reached` is what was found over other pieces: windows that see more than that are not looked at closely. Balls have
+    `handed_over` seconds for what growth hides from floats.
+    """
+    own = plant.scaled() if plant.has_scales else plant
+    shown = middle_rows(own, pieces.timing_tolerance)
+    found = bracket_sigma(shown, pieces, rtol, seconds, progress, np.inf if reached is None else reached.upper)
+    result = record_of(
+        found, rtol, plant.time_unit, coordinates_of(plant.has_scales, isinstance(plant, FunctionalPlant))
+    )
+    if pieces.timing_tolerance:
+        return _with_tolerance(result, own, found)
+    if rigorous:
+        return _in_balls(result, own, schedule, pieces, seconds)
+    if handed_over and _hidden(found) and find_spec("flint") is not None:
+        return _in_balls(result, own, schedule, pieces, min(seconds, handed_over))
+    return result
+
+
+def _with_tolerance(record: WindowSigma, plant: Plant, found: WindowBracket) -> WindowSigma:
+    """The record of windows for all real times within a tolerance, with times that see as little as was found."""
+    pieces, least = found.pieces, np.full(len(found.pieces), np.inf)
+    np.minimum.at(least, found.owner, found.sigma)
+    tried = []
+    for g in np.argsort(least, kind="stable")[:MOST_TRIED].tolist():
+        at, own = found.nodes[found.owner == g], found.sigma[found.owner == g]
+        start = float(at[np.argmin(own)])
+        tried.append(moved_window(plant, pieces, g, start))
+    worst = min(tried, key=lambda one: one.sigma)
+    status, lower = found.status, min(found.lower, worst.sigma)
+    if status in ("closed", "rounding", "below rounding") and worst.sigma > 0:  # of rows that stand for all times
+        status = "closed" if lower >= (1 - record.rtol) * worst.sigma else "timing"
+    return replace(record, lower=lower, upper=worst.sigma, witness=worst, status=status, late=pieces.timing_tolerance)
+
+
+def _hidden(found: WindowBracket) -> bool:
+    """Whether growth within the window may be all that hides sigma from doubles."""
+    return found.status in ("below rounding", "rounding") and found.growth > HIDING
+
+
+def _in_balls(
+    result: WindowSigma, plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, seconds: float
+) -> WindowSigma:
+    """The record with the lower bound that ball arithmetic proves."""
+    from sampling_design.observability.windows.balls import prove_window_sigma, see_in_balls
+
+    if result.status in ("below rounding", "rounding"):
+        seen = see_in_balls(plant, schedule, pieces, seconds)
+        if seen is not None:
+            result = replace(result, lower=seen.sigma, upper=seen.sigma, witness=seen, status="closed")
+    proof = prove_window_sigma(plant, schedule, pieces, result.lower, seconds)
+    result = in_balls(result, proof)
+    return replace(result, slack=proof.slack) if result.rigorous else result
+
+
+def record_of(found: WindowBracket, rtol: float, time_unit: str, coordinates: str) -> WindowSigma:
+    """The public record: window starts become window ends."""
+    window = found.pieces.window
+    left, right = found.pieces.left + window, found.pieces.right + window
+    profile = WindowProfile(found.nodes + window, found.sigma, found.owner, left, right, found.piece_lower)
+    return WindowSigma(
+        found.witness, window, profile, lower=found.lower, upper=found.witness.sigma, status=found.status, rtol=rtol,
+        from_time=found.pieces.start, coordinates=coordinates, time_unit=time_unit,
+    )  # fmt: skip

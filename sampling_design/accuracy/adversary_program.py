@@ -21,20 +21,17 @@ from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED, ConeS
 from sampling_design.numerics.stage_programs import StageProgram
 from sampling_design.records.arrays import Array
 
-TOLERANCE = 1e-8
-"""Asked of the solver; what it leaves open shows in the bracket, never in a bound."""
+TOLERANCE = 1e-8  # asked of the solver; what it leaves open shows in the bracket, never in a bound
 
 EXACTLY = 1e-6
 """An exact sensor shows zero within this many of its stand-in units: 1e-12 of what w does to it over a period."""
 
-SLIGHT = 1e-5
-"""An adversary that is divided by no more than this beyond 1 need not be corrected."""
+SLIGHT = 1e-5  # an adversary that is divided by no more than this beyond 1 need not be corrected
 
 STAGED, NEAR = 1e-5, 0.02
 """Shares within which the two sides of a program over stages meet, and where its upper side is low enough."""
 
-STALLED = 5e-3
-"""A program over stages whose two sides differ by more than this share is left to the general solver."""
+STALLED = 5e-3  # a program over stages whose two sides differ by more than this share is left to the general solver
 
 
 @dataclass(frozen=True, eq=False)

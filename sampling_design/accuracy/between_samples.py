@@ -16,11 +16,8 @@ from sampling_design.accuracy.sample_chain import SampleChain
 from sampling_design.numerics.linalg import expm_batch, forced_flow
 from sampling_design.records.arrays import Array
 
-GRID = (64, 2048)
-"""Least and largest number of panels of a gap on which the profile stands."""
-
-FINENESS = 0.1
-"""Length of such a panel times |A| in scaled coordinates."""
+GRID = (64, 2048)  # least and largest number of panels of a gap on which the profile stands
+FINENESS = 0.1  # length of such a panel times |A| in scaled coordinates
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,8 +30,7 @@ from sampling_design.records.arrays import Array
 DIFFUSE = 1e6
 """Covariance of what is free at the start, in scaled coordinates: for the choice of coordinates and gains only."""
 
-NO_ERROR = 1e-9
-"""Half-width given to an entry that is known exactly at the start, in scaled coordinates."""
+NO_ERROR = 1e-9  # half-width given to an entry that is known exactly at the start, in scaled coordinates
 
 BLURRED = 1e-7
 """Share of its way to which an unseen direction may shrink: what rounding makes of it is then below `UNSEEN` of it."""
@@ -39,8 +38,7 @@ BLURRED = 1e-7
 LITTLE = (1e-13, 1e-11, 1e-9, 1e-7)
 """Shares of its diagonal that are added to a covariance that rounding has made indefinite, the first that helps."""
 
-BEYOND = 1e3
-"""A state's scale is at most so many times what is known of it at the start."""
+BEYOND = 1e3  # a state's scale is at most so many times what is known of it at the start
 
 
 def finite_chain(plant: Plant, times: Array, end: float, bounds: SignalBounds, initial: InitialSet) -> SampleChain:

@@ -12,8 +12,7 @@ from sampling_design.accuracy.start import ErrorBefore, StartSet
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.records.arrays import Array
 
-ROUNDING = 1e-11
-"""Relative allowance for rounding in every sum that bounds from above."""
+ROUNDING = 1e-11  # relative allowance for rounding in every sum that bounds from above
 
 LEFT = 0.01
 """What may be left of a direction, in units of what a filter knows, where its past counts as bounded already."""

@@ -30,26 +30,13 @@ Zones = Sequence[tuple[float, float]] | None
 SETTLING = (0.6, 0.9)
 """By how much the filter's fastest error shrinks from one node to the next, when nodes are first spread."""
 
-HALVINGS = 6
-"""Halvings of the step between nodes, until the trajectory keeps its bounds between them too."""
-
-NODES = 512
-"""Nodes that an adversary may last."""
-
-CROWDED = 160
-"""Nodes of one period, all zones together."""
-
-SCALINGS = 80
-"""Halvings and doublings of the time constant after which a step that settles is given up."""
-
-SHALLOW = 32
-"""Nodes of the first trajectory."""
-
-OFFSETS = 5
-"""Offsets of the longest gap between zones that are looked at first."""
-
-ON_EDGE = 1e-9
-"""Share of the times at hand within which the end of a gap and that of a zone are one."""
+HALVINGS = 6  # halvings of the step between nodes, until the trajectory keeps its bounds between them too
+NODES = 512  # nodes that an adversary may last
+CROWDED = 160  # nodes of one period, all zones together
+SCALINGS = 80  # halvings and doublings of the time constant after which a step that settles is given up
+SHALLOW = 32  # nodes of the first trajectory
+OFFSETS = 5  # offsets of the longest gap between zones that are looked at first
+ON_EDGE = 1e-9  # share of the times at hand within which the end of a gap and that of a zone are one
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,11 +26,8 @@ from sampling_design.records.checks import freeze
 from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 
-DISCOUNTS = np.geomspace(1e-3, 10.0, 13)
-"""Discounts of an ellipsoid over a mean gap that are tried."""
-
-SHARES = np.geomspace(1e-2, 0.9, 9)
-"""Shares of a sample in an ellipsoid that are tried."""
+DISCOUNTS = np.geomspace(1e-3, 10.0, 13)  # Discounts of an ellipsoid over a mean gap that are tried
+SHARES = np.geomspace(1e-2, 0.9, 9)  # shares of a sample in an ellipsoid that are tried
 
 
 class BracketedRows(Protocol):

@@ -22,11 +22,8 @@ from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import period_of
 
-FORGOTTEN = 1e-13
-"""Share of a radius below which the start no longer counts: it is added once more, and then left out."""
-
-TINY = 1e-9
-"""Half-width of what is known exactly at the start, in scaled coordinates."""
+FORGOTTEN = 1e-13  # share of a radius below which the start no longer counts: it is added once more, and then left out
+TINY = 1e-9  # half-width of what is known exactly at the start, in scaled coordinates
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -18,8 +18,7 @@ from sampling_design.accuracy.gains import followed_back, path_bounds
 from sampling_design.accuracy.sample_chain import ChainSample, KnownSpan, SampleChain
 from sampling_design.records.arrays import Array, Index, Mask
 
-SAME = 1e-9
-"""Results that come within this share of all times come together, when the last of them does."""
+SAME = 1e-9  # results that come within this share of all times come together, when the last of them does
 
 
 class ResultsIn(NamedTuple):
@@ -116,7 +115,7 @@ def _endless(times: Array, period: float, delays: Array) -> list[ResultsIn]:
     )
     marks = marks[marks < marks[0] + period - tiny]
     ends = np.append(marks[1:], marks[0] + period)
-    return [_arrival(a, b, every, index, comes, measured[index], tiny) for a, b in zip(marks, ends, strict=True)]
+    return [_results_in(a, b, every, index, comes, measured[index], tiny) for a, b in zip(marks, ends, strict=True)]
 
 
 def _finite(times: Array, end: float, delays: Array) -> list[ResultsIn]:
@@ -126,13 +125,13 @@ def _finite(times: Array, end: float, delays: Array) -> list[ResultsIn]:
     marks = _clusters(comes[np.isfinite(comes) & (comes <= end + tiny)], tiny)
     first = float(marks[0]) if marks.size else end
     ends = np.append(marks[1:], max(end, float(marks[-1]))) if marks.size else marks
-    found = [_arrival(a, b, times, index, comes, measured, tiny) for a, b in zip(marks, ends, strict=True)]
+    found = [_results_in(a, b, times, index, comes, measured, tiny) for a, b in zip(marks, ends, strict=True)]
     if marks.size and first <= tiny:
         return found
     return [ResultsIn(0.0, first, index[:1], times[:1], np.zeros((1, delays.shape[1]), dtype=bool)), *found]
 
 
-def _arrival(
+def _results_in(
     begin: float, end: float, times: Array, index: Index, comes: Array, measured: Mask, tiny: float
 ) -> ResultsIn:
     seen = measured & (comes <= begin + tiny)

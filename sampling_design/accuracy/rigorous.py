@@ -20,11 +20,8 @@ if TYPE_CHECKING:
     from sampling_design.accuracy.witness import AccuracyWitness
 
 
-BITS = 192
-"""Working precision: 53 bits of the doubles, the rest against growth."""
-
-RAISED = 1e-4
-"""By how much the filter's reach is raised before it is proven."""
+BITS = 192  # Working precision: 53 bits of the doubles, the rest against growth
+RAISED = 1e-4  # by how much the filter's reach is raised before it is proven
 
 MOST_STEPS = 20_000
 """Samples of a memory beyond which balls are not carried along it: minutes, and radii that grow with them."""

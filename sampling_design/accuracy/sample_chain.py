@@ -31,38 +31,20 @@ from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Index, Mask
 
-EXACT = 1e-6
-"""Size given to an exact sensor, in units of what w does to its output over a period: for scaling only."""
+EXACT = 1e-6  # size given to an exact sensor, in units of what w does to its output over a period: for scaling only
 
 RANDOM_WALK = 1e-3
 """Share of a free start's covariance that joins the filter's noise at each period, so that it never goes to sleep."""
 
-PANEL = 0.125
-"""Length of a panel times |A| in scaled coordinates."""
-
-CELL_LOSS = 8e-3
-"""What a disturbance that is constant on cells may lose, as a share, by the curvature of e^{As}G alone."""
-
-BETWEEN = (0.2360, 0.6180)
-"""Shares of a gap at which the outputs are looked at for the sizes of what its samples hide."""
-
-CONTRACTED = 1e-3
-"""Samples are added until the filter's error forgets all but this share of its past."""
-
-FORGOTTEN = 0.01
-"""The share of the past that may be left after the filter's memory."""
-
-PERIODS = 4000
-"""Periods after which a filter that still remembers is given up: a bound that long would be no use."""
-
-REFINED = 6
-"""Times that a bound on all samples' errors is put in anew: each leaves CONTRACTED of what is too much."""
-
-FOLLOWED = 40.0
-"""Growth over a gap, as an exponent, beyond which a root of a covariance has no digit left."""
-
-AHEAD = 150.0
-"""Growth after the last sample, as an exponent, whose square is a number still, in any units."""
+PANEL = 0.125  # length of a panel times |A| in scaled coordinates
+CELL_LOSS = 8e-3  # what a disturbance that is constant on cells may lose, as a share, by the curvature of e^{As}G alone
+BETWEEN = (0.2360, 0.6180)  # shares of a gap at which the outputs are looked at for the sizes of what its samples hide
+CONTRACTED = 1e-3  # samples are added until the filter's error forgets all but this share of its past
+FORGOTTEN = 0.01  # the share of the past that may be left after the filter's memory
+PERIODS = 4000  # periods after which a filter that still remembers is given up: a bound that long would be no use
+REFINED = 6  # times that a bound on all samples' errors is put in anew: each leaves CONTRACTED of what is too much
+FOLLOWED = 40.0  # growth over a gap, as an exponent, beyond which a root of a covariance has no digit left
+AHEAD = 150.0  # growth after the last sample, as an exponent, whose square is a number still, in any units
 
 
 @dataclass(frozen=True, eq=False)

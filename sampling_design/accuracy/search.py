@@ -17,8 +17,7 @@ from sampling_design.accuracy.start import ErrorBefore, ErrorReach
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
 
-FINEST = 1e-5
-"""Least share that a disturbance constant on cells may lose by the curvature of e^{As}G."""
+FINEST = 1e-5  # least share that a disturbance constant on cells may lose by the curvature of e^{As}G
 
 COARSE = 2e-2
 """That share where only gains are wanted: what they prove is second order in it, and does not depend on cells."""
@@ -26,32 +25,18 @@ COARSE = 2e-2
 SHARE = 0.75
 """Share of the tolerance within which both sides of one target must meet; the rest is for the time between targets."""
 
-PROFILE = 1.05
-"""Ratio of the two bounds at which a gap's profile counts as known."""
-
-FILLED = 24
-"""Offsets solved for the profile of one row, though two for each gap at least."""
+PROFILE = 1.05  # ratio of the two bounds at which a gap's profile counts as known
+FILLED = 24  # offsets solved for the profile of one row, though two for each gap at least
 
 ATTACKS = (8, 32)
 """Attacks for the profile of one row, where one of them is a large program and where it is a small one."""
 
-ADVERSARIES_LONG = 3
-"""Attacks, and targets solved, where windows are as long as the filter's memory."""
-
-SMALL = 5000
-"""BoxCells times entries of w in a small program."""
-
-TOLERANCE = 1e-7
-"""Asked of the solver: what both sides prove is second order in it."""
-
-LASTING = 32
-"""A filter's memory, in samples, from which on the search begins with windows as long as it."""
-
-LONGEST = 4096
-"""Samples back beyond which the past is not followed."""
-
-FADING = 256
-"""The same where nothing is attained: a drift is known twice as well from twice as many samples, for ever."""
+ADVERSARIES_LONG = 3  # attacks, and targets solved, where windows are as long as the filter's memory
+SMALL = 5000  # cells times entries of w in a small program
+TOLERANCE = 1e-7  # asked of the solver: what both sides prove is second order in it
+LASTING = 32  # a filter's memory, in samples, from which on the search begins with windows as long as it
+LONGEST = 4096  # samples back beyond which the past is not followed
+FADING = 256  # the same where nothing is attained: a drift is known twice as well from twice as many samples, for ever
 
 NEGLIGIBLE = 1e-4
 """A row counts as 0 below this share of what disturbance and noise of a period make of it (`state_scales`), if

@@ -20,11 +20,8 @@ from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import Plain, Record, short
 
-KEPT = 1e-9
-"""Relative rounding within which a witness keeps its bounds and reaches its value when it is flown anew."""
-
-SHOWN = 1e-9
-"""What an exact sensor may show, as a share of what w does to it within a cell: rounding and last digits."""
+KEPT = 1e-9  # relative rounding within which a witness keeps its bounds and reaches its value when it is flown anew
+SHOWN = 1e-9  # what an exact sensor may show, as a share of what w does to it within a cell: rounding and last digits
 
 CLOSED = 1e-13
 """What may be left open at the end of a gap, as a share of the terms that make the state there: rounding alone."""
@@ -104,7 +101,7 @@ class AccuracyWitness(Record):
         for count in np.unique(cells[:-1]):  # gaps of equally many cells at once: each is flown from its own state
             at = np.flatnonzero(cells[:-1] == count)
             inside = ends[at][:, None] + np.arange(count)
-            ahead, flat = _flown(flows[inside])
+            ahead, flat = _over_gaps(flows[inside])
             moved = np.einsum("kij,kj->ki", ahead, z[at]) + np.einsum(
                 "kij,kj->ki", flat, w[inside].reshape(len(at), -1)
             )
@@ -116,17 +113,17 @@ class AccuracyWitness(Record):
             open_still = np.abs(left - _times(flat, change))
             change[~np.all(open_still <= CLOSED * terms, axis=1)] = np.nan
             w[inside] += change.reshape(len(at), count, -1)
-        ahead, flat = _flown(flows[None, ends[-2] :])
+        ahead, flat = _over_gaps(flows[None, ends[-2] :])
         x = ahead[0] @ z[-1] + flat[0] @ w[ends[-2] :].ravel()
         return WitnessRun(np.where(self.outputs, -self.states @ plant.C.T, np.nan), scale * x, w * size)
 
-    def flown(self) -> AccuracyWitness:
+    def propagated(self) -> AccuracyWitness:
         """Return the witness with states that follow from the first one by its disturbance."""
         scale, states = self.scales(), [self.states[0]]
         flows = forced_flow(self.plant.A * scale / scale[:, None], self.plant.G / scale[:, None], np.diff(self.edges))
         ends = np.searchsorted(self.edges, self.samples)
         for a, b in pairwise(ends.tolist()):
-            ahead, flat = _flown(flows[None, a:b])
+            ahead, flat = _over_gaps(flows[None, a:b])
             states.append(scale * (ahead[0] @ (states[-1] / scale) + flat[0] @ self.w[a:b].ravel()))
         return replace(self, states=freeze(states))
 
@@ -167,7 +164,7 @@ class AccuracyWitness(Record):
         }
 
 
-def _flown(flows: Array) -> tuple[Array, Array]:
+def _over_gaps(flows: Array) -> tuple[Array, Array]:
     """Flow over whole gaps (K, n, n), and what a constant w in each of their cells adds (K, n, m q); m cells each.
 
     `flows` (K, m, n, n + q) are those of the cells.

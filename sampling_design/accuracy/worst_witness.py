@@ -52,7 +52,7 @@ def strongest_witness(
 def admissible(witness: AccuracyWitness, question: AccuracyQuestion) -> AccuracyWitness:
     """Return a witness flown anew, its gaps closed, so small that it keeps the bounds of a question."""
     if question.initial is None and witness.states[0].any():
-        witness = witness.flown()  # rounding that no disturbance closes
+        witness = witness.propagated()  # rounding that no disturbance closes
     closed = witness.simulate(question.bounds.w).w
     witness = replace(witness, w=closed) if np.isfinite(closed).all() else witness
     value, excess = attains(witness, question.bounds, question.initial)

@@ -195,7 +195,7 @@ class AccuracyOracle:
 
     def ending(self, chosen: Mask, trajectory: HiddenTrajectory, level: float) -> HiddenTrajectory | None:
         """The strongest trajectory that ends where another one does and that a choice hides; None up to a level."""
-        if self.problem.held is None:
+        if self.problem.unread_steps is None:
             at = np.flatnonzero(chosen.any(axis=1))
             since = (trajectory.end - at - (not trajectory.at_sample)) % self.problem.steps + (not trajectory.at_sample)
             length = int(since.min(initial=self.problem.steps + 1))
@@ -344,7 +344,7 @@ class AccuracyOracle:
         if flight is None:
             return None
         flight = opened(self.motion, flight, self.rows[g], offset)
-        return self.scaled(flight, g, last + offset, offset == 0 and self.problem.held is None, window)
+        return self.scaled(flight, g, last + offset, offset == 0 and self.problem.unread_steps is None, window)
 
     def scaled(
         self, flight: DisturbedTrajectory, g: int, end: int, at_sample: bool, window: GridWindow | None = None
@@ -365,7 +365,7 @@ class AccuracyOracle:
             return None
         steps = self.problem.steps
         return HiddenTrajectory(
-            g, reach, end, at_sample, peaks_of(outputs / factor, steps, at_sample, self.problem.held), flight
+            g, reach, end, at_sample, peaks_of(outputs / factor, steps, at_sample, self.problem.unread_steps), flight
         )
 
     def weakly_observable(
@@ -382,7 +382,9 @@ class AccuracyOracle:
         keep[0] = True
         knots = grid[keep]
         seen, excess = known[knots % steps].copy(), weights[knots % steps].copy()
-        out = (end - knots)[:, None] <= (np.zeros(seen.shape[1]) if self.problem.held is None else self.problem.held)
+        out = (end - knots)[:, None] <= (
+            np.zeros(seen.shape[1]) if self.problem.unread_steps is None else self.problem.unread_steps
+        )
         seen[out] = False
         excess[seen | out] = 0.0
         window = GridWindow(self.motion, knots, seen, excess)

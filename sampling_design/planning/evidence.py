@@ -83,9 +83,9 @@ def reflown(problem: PlanProblem, motion: DiscretePlant, trajectory: HiddenTraje
     factor = max(flown.size(motion.ball), 1.0) * (1 + KEPT)
     row = motion.rows(problem.goals[trajectory.goal].row[None])[0]
     reach = float(row @ flown.path[-1]) / factor / problem.goals[trajectory.goal].tolerance
-    seen = peaks_of(flown.path @ motion.H.T / factor, problem.steps, trajectory.at_sample, problem.held)
+    seen = peaks_of(flown.path @ motion.H.T / factor, problem.steps, trajectory.at_sample, problem.unread_steps)
     peaks = seen * (1 + 2 * KEPT)
-    if reach <= 0 or (trajectory.at_sample and problem.held is not None):
+    if reach <= 0 or (trajectory.at_sample and problem.unread_steps is not None):
         return None
     return HiddenTrajectory(trajectory.goal, reach, trajectory.end, trajectory.at_sample, np.asarray(peaks), flight)
 
@@ -144,7 +144,7 @@ def trajectory_of(problem: PlanProblem, motion: DiscretePlant, data: dict[str, o
     knots = np.array(data["knots"], dtype=np.intp)
     flight = fly(motion, knots, np.array(data["states"]), np.array(data["w"]))
     at_sample = bool(data["at_sample"])
-    peaks = peaks_of(flight.path @ motion.H.T, problem.steps, at_sample, problem.held)
+    peaks = peaks_of(flight.path @ motion.H.T, problem.steps, at_sample, problem.unread_steps)
     return HiddenTrajectory(
         int(str(data["goal"])), float(str(data["reach"])), int(str(data["end"])), at_sample, peaks, flight
     )

@@ -75,7 +75,7 @@ class PlanProblem:
         return None if self.result_delays is None else self.result_delays[:, 1]
 
     @property
-    def held(self) -> Index | None:
+    def unread_steps(self) -> Index | None:
         """Steps back up to which a reading is out at the moment before some step (p,); None where none is ever out."""
         delay = self.result_delay
         return None if delay is None else np.floor(delay / self.step + WHOLE).astype(np.intp)

@@ -68,8 +68,7 @@ NEAR = 1e-9
 HANDED_OVER = 1e7
 """Most work, about microseconds, that balls do for what was only asked of floats: what is tight stays undecided for
 ever."""
-WIDEST = 8
-"""Columns of a matrix that a printed page holds; of a wider one the file has the numbers."""
+WIDEST = 8  # columns of a matrix that a printed page holds; of a wider one the file has the numbers
 PATIENCE = 6  # halvings of a cell of window starts after which a counterexample is looked for
 
 

@@ -27,8 +27,7 @@ from sampling_design.records.progress import Progress
 from sampling_design.records.record import Displayable
 from sampling_design.records.signatures import checked_methods
 
-AHEAD = 512
-"""Samples of a record whose gaps are made at once."""
+AHEAD = 512  # samples of a record whose gaps are made at once
 
 
 @checked_methods

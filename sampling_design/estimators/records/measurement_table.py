@@ -21,20 +21,11 @@ from sampling_design.schedules.time_stamps import time_zone
 
 Numbered = tuple[int, str]
 
-STAMPS = ("time", "date")
-"""Names of the column that says when a row was measured."""
-
-SINCE = "_since"
-"""Ending of the column that says where a composite sample of an output began."""
-
-UNTIL = "_until"
-"""Ending of the column that says until when a row may have been measured."""
-
-BLOCK = 4096
-"""Lines that are held as text at a time; what they say is held as numbers."""
-
-LONGEST_LINE = 100_000
-"""Characters; a longer line is read by itself, where a cell beyond all measure is refused."""
+STAMPS = ("time", "date")  # names of the column that says when a row was measured
+SINCE = "_since"  # ending of the column that says where a composite sample of an output began
+UNTIL = "_until"  # ending of the column that says until when a row may have been measured
+BLOCK = 4096  # lines that are held as text at a time; what they say is held as numbers
+LONGEST_LINE = 100_000  # Characters; a longer line is read by itself, where a cell beyond all measure is refused
 
 
 @runtime_checkable

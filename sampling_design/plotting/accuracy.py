@@ -25,12 +25,8 @@ def draw_accuracy(
     axes = _panels(count) if ax is None else style.Panels(np.ravel(np.asarray(ax, dtype=object)))
     for k, one in zip(range(count), axes, strict=False):
         _draw_row(one, result, k, None if tolerance is None else tolerance[k])
-    axes[-1].set_xlabel(
-        style.time_label(
-            result.plant.time_unit,
-            "time over one period, samples grey" if result.question.initial is None else "time, samples grey",
-        )
-    )
+    what = "time over one period, samples grey" if result.question.initial is None else "time, samples grey"
+    style.time_axis(axes[-1], result.plant.time_unit, what)
     finite = [one for k, one in enumerate(axes[:count]) if np.isfinite(result.upper[k])]
     if finite:
         style.legend(finite[0])

@@ -29,7 +29,7 @@ def draw_information(curve: InformationCurve, ax: Axes | None = None) -> Axes:
     """Draw lambda_min(Pi(t), P1) along a window; the certificate promises that it never falls below one."""
     ax = style.new_axes(ax)
     ax.plot(curve.t, curve.least, color=style.MEASURED, linewidth=1.3)
-    ax.axhline(1.0, color=style.PROVEN, linewidth=1.2, label="promised for every window and time")
+    ax.axhline(1.0, color=style.PROVEN, linewidth=1.2, label="proven for every window and time")
     at = int(np.argmin(curve.least))
     label = f"least: {short(curve.least[at], 5)} at {short(curve.t[at], 5)}"
     ax.plot([curve.t[at]], [curve.least[at]], "o", color=style.ATTAINED, markerfacecolor="none", label=label)
@@ -37,8 +37,9 @@ def draw_information(curve: InformationCurve, ax: Axes | None = None) -> Axes:
     ax.set_ylim(low, high)
     style.log_axis(ax)
     ax.vlines(curve.samples, low, low * (high / low) ** 0.05, color=style.TRUTH, linewidth=1.0, label="samples")
-    ax.set_xlabel(style.time_label(curve.time_unit, f"time, window from {short(curve.start, 5)}"))
+    style.time_axis(ax, curve.time_unit, f"time, window from {short(curve.start, 5)}")
     ax.set_ylabel("least information relative to P1")
+    ax.set_title("the information of a window never falls below P1", loc="left")
     style.legend(ax)
     return ax
 
@@ -49,11 +50,14 @@ def draw_tradeoff(curve: TradeoffCurve, ax: Axes | None = None) -> Axes:
     ax.semilogx(curve.C_v, curve.horizons, "o-", color=style.PROVEN, linewidth=1.2, markersize=5, label="proven")
     for stated, gain, horizon in zip(curve.noise_gains, curve.C_v, curve.horizons, strict=True):
         label = f"at most {short(stated, 4)} times the least"
-        ax.annotate(label, (gain, horizon), xytext=(5, 4), textcoords="offset points", fontsize="small")
+        side = gain > np.sqrt(min(curve.C_v) * max(curve.C_v))  # what is written stays within the picture
+        place, ends = ((-5, -12), "right") if side else ((5, 4), "left")
+        ax.annotate(label, (gain, horizon), xytext=place, ha=ends, textcoords="offset points", fontsize="small")
     ax.margins(x=0.15, y=0.15)  # room for what is written beside the dots
     style.plain_numbers(ax.xaxis)
     ax.set_xlabel("noise gain C_v")
     ax.set_ylabel(f"least horizon [{curve.certificates[0].plant.time_unit}]")
+    ax.set_title("a shorter horizon has a larger noise gain", loc="left")
     style.legend(ax)
     return ax
 
@@ -73,9 +77,10 @@ def draw_family_certificate(certificate: FamilyCertificate, ax: Axes | None = No
         ax.plot(s, lam, color=colour, linewidth=width, alpha=0.8, label=label)
     ax.axhline(certificate.lam, color=style.PROVEN, linewidth=1.2, label=f"lambda: {short(certificate.lam, 5)}")
     ax.set_ylim(bottom=0.0)
-    ax.set_xlabel(style.time_label(plant.time_unit, "time since the last sample"))
+    style.time_axis(ax, plant.time_unit, "time since the last sample")
     ax.set_ylabel("prior weight over information kept")
-    ax.set_title(certificate.family.explain(), loc="left", fontsize="medium")
+    said = f"lambda {short(certificate.lam, 4)} proven. {certificate.family.explain()}"
+    ax.set_title(said, loc="left", fontsize="medium", wrap=True)
     style.legend(ax)
     return ax
 
@@ -112,5 +117,8 @@ def _dots(horizons: FourHorizons, ax: Axes) -> Axes:
     ax.set_ylim(len(horizons.rows) - 0.4, -0.6)
     ax.set_xscale("log")
     ax.set_xlim(low, high * (1.6 if known and max(known) > 0.5 * high else 1.0))
-    ax.set_xlabel(style.time_label(horizons.certificate.plant.time_unit, "horizon M must exceed"))
+    unit, enough = horizons.certificate.plant.time_unit, horizons.rows[2].minimum
+    ax.set_xlabel(style.time_label(unit, "horizon M must exceed"))
+    if enough is not None:
+        ax.set_title(f"a horizon above {short(enough, 4)} {unit} is proven to be enough", loc="left")
     return ax

@@ -38,6 +38,7 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str |
     _time_line(schedule, result, top)
     shown = result.window
     draw_window_sigma(shown, bottom, beside=False)
+    bottom.set_title("", loc="left")  # the whole picture has one
     note = f"no admissible schedule exceeds {short(result.upper_bound, 4)}"
     bottom.axhline(result.upper_bound, color=style.TRUTH, linestyle="--", linewidth=1.0, label=note)
     least = draw_deviations(result.deviations, bottom, late=not result.late)
@@ -46,7 +47,7 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str |
     if schedule.origin is not None:
         label = bottom.get_xlabel()
         style.dates(bottom, schedule.time_unit, schedule.origin)
-        bottom.set_xlabel(label.replace(f" [{schedule.time_unit}]", f" {schedule.time_unit}"))
+        bottom.set_xlabel(label.partition(" [")[0])
     late = f" for samples {result.late.describe(result.plant.time_unit)}" if result.late else ""
     figure.suptitle(f"{result.plant.name}: sigma {short(result.sigma, 4)} proven{late}, gap {100 * result.gap:.1f} %")
     return style.Panels([top, bottom])

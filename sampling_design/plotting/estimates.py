@@ -12,6 +12,7 @@ from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plotting import style
 from sampling_design.plotting.readings import state_panels
+from sampling_design.records.record import counted
 
 
 def draw_estimates(
@@ -34,12 +35,20 @@ def draw_envelope(
 ) -> Axes | style.Panels:
     """Draw one panel per state: at each sample, or over stretches of time, the estimates and what is proven of them."""
     draw = _stretches if record.length else _bars
-    return state_panels(record.plant, ax, measurements, lambda panel, i: draw(panel, record, i))
+    proven = int(np.isfinite(record.lower).all(axis=1).sum())
+    parts = counted(len(record.lower), "interval" if record.length else "sample")
+    said = f"error bounds are proven for {proven} of {parts}"
+    return state_panels(record.plant, ax, measurements, lambda panel, i: draw(panel, record, i), title=said)
 
 
 def draw_curve(curve: EstimateCurve, ax: Axes | None = None) -> Axes | style.Panels:
     """Draw estimates with the tube that holds the truth at all times, one panel for each state."""
-    return state_panels(curve.estimates.plant, ax, curve.measurements, lambda panel, i: _band(panel, curve, i))
+    tube = curve.tube
+    whole = tube is not None and bool(np.isfinite(tube.lower).all() and np.isfinite(tube.upper).all())
+    said = "the true state is proven to lie in the band at all times" if whole else "estimates"
+    return state_panels(
+        curve.estimates.plant, ax, curve.measurements, lambda panel, i: _band(panel, curve, i), title=said
+    )
 
 
 def _bars(ax: Axes, record: EstimateEnvelope, i: int) -> None:

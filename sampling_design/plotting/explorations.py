@@ -13,7 +13,7 @@ from sampling_design.design.pareto import ParetoFront, ParetoPoint
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseSigma
 from sampling_design.plotting import style
-from sampling_design.records.record import short
+from sampling_design.records.record import counted, short
 
 
 def draw_worst_case(result: WorstCaseSigma, ax: Axes | None = None) -> Axes:
@@ -24,7 +24,7 @@ def draw_worst_case(result: WorstCaseSigma, ax: Axes | None = None) -> Axes:
     ax.vlines(profile.samples, 0.0, profile.at_samples, color=style.MEASURED, linewidth=1.8)
     ax.plot(profile.samples, profile.at_samples, "o", color=style.MEASURED, label="seen at the worst times")
     ax.set_ylim(bottom=0.0)
-    ax.set_xlabel(style.time_label(result.time_unit, "time in the window"))
+    style.time_axis(ax, result.time_unit, "time in the window")
     ax.set_ylabel("seen of a state of size 1")
     ax.set_title(f"sigma {short(result.lower, 4)} proven, {short(result.upper, 4)} attained", loc="left")
     style.legend(ax)
@@ -82,6 +82,8 @@ def _front(points: Sequence[ParetoPoint], ax: Axes) -> Axes:
     style.from_below(ax, float(sigma.min()), float(bound.max()))
     _whole_counts(ax)
     ax.set_ylabel("sigma")
+    ends = (f"{counted(p.samples, 'sample')}: sigma {short(p.sigma, 4)}" for p in (points[0], points[-1]))
+    ax.set_title("; ".join(dict.fromkeys(ends)), loc="left")
     style.legend(ax)
     return ax
 
@@ -99,8 +101,10 @@ def draw_losses(losses: SampleLosses, ax: Axes | None = None) -> Axes:
     top = max(losses.sigma, float(np.max(losses.bound)))
     style.from_below(ax, float(min(np.min(losses.lower), losses.sigma)), top)
     ax.margins(x=0.08)
-    ax.set_xlabel(style.time_label(losses.time_unit, "time of the lost sample"))
+    style.time_axis(ax, losses.time_unit, "time of the lost sample")
     ax.set_ylabel("sigma (state at window's start)")
-    ax.set_title("missing in every period" if losses.every_period else "missed once", loc="left")
+    worst = short(losses.times[int(np.argmin(losses.lower))], 4)
+    missed = "missing in every period" if losses.every_period else "missed once"
+    ax.set_title(f"{missed}: the sample at {worst} {losses.time_unit} costs most", loc="left")
     style.legend(ax)
     return ax

@@ -26,10 +26,9 @@ def draw_inclusion(certificate: InclusionCertificate, ax: Axes | None = None) ->
     ax.axvspan(
         certificate.min_gap, certificate.d_max, color=style.ALLOWED, alpha=0.12, linewidth=0, label="a sample may come"
     )
-    ax.set_xlabel(style.time_label(certificate.plant.time_unit, "time since the last sample"))
+    style.time_axis(ax, certificate.plant.time_unit, "time since the last sample")
     ax.set_ylabel("information relative to P1")
-    ax.set_title(
-        f"{certificate.plant.name or 'plant'}: proven for gaps up to {short(certificate.d_max, 4)}", loc="left"
-    )
+    plant, longest = certificate.plant, short(certificate.d_max, 4)
+    ax.set_title(f"{plant.name or 'plant'}: proven for gaps up to {longest} {plant.time_unit}", loc="left")
     style.legend(ax, 2)
     return ax

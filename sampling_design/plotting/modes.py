@@ -1,4 +1,4 @@
-"""Modes: which are kept and which fade by themselves; and a motion that no sample of a schedule shows."""
+"""Modes: which must be observed and which decay by themselves; and a trajectory that no sample of a schedule shows."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def draw_split(split: ModalSplit, ax: Axes | None = None) -> Axes:
     rest = [c for c in split.clusters if c not in split.retained_clusters]
     for clusters, colour, mark, label in (
         (kept, style.MEASURED, "o", "to be observed"),
-        (rest, style.ALLOWED, "x", "fades by itself"),
+        (rest, style.ALLOWED, "x", "decays by itself"),
     ):
         if clusters:
             values = np.array([c.value for c in clusters])
@@ -35,6 +35,7 @@ def draw_split(split: ModalSplit, ax: Axes | None = None) -> Axes:
     unit = split.plant.time_unit
     ax.set_xlabel(f"growth [1/{unit}]")
     ax.set_ylabel(f"frequency [rad/{unit}]")
+    ax.set_title(f"{split.retained.n_states} of {split.plant.n_states} modes must be observed", loc="left")
     style.legend(ax)
     return ax
 
@@ -55,11 +56,12 @@ def draw_counterexample(found: Counterexample, ax: Axes | None = None) -> Axes:
     colours = (style.TRUTH, style.ATTAINED, style.PROVEN, style.ALLOWED)
     for i, name in enumerate(names):
         colour = colours[i % len(colours)]
-        ax.plot(t, shown[:, i] / size, color=colour, linewidth=1.0, label=f"{name} along the unseen state")
+        ax.plot(t, shown[:, i] / size, color=colour, linewidth=1.0, label=f"{name} along the unobservable state")
     taken = np.concatenate([np.cumsum(schedule.gaps) + k * schedule.period for k in range(rounds)])
     ax.plot(taken, np.zeros_like(taken), "o", color=style.MEASURED, markersize=5, label="samples", zorder=3)
     ax.set_ylabel("outputs, largest 1")
-    ax.set_xlabel(style.time_label(found.plant.time_unit))
+    style.time_axis(ax, found.plant.time_unit)
     ax.margins(x=0.02)
+    ax.set_title("every sample is zero: these samples do not determine the state", loc="left")
     style.legend(ax, 3)
     return ax

@@ -55,7 +55,7 @@ def _goal(result: PlanComparison, name: str, ax: Axes) -> None:
     unit = next(goal.unit for goal in result.shared() if goal.name == name)
     ax.set_ylim(0.0, 1.15 * top)
     ax.set_ylabel(f"{name}\n[{unit}]" if unit else name)
-    ax.set_xlabel(style.time_label(result.first.plant.time_unit))
+    style.time_axis(ax, result.first.plant.time_unit)
     style.legend(ax, columns=4)
 
 

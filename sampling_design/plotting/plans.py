@@ -56,7 +56,7 @@ def draw_sensors(result: PlanFigures, ax: Axes) -> Axes:
         ax.axvline(t, color=style.MEASURED, linewidth=0.6, alpha=0.5, zorder=0)
     ax.set_yticks(range(len(names)), names)
     ax.set_ylim(len(names) - 0.4, -0.6)
-    ax.set_xlabel(style.time_label(result.plant.time_unit))
+    style.time_axis(ax, result.plant.time_unit)
     if len(names) * problem.steps > int(problem.allowed.sum()):
         ax.set_title("grey: closed", loc="left", fontsize="small")
     return ax
@@ -80,7 +80,7 @@ def _goal(result: PlanFigures, k: int, ax: Axes) -> None:
         ax.axvline(t, color=style.MEASURED, linewidth=0.6, alpha=0.5, zorder=0)
     ax.set_ylim(0.0, 1.25 * max(goal.tolerance, float(np.max(upper))))
     ax.set_ylabel(f"{goal.name}\n[{goal.unit}]" if goal.unit else goal.name)
-    ax.set_xlabel(style.time_label(result.plant.time_unit))
+    style.time_axis(ax, result.plant.time_unit)
     style.legend(ax)
 
 

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plants.plant import Plant
 from sampling_design.plotting import style
+from sampling_design.records.record import counted
 from sampling_design.validation.scenario import SimulatedRecord
 
 
@@ -25,7 +26,15 @@ def draw_measurements(record: Measurements, ax: Axes | None = None) -> Axes | st
     for i, panel in enumerate(axes):
         _panel(panel, record, i, labels[i])
     style.one_time_axis(axes)
+    count = int(record.measured.sum())
+    axes[0].set_title(
+        f"{counted(count, 'reading')} at {counted(len(record.times), 'time')}", loc="left", fontsize="medium"
+    )
+    style.legend_above(axes[0].figure, axes, 5)
     return axes
+
+
+_LIMITS = {"v": "below this limit", "^": "above this limit", "_": "in an interval"}
 
 
 def _panel(ax: Axes, record: Measurements, i: int, label: str) -> Axes:
@@ -38,16 +47,15 @@ def _panel(ax: Axes, record: Measurements, i: int, label: str) -> Axes:
             marks[mark].append((time, at))
             if each.began is not None:
                 means.append((at, *(each.span or (each.began, time))))
-    style.points(ax, record.times, record.y[:, i], ".", 6, "measured")
-    for mark, told in marks.items():
-        if told:
-            style.points(ax, [t for t, _ in told], [at for _, at in told], mark, 6)
+    style.points(ax, record.times, record.y[:, i], "o", 3.5, "measured")
+    for mark, limits in marks.items():
+        if limits:
+            style.points(ax, [t for t, _ in limits], [at for _, at in limits], mark, 6, _LIMITS[mark])
     if means:
-        ax.hlines(*zip(*means, strict=True), color=style.MEASURED, linewidth=1.2)
+        ax.hlines(*zip(*means, strict=True), color=style.MEASURED, linewidth=1.2, label="mean over this time")
     ax.set_ylabel(label, fontsize="small")
     ax.margins(x=0.02)
-    ax.set_xlabel(style.time_label(record.plant.time_unit))
-    style.dates(ax, record.plant.time_unit, record.origin or None)
+    style.time_axis(ax, record.plant.time_unit, origin=record.origin or None)
     return ax
 
 
@@ -62,7 +70,8 @@ def draw_simulated(record: SimulatedRecord, ax: Axes | None = None) -> Axes | st
     def truth(panel: Axes, i: int) -> None:
         panel.plot(record.times, record.states[:, i], color=style.TRUTH, linewidth=0.9, label="truth")
 
-    return state_panels(plant, ax, record.measurements, truth, columns=2)
+    said = f"{counted(len(record.at), 'sample')} of a simulation with {record.noise} noise"
+    return state_panels(plant, ax, record.measurements, truth, columns=2, title=said)
 
 
 def state_panels(
@@ -71,6 +80,7 @@ def state_panels(
     measurements: Measurements | None,
     draw: Callable[[Axes, int], None],
     columns: int = 5,
+    title: str = "",
 ) -> Axes | style.Panels:
     """One panel for each state with what was measured of it, or the first of them on `ax`."""
     labels = plant.states.labels()
@@ -82,12 +92,14 @@ def state_panels(
             mark_readings(panel, plant, i, measurements)
         panel.set_ylabel(labels[i], fontsize="small")
         panel.margins(x=0.01)
-        panel.set_xlabel(style.time_label(plant.time_unit))
-        style.dates(panel, plant.time_unit, (measurements.origin or None) if measurements is not None else None)
+        style.time_axis(
+            panel, plant.time_unit, origin=(measurements.origin or None) if measurements is not None else None
+        )
     style.one_time_axis(panels)
     if ax is not None:
         return ax
-    style.legend_above(figure, axes[0], columns)
+    axes[0].set_title(title, loc="left", fontsize="medium")
+    style.legend_above(figure, axes, columns)
     return axes
 
 

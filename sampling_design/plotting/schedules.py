@@ -27,8 +27,7 @@ def draw_schedule(schedule: Schedule | PeriodicSchedule, ax: Axes | None = None)
         names = ("samples",)
     ax.set_yticks(range(len(names)), names)
     ax.set_ylim(-0.6, len(names) - 0.4)
-    ax.set_xlabel(style.time_label(schedule.time_unit))
-    style.dates(ax, schedule.time_unit, schedule.origin)
+    style.time_axis(ax, schedule.time_unit, origin=schedule.origin)
     gaps = schedule.gaps
     if gaps.size:
         span = f"{short(gaps.min(), 4)} to {short(gaps.max(), 4)} {schedule.time_unit or ''}".rstrip()
@@ -49,7 +48,7 @@ def draw_family(family: SamplingFamily, ax: Axes | None = None) -> Axes:
     ax.set_yticks([0, -(MEMBERS + 1) / 2], ["nominal", "at random"])
     ax.tick_params(axis="y", length=0)
     ax.set_xlim(0.0, 1.02 * end)
-    ax.set_xlabel(style.time_label(family.time_unit))
+    style.time_axis(ax, family.time_unit)
     ax.set_title(family.explain(), loc="left", fontsize="medium", wrap=True)
     return ax
 

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 
 from sampling_design.nonlinear.smoothed import SmoothedWindow
 from sampling_design.plotting import style
+from sampling_design.records.units import spoken
 
 
 def draw_smoothed(window: SmoothedWindow, ax: Axes | None = None) -> Axes | style.Panels:
@@ -27,7 +28,9 @@ def draw_smoothed(window: SmoothedWindow, ax: Axes | None = None) -> Axes | styl
         panel.vlines(sampled, 0.0, 0.06, color=style.MEASURED, linewidth=0.8, transform=place, label="samples")
         panel.set_ylabel(labels[i], fontsize="small")
         panel.margins(x=0.01)
-        panel.set_xlabel(style.time_label(window.plant.time_unit))
+        style.time_axis(panel, window.plant.time_unit)
     style.one_time_axis(panels)
+    over = spoken(float(window.times[-1] - window.times[0]), window.plant.time_unit)
+    panels[0].set_title(f"states over the last {over}, by all measurements", loc="left", fontsize="medium")
     style.legend(panels[0])
     return ax if ax is not None else axes

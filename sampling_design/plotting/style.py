@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullFormatter
 
 from sampling_design.records.arrays import Array
 from sampling_design.records.record import short
@@ -78,15 +78,50 @@ def one_time_axis(panels: Iterable[matplotlib.axes.Axes]) -> None:
         panel.tick_params(labelbottom=False)
 
 
-def legend_above(figure: Figure, ax: matplotlib.axes.Axes, columns: int) -> None:
-    """Above the whole picture, what one of its panels names."""
-    handles, names = ax.get_legend_handles_labels()
+def legend_above(figure: Figure, panels: Iterable[matplotlib.axes.Axes], columns: int) -> None:
+    """Above the whole picture, what its panels name, each name once."""
+    named = [pair for ax in panels for pair in zip(*ax.get_legend_handles_labels(), strict=True)]
+    names = list(dict.fromkeys(name for _, name in named))
+    handles = [next(handle for handle, own in named if own == name) for name in names]
     figure.legend(handles, names, loc="outside upper right", ncols=columns, fontsize="small", frameon=False)
 
 
 def time_label(unit: str | None, what: str = "time") -> str:
     """Return an axis label with the unit."""
     return f"{what} [{unit}]" if unit else what
+
+
+FEW, MANY = 1.5, 120.0
+"""A time axis is as long as so many of its units, at least and at most, where a longer unit has a name."""
+
+
+class _InUnit(MaxNLocator):
+    """Marks at whole numbers of another unit of time."""
+
+    def __init__(self, factor: float) -> None:
+        super().__init__("auto", steps=[1, 2, 3, 5, 6, 10])
+        self.factor = factor
+
+    def tick_values(self, vmin: float, vmax: float) -> npt.NDArray[np.float64]:
+        return np.asarray(super().tick_values(vmin * self.factor, vmax * self.factor)) / self.factor
+
+
+def time_axis(ax: matplotlib.axes.Axes, unit: str | None, what: str = "time", origin: str | None = None) -> None:
+    """Name a time axis: dates where that of its zero is known, else minutes, hours or days where these are short.
+
+    To be called when everything is drawn.
+    """
+    low, high = ax.get_xlim()
+    own, shown = SECONDS.get(unit or "", np.inf), unit
+    if high - low > MANY:
+        longer = [u for u in ("s", "min", "h", "d") if own < SECONDS[u] <= (high - low) * own / FEW]
+        shown = longer[-1] if longer else unit
+    ax.set_xlabel(time_label(shown, what))
+    if shown is not None and shown != unit:
+        factor = own / SECONDS[shown]
+        ax.xaxis.set_major_locator(_InUnit(factor))
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda t, _: f"{t * factor:.6g}"))
+    dates(ax, unit, origin)
 
 
 def legend(ax: matplotlib.axes.Axes, columns: int = 0) -> None:
@@ -147,6 +182,8 @@ def plain_numbers(axis: Axis) -> None:
 
 
 START = 0.25  # share of a band, the first one, that does not rule the axis: a wide start would flatten all that follows
+WIDER = 3.0
+"""Bands of the start up to so many times as wide as most later ones rule the axis too."""
 STRETCH = 1.5  # how much longer the whole must be than what rules the axis, for the rest to be cut off
 
 
@@ -165,7 +202,9 @@ def not_ruled_by_the_start(
     kept = slice(int(np.ceil(START * low.size)), None)
     if not low[kept].size:
         return
-    bottom, top = float(low[kept].min()), float(high[kept].max())
+    near = high - low <= WIDER * float(np.median((high - low)[kept]))  # what is little wider is shown on both sides
+    near[kept] = True
+    bottom, top = float(low[near].min()), float(high[near].max())
     if not (top > bottom and float(high.max() - low.min()) > STRETCH * (top - bottom)):
         return
     room = 0.15 * (top - bottom)

@@ -52,7 +52,7 @@ def _errors(report: ValidationReport, ax: Axes) -> Axes:
     verdict = f"{broken} promise{'s' * (broken != 1)} broken" if broken else "not all promises were checked"
     verdict = "all promises held" if report.passed else verdict
     ax.set_title(verdict, loc="left", color=style.TRUTH if report.passed else style.FAILED)
-    ax.set_xlabel(style.time_label(report.plant.time_unit))
+    style.time_axis(ax, report.plant.time_unit)
     ax.set_ylabel(f"error: {report.norm}".replace(", ", ",\n"), fontsize="small")
     style.legend(ax, 3)
     return ax
@@ -66,7 +66,7 @@ def _tube(report: ValidationReport, i: int, ax: Axes) -> None:
     ax.plot(t, run.errors[:, i], color=style.ATTAINED, linewidth=1.0, label="error of one run")
     ax.axhline(0.0, color=style.TRUTH, linewidth=0.6)
     style.not_ruled_by_the_start(ax, t, np.minimum(-radius, run.errors[:, i]), np.maximum(radius, run.errors[:, i]))
-    ax.set_xlabel(style.time_label(report.plant.time_unit))
+    style.time_axis(ax, report.plant.time_unit)
     ax.set_ylabel(report.plant.states.labels()[i], fontsize="small")
     ax.margins(x=0.01)
 
@@ -98,7 +98,7 @@ def draw_schedule_log(log: ScheduleLog, ax: Axes | None = None) -> Axes | style.
             bottom.plot(t[here], value[here], color=colour, linewidth=width, label=label)
             label = None
     style.from_below(bottom, 0.0, bottom.get_ylim()[1] / 1.08)
-    bottom.set_xlabel(style.time_label(log.time_unit, f"end of the window of length {short(log.planned_sigma.window)}"))
+    style.time_axis(bottom, log.time_unit, "end of the window")
     bottom.set_ylabel("sigma (state at window's start)")
     style.legend(bottom)
     return style.Panels([top, bottom])
@@ -128,7 +128,7 @@ def _times(log: ScheduleLog, ax: Axes, low: float, high: float) -> Axes:
     ax.plot(extra, np.zeros(extra.size), "o", color=style.ATTAINED, markerfacecolor="none")
     ax.set_yticks([0, 1], ["actual", "planned"])
     ax.set_ylim(-0.6, 1.6)
-    ax.set_xlabel(style.time_label(log.time_unit))
+    style.time_axis(ax, log.time_unit)
     away = f"largest deviation {short(log.largest_deviation, 4)} {log.time_unit or ''}".rstrip()
     ax.set_title(f"{log.missed.size} missed, {log.extra.size} not planned, {away}", loc="left")
     return ax

@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from sampling_design.observability.windows.window_record import SigmaDeviations, WindowSigma
 from sampling_design.plotting import style
 from sampling_design.records.record import short
+from sampling_design.records.units import spoken
 
 
 def draw_deviations(found: SigmaDeviations | None, ax: Axes, *, late: bool) -> float:
@@ -39,12 +40,13 @@ def draw_window_sigma(result: WindowSigma, ax: Axes | None = None, *, columns: i
     )
     # an open ring where sigma is only a one-sided limit, a full one where it is reached
     face = style.ATTAINED if result.witness.side == "at" else "none"
-    worst = f"attained: {short(result.upper, 4)}, window ends {result.witness.position}"
+    worst = f"attained: {short(result.upper, 4)}, window ends {result.witness.position} {result.time_unit}"
     ax.plot([result.witness.t], [result.upper], "o", color=style.ATTAINED, markerfacecolor=face, label=worst)
     least = min(result.lower, draw_deviations(result.deviations, ax, late=not result.late) if beside else np.inf)
     style.from_below(ax, min(least, float(profile.sigma.min())), float(profile.sigma.max()))
-    ax.set_xlabel(style.time_label(result.time_unit, f"end of the window of length {short(result.window)}"))
+    style.time_axis(ax, result.time_unit, f"end of the window of {spoken(result.window, result.time_unit)}")
     kind = result.coordinates
     ax.set_ylabel("sigma (state at window's start)" if kind == "physical" else f"sigma ({kind}, at start)")
+    ax.set_title(f"sigma is at least {short(result.lower, 4)} in every window", loc="left")
     style.legend(ax, columns)
     return ax

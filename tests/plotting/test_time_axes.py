@@ -1,0 +1,56 @@
+"""Time axes have dates where the date of zero is known, and else numbers in a unit in which they are short."""
+
+import numpy as np
+import pytest
+
+from sampling_design.plotting import style
+
+
+def axis(unit, length, start=0.0, origin=None):
+    ax = style.new_axes()
+    ax.plot([start, start + length], [0.0, 1.0])
+    ax.margins(x=0.0)
+    style.time_axis(ax, unit, origin=origin)
+    ax.figure.canvas.draw()
+    low, high = ax.get_xlim()
+    ticks = [t for t in ax.get_xticks() if low <= t <= high]
+    return ax.get_xlabel(), ticks, ax.xaxis.get_major_formatter().format_ticks(ticks)
+
+
+@pytest.mark.parametrize(
+    ("unit", "length", "shown", "seconds"),
+    [
+        ("s", 11108.0, "h", 3600.0), ("s", 100.0, "s", 1.0), ("s", 1000.0, "min", 60.0), ("h", 168.0, "d", 86400.0),
+        ("ms", 5000.0, "s", 1.0), ("d", 400.0, "d", 86400.0), ("s", 1e6, "d", 86400.0), ("min", 119.0, "min", 60.0),
+    ],
+)  # fmt: skip
+def test_the_unit_is_one_in_which_numbers_are_short(unit, length, shown, seconds):
+    label, ticks, said = axis(unit, length)
+    assert label == f"time [{shown}]"
+    assert 3 <= len(ticks) <= 12
+    own = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}[unit]
+    assert [float(text.replace("\N{MINUS SIGN}", "-")) for text in said] == pytest.approx(
+        np.array(ticks) * own / seconds
+    )
+
+
+def test_dates_stay_dates():
+    label, _, said = axis("s", 3 * 86400.0, origin="2026-03-02T00:00:00+00:00")
+    assert label == "date, from 2026-03-02"
+    assert said[0] == "Mon 02 Mar"
+
+
+def test_a_time_without_a_unit_is_only_named():
+    assert axis(None, 1e5)[0] == "time"
+
+
+def test_a_band_of_the_start_is_cut_on_both_sides_or_on_none():
+    ax, t = style.new_axes(), np.linspace(0.0, 10.0, 101)
+    half = np.where(t < 2.0, 20.0, np.where(t < 2.5, 1.4, 1.0))
+    style.not_ruled_by_the_start(ax, t, -0.1 - half, 0.4 + half)
+    low, high = ax.get_ylim()
+    for end in (2.2, 6.0):
+        at = int(np.searchsorted(t, end))
+        assert low <= -0.1 - half[at]
+        assert high >= 0.4 + half[at]
+    assert max(-low, high) < 20.0

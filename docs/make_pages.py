@@ -67,6 +67,7 @@ WRITTEN |= {
     "blood",
     "own_estimator",
     "paper",
+    "lectures",
 }  # every other page beside these was written by a command
 GROUPS = {
     "definition": "Definitions",
@@ -332,7 +333,7 @@ def copy_notebooks(source: Path, target: Path) -> None:
     lines = [
         "# Notebooks",
         "",
-        "Lectures of 10 to 20 minutes, from `examples/notebooks/`, executed for these pages.",
+        "The [lectures](../../lectures.md) of `examples/notebooks/`, executed for these pages.",
         "",
     ]
     lines += ["```{toctree}", ":maxdepth: 1", *(n.removesuffix(".ipynb") for n in names), "```", ""]

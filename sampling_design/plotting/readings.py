@@ -22,7 +22,7 @@ def draw_measurements(record: Measurements, ax: Axes | None = None) -> Axes | st
     labels = record.plant.outputs.labels()
     if ax is not None:
         return _panel(ax, record, 0, labels[0])
-    _, axes = style.new_figure(len(labels), row_height=1.7 if len(labels) > 1 else 2.6)
+    figure, axes = style.new_figure(len(labels), row_height=1.7 if len(labels) > 1 else 2.6)
     for i, panel in enumerate(axes):
         _panel(panel, record, i, labels[i])
     style.one_time_axis(axes)
@@ -30,7 +30,7 @@ def draw_measurements(record: Measurements, ax: Axes | None = None) -> Axes | st
     axes[0].set_title(
         f"{counted(count, 'reading')} at {counted(len(record.times), 'time')}", loc="left", fontsize="medium"
     )
-    style.legend_above(axes[0].figure, axes, 5)
+    style.legend_above(figure, axes, 5)
     return axes
 
 

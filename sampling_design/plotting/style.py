@@ -102,8 +102,8 @@ class _InUnit(MaxNLocator):
         super().__init__("auto", steps=[1, 2, 3, 5, 6, 10])
         self.factor = factor
 
-    def tick_values(self, vmin: float, vmax: float) -> npt.NDArray[np.float64]:
-        return np.asarray(super().tick_values(vmin * self.factor, vmax * self.factor)) / self.factor
+    def tick_values(self, vmin: float, vmax: float) -> list[float]:
+        return [float(mark) / self.factor for mark in super().tick_values(vmin * self.factor, vmax * self.factor)]
 
 
 def time_axis(ax: matplotlib.axes.Axes, unit: str | None, what: str = "time", origin: str | None = None) -> None:

@@ -1,0 +1,57 @@
+"""A slider of a lecture works on the built page: it chooses between what was computed when the page was built."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import pytest
+
+SLIDERS = Path(__file__).parents[2] / "docs" / "on_paper" / "ipywidgets.py"
+
+
+@pytest.fixture
+def sliders():
+    pytest.importorskip("IPython")
+    spec = importlib.util.spec_from_file_location("page_sliders", SLIDERS)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def page_of(sliders, monkeypatch, show, **ends):
+    made = []
+    monkeypatch.setattr(sliders, "display", lambda shown: made.append(shown.data))
+    sliders.interact(show, gap=sliders.FloatSlider(**ends))
+    return made[0]
+
+
+def test_every_value_has_its_picture_and_its_text(sliders, monkeypatch):
+    def show(gap):
+        print("a < b at", gap)
+        plt.figure(figsize=(1, 1)).add_subplot().plot([0, gap])
+
+    page = page_of(sliders, monkeypatch, show, value=0.3, min=0.0, max=1.0, step=0.05)
+    steps = re.findall(r'<div class="step"( hidden)?><code>gap = ([\d.]+)</code><pre>a &lt; b at ([\d.]+)', page)
+    assert [float(value) for _, value, _ in steps] == [float(said) for *_, said in steps]
+    assert [value for hidden, value, _ in steps if not hidden] == ["0.3"]
+    assert len(steps) == sliders.STEPS == page.count("<img alt=")
+    assert plt.get_fignums() == []
+
+
+def test_the_values_are_steps_of_the_slider_within_its_ends(sliders):
+    values = sliders.FloatSlider(value=3.14, min=0.3, max=7.0, step=0.01).values()
+    assert values[0] == 0.3
+    assert values[-1] == 7.0
+    assert 3.14 in values
+    assert values == sorted(values)
+    assert all(abs(round((value - 0.3) / 0.01) * 0.01 + 0.3 - value) < 1e-9 for value in values)
+
+
+def test_a_picture_that_is_returned_is_shown(sliders, monkeypatch):
+    class Drawn:
+        def _repr_png_(self):
+            return b"png"
+
+    page = page_of(sliders, monkeypatch, lambda gap: Drawn(), value=0.0, min=0.0, max=6.0, step=1.0)
+    assert page.count("data:image/png;base64,cG5n") == sliders.STEPS

@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from sampling_design.accuracy.accuracy_profile import GapProof
+from sampling_design.accuracy.between_samples import open_row
 from sampling_design.accuracy.deviation import WALK
 from sampling_design.accuracy.finite import DIFFUSE
 from sampling_design.accuracy.question import AccuracyQuestion
@@ -206,7 +207,7 @@ def _time(found: BracketedRows, first: str, t: float | None) -> float:
 def _reached(search: ChainSearch, node: int, row: Array, d: float, question: AccuracyQuestion) -> tuple[float, Array]:
     """The bound on a row at d after a node, and the state that an admissible adversary reaches against it."""
     chain = search.chain
-    opened = search.open_until(node, row, d)
+    opened = open_row(chain, node, row, d)
     mu = opened.mu[-1]
     if not np.isfinite(search.atoms[node].rest(mu[None], mu[None])[0]):
         return np.inf, np.zeros(chain.D.size)

@@ -180,7 +180,7 @@ class ChainSearch:
         if not from_rest:
             adversary = max(adversary, self._for_ever(j, mu), key=lambda one: one.value)
         self._keep(j, adversary, self._coarse if rough else self.chain)
-        gains = self.proven(j, mu, gains)
+        gains = self.evaluate(j, mu, gains.gains)  # of a start at rest: what they prove when the past is endless
         self.atoms[j].add(mu, gains)
         return gains, adversary
 
@@ -200,10 +200,6 @@ class ChainSearch:
         for k in range(max(int(rests), count - len(self.chain)), count):
             part = Adversary(0.0, adversary.w[:k], adversary.z[: k + 1])
             self.adversaries[nodes[k]].append(RowAdversary(nodes[k], part, chain))
-
-    def proven(self, j: int, mu: Array, gains: Gains) -> Gains:
-        """What the gains of a start at rest prove when the past is endless."""
-        return self.evaluate(j, mu, gains.gains)
 
     def evaluate(self, j: int, mu: Array, gains: tuple[Array, ...]) -> Gains:
         """What any gains prove of mu'z_j; no solver."""
@@ -267,10 +263,6 @@ class ChainSearch:
 
     def _reached(self, found: RowSearch, j: int) -> float:
         return float(np.max(self.attained(found, j)[np.isfinite(found.nodes[j])], initial=0.0))
-
-    def open_until(self, j: int, row: Array, d: float) -> RowBetweenSamples:
-        """One row from sample j to d after it."""
-        return open_row(self.chain, j, row, d)
 
     def attained(self, found: RowSearch, j: int) -> Array:
         """What adversaries attain against a row at the offsets of gap j."""
@@ -354,13 +346,7 @@ class ChainSearch:
         mu, atoms = found.opened[j].mu[offset], self.atoms[j]
         if (j, offset) not in found.combined and atoms.gains:
             found.combined.add((j, offset))
-            fit = atoms.fit(mu[None])
-            parts = [[a * g for g in atoms.gains[k].gains] for k, a in zip(fit.place[0], fit.share[0], strict=True)]
-            count = max(map(len, parts))
-            empty = [np.zeros(len(self.chain.samples[k].H)) for k in self.chain.nodes(j, count)]
-            both = [[*empty[: len(empty) - len(part)], *part] for part in parts]
-            put = self.evaluate(j, mu, tuple(a + b for a, b in zip(*both, strict=True)))
-            atoms.add(mu, put)
+            atoms.add(mu, self.evaluate(j, mu, combined_gains(self.chain, j, mu, atoms)))
             self._refresh(found, j)
         return float(found.nodes[j][offset])
 
@@ -451,3 +437,12 @@ class ChainSearch:
         ratio = np.divide(top[left], sure, out=np.full(left.size, np.inf), where=sure > 0)
         best = int(np.argmax(np.where(top[left] > 0, ratio, 0.0)))
         return float(ratio[best]), int(left[best])
+
+
+def combined_gains(chain: SampleChain, j: int, mu: Array, atoms: BoundedDirections) -> tuple[Array, ...]:
+    """Return gains for mu'z_j put together from those of the nearest atoms, the latest sample last."""
+    fit = atoms.fit(mu[None])
+    parts = [[a * g for g in atoms.gains[k].gains] for k, a in zip(fit.place[0], fit.share[0], strict=True)]
+    empty = [np.zeros(len(chain.samples[k].H)) for k in chain.nodes(j, max(map(len, parts)))]
+    both = [[*empty[: len(empty) - len(part)], *part] for part in parts]
+    return tuple(a + b for a, b in zip(*both, strict=True))

@@ -10,7 +10,7 @@ from pathlib import Path
 from sampling_design.errors import FileFormatError
 from sampling_design.planning.dates import PlanDates
 from sampling_design.planning.figures import PlanFigures
-from sampling_design.records.file_io import write_text
+from sampling_design.records.file_io import csv_cell, write_text
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
 
@@ -112,11 +112,6 @@ def write_form(dates: PlanDates, path: str | os.PathLike[str]) -> Path:
     Raises FileFormatError if the file cannot be written.
     """
     names = dates.plan.plant.outputs.names
-    lines = [",".join(["date", *(_cell(name) for name in names)])]
+    lines = [",".join(["date", *(csv_cell(name) for name in names)])]
     lines += [entry.date.isoformat() + "," * len(names) for entry in dates.entries]
     return write_text(path, "\n".join(lines) + "\n")
-
-
-def _cell(text: str) -> str:
-    """A cell of a CSV file."""
-    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text

@@ -22,7 +22,7 @@ from sampling_design.accuracy.sample_chain import (
     noise_units,
     refuse_growth,
 )
-from sampling_design.accuracy.search import ChainSearch
+from sampling_design.accuracy.search import ChainSearch, combined_gains
 from sampling_design.accuracy.start import StartSet
 from sampling_design.accuracy.timing import MORE as NOISE_MORE
 from sampling_design.accuracy.timing import moved_row
@@ -270,12 +270,7 @@ def timing_gains(plan: PlanFigures, phase: int, i: int, back: bool) -> tuple[Arr
         return ()
     atoms = BoundedDirections.of(own.reach[phase], part.directions, part.gains, [0.0] * len(part.gains))
     mu = moved_row(own, phase, plan.plant.C[i], late, back, {}).mu[-1]
-    fit = atoms.fit(mu[None])
-    parts = [[a * lam for lam in part.gains[place]] for place, a in zip(fit.place[0], fit.share[0], strict=True)]
-    count = max(map(len, parts))
-    empty = [np.zeros(len(own.samples[node].H)) for node in own.nodes(phase, count)]
-    both = [[*empty[: count - len(given)], *given] for given in parts]
-    return tuple(a + b for a, b in zip(*both, strict=True))
+    return combined_gains(own, phase, mu, atoms)
 
 
 def _noisier_chain(

@@ -125,6 +125,11 @@ def csv_rows(lines: Iterable[tuple[int, str]], where: str, mark: str = "") -> li
     return found
 
 
+def csv_cell(text: str) -> str:
+    """Return text as a cell of a CSV file: in quotes where it holds a comma, a quote or the end of a line."""
+    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n\r') else text
+
+
 def decimal(cell: str) -> float | None:
     """Return the number in a cell; None where there is none, or none that a double holds.
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
-from sampling_design.records.file_io import write_text
+from sampling_design.records.file_io import csv_cell, write_text
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import SECONDS
 from sampling_design.schedules.family import AnySchedule
@@ -130,7 +130,7 @@ def write_calendar_csv(
     """
     entries = calendar(schedule, start, span, zone=zone, grid=grid)
     names = _columns(schedule)
-    lines = [",".join(["date", "time", *(_quoted(n) for n in names)])]
+    lines = [",".join(["date", "time", *(csv_cell(n) for n in names)])]
     for entry in entries:
         cells = ["1" if name in entry.outputs else "0" for name in names]
         lines.append(",".join([entry.date.isoformat(), repr(entry.time), *cells]))
@@ -367,7 +367,3 @@ def _folded(line: str) -> str:
             current = " "
         current += character
     return "\r\n".join([*pieces, current])
-
-
-def _quoted(name: str) -> str:
-    return '"' + name.replace('"', '""') + '"' if any(c in name for c in ',"\n\r') else name

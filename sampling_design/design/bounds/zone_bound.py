@@ -31,6 +31,7 @@ from sampling_design.design.bounds.weak_duality import (
     rooted,
 )
 from sampling_design.design.bounds.zones import TINY
+from sampling_design.design.problem.canonical import joined
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import ENDLESS, Budget
@@ -123,17 +124,12 @@ def _points(problem: DesignProblem, zones: Array, starts: Array) -> tuple[_Point
 
     Just after each window start, where what it sees jumps up, there is one more.
     """
-    joined: list[list[float]] = []
-    for a, b in zones:
-        if joined and a <= joined[-1][1]:
-            joined[-1][1] = max(joined[-1][1], float(b))
-        else:
-            joined.append([float(a), float(b)])
-    total = max(sum(b - a for a, b in joined), TINY * problem.period)
+    stretches = joined(zones).tolist()
+    total = max(sum(b - a for a, b in stretches), TINY * problem.period)
     wanted = int(np.clip(least_points(problem), _POINTS, _MOST_POINTS))
-    counts = [max(3, int(np.ceil(wanted * (b - a) / total)) + 1) for a, b in joined]
-    grid = [np.linspace(a, b, count) for (a, b), count in zip(joined, counts, strict=True)]
-    step = max((b - a) / (count - 1) for (a, b), count in zip(joined, counts, strict=True))
+    counts = [max(3, int(np.ceil(wanted * (b - a) / total)) + 1) for a, b in stretches]
+    grid = [np.linspace(a, b, count) for (a, b), count in zip(stretches, counts, strict=True)]
+    step = max((b - a) / (count - 1) for (a, b), count in zip(stretches, counts, strict=True))
     fixed = np.unique(np.concatenate([*grid, zones.ravel(), _ends(problem, zones)]))
     after = np.concatenate([starts, starts + problem.period]) + 2 * JUST_BESIDE * problem.period
     held = np.any((after[:, None] > zones[:, 0]) & (after[:, None] < zones[:, 1]), axis=1)

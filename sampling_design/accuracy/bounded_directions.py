@@ -18,7 +18,7 @@ from sampling_design.records.arrays import Array, Index, Mask
 
 SAME = 1e-12  # two directions are one if their cosine, in units of the reach, is 1 within this
 PARTNERS = 4  # atoms tried beside the nearest one
-NEIGHBOURS = (64, -64, 16, -16, 4, -4, 1, -1)  # how far away the neighbours are whose pairs a target tries
+NEIGHBOURS = (64, 16, 4, 1)  # how far away, on both sides, the neighbours are whose pairs a target tries
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,39 +104,45 @@ class BoundedDirections:
         count, atoms = len(targets), len(self.gains)
         if not atoms:
             return DirectionFit(np.zeros((count, 0), dtype=np.intp), np.zeros((count, 0)))
-        T, U = self._units(targets), self._units(self.mu)
-        near, rows = T @ U.T, np.arange(count)
-        size, sign = np.abs(near), np.where(near < 0, -1.0, 1.0)
-        lengths = [np.linalg.norm(x @ self.basis * self.reach, axis=1) for x in (targets, self.mu)]
+        seen = [x @ self.basis * self.reach for x in (targets, self.mu)]
+        lengths = [np.linalg.norm(x, axis=1) for x in seen]
         unit = np.where(lengths[1] > 0, lengths[1], 1.0)
+        T, U = seen[0] / np.where(lengths[0] > 0, lengths[0], 1.0)[:, None], seen[1] / unit[:, None]
+        near, rows, cosines = T @ U.T, np.arange(count), U @ U.T
+        size, sign = np.abs(near), np.where(near < 0, -1.0, 1.0)
         rest = np.sqrt(np.maximum(1 - near**2, 0.0))
         alone = np.argmin(size * self.values / unit + rest * np.sqrt(U.shape[1]), axis=1)
         best = DirectionFit(np.stack([alone, alone], axis=1), np.stack([near[rows, alone], np.zeros(count)], axis=1))
         best = DirectionFit(best.place, best.share * lengths[0][:, None] / unit[best.place])
         if atoms == 1:
             return best
-        value = self.judged(targets, best)
+        value, bounded = self.judged(targets, best), self.values
+        X, Y = (np.where(np.isfinite(self.reach), x, 0.0) for x in seen)
 
         def tried(place: Index) -> None:
-            """Take pairs where they bound targets better."""
+            """Take pairs (k, t, 2), k of them for each target, where they bound it better."""
             nonlocal best, value
-            gram = np.einsum("ti,ti->t", U[place[:, 0]], U[place[:, 1]])
+            gram = cosines[place[..., 0], place[..., 1]]
             det = np.where(1 - gram**2 < SAME, np.inf, 1 - gram**2)
-            a, b = near[rows, place[:, 0]], near[rows, place[:, 1]]
-            share = np.stack([(a - gram * b) / det, (b - gram * a) / det], axis=1)
-            pair = DirectionFit(place, share * lengths[0][:, None] / unit[place])
-            found = np.where(np.isfinite(det), self.judged(targets, pair), np.inf)
-            better = (found < value)[:, None]
-            best = DirectionFit(np.where(better, place, best.place), np.where(better, pair.share, best.share))
-            value = np.minimum(value, found)
+            a, b = near[rows, place[..., 0]], near[rows, place[..., 1]]
+            share = np.stack([(a - gram * b) / det, (b - gram * a) / det], axis=-1)
+            share = share * lengths[0][:, None] / unit[place]
+            left = X - share[..., :1] * Y[place[..., 0]] - share[..., 1:] * Y[place[..., 1]]
+            found = (np.abs(share) * bounded[place]).sum(axis=-1) + np.abs(left).sum(axis=-1)
+            found = np.where(np.isfinite(det) & (found < value), found, np.inf)
+            at = np.argmin(found, axis=0), rows
+            better = (found[at] < value)[:, None]
+            best = DirectionFit(np.where(better, place[at], best.place), np.where(better, share[at], best.share))
+            value = np.minimum(value, found[at])
 
+        pairs = []
         for first in (alone, np.argmax(size, axis=1)):
-            across = (U @ U.T)[first] * sign * sign[rows, first, None] - size * size[rows, first, None]
+            across = cosines[first] * sign * sign[rows, first, None] - size * size[rows, first, None]
             other = np.argsort(-np.where(across < 0, size, size - 2), axis=1)[:, :PARTNERS]
-            for second in other.T:
-                tried(np.stack([first, second], axis=1))
+            pairs += [np.stack([first, second], axis=1) for second in other.T]
+        tried(np.array(pairs))
         for shift in NEIGHBOURS if count > 1 else ():
-            tried(np.roll(best.place, shift, axis=0))
+            tried(np.array([np.roll(best.place, each, axis=0) for each in (shift, -shift)]))
         return best
 
     def bound(self, targets: Array) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 from IPython.display import HTML, display
 from IPython.utils.capture import capture_output
 
-STEPS = 7
+STEPS = 5
 CHOOSE = "this.closest('.steps').querySelectorAll('.step').forEach((step, k) =&gt; { step.hidden = k != this.value; })"
 
 

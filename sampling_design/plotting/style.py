@@ -72,8 +72,12 @@ def new_figure(
 
 
 def one_time_axis(panels: Iterable[matplotlib.axes.Axes]) -> None:
-    """Panels below each other share the time axis of the lowest."""
-    for panel in list(panels)[:-1]:
+    """Panels below each other share one time axis, named below the lowest: what is above each other is at one time."""
+    below = list(panels)
+    ends = np.array([panel.get_xlim() for panel in below])
+    for panel in below:
+        panel.set_xlim(ends[:, 0].min(), ends[:, 1].max())
+    for panel in below[:-1]:
         panel.set_xlabel("")
         panel.tick_params(labelbottom=False)
 

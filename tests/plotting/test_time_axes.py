@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import sampling_design as sd
 from sampling_design.plotting import style
 
 
@@ -54,3 +55,12 @@ def test_a_band_of_the_start_is_cut_on_both_sides_or_on_none():
         assert low <= -0.1 - half[at]
         assert high >= 0.4 + half[at]
     assert max(-low, high) < 20.0
+
+
+def test_panels_below_each_other_show_the_same_time():
+    plant = sd.Plant(np.diag([-1.0, -2.0]), np.eye(2), time_unit="h", outputs=["early", "late"])
+    readings = [[1.0, np.nan], [2.0, np.nan], [np.nan, 3.0], [np.nan, 4.0]]
+    early, late = sd.Measurements(plant, [0.0, 1.0, 8.0, 9.0], readings).plot()
+    assert early.get_xlim() == late.get_xlim()
+    assert early.get_xlim()[0] <= 0.0
+    assert early.get_xlim()[1] >= 9.0

@@ -22,5 +22,5 @@ def turned():
 
 FIGURES = (
     Figure(PAGE, SCALE, least_scale, slow=True),
-    Figure(PAGE, rf"turns by {NUMBER} of a circle .* annual motion by {NUMBER}: they", turned),
+    Figure(PAGE, rf"passes through {NUMBER} of its period, .* annual oscillation through {NUMBER}: they", turned),
 )

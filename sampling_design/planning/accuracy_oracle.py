@@ -54,6 +54,8 @@ class AccuracyOracle:
         self.spread = GridFilter(problem, motion, self.work) if spread else None
         self._kept: dict[object, tuple[float, list[HiddenTrajectory]]] = {}
         """What the last choices that were judged came to."""
+        self.looks: dict[object, float] = {}
+        """The ratio in each stretch of a sequence that was looked at."""
         self._broken_last = 0
         """The goal that was broken last."""
         self._open: list[list[tuple[Array, float]]] = [[(row, 0.0)] for row in self.rows]

@@ -49,6 +49,7 @@ class DiscretePlant:
     step: float
     ball: bool  # whether |w| is Euclidean
     _flows: dict[int, Array] = field(default_factory=dict)
+    _gaps: dict[int, tuple[Array, Array, list[int]]] = field(default_factory=dict)
 
     @property
     def n(self) -> int:
@@ -96,6 +97,11 @@ class DiscretePlant:
 
     def gap(self, steps: int) -> tuple[Array, Array, list[int]]:
         """F of a gap, Gamma (n, m q) of its cells, and the steps of each cell, in order of time."""
+        if steps not in self._gaps:
+            self._gaps[steps] = self._cut(steps)
+        return self._gaps[steps]
+
+    def _cut(self, steps: int) -> tuple[Array, Array, list[int]]:
         number = min(max(CELLS, int(np.ceil(steps * self._turned / TURN))), steps)
         edges = np.round(np.linspace(0, steps, number + 1)).astype(int)
         n, cells = self.n, np.diff(edges).tolist()

@@ -175,19 +175,25 @@ def _knots(oracle: AccuracyOracle, sequence: SampleSequence) -> Index:
 
 
 def window_after(oracle: AccuracyOracle, sequence: SampleSequence, span: JudgedSpan) -> tuple[GridWindow, int]:
-    """The window of what is in during a stretch, and the step of its last sample.
+    """The window of what is in during a stretch, and the step of its last sample."""
+    knots, seen, begins = _read_by(oracle, sequence, span)
+    start = oracle.initial_set if begins else None
+    return GridWindow(oracle.motion, knots, seen, start=start), int(knots[-1])
 
-    It reaches as far back as matters to the plan, and over as many samples: where some are late or lost, farther.
+
+def _read_by(oracle: AccuracyOracle, sequence: SampleSequence, span: JudgedSpan) -> tuple[Index, Mask, bool]:
+    """Steps of the samples before a stretch, what is in of them, and whether all begins with the first of them.
+
+    They reach as far back as matters to the plan, and over as many samples: where some are late or lost, farther.
     """
     k, first, knots = span.k, min(max(sequence.first - 1, 0), span.k), _knots(oracle, sequence)[: span.k + 1]
     planned = int(np.searchsorted(knots, knots[first] - oracle.back))
     low = min(int(np.searchsorted(knots, knots[k] - oracle.back)), max(k - (first - planned), 0))
-    start = oracle.initial_set if sequence.begins and low == 0 else None
     seen = sequence.seen[low : k + 1]
     if span.out is not None:
         count = min(len(span.out), len(seen))
         seen = np.concatenate([seen[: len(seen) - count], span.out[len(span.out) - count :]])
-    return GridWindow(oracle.motion, knots[low:], seen, start=start), int(knots[k])
+    return knots[low:], seen, bool(sequence.begins) and low == 0
 
 
 def gap_ratios(plan: PlanFigures, sequence: SampleSequence, since: float, until: float) -> dict[int, float]:
@@ -203,11 +209,21 @@ def gap_ratios(plan: PlanFigures, sequence: SampleSequence, since: float, until:
         begin = span.since(sequence, oracle)
         if begin >= until:
             break
-        window, last = window_after(oracle, sequence, span)
-        looks = [v for g in goals for v in oracle.looked(window, g, last, span.length, begin=span.begin).values()]
         for k in gaps_of(sequence, span.k, begin, span.end):
-            found[k] = max(found.get(k, 0.0), *looks)
+            found[k] = max(found.get(k, 0.0), _ratio_in(oracle, sequence, span))
     return found
+
+
+def _ratio_in(oracle: AccuracyOracle, sequence: SampleSequence, span: JudgedSpan) -> float:
+    """The ratio in a stretch: most of a sequence are those of another, by whole periods later, and solved once."""
+    knots, seen, begins = _read_by(oracle, sequence, span)
+    phase = int(knots[-1]) % oracle.problem.steps
+    key = (oracle.back, (knots - knots[-1]).tobytes(), seen.tobytes(), begins, span.begin, span.length, phase)
+    if key not in oracle.looks:
+        window, last = window_after(oracle, sequence, span)
+        found = [oracle.looked(window, g, last, span.length, begin=span.begin) for g in oracle.problem.guaranteed]
+        oracle.looks[key] = max((value for each in found for value in each.values()), default=0.0)
+    return oracle.looks[key]
 
 
 def gaps_of(sequence: SampleSequence, k: int, begin: float, end: float) -> range:

@@ -150,9 +150,10 @@ def test_a_finite_schedule_keeps_its_bounds_too():
 
 
 def test_nothing_jumps_as_the_tolerance_goes_to_zero():
-    exact = guaranteed_accuracy(OSCILLATOR, UNEVEN, w_bound=0.02, v_bound=0.1, rtol=1e-3)
+    given = {"w_bound": 0.02, "v_bound": 0.1, "rtol": 1e-3, "of": "x1"}
+    exact = guaranteed_accuracy(OSCILLATOR, UNEVEN, **given)
     for late, share in ((1e-7, 1e-3), (1e-3, 5e-3)):
-        found = guaranteed_accuracy(OSCILLATOR, UNEVEN, w_bound=0.02, v_bound=0.1, rtol=1e-3, timing_tolerance=late)
+        found = guaranteed_accuracy(OSCILLATOR, UNEVEN, timing_tolerance=late, **given)
         assert np.all(found.upper <= exact.upper * (1 + share))
         assert np.all(found.lower >= exact.lower * (1 - share))
 

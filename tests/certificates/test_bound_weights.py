@@ -1,15 +1,12 @@
 """Weights from bounds: each term of the online radius is at most one, and the radii get smaller."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from sampling_design import GapRange, MovingHorizonEstimator, Plant, certify, read_measurements, read_plant
+from sampling_design import GapRange, MovingHorizonEstimator, PeriodicSchedule, Plant, certify, simulate_record
 from sampling_design.certificates.exact.bound_weights import weights_from_bounds
 from sampling_design.errors import ArgumentError
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
 PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 
 
@@ -31,19 +28,12 @@ def test_a_number_bounds_the_norm():
 
 
 def test_radii_are_far_smaller_than_with_the_shortest_horizon():
-    plant = read_plant(EXAMPLES / "plants" / "three_compartment.toml")
-    record = read_measurements(EXAMPLES / "data" / "three_compartment.csv", plant)
-    record = record.between(0.0, float(record.times[11]))
-    bounds = {
-        "w_bound": plant.disturbances.scales,
-        "v_bound": plant.outputs.scales,
-        "initial_error": plant.states.scales,
-    }
-    family, eta = GapRange(40.0, 190.0, time_unit="min"), 0.005
-    radii = []
-    for weights in ({}, weights_from_bounds(plant, eta, **bounds)):
-        certificate = certify(plant, family, eta=eta, **weights)
-        found = MovingHorizonEstimator(plant, certificate, **bounds).run(record)
+    bounds, eta, radii = {"w_bound": [0.01, 0.01], "v_bound": [0.01], "initial_error": [1.0, 1.0]}, 0.3, []
+    noise = {"w_bound": bounds["w_bound"], "v_bound": bounds["v_bound"]}
+    record = simulate_record(PLANT, PeriodicSchedule([1.0, 1.4]), 8.0, **noise, rng=1).measurements
+    for weights in ({}, weights_from_bounds(PLANT, eta, **bounds)):
+        certificate = certify(PLANT, GapRange(0.8, 1.7), eta=eta, **weights)
+        found = MovingHorizonEstimator(PLANT, certificate, **bounds).run(record)
         assert found.certified.all()
         radii.append(found.ellipsoid_radii[-1])
     assert np.all(radii[1] < 0.5 * radii[0])

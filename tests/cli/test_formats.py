@@ -11,7 +11,6 @@ from sampling_design import PlanRequirement, Plant, certify, plan_samples, read_
 from sampling_design.planning.requirement_file import write_plan_requirement
 from sampling_design.plants import write_plant
 
-pytestmark = pytest.mark.usefixtures("pixels")
 EXAMPLES = Path(__file__).parents[2] / "examples"
 OSCILLATOR = EXAMPLES / "plants" / "oscillator.toml"
 RULE = ("--window", 4.0, "--count", 3, "--spacing", 0.5)

@@ -12,6 +12,7 @@ from sampling_design.design.bounds.local_bound import local_bound, relax_local, 
 from sampling_design.design.bounds.zone_bound import relax_zones, zone_bound
 from sampling_design.design.bounds.zones import begins, least_shift, origin_zones, tightened, zoned
 from sampling_design.design.problem.numbers import DesignProblem
+from tests.cases import few
 from tests.oracles.design import random_schedule, window_sigma_scan
 
 A = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.1]])
@@ -70,7 +71,7 @@ def near(case, times, side, origin=None):
     return tightened(case, np.clip(np.stack([counted - 0.1, counted + 0.2], axis=1), zones[:, :1], zones[:, 1:]), side)
 
 
-@pytest.mark.parametrize(("window", "period"), [(4.0, 4.0), (4.0, 3.2), (2.5, 4.0), (9.0, 4.0)])
+@pytest.mark.parametrize(("window", "period"), few([(4.0, 4.0), (4.0, 3.2), (2.5, 4.0), (9.0, 4.0)], 1, 2))
 def test_every_bound_exceeds_the_plain_sum(window, period):
     rng = np.random.default_rng(5)
     case = problem(window, period)
@@ -107,7 +108,7 @@ def test_what_windows_see_is_the_plain_sum_at_both_ends_of_every_piece():
         )
 
 
-@pytest.mark.parametrize("forbidden", [[[1.2, 1.6]], [[0.0, 0.5], [1.0, 1.5], [2.0, 2.5], [3.0, 3.5]]])
+@pytest.mark.parametrize("forbidden", few([[[1.2, 1.6]], [[0.0, 0.5], [1.0, 1.5], [2.0, 2.5], [3.0, 3.5]]], 1))
 def test_zones_bound_schedules_with_closed_times_where_they_are(forbidden):
     rng = np.random.default_rng(11)
     case = problem(forbidden=forbidden, available=(None, np.array([[0.5, 4.0]])), spacing=0.05)

@@ -14,6 +14,7 @@ from sampling_design.design.problem.feasible import changed
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.search.costs import affordable
 from sampling_design.design.search.local_search import FoundSchedule
+from tests.cases import few
 from tests.oracles.design import random_schedule, window_sigma_scan
 
 OSCILLATOR = np.array([[0.0, 1.0], [-1.0, 0.0]])
@@ -125,7 +126,7 @@ def test_choices_are_looked_at_until_nothing_is_left_to_gain():
     assert chosen.sum() == 5
 
 
-@pytest.mark.parametrize(("fixed", "period"), [([0.4, 2.9, 3.6], 4.0), ([1.3], 1.1), ([], 1.1)])
+@pytest.mark.parametrize(("fixed", "period"), few([([0.4, 2.9, 3.6], 4.0), ([1.3], 1.1), ([], 1.1)], 1))
 def test_where_only_what_is_measured_is_left_to_choose_the_bound_is_reached(fixed, period):
     """Times that are all fixed, or one sample, and money for some of the outputs: every choice by a plain scan."""
     A, C, k = np.array([[0.1, 1.0], [-1.0, 0.1]]), np.array([[1.0, 0.2], [0.0, 0.7]]), max(len(fixed), 1)

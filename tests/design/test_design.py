@@ -15,6 +15,7 @@ from sampling_design.design.problem.posing import pose
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.plants import library
 from sampling_design.plants.plant import Signals
+from tests.cases import few
 
 
 def oscillator():
@@ -100,7 +101,17 @@ def test_a_target_out_of_reach_names_what_was_found():
 
 @pytest.mark.parametrize(
     "change",
-    [{"samples": {"at_most": 4}}, {"samples": 3, "spacing": 1.1}, {"samples": 9}, {"samples": 9, "target_sigma": 7.0}],
+    few(
+        [
+            {"samples": {"at_most": 4}},
+            {"samples": 3, "spacing": 1.1},
+            {"samples": 9},
+            {"samples": 9, "target_sigma": 7.0},
+        ],
+        0,
+        1,
+        3,
+    ),
 )
 def test_the_nearest_target_is_reached_by_the_whole_design(change):
     asked = Requirement(window=4.0, spacing=0.5, target_sigma=1.6).replace(**change)

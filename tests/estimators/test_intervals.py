@@ -11,6 +11,7 @@ from sampling_design.accuracy.readings import DisturbanceSet, RowReading, StartE
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.evidence import EstimateEvidence
+from tests.cases import few
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], B=[[0.0], [1.0]], states=["position", "velocity"])
 TIMES = [0.7, 2.3, 3.2, 5.2, 5.9]
@@ -45,7 +46,7 @@ def test_every_estimator_says_what_the_record_says(maker):
     assert estimate.interval("velocity").upper[0] == found.upper[1]
 
 
-@pytest.mark.parametrize("growth", [36.0, 60.0, 100.0])
+@pytest.mark.parametrize("growth", few([36.0, 60.0, 100.0], 0))
 def test_whatever_grows_between_samples_it_is_never_wider_than_the_ellipsoid(growth):
     """Up to e^100 a gap: covariance times radius is no number, their roots are."""
     for A, C in (([[growth]], [[1.0]]), ([[growth, 1.0], [-1.0, growth]], [[1.0, 0.0]])):

@@ -188,6 +188,7 @@ def test_an_editor_knows_our_types(tmp_path):
         assert re.search(rf"wrong\.py:{line}: error: {message}", told), f"{code}:\n{told}"
 
 
+@pytest.mark.long
 def test_no_class_repeats_its_fields_for_the_type_checker():
     """It reads them off the fields, `Converted` where more is taken than is held."""
     for path in SOURCES:

@@ -119,7 +119,7 @@ def test_what_leaves_a_window_as_something_else_enters_it_does_so_to_the_last_bi
 
 
 @pytest.mark.parametrize(
-    ("A", "window"), few([([[20.0, 2 * np.pi], [-2 * np.pi, 20.0]], 1.0), ([[10.0, 1.0], [0.0, 10.0]], 1.0)], 0)
+    ("A", "window"), few([([[20.0, 2 * np.pi], [-2 * np.pi, 20.0]], 1.0), ([[10.0, 1.0], [0.0, 10.0]], 1.0)], 1)
 )
 def test_growth_within_the_window_leaves_no_gap(A, window):
     asked = problem((np.array(A), np.array([[1.0, 0.0]])), window=window, period=window, spacing=0.02, samples=4)

@@ -35,7 +35,8 @@ def test_a_drawn_plant_is_certified(seed):
     assert np.isfinite(made.horizon().minimum)
 
 
-@pytest.mark.parametrize("seed", [360, *(pytest.param(seed, marks=pytest.mark.long) for seed in (311, 465, 487))])
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [360, 311, 465, 487])
 def test_a_budget_in_units_that_nobody_stated_leaves_a_round_shape(seed):
     """States 1e22 apart, no scales: no P2 near the budget's own can be held. 311, 487: nine modes behind one output."""
     plant, schedule = drawn(seed)

@@ -10,6 +10,7 @@ from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant
+from tests.cases import few
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 PENDULUM = sd.plants.library.cart_pendulum()
@@ -28,10 +29,13 @@ def samples(plant, stretch):
 
 @pytest.mark.parametrize(
     ("plant", "stretch", "weights"),
-    [
-        (OSCILLATOR, 1.0, {"Qw": np.diag([2.0, 1.0]), "R": [[5.0]], "Qv": [[3.0]], "eta": 0.3}),
-        (PENDULUM, 0.25, {"eta": 0.5}),
-    ],
+    few(
+        [
+            (OSCILLATOR, 1.0, {"Qw": np.diag([2.0, 1.0]), "R": [[5.0]], "Qv": [[3.0]], "eta": 0.3}),
+            (PENDULUM, 0.25, {"eta": 0.5}),
+        ],
+        0,
+    ),
 )
 def test_error_falls_by_four_with_every_halving(plant, stretch, weights):
     record, horizon = samples(plant, stretch), 3.2 * stretch

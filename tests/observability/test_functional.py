@@ -164,12 +164,16 @@ UNSEEN = Plant(np.diag([0.1, 0.05, -0.5]), [[1.0, 1.0, 0.0]])
 
 @pytest.mark.parametrize(
     ("rows", "unit"),
-    [
-        ([[1.0, 0, 0]], 1.0),
-        ([[1.0, 0, 1]], 1e-9),
-        ([[1.0, 0, 0], [1.0, 0, 1e3]], 1e9),
-        ([[0.3, 1, -1], [0, 0, 1]], 1e-9),
-    ],
+    few(
+        [
+            ([[1.0, 0, 0]], 1.0),
+            ([[1.0, 0, 1]], 1e-9),
+            ([[1.0, 0, 0], [1.0, 0, 1e3]], 1e9),
+            ([[0.3, 1, -1], [0, 0, 1]], 1e-9),
+        ],
+        0,
+        1,
+    ),
 )
 def test_sigma_of_a_design_is_that_of_the_rows_on_what_does_not_decay(rows, unit):
     """What decays unseen enters the rows, and counts nothing."""
@@ -416,11 +420,15 @@ ALIASED = Plant(
 
 @pytest.mark.parametrize(
     ("rows", "said", "at_samples", "between", "unit"),
-    [
-        ("growing", "growing is free of it at all times", True, True, 1e-9),
-        ([[1.0, 0, 1, 0, 0]], "z1 is free of it at the sample times, and not between", True, False, 1.0),
-        ("slow", "what is hidden enters slow", False, False, 1.0),
-    ],
+    few(
+        [
+            ("growing", "growing is free of it at all times", True, True, 1e-9),
+            ([[1.0, 0, 1, 0, 0]], "z1 is free of it at the sample times, and not between", True, False, 1.0),
+            ("slow", "what is hidden enters slow", False, False, 1.0),
+        ],
+        1,
+        2,
+    ),
 )
 def test_what_equal_gaps_hide_of_rows_is_said_and_true(rows, said, at_samples, between, unit):
     units = np.array([1.0, unit, 1.0, 1 / unit, 1.0])

@@ -21,7 +21,7 @@ WANTED = sd.PlanRequirement(
 
 
 def made(**changes):
-    return sd.plan_samples(PLANT, WANTED.replace(**changes), search_seconds=4.0, certificate=False, robustness=False)
+    return sd.plan_samples(PLANT, WANTED.replace(**changes), search_seconds=1.0, certificate=False, robustness=False)
 
 
 @pytest.fixture(scope="module")

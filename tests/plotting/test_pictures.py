@@ -106,7 +106,7 @@ def test_fronts_and_losses_are_drawn_and_an_empty_front_refused():
     between = [100 * (p.upper_bound / p.sigma - 1) for p in front.points]
     assert [bar.get_height() for bar in room.patches] == pytest.approx(between)
     assert len(front.plot(Figure().subplots()).lines) == 2
-    losses = sd.sample_losses(sd.design_schedule(OSCILLATOR, requirement.replace(samples=3)))
+    losses = sd.sample_losses(sd.design_schedule(OSCILLATOR, requirement.replace(samples=3), starts=1, branches=0))
     drawn = losses.plot()
     assert len(drawn.collections[0].get_segments()) == 3
     lost = [f"{100 * (low / losses.sigma - 1):+.0f} %" for low in losses.lower]
@@ -117,7 +117,7 @@ def test_fronts_and_losses_are_drawn_and_an_empty_front_refused():
 
 def test_pictures_are_drawn_on_given_axes():
     axes = Figure().subplots(3, 1)
-    design = sd.design_schedule(OSCILLATOR, sd.Requirement(window=4.0, samples=3))
+    design = sd.design_schedule(OSCILLATOR, sd.Requirement(window=4.0, samples=3), starts=1, branches=0)
     for record, ax in zip((SCHEDULE, design, design.window), axes, strict=True):
         assert record.plot(ax) is ax
         assert ax.has_data()
@@ -184,7 +184,7 @@ def shown_legends(axes):
 
 @pytest.mark.long
 def test_no_legend_lies_on_a_curve():
-    design = sd.design_schedule(OSCILLATOR, sd.Requirement(window=4.0, samples=3))
+    design = sd.design_schedule(OSCILLATOR, sd.Requirement(window=4.0, samples=3), starts=1, branches=0)
     certificate = sd.certify(OSCILLATOR, SCHEDULE, eta=0.4, P2=np.eye(2))
     worst = sd.worst_case_sigma(OSCILLATOR, sd.SpacedWindows(4.0, 3, 0.5))
     known = sd.guaranteed_accuracy(OSCILLATOR, SCHEDULE, w_bound=0.1, v_bound=0.1, rtol=0.1)
@@ -207,7 +207,7 @@ def test_no_legend_lies_on_a_curve():
 
 
 def test_the_axis_begins_below_the_curve_and_not_far_from_it():
-    design = sd.design_schedule(OSCILLATOR, sd.Requirement(window=4.0, samples=3))
+    design = sd.design_schedule(OSCILLATOR, sd.Requirement(window=4.0, samples=3), starts=1, branches=0)
     bottom = design.plot()[1]
     low, high = bottom.get_ylim()
     curve = np.concatenate([line.get_ydata() for line in bottom.lines])
@@ -243,7 +243,7 @@ def test_dates_are_written_at_hours_where_a_day_is_shown_and_by_month_over_years
 
 def test_a_design_has_dates_where_its_origin_is_given():
     day = sd.Plant([[0, 0.26], [-0.26, 0]], [[1.0, 0.0]], time_unit="h")
-    design = sd.design_schedule(day, sd.Requirement(window=24.0, period=24.0, samples=3), branches=0)
+    design = sd.design_schedule(day, sd.Requirement(window=24.0, period=24.0, samples=3), starts=1, branches=0)
     for ax in plotting.draw(design, origin="2026-03-02T00:00:00+01:00"):
         ax.figure.canvas.draw()
         assert "Tue 12:00" in [t.get_text() for t in ax.get_xticklabels()]
@@ -259,7 +259,7 @@ def test_what_is_closed_is_grey_in_designs_and_in_plans_and_once():
     two = sd.Plant(OSCILLATOR.A, np.eye(2), outputs=["near", "far"])
     hours = {"far": {"available": [[0.0, 2.0], [3.0, 5.0]]}}
     wish = sd.Requirement(window=6.0, period=6.0, samples=3, forbidden=[[4.5, 5.5]], outputs=hours)
-    line = sd.design_schedule(two, wish, branches=0).plot(Figure().subplots())
+    line = sd.design_schedule(two, wish, starts=1, branches=0).plot(Figure().subplots())
     once = [(0, 4.5, 5.5), (1, 2.0, 3.0), (1, 4.5, 6.0)]
     assert grey(line) == sorted(once + [(k, a + 6.0, b + 6.0) for k, a, b in once])
     assert "grey: closed" in line.get_title(loc="left")

@@ -66,7 +66,7 @@ def record():
 
 
 def design():
-    return sd.design_schedule(OSCILLATOR, REQUIREMENT)
+    return sd.design_schedule(OSCILLATOR, REQUIREMENT, starts=1, branches=0)
 
 
 MAKERS = {

@@ -35,10 +35,8 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 MARGIN = 5e-5
 """By how much an upper bound is raised, so that balls prove it too, whose derivatives are bounded a little worse."""
-RTOL = 0.01
-"""Default width of the brackets, relative."""
-MOST_SOLVES = 2000
-"""Programs for one row; a bracket that is not closed by then says so."""
+RTOL = 0.01  # default width of the brackets, relative
+MOST_SOLVES = 2000  # programs for one row; a bracket that is not closed by then says so
 
 
 @open_verb(AccuracyBracket)

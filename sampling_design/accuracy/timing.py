@@ -33,26 +33,16 @@ from sampling_design.records.checks import freeze
 from sampling_design.records.record import short
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 
-ENOUGH = 1.03
-"""Noise that is so much more than what a tolerance adds is not sought closer."""
+ENOUGH = 1.03  # noise that is so much more than what a tolerance adds is not sought closer
 
 MORE = 0.015
 """Share by which noise that is enough is above what it bounds: room for proofs near by, where a plan is left."""
 
-TURNS = 24
-"""Times that noise which is enough is sought: beyond them nothing bounds what late samples do."""
-
-PANELS = 8
-"""Panels of the time by which a sample may be late, at least."""
-
-KEPT_ROOM = MORE / 3
-"""That share where the gains that were kept prove it again."""
-
-FARTHEST = 64
-"""Samples back of the gains that bound what a tolerance adds, at most."""
-
-MOVED = 3
-"""Turns in which the worst times and the disturbance that does most at them are sought."""
+TURNS = 24  # times that noise which is enough is sought: beyond them nothing bounds what late samples do
+PANELS = 8  # panels of the time by which a sample may be late, at least
+KEPT_ROOM = MORE / 3  # that share where the gains that were kept prove it again
+FARTHEST = 64  # samples back of the gains that bound what a tolerance adds, at most
+MOVED = 3  # turns in which the worst times and the disturbance that does most at them are sought
 
 
 def refuse_tolerance(question: AccuracyQuestion, spread: bool) -> None:

@@ -350,13 +350,7 @@ def _early_late(text: str, time: Callable[[str], T]) -> T | list[T]:
 
 
 def timing_number(text: str) -> float:
-    """A time without a unit.
-
-    Raises
-    ------
-    ArgumentError
-        If it is no number.
-    """
+    """A time without a unit. Raises ArgumentError if it is no number."""
     try:
         return float(text)
     except ValueError:

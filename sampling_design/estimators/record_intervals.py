@@ -56,6 +56,8 @@ def estimates_despite_outliers(
 ) -> Iterator[list[Estimate]]:
     """Yield the middle of what stays possible at every row, some at a time, if so few of its samples are wild.
 
+    Raises ArgumentError if there are more sets of samples that may be wild than are looked at.
+
     Parameters
     ----------
     estimator : MovingHorizonEstimator
@@ -68,11 +70,6 @@ def estimates_despite_outliers(
     smooth : bool
         Whether later rows count too.
     progress : callable, optional
-
-    Raises
-    ------
-    ArgumentError
-        If there are more sets of samples that may be wild than are looked at.
     """
     rows, read = list(record), np.cumsum(record.measured.any(axis=1))
     left_out(outliers, int(read[-1]))
@@ -123,10 +120,5 @@ class _DespiteOutliers:
         return found
 
     def tube(self, times: Array, x: Array) -> StateTube:
-        """Refused: between the rows nothing is worked out.
-
-        Raises
-        ------
-        ArgumentError
-        """
+        """Refused: between the rows nothing is worked out. Raises ArgumentError."""
         raise ArgumentError("`outliers` are of the rows alone: between them nothing is worked out.")

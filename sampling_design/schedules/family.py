@@ -20,21 +20,16 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 AnySchedule = Schedule | PeriodicSchedule
 Word = tuple[float | int | str, ...]
 """What is remembered of a schedule since a window's start."""
-START: Word = ("start",)
-"""Nothing yet: the window has just begun, at any real time."""
+START: Word = ("start",)  # nothing yet: the window has just begun, at any real time
 
 OUTWARD = 8 * float(np.finfo(float).eps)
 """Ends of a step that are sums of times are moved outward by this fraction, so that rounding loses no schedule."""
 GAP_MEMORY = ((0, 1), (1, 2), (1, 4), (2, 4), (3, 4))
 """(gaps remembered, cells per gap) of each level of memory, for families that speak of gaps."""
-MOST_DRAWN = 1_000_000
-"""Samples of a random schedule: its gaps are drawn one by one."""
-LONGEST_WORD = 4
-"""Gaps of a suspect; longer unobservable words exist only for plants with many aliasing modes."""
-RANDOM_WORDS = 6
-"""Suspects of each length and period that are drawn at random, besides the one of equal gaps."""
-EQUAL_RTOL = 1e-9
-"""Sums of gaps this near, relatively, are equal."""
+MOST_DRAWN = 1_000_000  # samples of a random schedule: its gaps are drawn one by one
+LONGEST_WORD = 4  # gaps of a suspect; longer unobservable words exist only for plants with many aliasing modes
+RANDOM_WORDS = 6  # suspects of each length and period that are drawn at random, besides the one of equal gaps
+EQUAL_RTOL = 1e-9  # sums of gaps this near, relatively, are equal
 
 
 @dataclass(frozen=True)

@@ -36,8 +36,7 @@ from sampling_design.schedules.family import (
 from sampling_design.schedules.sampling_set import ROUNDING, SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
-DEVIATION_CELLS = (1, 2, 4, 8)
-"""Cells of a sample's deviation, per level of memory."""
+DEVIATION_CELLS = (1, 2, 4, 8)  # cells of a sample's deviation, per level of memory
 _LONGEST_LAP = 1_000_000  # samples after which the periods of two periodic schedules must have met
 
 EarlyLate: TypeAlias = float | Sequence[float]
@@ -76,12 +75,8 @@ class TimingTolerance:
     ) -> Self:
         """Return the tolerance that a number, a pair, or a table of these says; an output without one is on time.
 
-        `outputs` are the names of the plant's, where they are known yet; `time` reads a number.
-
-        Raises
-        ------
-        ArgumentError
-            If it is none of these, a number is negative, or an output is unknown.
+        `outputs` are the names of the plant's, where they are known yet; `time` reads a number. Raises ArgumentError if
+        it is none of these, a number is negative, or an output is unknown.
         """
         name = "timing_tolerance"
         if isinstance(value, Mapping):
@@ -155,12 +150,7 @@ class TimingTolerance:
         return ", ".join(f"{n} {side}" for n, side in zip(self.names, sides, strict=True)) if self.apart else sides[0]
 
     def require_order(self, least: float) -> None:
-        """Refuse a tolerance with which samples so far apart could change places.
-
-        Raises
-        ------
-        ArgumentError
-        """
+        """Refuse a tolerance with which samples so far apart could change places. Raises ArgumentError."""
         if self and self.span >= least:
             equal = self.early == self.late and not self.apart
             limit = "less than half of" if equal else "early and late, together less than"
@@ -170,12 +160,7 @@ class TimingTolerance:
             )
 
     def require_together(self, what: str) -> None:
-        """Refuse tolerances of single outputs where samples are one reading.
-
-        Raises
-        ------
-        ArgumentError
-        """
+        """Refuse tolerances of single outputs where samples are one reading. Raises ArgumentError."""
         if self.apart:
             raise ArgumentError(
                 f"`timing_tolerance` of single outputs lets them fall apart, and {what} is of samples whose outputs "
@@ -183,8 +168,7 @@ class TimingTolerance:
             )
 
 
-ON_TIME = TimingTolerance()
-"""Samples come when they are planned."""
+ON_TIME = TimingTolerance()  # samples come when they are planned
 
 
 def _in_words(early: float, late: float, unit: str) -> str:
@@ -212,10 +196,7 @@ def _pair(name: str, value: object, time: Callable[[str, object], float]) -> tup
 def moved(schedule: AnySchedule, by: float) -> AnySchedule:
     """Return the schedule with every sample so much later (or earlier, if negative).
 
-    Raises
-    ------
-    ArgumentError
-        If its first sample would come before time 0.
+    Raises ArgumentError if its first sample would come before time 0.
     """
     if not by:
         return schedule

@@ -16,8 +16,7 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 ROUNDINGS = 4.0
 """Units in the last place of a time stamp within which it may have been rounded: stamp, period and their product."""
 
-SHARE_OF_GAP = 1e-6
-"""Share of the schedule's least gap that counts as no difference: sums of many gaps are rounded too."""
+SHARE_OF_GAP = 1e-6  # share of the schedule's least gap that counts as no difference: sums of many gaps are rounded too
 
 
 class ScheduleWatch:

@@ -11,10 +11,8 @@ from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.sampling_set import SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
-SHARE = 0.01
-"""Of the least gap: how early or late samples are taken to be where nobody says."""
-RTOL = 0.01
-"""Width of the brackets here: they say how steep the ground is, not where it lies."""
+SHARE = 0.01  # of the least gap: how early or late samples are taken to be where nobody says
+RTOL = 0.01  # width of the brackets here: they say how steep the ground is, not where it lies
 
 
 def deviations_of(

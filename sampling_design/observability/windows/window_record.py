@@ -30,13 +30,11 @@ from sampling_design.records.record import CurveRecord, Plain, Record, TableReco
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
-RTOL = 0.001
-"""Default width of the bracket, relative."""
+RTOL = 0.001  # default width of the bracket, relative
 HIDING = 1e3
 """Growth within a window from which on a sigma that doubles lose is asked of balls: n eps |O| is then far above the
 n eps |C| below which sigma counts as zero."""
-HANDED_OVER = 20.0
-"""Seconds that balls have for what was only asked of floats."""
+HANDED_OVER = 20.0  # seconds that balls have for what was only asked of floats
 _REASONS = {
     "budget": "the budget ran out before the bracket closed; more time narrows it",
     "interrupted": "the search was interrupted before the bracket closed; more time narrows it",

@@ -1,6 +1,6 @@
 """A state between rare samples: ellipsoids that hold the truth, a constraint that helps, an open loop in between.
 
-An oscillator is pushed by an unknown bounded disturbance, and its position is read now and then with a coarse sensor.
+An oscillator has an unknown bounded disturbance, and its position is measured at a few times with a coarse sensor.
 
 Run: `python examples/04_estimation_with_rare_samples.py`
 """

@@ -40,7 +40,7 @@ def _sigma(ax, plant, schedule) -> None:
     found = window_sigma(plant, schedule, WINDOW)
     pathological = PeriodicSchedule.from_times([0.6, 0.6 + np.pi], PERIOD)
     t = np.linspace(WINDOW, 3 * PERIOD, 900)
-    for plan, colour, label in ((schedule, ATTAINED, "this schedule"), (pathological, FAILED, "half a turn apart")):
+    for plan, colour, label in ((schedule, ATTAINED, "this schedule"), (pathological, FAILED, "half a period apart")):
         values = [_at(plant, plan, end) for end in t]
         ax.plot(t, values, color=colour, lw=1.4, label=label)
     ax.hlines(found.lower, WINDOW, 3 * PERIOD, color=PROVEN, ls="--", lw=1.4, label="proven, for every window")

@@ -24,7 +24,7 @@ from sampling_design.records.units import check_time_unit
 
 PLANT = {
     "format": "A plant: x' = A x + B u + G w, y = C x + D u + v. Times are in time_unit, rates in its inverse.",
-    "A": "Each mode has its own rows: a level stays, an oscillation turns, what decays fades.",
+    "A": "Each mode has its own rows: one for a level or a decay, two for an oscillation.",
     "C": "One row for each sensor: how much of each state it shows.",
     "[states]": 'Names, and units = ["...", ...] beside them; scales = [...] are typical magnitudes, if you know them.',
 }

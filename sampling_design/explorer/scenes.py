@@ -22,7 +22,7 @@ def _pathological() -> Bench:
         PeriodicSchedule.from_times([1.0, 1.0 + np.pi], turn, time_unit="s"),
         w_bound=0.02,
         v_bound=0.1,
-        words="Two samples half a turn apart see the same thing twice. Move one of them, a little and then a lot.",
+        words="Two samples half a period apart measure the same direction. Move one of them, a little and then a lot.",
     )
 
 

@@ -176,7 +176,7 @@ def _bound(problem: PlanProblem, motion: DiscretePlant, tree: Tree) -> PlanBound
     for k, trajectory in enumerate(trajectories):
         own = [key for key in (*_FLIGHT, "point") if key in trajectory]
         if own not in ([*_FLIGHT], ["point"]) or trajectory["goal"] >= len(problem.goals):
-            raise refuse(f"attacks[{k}]", "must be a motion (knots, states, w) or a tangent (point), of a goal")
+            raise refuse(f"attacks[{k}]", "must be a trajectory (knots, states, w) or a tangent (point), of a goal")
         if "point" in trajectory:
             cells = trajectory["point"]
             inside = all(a % 1 == b % 1 == 0 and a < problem.steps and b < len(problem.v_bound) for a, b, _ in cells)

@@ -28,7 +28,7 @@ def modes_of(motion: DiscretePlant, undetected: UndetectedModes) -> str:
                 part = (motion.A - other * np.eye(motion.n)) @ part / (scale + abs(other))
         if np.linalg.norm(part) > HIDDEN and value.imag >= 0:
             names.append(format_eigenvalue(value, grain=STAYS / motion.step))
-    return f"a motion of the mode{'s' if len(names) > 1 else ''} {', '.join(names)}" if names else "a motion"
+    return f"a trajectory of the mode{'s' if len(names) > 1 else ''} {', '.join(names)}" if names else "a trajectory"
 
 
 def finer_grid(problem: PlanProblem, motion: DiscretePlant, rows: Array) -> float | None:

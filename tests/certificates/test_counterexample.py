@@ -151,7 +151,7 @@ def test_dense_samples_are_never_called_aliased(period):
         with pytest.raises(UndecidedError, match="its samples are so dense that"):
             sd.certificate_exists(OSCILLATOR, PeriodicSchedule([period]), 0.4)
     else:
-        assert "do not tell them apart" in sd.certificate_exists(OSCILLATOR, PeriodicSchedule([period]), 0.4).reason
+        assert "do not distinguish them" in sd.certificate_exists(OSCILLATOR, PeriodicSchedule([period]), 0.4).reason
     assert sd.certificates.find_counterexample(OSCILLATOR, GapRange(period, period), 0.4)[0] is None
 
 

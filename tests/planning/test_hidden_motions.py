@@ -47,7 +47,7 @@ def test_the_most_accurate_choice_sees_it_too():
 
 
 def test_what_no_allowed_time_shows_is_refused():
-    with pytest.raises(InfeasibleRequirementError, match=r"modes 0, 0\+0.261799i never fades.*one of 8 h shows it"):
+    with pytest.raises(InfeasibleRequirementError, match=r"modes 0, 0\+0.261799i never decays.*one of 8 h shows it"):
         bare(wanted(grid=24.0))
 
 
@@ -58,7 +58,7 @@ def test_a_grid_at_half_the_period_of_a_swing_is_refused_with_one_that_shows_it(
         {"place": 1.0}, period=4 * np.pi, grid=np.pi, w_bound=0.01, sensors={"y": {"noise_bound": 0.1}}
     )
     with pytest.raises(
-        InfeasibleRequirementError, match=r"the mode 0\+1i never fades.*grid hides it: one of 1.57\d* s"
+        InfeasibleRequirementError, match=r"the mode 0\+1i never decays.*grid hides it: one of 1.57\d* s"
     ):
         plan_samples(swing, asked, certificate=False, robustness=False)
     assert plan_samples(swing, asked.replace(grid=np.pi / 2), certificate=False, robustness=False).keeps
@@ -81,7 +81,7 @@ def test_hours_that_miss_a_motion_at_every_grid_are_said():
         {"rhythm": 1.0}, period="1 d", grid="1 h", w_bound=[0.01] * 3, sensors={"reading": {"noise_bound": 0.1}},
         calendar={"start": "2026-03-02", "zone": "UTC", "hours": {"Mon-Sun": [["08:00", "09:00"]]}},
     )  # fmt: skip
-    with pytest.raises(InfeasibleRequirementError, match=r"never fades and stays hidden. The grid hides it"):
+    with pytest.raises(InfeasibleRequirementError, match=r"never decays and stays hidden. The grid hides it"):
         plan_samples(LEVEL_AND_RHYTHM, daily)  # one look a day at most, always at the same hour: two in it would do
 
 

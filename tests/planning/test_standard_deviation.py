@@ -173,8 +173,8 @@ def test_files_hold_tangents_and_are_not_believed(found, tmp_path):
     tree = json.loads(path.read_text())
     for change, words in (
         ({"point": [[99, 0, 0.5]]}, "touches beside the grid"),
-        ({"knots": [0]}, "must be a motion .* or a tangent"),
-        ({"goal": 7}, "must be a motion .* of a goal"),
+        ({"knots": [0]}, "must be a trajectory .* or a tangent"),
+        ({"goal": 7}, "must be a trajectory .* of a goal"),
     ):
         path.write_text(json.dumps({**tree, "attacks": [{**tree["attacks"][0], **change}, *tree["attacks"][1:]]}))
         with pytest.raises(FileFormatError, match=words):

@@ -316,8 +316,8 @@ def robustness(
     plant, report = part_for(plant, of), progress or (lambda fraction, message: None)
     if isinstance(certificate, FamilyCertificate):
         raise ArgumentError(
-            "`certificate` must be about one schedule, got a FamilyCertificate, which says itself what its family "
-            "bears. Certify the schedule that is planned."
+            "`certificate` must be about one schedule, got a FamilyCertificate, which is itself about a family "
+            "of schedules. Certify the schedule that is planned."
         )
     held = getattr(certificate, "schedule", None)
     if not isinstance(held, (Schedule, PeriodicSchedule)):

@@ -140,7 +140,7 @@ def certificate_exists(plant: Plant, schedule: PeriodicSchedule | Schedule, eta:
     if not found.exists and (turn := too_dense(plant, schedule, eta, found)):
         raise UndecidedError(
             f"whether a certificate with rate {eta:.6g} exists on this schedule is undecided: its samples are so dense "
-            f"that {found.eigenvalue:.4g} and what it is told from come apart by only {turn:.3g} in a period of "
+            f"that {found.eigenvalue:.4g} and the eigenvalues beside it differ by only {turn:.3g} in a period of "
             f"{schedule.period:.4g}, which rounding hides (margin {found.margin:.3g}). Sample less often, or count a "
             "part of the samples as one.",
             eigenvalue=found.eigenvalue,
@@ -330,18 +330,18 @@ def _reason(main: complex, partners: tuple[complex, ...], schedule: PeriodicSche
     others = ", ".join(format_eigenvalue(v, grain=1e-12 * abs(v)) for v in turned or partners)
     if not turned:
         apart = max(abs(v - main) for v in partners)
-        why = f"the samples of a period of {short(schedule.period)} do not tell them apart"
+        why = f"the samples of a period of {short(schedule.period)} do not distinguish them"
         return f"the eigenvalue {name} lies within {short(apart)} of {others}: {why}"
     turns = _whole_turns(main - turned[0], schedule.period)
     every = np.abs((main - turned[0]).imag) * schedule.gaps / (2 * np.pi)
     by_gap = np.all(np.abs(every - np.round(every)) <= ALIAS_TOLERANCE * np.maximum(every, 1))
-    fit = "turn of their difference fits" if turns == 1 else "turns of their difference fit"
-    what = f"{turns} {fit} into the period {short(schedule.period)}"
+    many = "2 pi" if turns == 1 else f"{turns} times 2 pi"
+    what = f"their difference is {many} over the period {short(schedule.period)}"
     if by_gap and len(schedule) > 1:
-        what += " and whole turns into every gap"
+        what += " and a multiple of 2 pi over every gap"
     return f"the eigenvalue {name} is aliased with {others}: {what}"
 
 
 def _whole_turns(difference: complex, period: float) -> int:
-    """Whole turns that two eigenvalues drift apart over a period; none where they are nearly one."""
+    """By how many times 2 pi two eigenvalues differ over a period; none where they are nearly one."""
     return round(abs(difference.imag) * period / (2 * np.pi))

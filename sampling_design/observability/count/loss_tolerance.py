@@ -30,7 +30,7 @@ MOST_GROWTH = 30.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LossTolerance(PlainRecord):
-    """Probabilities of independent losses that a periodic schedule bears.
+    """Probabilities of independent losses that a periodic schedule tolerates.
 
     Attributes
     ----------
@@ -90,14 +90,14 @@ class LossTolerance(PlainRecord):
             listed = ", ".join(short(t) for t in self.hidden_times[:6]) + ", ..." * (self.hidden_times.size > 6)
             words += (
                 f" Of {round(self.density * self.periods * self.period)} samples in {spent} those at {listed} may all "
-                f"miss one direction; no schedule as dense bears {short(self.limit)}."
+                f"miss one direction; no schedule as dense tolerates {short(self.limit)}."
             )
         return words
 
 
 @checked
 def loss_tolerance(plant: Plant, schedule: PeriodicSchedule) -> LossTolerance:
-    """Return the probabilities of independent losses that an endless schedule bears.
+    """Return the probabilities of independent losses that an endless schedule tolerates.
 
         p < exp(-2 a L P/(L N - K_L))        p < exp(-2 a/(rho - delta/(2 pi)))
 

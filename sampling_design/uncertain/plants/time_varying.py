@@ -44,7 +44,7 @@ class IntegrationEffort:
     def stopped(self) -> SolverError:
         """What is said of an integration that ended too early."""
         return SolverError(
-            f"the integration comes to a stop at t = {self.t:.6g}: the motion escapes or is not smooth there.",
+            f"the integration comes to a stop at t = {self.t:.6g}: the trajectory escapes or is not smooth there.",
             status="integration failed",
         )
 

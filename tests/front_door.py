@@ -277,8 +277,7 @@ def special() -> dict[str, dict[str, Any]]:
         "Certificate.from_matrices": {"P1": np.eye(2) / 40, "Qw": np.eye(plant.n_disturbances)},
         "DetectabilityCertificate": {"gain": None, "constants": (), "solver": None, "method": "given"},
         "observability_matrix": {"outputs": None},
-        "OutputAccess": {"cost": 1.0},
-        "Requirement": {"samples": 3, "outputs": None, "forbidden": None, "fixed": None},
+        "Requirement": {"samples": 3, "sensors": None, "forbidden": None, "fixed": None},
         "robustness": {"longest": 2},
         "thyroid_experiment": {"runs": 1, "path": None, "workers": 1, "days": 0.1},
         "ThyroidReport": {"lines": ()},
@@ -315,7 +314,7 @@ OWNERS = {
     "TimeVaryingPlant": None, "InclusionCertificate": "inclusion",
     "Horizon": None, "Finding": None,
     "Verification": None, "UpperBound": None, "WindowWitness": None, "EigenvalueCluster": None, "ConstantList": None,
-    "OutputAccess": None, "SamplingFamily": "gaps", "MovingHorizonEstimator": None, "KalmanFilter": None,
+    "SamplingFamily": "gaps", "MovingHorizonEstimator": None, "KalmanFilter": None,
     "NonlinearMovingHorizonEstimator": None, "ThyroidReport": None,
 }  # fmt: skip
 
@@ -340,7 +339,6 @@ def owner(name: str) -> Any:
         "WindowWitness": lambda: t["sigma"].witness,
         "EigenvalueCluster": lambda: public()["eigenvalue_clusters"](plant.A)[0],
         "ConstantList": lambda: certificate.constants,
-        "OutputAccess": lambda: sd.design.OutputAccess([[0.0, 3.0]], 1.0),
         "MovingHorizonEstimator": lambda: sd.MovingHorizonEstimator(plant, certificate, **bounds),
         "KalmanFilter": lambda: sd.KalmanFilter(plant, certificate, **bounds),
         "NonlinearMovingHorizonEstimator": lambda: sd.NonlinearMovingHorizonEstimator(

@@ -23,6 +23,7 @@ from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import freeze
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+from sampling_design.schedules.sensor import delay_span
 
 ResultDelay: TypeAlias = npt.ArrayLike | Mapping[str, float | tuple[float, float]]
 """A number, one for each output, or by name of the output a number or a pair (least, most)."""
@@ -41,25 +42,6 @@ def result_delays(plant: Plant, given: ResultDelay) -> Array:
         return freeze(np.full(len(names), checks.bound("result_delay", given, len(names))))
     checks.known_keys("`result_delay`", given, names)
     return freeze([delay_span(f"result_delay.{name}", given.get(name, 0.0))[1] for name in names])
-
-
-def delay_span(name: str, given: object) -> tuple[float, float]:
-    """Return the least and the most of a delay that is one number or a pair.
-
-    Raises
-    ------
-    ArgumentError
-        If one is negative, or the least is more than the most.
-    """
-    if not isinstance(given, (tuple, list)):
-        most = checks.nonnegative(name, given)
-        return most, most
-    if len(given) != 2:
-        raise ArgumentError(f"`{name}` must be a number or a pair (least, most), got {given!r:.60}.")
-    least, most = (checks.nonnegative(name, each) for each in given)
-    if least > most:
-        raise ArgumentError(f"`{name}` must be (least, most), got ({least!r}, {most!r}): the least is more.")
-    return least, most
 
 
 @dataclass(frozen=True, eq=False)

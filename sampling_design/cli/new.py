@@ -17,10 +17,10 @@ import sampling_design as sd
 from sampling_design.cli.settings import Settings
 from sampling_design.cli.wishes import AskedFor, by_name, plan_requirement, positive_numbers, requirement, week
 from sampling_design.errors import ArgumentError, FileFormatError
-from sampling_design.planning.opening import OpeningCalendar
 from sampling_design.planning.requirement_file import write_plan_requirement
 from sampling_design.records.file_io import read_text, write_text
 from sampling_design.records.units import check_time_unit
+from sampling_design.schedules.opening import OpeningCalendar
 
 PLANT = {
     "format": "A plant: x' = A x + B u + G w, y = C x + D u + v. Times are in time_unit, rates in its inverse.",

@@ -16,9 +16,9 @@ from sampling_design.cli import reading
 from sampling_design.cli.settings import Settings, TimingOption, record_table, table, timing
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.dates import plan_dates
-from sampling_design.planning.opening import WEEK
 from sampling_design.planning.plan_record import Plan
 from sampling_design.records.checks import number
+from sampling_design.schedules.opening import WEEK
 from sampling_design.schedules.time_stamps import parse_date
 
 

@@ -13,9 +13,9 @@ import typer
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError
-from sampling_design.planning.opening import DAYS, OpeningCalendar, WeekHours, minutes, week_hours
 from sampling_design.records.checks import known_keys
 from sampling_design.records.units import SECONDS
+from sampling_design.schedules.opening import DAYS, OpeningCalendar, WeekHours, minutes, week_hours
 
 MOST_DAYS = 400
 A_MONDAY = "2001-01-01"

@@ -12,7 +12,6 @@ from sampling_design.design.losses import sample_losses as sample_losses
 from sampling_design.design.pareto import ParetoFront as ParetoFront
 from sampling_design.design.pareto import ParetoPoint as ParetoPoint
 from sampling_design.design.pareto import pareto_front as pareto_front
-from sampling_design.design.problem.requirement import OutputAccess as OutputAccess
 from sampling_design.design.problem.requirement import Requirement as Requirement
 from sampling_design.design.problem.requirement_file import read_requirement as read_requirement
 from sampling_design.design.problem.requirement_file import requirement_from_dict as requirement_from_dict

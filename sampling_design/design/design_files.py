@@ -79,4 +79,4 @@ def write_design(
 
 def _has_hours(requirement: Requirement) -> bool:
     """Whether some hours are closed."""
-    return bool(requirement.forbidden.size) or any(each.available is not None for each in requirement.outputs.values())
+    return bool(requirement.forbidden.size) or any(each.available is not None for each in requirement.sensors.values())

@@ -299,5 +299,5 @@ def prove(
 
 
 def _cost(requirement: Requirement, name: str) -> float:
-    access = requirement.outputs.get(name)
-    return 0.0 if access is None else access.cost
+    term = requirement.sensors.get(name)
+    return 0.0 if term is None else term.price

@@ -34,6 +34,7 @@ from sampling_design.records.file_io import from_json
 from sampling_design.records.record import Plain, short
 from sampling_design.schedules.files import read_schedule, write_schedule
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+from sampling_design.schedules.sensor import numbers
 
 Reply = dict[str, Plain]
 
@@ -227,8 +228,8 @@ class Bench:
         """Of one measurement by each sensor."""
         if self.problem is not None:
             return [float(price) for price in self.problem.price]
-        access = self.requirement.outputs
-        return [access[name].cost if name in access else 0.0 for name in self.plant.outputs.names]
+        terms = self.requirement.sensors
+        return [terms[name].price if name in terms else 0.0 for name in self.plant.outputs.names]
 
     def _closed(self, sensor: int) -> list[tuple[float, float]]:
         """When a sensor cannot be read, within the period."""
@@ -236,10 +237,10 @@ class Bench:
             allowed, step = self.problem.allowed[:, sensor], self.problem.step
             edges = np.flatnonzero(np.diff(allowed, prepend=True, append=True))
             return [(float(a * step), float(b * step)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-        access = self.requirement.outputs.get(self.plant.outputs.names[sensor])
-        if access is None or access.available is None:
+        term = self.requirement.sensors.get(self.plant.outputs.names[sensor])
+        if term is None or term.available is None:
             return []
-        edges = np.array([0.0, *np.ravel(access.available), self.period])
+        edges = np.array([0.0, *np.ravel(numbers(term)), self.period])
         return [(float(a), float(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]
 
     def _sigma(self, moving: bool = False) -> Reply:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from sampling_design.design.problem.requirement import OutputAccess, Requirement
+from sampling_design.design.problem.requirement import Requirement
 from sampling_design.explorer.bench import Bench
-from sampling_design.planning.requirement import AccuracyGoal, PlanRequirement, SensorTerms
+from sampling_design.planning.requirement import AccuracyGoal, PlanRequirement
 from sampling_design.plants.library import oscillator
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records import checks
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
+from sampling_design.schedules.sensor import Sensor
 
 
 def _pathological() -> Bench:
@@ -51,13 +52,13 @@ def _laboratory() -> Bench:
         name="hormone with a daily rhythm",
     )
     open_hours = {
-        "nurse": OutputAccess(np.array([[7.0, 22.0]])),
-        "laboratory": OutputAccess(np.array([[9.0, 16.0]]), 5.0),
+        "nurse": Sensor(available=[[7.0, 22.0]]),
+        "laboratory": Sensor(5.0, available=[[9.0, 16.0]]),
     }
     mask = [[True, False], [True, True], [True, False]]
     return Bench(
         plant,
-        Requirement(window=24.0, period=24.0, outputs=open_hours),
+        Requirement(window=24.0, period=24.0, sensors=open_hours),
         PeriodicSchedule.from_times(
             [8.0, 11.0, 20.0], 24.0, outputs=mask, output_names=("nurse", "laboratory"), time_unit="h"
         ),
@@ -87,7 +88,7 @@ def _plan() -> Bench:
         period=6.4,
         grid=0.4,
         w_bound=0.02,
-        sensors={"position": SensorTerms(noise_bound=0.2)},
+        sensors={"position": Sensor(noise_bound=0.2)},
     )
     return Bench(
         oscillator(),

@@ -10,11 +10,11 @@ import numpy as np
 
 from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.deadline import GoalDue, exceeded_since, first_due, kept_from, reached_at
-from sampling_design.planning.opening import PlanClock
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import proven_ratio, settles, worst_ratio
 from sampling_design.planning.sequence_deviation import SampleSequence, departs_and_returns, is_apart, planned, too_soon
 from sampling_design.records.arrays import Array, Mask
+from sampling_design.schedules.opening import PlanClock
 
 Option = tuple[float, Mask]
 

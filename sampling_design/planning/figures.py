@@ -15,7 +15,6 @@ from sampling_design.errors import NotDetectableError
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
 from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.evidence import PlanBound
-from sampling_design.planning.opening import PlanClock
 from sampling_design.planning.problem import PlanProblem, RowGoal, pose_plan
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.planning.robustness import PlanRobustness
@@ -23,6 +22,7 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import PlainRecord, TableRecord, short
 from sampling_design.records.units import SECONDS, spoken
+from sampling_design.schedules.opening import PlanClock
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 RTOL = 0.005  # width of the brackets that prove a plan

@@ -9,15 +9,17 @@ import numpy as np
 from sampling_design.accuracy.start import InitialSet
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.count.pbh import unobservable_modes
-from sampling_design.planning.opening import DAYS, week_hours
-from sampling_design.planning.requirement import KINDS, PlanRequirement, SensorTerms, duration, result_span
+from sampling_design.planning.requirement import KINDS, PlanRequirement
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import wanted_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.checks import freeze
+from sampling_design.records.record import short
 from sampling_design.records.units import SECONDS, spoken, time_factor
+from sampling_design.schedules.opening import DAYS, week_hours
 from sampling_design.schedules.schedule import PeriodicSchedule
+from sampling_design.schedules.sensor import Sensor, duration, result_span
 
 WHOLE = 1e-6  # a time counts as a whole number of grid steps within this share of a step
 DEFAULT_STEPS = 96  # steps of a period without a grid
@@ -198,7 +200,7 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
     for name in requirement.sensors:
         if name not in plant.outputs.names:
             checks.known_keys("`sensors`", [name], plant.outputs.names)
-    terms = [requirement.sensors.get(name, SensorTerms()) for name in plant.outputs.names]
+    terms = [requirement.sensors.get(name, Sensor()) for name in plant.outputs.names]
     allowed = _allowed(plant, requirement, terms, steps, step)
     if not allowed.any():
         raise InfeasibleRequirementError("No sensor may be measured at any time of the period: see `hours`.", "hours")
@@ -212,14 +214,16 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
     used = [steps if t.longest_use is None else t.longest_use for t in terms]
     goals = tuple(_goals(plant, requirement, unit, step))
     _check_bounds(plant, requirement, terms, goals)
-    bound = np.array([np.inf if t.noise_bound is None else t.noise_bound for t in terms])
-    deviation = np.array([np.inf if t.noise_deviation is None else t.noise_deviation for t in terms])
+    bound = np.array([t.sure_bound for t in terms])
+    vague = [t.noise_deviation is None or t.detection_limit is not None for t in terms]
+    deviation = np.array([np.inf if so else t.noise_deviation for so, t in zip(vague, terms, strict=True)])
     says = np.zeros(len(terms), dtype=bool)
     for spread, size in ((False, bound), (True, deviation)):
         says |= np.isfinite(size) & any(goal.spread == spread for goal in goals)
     if not (allowed & says).any():
         raise InfeasibleRequirementError(
-            "No sensor that may be measured has a `noise_bound` or `noise_deviation`: its readings say nothing.",
+            "No sensor that may be measured has a `noise_bound` or `noise_deviation` that its readings are sure to "
+            "keep: they say nothing.",
             "sensors",
         )
     return PlanProblem(
@@ -245,7 +249,7 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
 
 
 def _delays(
-    requirement: PlanRequirement, terms: list[SensorTerms], unit: str, plant: Plant, goals: tuple[RowGoal, ...]
+    requirement: PlanRequirement, terms: list[Sensor], unit: str, plant: Plant, goals: tuple[RowGoal, ...]
 ) -> Array | None:
     """How long results are out at least and at most (p, 2), in the plant's time unit; None where all come at once."""
     factor = time_factor(unit, plant.time_unit)
@@ -312,17 +316,27 @@ def _grid(plant: Plant, requirement: PlanRequirement, unit: str) -> tuple[int, f
     return steps, period * factor / steps
 
 
-def _allowed(plant: Plant, requirement: PlanRequirement, terms: list[SensorTerms], steps: int, step: float) -> Mask:
+def _allowed(plant: Plant, requirement: PlanRequirement, terms: list[Sensor], steps: int, step: float) -> Mask:
     allowed = np.ones((steps, len(terms)), dtype=bool)
-    calendar = requirement.calendar
-    if calendar is None:
-        if any(t.hours for t in terms):
-            raise ArgumentError("`sensors` have hours of their own, which needs a `calendar`.")
-        return allowed
-    clock = np.arange(steps) * step * SECONDS[plant.time_unit] / 60
-    for j, term in enumerate(terms):
-        own = None if term.hours is None else week_hours("hours", term.hours)
-        allowed[:, j] = [calendar.is_open(float(minute), own) for minute in np.round(clock, 6)]
+    calendar, unit = requirement.calendar, requirement.time_unit or plant.time_unit
+    if calendar is None and any(t.hours for t in terms):
+        raise ArgumentError("`sensors` have hours of their own, which needs a `calendar`.")
+    times = np.arange(steps) * step
+    for j, (name, term) in enumerate(zip(plant.outputs.names, terms, strict=True)):
+        if calendar is not None:
+            own = None if term.hours is None else week_hours("hours", term.hours)
+            clock = np.round(times * SECONDS[plant.time_unit] / 60, 6)
+            allowed[:, j] = [calendar.is_open(float(minute), own) for minute in clock]
+        windows = term.windows(name, calendar, unit)
+        if windows is not None:
+            first, last = (windows * time_factor(unit, plant.time_unit) / step).T
+            if last.size and last.max() > steps + WHOLE:
+                raise ArgumentError(
+                    f"`sensors.{name}.available` must lie within the period {spoken(steps * step, plant.time_unit)}, "
+                    f"got {short(float(windows.max()))}."
+                )
+            at = np.arange(steps)[:, None]
+            allowed[:, j] &= np.any((first - WHOLE <= at) & (at < last - WHOLE), axis=1)
     return allowed
 
 
@@ -357,9 +371,7 @@ def _goals(plant: Plant, requirement: PlanRequirement, unit: str, step: float) -
     return found
 
 
-def _check_bounds(
-    plant: Plant, requirement: PlanRequirement, terms: list[SensorTerms], goals: tuple[RowGoal, ...]
-) -> None:
+def _check_bounds(plant: Plant, requirement: PlanRequirement, terms: list[Sensor], goals: tuple[RowGoal, ...]) -> None:
     """Refuse goals whose bounds are missing."""
     if not goals:
         raise ArgumentError(

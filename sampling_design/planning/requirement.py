@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import ClassVar, TypeAlias
 
 import numpy.typing as npt
 
-from sampling_design.accuracy.question import delay_span
 from sampling_design.accuracy.start import InitialError
 from sampling_design.errors import ArgumentError
-from sampling_design.planning.opening import OpeningCalendar, week_hours
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen, plain
 from sampling_design.records.record import PlainRecord, WrittenRecord, counted, short
-from sampling_design.records.units import SECONDS, check_time_unit
+from sampling_design.records.units import check_time_unit
 from sampling_design.schedules.jitter import TimingTolerance
+from sampling_design.schedules.opening import OpeningCalendar
+from sampling_design.schedules.sensor import Duration, Sensor, duration
 
-Duration: TypeAlias = float | str
 PlanTiming: TypeAlias = Duration | Sequence[Duration] | Mapping[str, Duration | Sequence[Duration]]
 DisturbanceBound: TypeAlias = float | Sequence[float] | None
 
@@ -28,30 +25,6 @@ FORMAT = "sampling-design/plan-requirement/1"
 KINDS = ("guaranteed", "standard deviation")
 TIMES = ("all times", "until the next", "after each sample")
 AIMS = ("cheapest", "most accurate")
-_DURATION = re.compile(r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)\s*([a-z]+)", re.ASCII)
-
-
-def duration(name: str, value: object, unit: str) -> float:
-    """Return a time > 0 in `unit`, given as a number of them or as text with a unit of its own ("15 min").
-
-    Raises ArgumentError if it is neither, or not positive.
-    """
-    if not isinstance(value, str):
-        return checks.positive(name, value)
-    found = _DURATION.fullmatch(value.strip())
-    if not found or found[2] not in SECONDS or float(found[1]) <= 0:
-        raise ArgumentError(f'`{name}` must be a time like 0.25 or "15 min", got {value!r:.60}.')
-    return float(found[1]) * (SECONDS[found[2]] / SECONDS[unit])
-
-
-def result_span(name: str, value: object, unit: str) -> tuple[float, float]:
-    """Return how long a result takes at least and at most in `unit`: one time, or a pair of times.
-
-    Raises ArgumentError if one is negative or no time, or the least is more than the most.
-    """
-    pair = value if isinstance(value, (tuple, list)) else (value, value)
-    each = [duration(name, x, unit) if isinstance(x, str) else checks.nonnegative(name, x) for x in pair]
-    return delay_span(name, each if isinstance(value, (tuple, list)) else each[0])
 
 
 @frozen
@@ -104,73 +77,6 @@ class AccuracyGoal(PlainRecord):
         return f"Within {short(self.tolerance)}, {self.when()}."
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class SensorTerms(PlainRecord):
-    """What one sensor costs and can do.
-
-    Parameters
-    ----------
-    price : float
-        Of one measurement, >= 0.
-    noise_bound : float, optional
-        No error of a measurement is larger; needed of at least one sensor where an accuracy is to be guaranteed.
-    hours : dict of str to list of (str, str), optional
-        Own opening hours by weekday ("Mon": [("08:00", "12:00")]), within those of the calendar.
-    longest_use : int, optional
-        Most measurements in one period.
-    spacing : float or str, optional
-        Least time between two measurements of this sensor.
-    noise_deviation : float, optional
-        Standard deviation of a measurement's error; needed of at least one sensor for goals of that kind.
-    result_delay : float or str, or a pair of these, optional
-        How long after its sample a result comes, or (least, most). Tolerances are then kept by what is known at the
-        time, with results still out. Default: at once.
-
-    Raises
-    ------
-    ArgumentError
-        If a number is negative, the least delay is more than the most, or hours are not understood.
-    """
-
-    price: float = 0.0
-    noise_bound: float | None = None
-    hours: Mapping[str, object] | None = None
-    longest_use: int | None = None
-    spacing: Duration | None = None
-    noise_deviation: float | None = None
-    result_delay: Duration | tuple[Duration, Duration] | None = None
-
-    _plain = "price noise_bound? noise_deviation? longest_use? spacing? result_delay? hours?"
-
-    def __post_init__(self) -> None:
-        self._check(
-            **dict.fromkeys(("price", "noise_bound"), checks.nonnegative),
-            noise_deviation=checks.positive,
-            longest_use=checks.whole,
-            hours=week_hours,
-        )
-        if self.result_delay is not None:
-            result_span("result_delay", self.result_delay, "h")
-
-    def _rows(self) -> list[tuple[str, str]]:
-        rows = [("price", short(self.price))]
-        for key in ("noise_bound", "noise_deviation", "longest_use"):
-            value = getattr(self, key)
-            rows += [] if value is None else [(key.replace("_", " "), short(value))]
-        rows += [] if self.spacing is None else [("spacing", f"{self.spacing}")]
-        if self.result_delay is None:
-            return rows
-        delay = self.result_delay
-        return [
-            *rows,
-            ("results after", f"{delay[0]} to {delay[1]}" if isinstance(delay, (tuple, list)) else f"{delay}"),
-        ]
-
-    def explain(self) -> str:
-        """Say the terms in words."""
-        return ", ".join(f"{label} {value}" for label, value in self._rows()) + "."
-
-
 @frozen
 class PlanRequirement(WrittenRecord):
     """What a plan must keep and may use.
@@ -200,7 +106,7 @@ class PlanRequirement(WrittenRecord):
     w_intensity : float or (q,) sequence, optional
         Intensity of the disturbance as white noise, as for `standard_deviation` [its unit squared times the plant's
         time unit].
-    sensors : dict of str to SensorTerms or dict
+    sensors : dict of str to Sensor or dict
         By name of the output; an output without terms is free, and measured without error bound if none is given.
     calendar : OpeningCalendar or dict, optional
     time_unit : str, optional
@@ -244,7 +150,7 @@ class PlanRequirement(WrittenRecord):
     visit_price: float = 0.0
     aim: str | None = None
     w_bound: DisturbanceBound = None
-    sensors: Converted[Mapping[str, SensorTerms | Mapping[str, object]] | None, Mapping[str, SensorTerms]] = None  # type: ignore[assignment]
+    sensors: Converted[Mapping[str, Sensor | Mapping[str, object]] | None, Mapping[str, Sensor]] = None  # type: ignore[assignment]
     calendar: Converted[OpeningCalendar | Mapping[str, object] | None, OpeningCalendar | None] = None  # type: ignore[assignment]
     time_unit: str | None = None
     w_intensity: DisturbanceBound = None
@@ -256,7 +162,7 @@ class PlanRequirement(WrittenRecord):
         goals = checks.mapping("accuracy", self.accuracy, "a table of goals by row")
         terms = checks.mapping("sensors", self.sensors, "a table of terms by output")
         own["accuracy"] = {str(k): _goal(str(k), v) for k, v in goals.items()}
-        own["sensors"] = {str(k): checks.record(f"sensors.{k}", v, SensorTerms) for k, v in terms.items()}
+        own["sensors"] = {str(k): checks.record(f"sensors.{k}", v, Sensor) for k, v in terms.items()}
         self._check(
             calendar=lambda name, place: checks.record(name, place, OpeningCalendar),
             samples=checks.at_least_one,

@@ -16,7 +16,6 @@ from sampling_design.checkers.strict import (
     nonnegative,
     number,
     positive,
-    refuse,
     table,
     text,
     word,
@@ -26,12 +25,11 @@ from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant
 from sampling_design.records.file_io import by_first, by_kind, of_format, read_tree, usable, write_tree
 from sampling_design.records.signatures import checked
+from sampling_design.schedules.sensor import CALENDAR, SENSOR, from_files
 
 _NUMBERS = list_of(nonnegative)
 _duration = by_kind({str: text}, positive)
 """A number of time units, or text with a unit of its own."""
-_DELAYS = list_of(by_kind({str: text}, nonnegative), 2)
-_delay = by_kind({str: text, list: _DELAYS, tuple: _DELAYS}, nonnegative)  # a time, or the least and the most of it
 _time = by_kind({str: text}, nonnegative)
 _early_late = by_kind({list: list_of(_time, 2), tuple: list_of(_time, 2)}, _time)
 _TIMING = by_kind({Mapping: by_name(_early_late)}, _early_late)  # a duration, early and late, or either by output
@@ -47,35 +45,9 @@ _ENTRIES = by_name(by_kind({list: _pair, tuple: _pair}, nonnegative))
 _error = by_kind({Mapping: _ENTRIES}, by_first({list: matrix(), tuple: matrix()}, _bound))
 """A bound on the norm, half-widths, a weight, or numbers about 0 and pairs by name."""
 
-_SPANS = by_name(list_of(list_of(text, 2)))
-
-
-def _hours(value: object, place: str) -> object:
-    """Spans of opening hours by weekday; hours in words are told how a file says them."""
-    if isinstance(value, str) or (isinstance(value, Mapping) and any(isinstance(item, str) for item in value.values())):
-        form = '{ "Mon-Fri" = [["08:00", "12:00"], ["13:00", "17:00"]] }'
-        raise refuse(place, f"must be spans by weekday, as hours = {form}, got {value!r:.60}")
-    return _SPANS(value, place)
-
-
 _GOAL = table({"tolerance": positive}, {"at": _when, "row": list_of(number), "kind": word(*KINDS)})
 
 _goal = by_kind({Mapping: _GOAL}, positive)  # a tolerance, or a table of all that may be said of a goal
-_SENSOR = table(
-    {},
-    {
-        **dict.fromkeys(("price", "noise_bound"), nonnegative),
-        "noise_deviation": positive,
-        "hours": _hours,
-        "longest_use": count,
-        "spacing": _duration,
-        "result_delay": _delay,
-    },
-)
-_CALENDAR = table(
-    {"start": text},
-    {"zone": text, "hours": _hours, "holidays": list_of(text)},
-)
 _TREE = table(
     {"format": word(FORMAT)},
     {
@@ -88,8 +60,8 @@ _TREE = table(
         **dict.fromkeys(("w_bound", "w_intensity"), _bound),
         "initial_error": _error,
         "accuracy": by_name(_goal),
-        "sensors": by_name(_SENSOR),
-        "calendar": _CALENDAR,
+        "sensors": by_name(SENSOR),
+        "calendar": CALENDAR,
         "time_unit": time_unit,
         "plant": anything,
     },
@@ -138,6 +110,7 @@ def plan_requirement_from_dict(data: Mapping[str, object], where: str = "require
     with usable(where):
         tree = of_format(_TREE, data, FORMAT)
         tree.pop("plant", None)
+        tree["sensors"] = from_files(tree.get("sensors"), where)
         return PlanRequirement(**tree)
 
 

@@ -17,10 +17,10 @@ from sampling_design.numerics.filtering import measurement_update, propagate
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.filter_deviation import PERIODS, SETTLED, WIDE, own
-from sampling_design.planning.opening import PlanClock
 from sampling_design.planning.problem import WHOLE, PlanProblem, RowGoal
 from sampling_design.planning.work_prices import SEQUENCE
 from sampling_design.records.arrays import Array, Mask
+from sampling_design.schedules.opening import PlanClock
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 DAY = 1440.0  # minutes by which clocks are never put forward or back

@@ -8,10 +8,10 @@ import numpy as np
 
 from sampling_design.errors import NotDetectableError, UndecidedError
 from sampling_design.planning.figures import PlanFigures, PlanStart
-from sampling_design.planning.opening import PlanClock
 from sampling_design.planning.sequence import proven_ratio, settled_since, settles
 from sampling_design.planning.sequence_deviation import GRAIN, ORDINARY, SampleSequence, begun, planned
 from sampling_design.records.budget import Budget
+from sampling_design.schedules.opening import PlanClock
 
 LONGER = 2  # how often the time that a plan takes to settle is doubled, at most, until its start is forgotten
 

@@ -10,11 +10,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.readings import rows_of, with_censored
+from sampling_design.accuracy.readings import CensoredReading, rows_of, with_censored
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.choices import NextChoices
 from sampling_design.planning.deadline import GoalDue
-from sampling_design.planning.opening import WEEK
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.sequence import known_at, looks_back
 from sampling_design.planning.sequence_deviation import SampleSequence, planned
@@ -23,6 +22,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import Plain, Record, short
 from sampling_design.records.signatures import checked
+from sampling_design.schedules.opening import WEEK
 
 
 class AwaitedResult(NamedTuple):
@@ -369,7 +369,7 @@ def _taken(
         y = None if plain is None else np.isfinite(checks.floats("y", plain).reshape(-1))
         if y is None:
             continue
-        y[[each.output for each in limits]] = True
+        y[[each.output for each in limits if _as_planned(plan, each)]] = True
         if not y.any():
             continue
         t = checks.number("t", item[0])
@@ -381,6 +381,13 @@ def _taken(
         seen.append(y)
     mask = np.array(seen, dtype=bool).reshape(-1, plan.plant.n_outputs)
     return _Taken(np.array(times), mask, mask)
+
+
+def _as_planned(plan: Plan, reading: CensoredReading) -> bool:
+    """Whether a limit that was read says as much as the plan counts with: "< L" of a sensor that may say so."""
+    term = plan.requirement.sensors.get(plan.plant.outputs.names[reading.output])
+    limit = None if term is None or term.lowest is None else term.detection_limit
+    return limit is not None and reading.began is None and np.isinf(reading.lower) and reading.upper <= limit
 
 
 def _with_awaited(plan: Plan, taken: _Taken | None, awaited: list[tuple[float, str]], now: float) -> _Taken | None:

@@ -15,6 +15,7 @@ from sampling_design.plotting.windows import draw_deviations, draw_window_sigma
 from sampling_design.records.arrays import Array
 from sampling_design.records.record import short
 from sampling_design.schedules.schedule import PeriodicSchedule
+from sampling_design.schedules.sensor import numbers
 
 
 def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str | None = None) -> Axes | style.Panels:
@@ -27,7 +28,7 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str |
         raise ArgumentError("`record` has no schedule to draw: every mode decays by itself.")
     schedule = result.schedule if origin is None else replace(result.schedule, origin=origin)
     if (
-        result.requirement.outputs and schedule.outputs is None
+        result.requirement.sensors and schedule.outputs is None
     ):  # sensors with terms of their own have rows of their own
         names = result.plant.outputs.names
         schedule = replace(schedule, outputs=np.ones((len(schedule), len(names)), dtype=bool), output_names=names)
@@ -58,8 +59,8 @@ def _time_line(schedule: PeriodicSchedule, result: ScheduleDesign, ax: Axes) -> 
     everybody = [(float(a), float(b)) for a, b in result.requirement.forbidden]
     grey = False
     for k, name in enumerate(result.plant.outputs.names if schedule.outputs is not None else ("",)):
-        access = result.requirement.outputs.get(name)
-        own = [] if access is None or access.available is None else closed(access.available, schedule.period)
+        term = result.requirement.sensors.get(name)
+        own = [] if term is None or term.available is None else closed(numbers(term), schedule.period)
         spans = _joined(everybody + own)
         style.shut(ax, k, [(cycle + a, cycle + b) for cycle in (0.0, schedule.period) for a, b in spans])
         grey |= bool(spans)

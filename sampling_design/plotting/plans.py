@@ -6,10 +6,10 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from sampling_design.planning.figures import PlanFigures
-from sampling_design.planning.opening import week_hours
 from sampling_design.plotting import style
 from sampling_design.records.record import short
 from sampling_design.records.units import SECONDS
+from sampling_design.schedules.opening import week_hours
 
 
 def draw_plan(result: PlanFigures, ax: Axes | None = None) -> Axes | style.Panels:

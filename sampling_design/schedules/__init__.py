@@ -11,6 +11,8 @@ _NAMES = {
     "jitter": ("Jitter",),
     "lost_samples": ("LostSamples",),
     "sampling_set": ("SamplingSet",),
+    "opening": ("OpeningCalendar",),
+    "sensor": ("Sensor",),
     "schedule": ("PeriodicSchedule", "Schedule"),
     "spaced_windows": ("SpacedWindows",),
     "time_stamps": ("import_time_stamps",),

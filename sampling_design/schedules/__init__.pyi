@@ -10,8 +10,10 @@ from sampling_design.schedules.files import write_schedule as write_schedule
 from sampling_design.schedules.gap_range import GapRange as GapRange
 from sampling_design.schedules.jitter import Jitter as Jitter
 from sampling_design.schedules.lost_samples import LostSamples as LostSamples
+from sampling_design.schedules.opening import OpeningCalendar as OpeningCalendar
 from sampling_design.schedules.sampling_set import SamplingSet as SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule as PeriodicSchedule
 from sampling_design.schedules.schedule import Schedule as Schedule
+from sampling_design.schedules.sensor import Sensor as Sensor
 from sampling_design.schedules.spaced_windows import SpacedWindows as SpacedWindows
 from sampling_design.schedules.time_stamps import import_time_stamps as import_time_stamps

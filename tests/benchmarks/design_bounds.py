@@ -68,11 +68,11 @@ PROBLEMS = {
     "fixed times, three of six": (PAIR, asked(TURN, 6, fixed=[0.0, 0.9, 3.3])),
     "cost limit, two outputs": (
         TWO,
-        asked(TURN, 5, outputs={"y1": {"cost": 1.0}, "y2": {"cost": 2.0}}, cost_limit=9.0),
+        asked(TURN, 5, sensors={"y1": {"price": 1.0}, "y2": {"price": 2.0}}, cost_limit=9.0),
     ),
     "cost limit, one oscillator": (
         Plant(OSCILLATOR.A, np.eye(2)),
-        asked(TURN, 4, outputs={"y1": {"cost": 1.0}, "y2": {"cost": 3.0}}, cost_limit=8.0),
+        asked(TURN, 4, sensors={"y1": {"price": 1.0}, "y2": {"price": 3.0}}, cost_limit=8.0),
     ),
     "irregular hours": (OSCILLATOR, asked(TURN, 4, forbidden=[[0.4, 1.7], [2.9, 3.6], [5.0, 5.3]])),
     "irregular hours, two oscillators": (PAIR, asked(TURN, 6, forbidden=[[0.4, 1.7], [2.9, 3.6], [5.0, 5.3]])),

@@ -49,7 +49,7 @@ def test_too_many_choices_are_not_looked_at():
 
 
 LIMITED = Requirement(
-    window=TURN, samples=4, spacing=0.02 * TURN, outputs={"y1": {"cost": 1.0}, "y2": {"cost": 3.0}}, cost_limit=8.0
+    window=TURN, samples=4, spacing=0.02 * TURN, sensors={"y1": {"price": 1.0}, "y2": {"price": 3.0}}, cost_limit=8.0
 )
 
 
@@ -136,7 +136,7 @@ def test_where_only_what_is_measured_is_left_to_choose_the_bound_is_reached(fixe
         samples=k,
         spacing=0.1,
         fixed=np.mod(fixed, period),
-        outputs={"y1": {"cost": 1.0}, "y2": {"cost": 2.0}},
+        sensors={"y1": {"price": 1.0}, "y2": {"price": 2.0}},
         cost_limit=2.5 * k - 0.5,
     )
     design = design_schedule(Plant(A, C), asked)

@@ -17,11 +17,11 @@ C = np.array([[1.0, 0.0, 1.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
 PLANT = Plant(A, C)
 SMALL = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0], [0.3, 1.0]])
 COSTS = np.array([2.0, 1.0])
-OUTPUTS = {"y1": {"cost": 2.0}, "y2": {"cost": 1.0}}
+OUTPUTS = {"y1": {"price": 2.0}, "y2": {"price": 1.0}}
 
 
 def asked(**more):
-    return Requirement(**{"window": 4.0, "spacing": 0.3, "samples": 4, "outputs": OUTPUTS, **more})
+    return Requirement(**{"window": 4.0, "spacing": 0.3, "samples": 4, "sensors": OUTPUTS, **more})
 
 
 def best_affordable(points, count, limit, forbidden=(), fixed=()):
@@ -91,9 +91,9 @@ def test_the_best_choice_is_the_best_by_enumeration():
             {
                 "cost_limit": 5.0,
                 "spacing": 0.9,
-                "outputs": {
-                    "y1": {"cost": 5.0, "available": [[0.0, 2.0]]},
-                    "y2": {"cost": 1.0, "available": [[2.0, 4.0]]},
+                "sensors": {
+                    "y1": {"price": 5.0, "available": [[0.0, 2.0]]},
+                    "y2": {"price": 1.0, "available": [[2.0, 4.0]]},
                 },
             },
             "`cost_limit` 5 is not kept by any schedule that was found",

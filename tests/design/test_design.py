@@ -213,8 +213,8 @@ def test_an_interrupt_before_a_cut_leaves_the_design_with_the_bound_so_far(step,
 
 def test_progress_rises_to_the_end_and_costs_are_summed():
     seen = []
-    outputs = {"y1": {"cost": 2.5}}
-    requirement = Requirement(window=4.0, spacing=0.5, samples=3, outputs=outputs)
+    outputs = {"y1": {"price": 2.5}}
+    requirement = Requirement(window=4.0, spacing=0.5, samples=3, sensors=outputs)
     design = design_schedule(oscillator(), requirement, starts=2, progress=lambda f, m: seen.append(f))
     assert seen == sorted(seen)
     assert seen[-1] <= 1.0

@@ -80,7 +80,7 @@ def test_an_impossible_requirement_names_the_obstacle_and_the_nearest_that_works
         ({"samples": 1, "spacing": 2.5}, {"samples", "spacing"}),
         ({"fixed": [0.0, 0.3], "spacing": 1.5, "samples": 3}, {"spacing"}),
         ({"fixed": [0.2, 1.0], "forbidden": [[0.0, 0.5], [1.1, 4.0]], "samples": 2}, {"fixed"}),
-        ({"outputs": {"y1": {"available": [[0.0, 0.3]]}}}, {"spacing"}),
+        ({"sensors": {"y1": {"available": [[0.0, 0.3]]}}}, {"spacing"}),
         ({"spacing": 5.0, "samples": 2}, {"spacing"}),
     ],
 )
@@ -104,8 +104,8 @@ def test_times_are_opened_no_more_than_needed():
 
 def test_a_plant_whose_outputs_are_never_there_long_enough_is_offered_longer_hours():
     plant = Plant(np.kron(np.diag([1.0, 2.0]), [[0.0, 1.0], [-1.0, 0.0]]), np.kron(np.eye(2), [[1.0, 0.0]]))
-    outputs = {"y1": {"available": [[0.0, 0.01]], "cost": 2.0}, "y2": {"available": [[0.0, 0.01]]}}
-    asked = Requirement(window=4.0, spacing=4.0, samples=2, outputs=outputs)
+    outputs = {"y1": {"available": [[0.0, 0.01]], "price": 2.0}, "y2": {"available": [[0.0, 0.01]]}}
+    asked = Requirement(window=4.0, spacing=4.0, samples=2, sensors=outputs)
     with pytest.raises(InfeasibleRequirementError, match="room for 1 samples in the period 4, 2 are asked") as caught:
         design_schedule(plant, asked)
     assert design_schedule(plant, asked.replace(**caught.value.nearest), starts=1).schedule is not None
@@ -131,8 +131,8 @@ def test_the_capacity_is_the_most_by_enumeration():
 
 
 def test_an_unknown_output_and_times_beyond_a_default_period_are_refused():
-    with pytest.raises(ArgumentError, match="unknown key 'z' in `outputs` of the requirement"):
-        design_schedule(OSCILLATOR, Requirement(**BASE, outputs={"z": {"cost": 1.0}}))
+    with pytest.raises(ArgumentError, match="unknown key 'z' in `sensors` of the requirement"):
+        design_schedule(OSCILLATOR, Requirement(**BASE, sensors={"z": {"price": 1.0}}))
     with pytest.raises(ArgumentError, match="`forbidden` must lie within the period"):
         design_schedule(OSCILLATOR, Requirement(**BASE, forbidden=[[5.0, 6.0]]))
 

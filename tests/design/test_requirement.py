@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sampling_design import Requirement, read_requirement
-from sampling_design.design.problem.requirement import OutputAccess
 from sampling_design.design.problem.requirement_file import write_requirement
 from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.schedules.sensor import Sensor
 
 FULL = """
 format = "sampling-design/requirement/1"
@@ -19,9 +19,9 @@ samples = { exactly = 12 }
 decay_rate = 0.0
 forbidden = [[0.0, 600.0]]
 fixed = [700.0]
-[outputs.range]
+[sensors.range]
 available = [[0.0, 2700.0]]
-cost = 2.5
+price = 2.5
 """
 
 
@@ -31,10 +31,10 @@ def test_a_file_comes_back_as_it_was(tmp_path, ending):
     source.write_text(FULL)
     requirement = read_requirement(source)
     assert requirement.samples == {"exactly": 12}
-    assert requirement.outputs["range"].cost == 2.5
+    assert requirement.sensors["range"].price == 2.5
     again = read_requirement(write_requirement(requirement, tmp_path / f"again.{ending}"))
     assert again.to_dict() == requirement.to_dict()
-    assert np.array_equal(again.outputs["range"].available, [[0.0, 2700.0]])
+    assert np.array_equal(again.sensors["range"].available, [[0.0, 2700.0]])
 
 
 def test_a_target_may_stand_beside_the_samples_or_inside(tmp_path):
@@ -73,11 +73,11 @@ def test_a_target_may_stand_beside_the_samples_or_inside(tmp_path):
         (FULL.replace("exactly = 12", "exactly = 12.0"), "`samples.exactly` must be a whole number, got 12.0"),
         (FULL.replace("[700.0]", "[true]"), "`fixed[0]` must be a number, got a boolean True"),
         (FULL.replace("600.0]]", "600.0, 1.0]]"), "`forbidden[0]` must have a length of 2, got 3"),
-        (FULL.replace("2.5", "'2.5'"), "`outputs.range.cost` must be a number, got a text '2.5'"),
-        (FULL.replace("[outputs.range]", "[[outputs]]"), "`outputs` must be a table of keys and values, got a list"),
+        (FULL.replace("2.5", "'2.5'"), "`sensors.range.price` must be a number, got a text '2.5'"),
+        (FULL.replace("[sensors.range]", "[[sensors]]"), "`sensors` must be a table of keys and values, got a list"),
         (FULL.replace("window", "spacing"), "is not valid TOML"),
-        (FULL + "avail = []", "unknown key 'avail' in `outputs.range`"),
-        (FULL + "price = 2.0", "unknown key 'price' in `outputs.range`. Known: 'available', 'cost'."),
+        (FULL + "avail = []", "unknown key 'avail' in `sensors.range`"),
+        (FULL + "cost = 2.0", "unknown key 'cost' in `sensors.range`. Known: "),
         (
             "format='sampling-design/requirement/1'\ntarget_sigma=1.0\nsamples={target_sigma=2.0}",
             "is given twice, beside",
@@ -112,10 +112,10 @@ def test_another_ending_is_not_written(tmp_path):
         ({"forbidden": [[-1.0, 1.0]]}, "`forbidden` must not be negative, got -1.0"),
         ({"forbidden": [[0.0, 9.0]], "period": 4.0}, "`forbidden` must lie within the period 4.0, got 9.0"),
         ({"fixed": [4.0], "period": 4.0}, "`fixed` must lie in [0, period) = [0, 4.0), got 4.0"),
-        ({"outputs": len}, "`outputs` must be a table of outputs by name, got"),
+        ({"sensors": len}, "`sensors` must be a table of terms by output, got"),
         ({"forbidden": [[0.0], [1.0, 2.0]]}, "`forbidden` must be a rectangular array of numbers"),
-        ({"outputs": {"y": 3}}, "`outputs.y` must be a table of keys and values, got int 3"),
-        ({"outputs": {"y": {"cost": -1}}}, "`cost` must not be negative"),
+        ({"sensors": {"y": 3}}, "`sensors.y` must be a table of keys and values, got int 3"),
+        ({"sensors": {"y": {"price": -1}}}, "`price` must not be negative"),
         ({"time_unit": "fortnight"}, "`time_unit` must be one of"),
     ],
 )
@@ -130,12 +130,10 @@ def test_overlapping_intervals_are_joined_and_kept_half_open():
 
 
 def test_records_speak():
-    requirement = Requirement(
-        window=4.0, samples={"at_most": 5}, forbidden=[[0, 1]], outputs={"y": OutputAccess(cost=2)}
-    )
+    requirement = Requirement(window=4.0, samples={"at_most": 5}, forbidden=[[0, 1]], sensors={"y": Sensor(price=2)})
     assert "At most 5 samples per period" in requirement.explain()
     assert "none in [0, 1)" in requirement.explain()
-    assert "always" in OutputAccess().explain()
+    assert Sensor().explain() == "price 0."
     assert "window" in str(requirement)
     assert requirement.replace(window=5.0).window == 5.0
     with pytest.raises(ArgumentError, match="unknown key 'windoe' in the requirement"):

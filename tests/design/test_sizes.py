@@ -53,7 +53,7 @@ def test_a_target_beyond_all_measure_is_out_of_reach():
 
 
 @pytest.mark.parametrize(
-    "change", [{"cost_limit": 1e308, "outputs": {"y1": {"cost": 1e300}}}, {"samples": {"at_most": 10**9}}]
+    "change", [{"cost_limit": 1e308, "sensors": {"y1": {"price": 1e300}}}, {"samples": {"at_most": 10**9}}]
 )
 def test_other_extremes_end_in_a_design(change):
     design = design_schedule(OSCILLATOR, Requirement(**{**BASE, **change}), starts=1, branches=0)

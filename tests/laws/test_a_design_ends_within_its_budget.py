@@ -27,7 +27,7 @@ LARGE = {
     ),
     "costs": (
         OSCILLATOR,
-        {"window": 60.0, "samples": {"at_most": 20}, "outputs": {"y1": {"cost": 1.0}}, "cost_limit": 15},
+        {"window": 60.0, "samples": {"at_most": 20}, "sensors": {"y1": {"price": 1.0}}, "cost_limit": 15},
     ),
     "many states": (THREE, {"window": 12.0, "spacing": 0.1, "samples": 80}),
     "a target": (OSCILLATOR, {"window": 60.0, "spacing": 0.5, "target_sigma": 6.0}),

@@ -60,7 +60,7 @@ REQUIREMENT = sd.Requirement(
     decay_rate=0.1,
     forbidden=[[1.0, 1.5], [2.0, 2.5]],
     fixed=[0.25, 3.0],
-    outputs={"p": {"available": [[0.0, 6.0]], "cost": 2.0}, "q": {"cost": 1.0}},
+    sensors={"p": {"available": [[0.0, 6.0]], "price": 2.0}, "q": {"price": 1.0}},
     cost_limit=30.0,
     time_unit="h",
 )

@@ -40,7 +40,7 @@ def test_outputs_that_are_available_at_different_times():
     plant = Plant(A, np.eye(2), outputs=["position", "speed"])
     rules = {"position": {"available": [[0.0, 2.0]]}, "speed": {"available": [[1.0, 4.0]]}}
     design = design_schedule(
-        plant, Requirement(window=4.0, spacing=0.4, samples=4, outputs=rules), starts=2, branches=2
+        plant, Requirement(window=4.0, spacing=0.4, samples=4, sensors=rules), starts=2, branches=2
     )
     mask = design.schedule.outputs
     times = design.schedule.times

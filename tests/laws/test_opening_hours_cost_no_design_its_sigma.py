@@ -53,7 +53,7 @@ def shifted(problem, shift):
         for i, spans in enumerate(problem.available)
     }
     fixed = sorted((t + shift) % problem.period for t in problem.fixed)
-    return {"forbidden": turned_spans(problem.forbidden, shift, problem.period), "fixed": fixed, "outputs": outputs}
+    return {"forbidden": turned_spans(problem.forbidden, shift, problem.period), "fixed": fixed, "sensors": outputs}
 
 
 def judged(problem):

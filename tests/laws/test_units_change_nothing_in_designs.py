@@ -26,7 +26,7 @@ CASES = {
             "window": 6.0,
             "spacing": 0.3,
             "samples": 3,
-            "outputs": {"y1": {"cost": 1.0}, "y2": {"cost": 2.0}},
+            "sensors": {"y1": {"price": 1.0}, "y2": {"price": 2.0}},
             "cost_limit": 8.0,
         },
     ),

@@ -123,8 +123,8 @@ def facts_of_requirement(source):
     counts = dict(samples) if isinstance(samples, dict) else {} if samples is None else {"exactly": samples}
     facts["target_sigma"] = counts.pop("target_sigma", data.get("target_sigma"))
     outputs = {
-        name: (None if access.get("available") is None else joined(access["available"]), access.get("cost", 0.0))
-        for name, access in data.get("outputs", {}).items()
+        name: (None if access.get("available") is None else joined(access["available"]), access.get("price", 0.0))
+        for name, access in data.get("sensors", {}).items()
     }
-    more = {"samples": counts, "decay_rate": data.get("decay_rate", 0.0), "outputs": outputs}
+    more = {"samples": counts, "decay_rate": data.get("decay_rate", 0.0), "sensors": outputs}
     return {**facts, **more, "forbidden": joined(data.get("forbidden", [])), "fixed": list(data.get("fixed", []))}

@@ -35,11 +35,11 @@ class Problem:
     def requirement(self):
         """The arguments of `Requirement`."""
         outputs = {
-            f"y{i + 1}": {"available": spans, "cost": cost}
+            f"y{i + 1}": {"available": spans, "price": cost}
             for i, (spans, cost) in enumerate(zip(self.available, self.costs, strict=True))
         }
         keys = ("window", "period", "spacing", "samples", "forbidden", "fixed", "cost_limit", "target_sigma")
-        return {"outputs": outputs} | {key: getattr(self, key) for key in keys}
+        return {"sensors": outputs} | {key: getattr(self, key) for key in keys}
 
     @property
     def counts(self):

@@ -10,10 +10,10 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError
-from sampling_design.planning.opening import OpeningCalendar, PlanClock, week_hours
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.requirement import AccuracyGoal, PlanRequirement, duration
 from sampling_design.planning.requirement_file import requirement_and_plant, write_plan_requirement
+from sampling_design.schedules.opening import OpeningCalendar, PlanClock, week_hours
 from tests.cases import few
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0], [0.0, 1.0]], time_unit="h", outputs=["p", "q"])

@@ -258,7 +258,7 @@ def grey(ax):
 def test_what_is_closed_is_grey_in_designs_and_in_plans_and_once():
     two = sd.Plant(OSCILLATOR.A, np.eye(2), outputs=["near", "far"])
     hours = {"far": {"available": [[0.0, 2.0], [3.0, 5.0]]}}
-    wish = sd.Requirement(window=6.0, period=6.0, samples=3, forbidden=[[4.5, 5.5]], outputs=hours)
+    wish = sd.Requirement(window=6.0, period=6.0, samples=3, forbidden=[[4.5, 5.5]], sensors=hours)
     line = sd.design_schedule(two, wish, starts=1, branches=0).plot(Figure().subplots())
     once = [(0, 4.5, 5.5), (1, 2.0, 3.0), (1, 4.5, 6.0)]
     assert grey(line) == sorted(once + [(k, a + 6.0, b + 6.0) for k, a, b in once])

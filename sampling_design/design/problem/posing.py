@@ -20,8 +20,10 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.record import short
 from sampling_design.records.signatures import checked
-from sampling_design.records.units import time_factor
+from sampling_design.records.units import SECONDS, time_factor
 from sampling_design.schedules.jitter import TimingTolerance
+from sampling_design.schedules.opening import DAYS, WeekHours, week_hours
+from sampling_design.schedules.sensor import common, numbers, opened, result_span
 
 MOST_DEFAULT_SAMPLES = 24
 """Samples of a period that are taken unasked, at most: more take minutes."""
@@ -58,6 +60,7 @@ def resolve(split: ModalSplit, requirement: Requirement) -> ResolvedRequirement:
     if r.period is None:
         r = r.replace(period=r.window)
         used["period"] = r.period
+    r = _in_windows(r, used)
     if not r.samples:
         held = _held(r)
         count = zero_count_bound(retained, held)
@@ -85,6 +88,65 @@ def resolve(split: ModalSplit, requirement: Requirement) -> ResolvedRequirement:
     return ResolvedRequirement(r, used, count)
 
 
+def _in_windows(requirement: Requirement, used: dict[str, Any]) -> Requirement:
+    """The requirement with its sensors' terms as numbers: windows, prices, and a window that ends with what is in."""
+    unit, terms = str(requirement.time_unit), requirement.sensors
+    changes = dict[str, Any]()
+    if requirement.calendar is not None:
+        changes = {"forbidden": np.vstack([requirement.forbidden, _shut(requirement, None)]), "calendar": None}
+    elif any(term.hours is not None for term in terms.values()):
+        raise ArgumentError("`sensors` have hours of their own, which needs a `calendar`.")
+    delays = [t.result_delay for t in terms.values() if t.result_delay is not None]
+    out = max((result_span("result_delay", delay, unit)[1] for delay in delays), default=0.0)
+    if out:
+        window = _known(requirement.window)
+        if not window > out:
+            raise ArgumentError(
+                f"`window` must be longer than the longest `result_delay` {short(out)}, got {short(window)}: no result "
+                "of a sample in it is in."
+            )
+        changes["window"] = used["window"] = window - out
+    plain = {name: {"available": _open(requirement, name), "price": term.price} for name, term in terms.items()}
+    return requirement.replace(**changes, sensors=plain)
+
+
+def _open(requirement: Requirement, name: str) -> Array | None:
+    """When a sensor can be read and is sure to say something."""
+    term = requirement.sensors[name]
+    windows = term.windows(name, requirement.calendar, str(requirement.time_unit))
+    if term.detection_limit is not None:  # two values below it look alike: no difference is sure to be seen
+        return np.zeros((0, 2))
+    if term.hours is None:
+        return windows
+    shut = _shut(requirement, week_hours("hours", term.hours))
+    return common(windows, opened(shut, _known(requirement.period)))
+
+
+def _shut(requirement: Requirement, own: WeekHours | None) -> Array:
+    """When the place, or a sensor with hours of its own, is closed within the period (m, 2).
+
+    Raises ArgumentError if the period does not hold whole days, or weeks where these differ.
+    """
+    assert requirement.calendar is not None
+    period, unit = _known(requirement.period), str(requirement.time_unit)
+    repeat = "d" if all(len({hours.get(day) for day in DAYS}) == 1 for hours in _week_hours(requirement)) else "wk"
+    count = period * SECONDS[unit] / SECONDS[repeat]
+    if abs(count - round(count)) > 1e-6:
+        raise ArgumentError(
+            f"`period` must be whole {'weeks' if repeat == 'wk' else 'days'} with these opening hours, got "
+            f"{short(period)} {unit}."
+        )
+    minute = 60 / SECONDS[unit]
+    return np.multiply(requirement.calendar.closed(period / minute, own), minute).reshape(-1, 2)
+
+
+def _week_hours(requirement: Requirement) -> list[WeekHours]:
+    """Opening hours of the place, and those of sensors."""
+    assert requirement.calendar is not None
+    own = [week_hours("hours", term.hours) for term in requirement.sensors.values() if term.hours is not None]
+    return [requirement.calendar.open_hours(), *own]
+
+
 def _held(requirement: Requirement) -> float:
     """The part of a window whose planned samples lie in it whatever their real times are."""
     window, late = _known(requirement.window), TimingTolerance.of(requirement.timing_tolerance)
@@ -103,16 +165,16 @@ def repeated(requirement: Requirement, periods: int) -> Requirement:
     def tiled(spans: Array) -> Array:
         return np.asarray((spans[None] + period * np.arange(periods)[:, None, None]).reshape(-1, 2))
 
-    outputs = {
-        name: {"available": None if a.available is None else tiled(a.available), "cost": a.cost}
-        for name, a in requirement.outputs.items()
+    sensors = {
+        name: {"available": None if a.available is None else tiled(numbers(a)), "price": a.price}
+        for name, a in requirement.sensors.items()
     }
     fixed = (requirement.fixed + period * np.arange(periods)[:, None]).ravel()
     changes: dict[str, Any] = {
         "period": periods * period,
         "forbidden": tiled(requirement.forbidden),
         "fixed": fixed,
-        "outputs": outputs,
+        "sensors": sensors,
     }
     if requirement.cost_limit is not None:
         changes["cost_limit"] = periods * requirement.cost_limit
@@ -132,16 +194,12 @@ def in_unit(requirement: Requirement, unit: str) -> Requirement:
     c = time_factor(str(requirement.time_unit), unit)
     times = {k: v * c for k in TIMES if (v := getattr(requirement, k)) is not None}
     times["timing_tolerance"] = TimingTolerance.of(requirement.timing_tolerance).scaled(c).plain
-    outputs = {
-        name: {"available": None if a.available is None else a.available * c, "cost": a.cost}
-        for name, a in requirement.outputs.items()
-    }
     return requirement.replace(
         **times,
         forbidden=requirement.forbidden * c,
         fixed=requirement.fixed * c,
         decay_rate=requirement.decay_rate / c,
-        outputs=outputs,
+        sensors={name: term.in_unit(str(requirement.time_unit), unit) for name, term in requirement.sensors.items()},
         time_unit=unit,
     )
 
@@ -156,9 +214,9 @@ def pose(plant: Plant, requirement: Requirement, samples: int, check: bool = Tru
     Raises InfeasibleRequirementError if no schedule meets it; names the obstacle and the nearest one that works.
     """
     names = plant.outputs.names
-    checks.known_keys("`outputs` of the requirement", requirement.outputs, names)
-    access = [requirement.outputs.get(name) for name in names]
-    prices = np.array([0.0 if a is None else a.cost for a in access])
+    checks.known_keys("`sensors` of the requirement", requirement.sensors, names)
+    terms = [requirement.sensors.get(name) for name in names]
+    prices = np.array([0.0 if a is None else a.price for a in terms])
     late = TimingTolerance.of(requirement.timing_tolerance, names)
     lost = min(late.early) + min(late.late)
     problem = DesignProblem(
@@ -170,7 +228,7 @@ def pose(plant: Plant, requirement: Requirement, samples: int, check: bool = Tru
         samples=samples,
         forbidden=requirement.forbidden,
         fixed=requirement.fixed,
-        available=tuple(None if a is None else a.available for a in access),
+        available=tuple(None if a is None or a.available is None else numbers(a) for a in terms),
         costs=prices,
         cost_limit=np.inf if requirement.cost_limit is None else requirement.cost_limit,
     )
@@ -198,9 +256,9 @@ def _as_asked(change: dict[str, Any], requirement: Requirement, names: tuple[str
     result = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in change.items()}
     spans = result.pop("available", None)
     if spans is not None:
-        prices = {name: access.cost for name, access in requirement.outputs.items()}
-        result["outputs"] = {
-            name: {"available": None if span is None else span.tolist(), "cost": prices.get(name, 0.0)}
+        prices = {name: term.price for name, term in requirement.sensors.items()}
+        result["sensors"] = {
+            name: {"available": None if span is None else span.tolist(), "price": prices.get(name, 0.0)}
             for name, span in zip(names, spans, strict=True)
         }
     return result

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import field
-from typing import ClassVar
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -14,48 +14,16 @@ from sampling_design.plants.rows import Wanted, rows_asked, rows_in_words
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen
-from sampling_design.records.record import Plain, Record, WrittenRecord, short
+from sampling_design.records.record import Plain, WrittenRecord, short
 from sampling_design.records.units import check_time_unit
 from sampling_design.schedules.jitter import Timing, TimingTolerance
+from sampling_design.schedules.opening import OpeningCalendar
+from sampling_design.schedules.sensor import Sensor, intervals, spans_in_words
 
 FORMAT = "sampling-design/requirement/1"
+Place: TypeAlias = OpeningCalendar | Mapping[str, object] | None
+
 COUNTS = ("exactly", "at_least", "at_most")
-
-
-@frozen
-class OutputAccess(Record):
-    """When one output can be measured, and what a measurement of it costs.
-
-    Parameters
-    ----------
-    available : (m, 2) array, optional
-        Half-open intervals [start, stop) within the period; None means always.
-    cost : float
-        Price of one measurement of this output, >= 0.
-
-    Raises
-    ------
-    ArgumentError
-        If an interval is empty or the cost is negative.
-    """
-
-    available: Converted[npt.ArrayLike | None, Array | None] = None  # type: ignore[assignment]
-    cost: float = 0.0
-
-    def __post_init__(self) -> None:
-        self._check(available=_intervals, cost=checks.nonnegative)
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return [("available", _spans(self.available, "always")), ("cost", short(self.cost))]
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data; what says nothing is left out: an output without intervals is never measured."""
-        spans: dict[str, Plain] = {} if self.available is None else {"available": self.available.tolist()}
-        return spans | ({"cost": self.cost} if self.cost else {})
-
-    def explain(self) -> str:
-        """Say when the output can be measured."""
-        return f"Available {_spans(self.available, 'always')}, cost {short(self.cost)} a measurement."
 
 
 @frozen
@@ -83,8 +51,11 @@ class Requirement(WrittenRecord):
         Half-open intervals [start, stop) within the period without samples.
     fixed : (m,) array
         Times within the period that must be sampled.
-    outputs : dict of str to OutputAccess or dict, optional
-        Availability and cost per output name.
+    sensors : dict of str to Sensor or dict, optional
+        Windows, hours, price and result delay per output name. The window then ends with the results that are in: it
+        is shorter by the longest `result_delay`. What may say "below its `detection_limit`" counts nothing.
+    calendar : OpeningCalendar or dict, optional
+        Opening hours of the place on ordinary days from time 0 on, which close what is outside them.
     of : str, sequence of str, or (k, n) array, optional
         Only these rows of the state must be known: names of states or outputs, or the rows themselves
         (`functional_plant`). The window must show them; what else it shows counts nothing. Default: all states.
@@ -122,7 +93,7 @@ class Requirement(WrittenRecord):
     _format = FORMAT
     _plain = (
         "format:_format window? period? spacing? target_sigma? cost_limit? time_unit? of? samples? decay_rate "
-        "timing_tolerance forbidden? fixed? outputs?"
+        "timing_tolerance forbidden? fixed? sensors? calendar?"
     )
     window: float | None = None
     period: float | None = None
@@ -132,11 +103,12 @@ class Requirement(WrittenRecord):
     decay_rate: float = 0.0
     forbidden: Converted[npt.ArrayLike | None, Array] = None  # type: ignore[assignment]
     fixed: Converted[npt.ArrayLike | None, Array] = None  # type: ignore[assignment]
-    outputs: Converted[Mapping[str, OutputAccess | Mapping[str, object]] | None, Mapping[str, OutputAccess]] = None  # type: ignore[assignment]
+    sensors: Converted[Mapping[str, Sensor | Mapping[str, object]] | None, Mapping[str, Sensor]] = None  # type: ignore[assignment]
     cost_limit: float | None = None
     of: Converted[Wanted, tuple[str, ...] | Array | None] = field(default=None, kw_only=True)  # type: ignore[arg-type]
     time_unit: str | None = field(default=None, kw_only=True)
     timing_tolerance: Converted[Timing, Plain] = field(default=0.0, kw_only=True)  # type: ignore[arg-type]
+    calendar: Converted[Place, OpeningCalendar | None] = field(default=None, kw_only=True)  # type: ignore[arg-type]
 
     def __post_init__(self) -> None:
         own: dict[str, object] = {}
@@ -144,10 +116,17 @@ class Requirement(WrittenRecord):
         self._check(**dict.fromkeys(lengths, checks.positive), decay_rate=checks.nonnegative)
         own["timing_tolerance"] = TimingTolerance.of(self.timing_tolerance).plain
         own["samples"] = _counts(self.samples)
-        own["forbidden"] = _intervals("forbidden", () if self.forbidden is None else self.forbidden)
+        own["forbidden"] = intervals("forbidden", () if self.forbidden is None else self.forbidden)
         own["fixed"] = checks.increasing("fixed", () if self.fixed is None else self.fixed)
-        access = checks.mapping("outputs", self.outputs, "a table of outputs by name")
-        own["outputs"] = {str(k): checks.record(f"outputs.{k}", v, OutputAccess) for k, v in access.items()}
+        terms = checks.mapping("sensors", self.sensors, "a table of terms by output")
+        own["sensors"] = {str(k): checks.record(f"sensors.{k}", v, Sensor) for k, v in terms.items()}
+        self._check(calendar=lambda name, place: checks.record(name, place, OpeningCalendar))
+        for name, term in own["sensors"].items():  # type: ignore[attr-defined]
+            for key in ("spacing", "longest_use"):
+                if getattr(term, key) is not None:
+                    raise ArgumentError(
+                        f"`sensors.{name}.{key}` is for plans: a design has one `spacing` and counts samples together."
+                    )
         own["of"] = rows_asked(self.of)
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
@@ -158,7 +137,11 @@ class Requirement(WrittenRecord):
     def _check_within(self, period: float) -> None:
         """Refuse times beyond the period; called again when a default period is filled in."""
         spans = [("forbidden", self.forbidden)]
-        spans += [(f"outputs.{k}.available", v.available) for k, v in self.outputs.items() if v.available is not None]
+        spans += [
+            (f"sensors.{k}.available", v.available)
+            for k, v in self.sensors.items()
+            if v.available is not None and not isinstance(v.available, tuple)
+        ]
         for name, value in spans:
             if value.size and value.max() > period:
                 raise ArgumentError(f"`{name}` must lie within the period {period!r}, got {float(value.max())!r}.")
@@ -172,11 +155,9 @@ class Requirement(WrittenRecord):
         rows.append(("samples", ", ".join(f"{k} {v}" for k, v in self.samples.items()) or "default"))
         if self.target_sigma is not None:
             rows.append(("target sigma", short(self.target_sigma)))
-        rows += [("decay rate", short(self.decay_rate)), ("forbidden", _spans(self.forbidden, "none"))]
+        rows += [("decay rate", short(self.decay_rate)), ("forbidden", spans_in_words(self.forbidden, "none"))]
         rows.append(("fixed", short(self.fixed) if self.fixed.size else "none"))
-        rows += [
-            (f"output {k}", f"{_spans(v.available, 'always')}, cost {short(v.cost)}") for k, v in self.outputs.items()
-        ]
+        rows += [(f"sensor {k}", v.explain()) for k, v in self.sensors.items()]
         if late := TimingTolerance.of(self.timing_tolerance):
             rows.append(("samples come", late.describe()))
         if self.cost_limit is not None:
@@ -195,7 +176,7 @@ class Requirement(WrittenRecord):
             parts.append(f"at least {short(self.spacing)} apart")
         parts += [f"{key} {short(v)}" for key in ("window", "period") if (v := getattr(self, key)) is not None]
         if self.forbidden.size:
-            parts.append(f"none in {_spans(self.forbidden, '')}")
+            parts.append(f"none in {spans_in_words(self.forbidden, '')}")
         if self.fixed.size:
             parts.append(f"always at {short(self.fixed)}")
         if late := TimingTolerance.of(self.timing_tolerance):
@@ -207,35 +188,6 @@ class Requirement(WrittenRecord):
 
 def _given(value: float | None) -> str:
     return "default" if value is None else short(value)
-
-
-def _spans(value: Array | None, empty: str) -> str:
-    if value is None or not value.size:
-        return empty
-    return ", ".join(f"[{short(a)}, {short(b)})" for a, b in value)
-
-
-def _intervals(name: str, value: object) -> Array:
-    """Frozen (m, 2) array of non-empty, non-negative, sorted, disjoint intervals; overlapping ones are joined."""
-    if not checks.floats(name, value).size:
-        return checks.freeze(np.zeros((0, 2)))
-    array = checks.matrix(name, value, None, 2)
-    if np.any(array < 0):
-        raise ArgumentError(f"`{name}` must not be negative, got {float(array.min())!r}.")
-    empty = np.flatnonzero(array[:, 1] <= array[:, 0])
-    if empty.size:
-        a, b = array[int(empty[0])]
-        raise ArgumentError(
-            f"`{name}` must hold intervals [start, stop) with start < stop, got [{float(a)!r}, {float(b)!r}]. "
-            "An interval over the end of the period is written as two."
-        )
-    joined: list[list[float]] = []
-    for a, b in array[np.argsort(array[:, 0])]:
-        if joined and a <= joined[-1][1]:
-            joined[-1][1] = max(joined[-1][1], float(b))
-        else:
-            joined.append([float(a), float(b)])
-    return checks.freeze(joined)
 
 
 def _counts(value: object) -> dict[str, int]:

@@ -22,10 +22,10 @@ from sampling_design.design.problem.requirement import COUNTS, FORMAT, Requireme
 from sampling_design.errors import ArgumentError
 from sampling_design.records.file_io import by_first, by_kind, of_format, read_tree, usable, write_tree
 from sampling_design.records.signatures import checked
+from sampling_design.schedules.sensor import CALENDAR, SENSOR, from_files
 
 _SPANS = list_of(list_of(nonnegative, 2))
 _COUNTS = table({}, {**dict.fromkeys(COUNTS, count), "target_sigma": positive})
-_ACCESS = table({}, {"available": _SPANS, "cost": nonnegative})
 
 
 _OF = by_kind({str: text}, by_first({str: list_of(text)}, matrix()))
@@ -44,7 +44,8 @@ _TREE = table(
         "timing_tolerance": TIMING,
         "forbidden": _SPANS,
         "fixed": list_of(nonnegative),
-        "outputs": by_name(_ACCESS),
+        "sensors": by_name(SENSOR),
+        "calendar": CALENDAR,
         "of": _OF,
         "time_unit": time_unit,
     },
@@ -102,6 +103,7 @@ def requirement_from_dict(data: Mapping[str, object], where: str = "requirement"
                 raise ArgumentError("`target_sigma` is given twice, beside `samples` and inside it.")
             tree["samples"] = {k: v for k, v in samples.items() if k != "target_sigma"}
             tree["target_sigma"] = samples["target_sigma"]
+        tree["sensors"] = from_files(tree.get("sensors"), where)
         return Requirement(**tree)
 
 

@@ -1,0 +1,340 @@
+"""One sensor: when it can be read, what a reading costs, how good it is, and when its result is in."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from sampling_design.checkers.strict import by_name, count, list_of, nonnegative, number, positive, refuse, table, text
+from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.records import checks
+from sampling_design.records.arrays import Array
+from sampling_design.records.declarations import Converted, frozen
+from sampling_design.records.file_io import by_first, by_kind, csv_rows, read_text
+from sampling_design.records.record import PlainRecord, short
+from sampling_design.records.units import SECONDS, time_factor
+from sampling_design.schedules.opening import OpeningCalendar, week_hours
+from sampling_design.schedules.time_stamps import parse_date
+
+Duration: TypeAlias = float | str
+Windows: TypeAlias = npt.ArrayLike | Sequence[tuple[str, str]] | str | os.PathLike[str] | None
+Dates: TypeAlias = tuple[tuple[str, str], ...]
+
+
+_DURATION = re.compile(r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)\s*([a-z]+)", re.ASCII)
+
+
+def duration(name: str, value: object, unit: str) -> float:
+    """Return a time > 0 in `unit`, given as a number of them or as text with a unit of its own ("15 min").
+
+    Raises ArgumentError if it is neither, or not positive.
+    """
+    if not isinstance(value, str):
+        return checks.positive(name, value)
+    found = _DURATION.fullmatch(value.strip())
+    if not found or found[2] not in SECONDS or float(found[1]) <= 0:
+        raise ArgumentError(f'`{name}` must be a time like 0.25 or "15 min", got {value!r:.60}.')
+    return float(found[1]) * (SECONDS[found[2]] / SECONDS[unit])
+
+
+def delay_span(name: str, given: object) -> tuple[float, float]:
+    """Return the least and the most of a delay that is one number or a pair.
+
+    Raises
+    ------
+    ArgumentError
+        If one is negative, or the least is more than the most.
+    """
+    if not isinstance(given, (tuple, list)):
+        most = checks.nonnegative(name, given)
+        return most, most
+    if len(given) != 2:
+        raise ArgumentError(f"`{name}` must be a number or a pair (least, most), got {given!r:.60}.")
+    least, most = (checks.nonnegative(name, each) for each in given)
+    if least > most:
+        raise ArgumentError(f"`{name}` must be (least, most), got ({least!r}, {most!r}): the least is more.")
+    return least, most
+
+
+def result_span(name: str, value: object, unit: str) -> tuple[float, float]:
+    """Return how long a result takes at least and at most in `unit`: one time, or a pair of times.
+
+    Raises ArgumentError if one is negative or no time, or the least is more than the most.
+    """
+    pair = value if isinstance(value, (tuple, list)) else (value, value)
+    each = [duration(name, x, unit) if isinstance(x, str) else checks.nonnegative(name, x) for x in pair]
+    return delay_span(name, each if isinstance(value, (tuple, list)) else each[0])
+
+
+@frozen
+class Sensor(PlainRecord):
+    """What one sensor costs and can do; the same table serves a design and a plan.
+
+    Parameters
+    ----------
+    price : float
+        Of one measurement, >= 0.
+    available : (m, 2) array, sequence of (str, str), or path, optional
+        When it can be read: half-open windows [start, stop) within the period, in the requirement's time unit or as
+        dates (ISO 8601, which needs a calendar); or a CSV file of such rows, as passes of a satellite or low tides.
+        Default: always.
+    hours : dict of str to list of (str, str), optional
+        Own opening hours by weekday ("Mon": [("08:00", "12:00")]), within those of the calendar, which they need.
+    noise_bound : float, optional
+        No error of a measurement is larger. Plans need it where an accuracy is to be guaranteed; sigma knows no noise.
+    noise_deviation : float, optional
+        Standard deviation of a measurement's error, likewise.
+    longest_use : int, optional
+        Most measurements in one period; of plans.
+    spacing : float or str, optional
+        Least time between two measurements of this sensor; of plans.
+    result_delay : float or str, or a pair of these, optional
+        How long after its sample a result comes, or (least, most). What is guaranteed is then known at the time, with
+        results still out. Default: at once.
+    detection_limit : float, optional
+        What is less may be reported as "< L". Such a reading is counted as what it is sure to say: between `lowest` and
+        L; nothing where no `lowest` is given, nor in a design, since two values below L look alike.
+    lowest : float, optional
+        No true value is ever lower, as 0 of a concentration.
+
+    Raises
+    ------
+    ArgumentError
+        If a number is negative, a window is empty, the least delay is more than the most, hours are not understood, or
+        `lowest` is not below `detection_limit`.
+    FileFormatError
+        If the file of windows is missing, or holds no rows of two times.
+    """
+
+    price: float = 0.0
+    noise_bound: float | None = None
+    hours: Mapping[str, object] | None = None
+    longest_use: int | None = None
+    spacing: Duration | None = None
+    noise_deviation: float | None = None
+    result_delay: Duration | tuple[Duration, Duration] | None = None
+    available: Converted[Windows, Array | Dates | None] = None  # type: ignore[assignment]
+    detection_limit: float | None = None
+    lowest: float | None = None
+
+    _plain = (
+        "price noise_bound? noise_deviation? longest_use? spacing? result_delay? detection_limit? lowest? available? "
+        "hours?"
+    )
+
+    def __post_init__(self) -> None:
+        self._check(
+            **dict.fromkeys(("price", "noise_bound"), checks.nonnegative),
+            noise_deviation=checks.positive,
+            longest_use=checks.whole,
+            hours=week_hours,
+            detection_limit=checks.number,
+            lowest=checks.number,
+        )
+        if self.result_delay is not None:
+            result_span("result_delay", self.result_delay, "h")
+        if self.lowest is not None and (self.detection_limit is None or self.lowest >= self.detection_limit):
+            raise ArgumentError(
+                f"`lowest` must be less than `detection_limit`, got {short(self.lowest)} and "
+                f"{'none' if self.detection_limit is None else short(self.detection_limit)}."
+            )
+        self._hold(available=_windows(self.available))
+
+    @property
+    def sure_bound(self) -> float:
+        """No error of what a reading is sure to say is larger: infinite where it may say nothing.
+
+        A reading "< L" of noise bound v says that the value is between `lowest` and L + v.
+        """
+        if self.noise_bound is None or (self.detection_limit is not None and self.lowest is None):
+            return np.inf
+        if self.detection_limit is None or self.lowest is None:
+            return self.noise_bound
+        return max(self.noise_bound, (self.detection_limit + self.noise_bound - self.lowest) / 2)
+
+    def in_unit(self, source: str, unit: str) -> Sensor:
+        """The same with times that are plain numbers of one unit in another."""
+        c = time_factor(source, unit)
+
+        def moved(value: object) -> object:
+            if isinstance(value, (tuple, list)):
+                return tuple(moved(each) for each in value)
+            return value if value is None or isinstance(value, str) else c * float(str(value))
+
+        dates = self.available is None or isinstance(self.available, tuple)
+        changes: dict[str, Any] = {"spacing": moved(self.spacing), "result_delay": moved(self.result_delay)}
+        if not dates:
+            changes["available"] = numbers(self) * c
+        return replace(self, **changes)
+
+    def windows(self, name: str, calendar: OpeningCalendar | None, unit: str) -> Array | None:
+        """Return when it can be read (m, 2) in `unit`, on the clock of a calendar; None: always.
+
+        Raises ArgumentError if windows are dates and there is no calendar, or one lies before its start.
+        """
+        if not isinstance(self.available, tuple):
+            return self.available
+        if calendar is None:
+            raise ArgumentError(f"`sensors.{name}.available` are dates, which need a `calendar` with its `start`.")
+        place, minute = calendar, SECONDS[unit] / 60
+
+        def clock(date: str) -> float:
+            return place.clock(place.elapsed_at(parse_date(f"sensors.{name}.available", date, place.zone))) / minute
+
+        return intervals(f"sensors.{name}.available", [[clock(a), clock(b)] for a, b in self.available])
+
+    def _rows(self) -> list[tuple[str, str]]:
+        rows = [("price", short(self.price))]
+        for key in ("noise_bound", "noise_deviation", "longest_use", "spacing", "detection_limit", "lowest"):
+            value = getattr(self, key)
+            rows += (
+                [] if value is None else [(key.replace("_", " "), value if isinstance(value, str) else short(value))]
+            )
+        if self.result_delay is not None:
+            delay = self.result_delay
+            after = f"{delay[0]} to {delay[1]}" if isinstance(delay, (tuple, list)) else f"{delay}"
+            rows.append(("results after", after))
+        if self.available is not None:
+            rows.append(("available", spans_in_words(self.available, "never")))
+        return rows
+
+    def explain(self) -> str:
+        """Say the terms in words."""
+        return ", ".join(f"{label} {value}" for label, value in self._rows()) + "."
+
+
+def numbers(sensor: Sensor) -> Array:
+    """The windows of a sensor that has some, as numbers."""
+    assert isinstance(sensor.available, np.ndarray)
+    return sensor.available
+
+
+def opened(closed: Array, period: float) -> Array:
+    """What closed stretches (m, 2) leave open of a period."""
+    edges = np.array([0.0, *np.ravel(closed), period]).reshape(-1, 2)
+    return np.asarray(edges[edges[:, 1] > edges[:, 0]])
+
+
+def spans_in_words(value: Array | Dates | None, empty: str) -> str:
+    """Windows in words."""
+    if value is None or not len(value):
+        return empty
+    if isinstance(value, tuple):
+        return ", ".join(f"[{a}, {b})" for a, b in value)
+    return ", ".join(f"[{short(a)}, {short(b)})" for a, b in value)
+
+
+def intervals(name: str, value: object) -> Array:
+    """Frozen (m, 2) array of non-empty, non-negative, sorted, disjoint intervals; overlapping ones are joined."""
+    if not checks.floats(name, value).size:
+        return checks.freeze(np.zeros((0, 2)))
+    array = checks.matrix(name, value, None, 2)
+    if np.any(array < 0):
+        raise ArgumentError(f"`{name}` must not be negative, got {float(array.min())!r}.")
+    empty = np.flatnonzero(array[:, 1] <= array[:, 0])
+    if empty.size:
+        a, b = array[int(empty[0])]
+        raise ArgumentError(
+            f"`{name}` must hold intervals [start, stop) with start < stop, got [{float(a)!r}, {float(b)!r}]. "
+            "An interval over the end of the period is written as two."
+        )
+    joined: list[list[float]] = []
+    for a, b in array[np.argsort(array[:, 0])]:
+        if joined and a <= joined[-1][1]:
+            joined[-1][1] = max(joined[-1][1], float(b))
+        else:
+            joined.append([float(a), float(b)])
+    return checks.freeze(joined)
+
+
+def common(first: Array | None, second: Array | None) -> Array | None:
+    """The windows in which both are open; None: always."""
+    if first is None or second is None:
+        return second if first is None else first
+    low = np.maximum(first[:, None, 0], second[None, :, 0]).ravel()
+    high = np.minimum(first[:, None, 1], second[None, :, 1]).ravel()
+    keep = low < high
+    return intervals("available", np.column_stack([low[keep], high[keep]]))
+
+
+def _windows(value: object) -> Array | Dates | None:
+    """Windows as numbers or as dates."""
+    if value is None:
+        return None
+    if isinstance(value, (str, os.PathLike)):
+        value = _from_file(os.fspath(value))
+    rows = list(value) if isinstance(value, (list, tuple)) else []
+    if rows and all(isinstance(row, (list, tuple)) and all(isinstance(x, str) for x in row) for row in rows):
+        for row in rows:
+            if len(row) != 2:
+                raise ArgumentError(f"`available` must hold pairs of dates, got {row!r:.60}.")
+            parse_date("available", row[0], "UTC"), parse_date("available", row[1], "UTC")
+        return tuple((a, b) for a, b in rows)
+    return intervals("available", value)
+
+
+def _from_file(path: str) -> list[list[float]] | list[tuple[str, str]]:
+    """Rows of two times of a CSV file, below a line of names if there is one."""
+    lines = [(k, line) for k, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
+    rows = [row for _, row in csv_rows(lines, path)]
+    if rows and not rows[0][0][:1].isdigit():
+        rows = rows[1:]
+    short_of = next((row for row in rows if len(row) < 2 or not row[0] or not row[1]), None)
+    if not rows or short_of is not None:
+        raise FileFormatError(f"{path}: must hold rows of two times, start and stop, got {short_of or 'none'}.", path)
+    try:
+        return [[float(row[0]), float(row[1])] for row in rows]
+    except ValueError:
+        return [(row[0], row[1]) for row in rows]
+
+
+def from_files(sensors: object, where: str) -> object:
+    """The sensors of a requirement file, with files of windows beside it."""
+    if not isinstance(sensors, Mapping):
+        return sensors
+    place = Path(where).parent
+    return {
+        name: {**terms, "available": os.fspath(place / terms["available"])}
+        if isinstance(terms, Mapping) and isinstance(terms.get("available"), str)
+        else terms
+        for name, terms in sensors.items()
+    }
+
+
+_SPANS = by_name(list_of(list_of(text, 2)))
+
+
+def hours_in_file(value: object, place: str) -> object:
+    """Spans of opening hours by weekday; hours in words are told how a file says them."""
+    if isinstance(value, str) or (isinstance(value, Mapping) and any(isinstance(item, str) for item in value.values())):
+        form = '{ "Mon-Fri" = [["08:00", "12:00"], ["13:00", "17:00"]] }'
+        raise refuse(place, f"must be spans by weekday, as hours = {form}, got {value!r:.60}")
+    return _SPANS(value, place)
+
+
+_duration = by_kind({str: text}, positive)
+_DELAYS = list_of(by_kind({str: text}, nonnegative), 2)
+_delay = by_kind({str: text, list: _DELAYS, tuple: _DELAYS}, nonnegative)  # a time, or the least and the most of it
+_available = by_kind({str: text}, list_of(by_first({str: list_of(text, 2)}, list_of(nonnegative, 2))))
+SENSOR = table(
+    {},
+    {
+        **dict.fromkeys(("price", "noise_bound"), nonnegative),
+        "noise_deviation": positive,
+        "available": _available,
+        "hours": hours_in_file,
+        "longest_use": count,
+        "spacing": _duration,
+        "result_delay": _delay,
+        **dict.fromkeys(("detection_limit", "lowest"), number),
+    },
+)
+"""The table of a sensor in a requirement file, of a design or of a plan."""
+CALENDAR = table({"start": text}, {"zone": text, "hours": hours_in_file, "holidays": list_of(text)})

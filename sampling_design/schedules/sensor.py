@@ -18,7 +18,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen
 from sampling_design.records.file_io import by_first, by_kind, csv_rows, read_text
-from sampling_design.records.record import PlainRecord, short
+from sampling_design.records.record import Plain, PlainRecord, short
 from sampling_design.records.units import SECONDS, time_factor
 from sampling_design.schedules.opening import OpeningCalendar, week_hours
 from sampling_design.schedules.time_stamps import parse_date
@@ -189,6 +189,11 @@ class Sensor(PlainRecord):
             return place.clock(place.elapsed_at(parse_date(f"sensors.{name}.available", date, place.zone))) / minute
 
         return intervals(f"sensors.{name}.available", [[clock(a), clock(b)] for a, b in self.available])
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data; what says nothing is left out: a sensor without windows is never read."""
+        never = self.available is not None and not len(self.available)
+        return super().to_dict() | ({"available": []} if never else {})
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("price", short(self.price))]

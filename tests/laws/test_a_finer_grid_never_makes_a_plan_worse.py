@@ -42,6 +42,7 @@ def test_a_finer_grid_is_never_worse(plant, wanted, grids, seconds):
     assert costs == sorted(costs, reverse=True)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("looked_at")
 def test_the_most_accurate_plan_is_as_good_as_those_it_starts_from():
     wanted = sd.PlanRequirement({"position": 0.35}, samples=3, grid=0.8 / 3, **GIVEN)

@@ -39,7 +39,7 @@ def followed(folder, radii, tube=False, **flags):
     return [path.name for path in settings.files]
 
 
-@pytest.mark.parametrize("radii", few(["intervals", "centred", "ellipsoids"], 1, 2))
+@pytest.mark.parametrize("radii", few(["intervals", "centred", "ellipsoids"], 2))
 def test_a_picture_of_estimates_solves_nothing_that_was_not_solved_without(tmp_path, solved, radii):
     without = followed(tmp_path / "without", radii, no_picture=True)
     first = len(solved)

@@ -111,7 +111,7 @@ def makers(case):
     yield sd.MovingHorizonEstimator(case.plant(), horizon=50 * case.t, cost=cost, **given, **prior)
 
 
-@pytest.mark.parametrize("seed", few(range(200), 0, 1, 5))
+@pytest.mark.parametrize("seed", few(range(200), 0, 5))
 def test_no_real_times_and_no_noise_lead_out_of_what_is_said(seed):
     case = Case(seed)
     low, high = case.worst(-1), case.worst(1)
@@ -149,7 +149,7 @@ def test_a_time_that_is_believed_is_outside_and_a_walk_is_held_exactly():
     assert not sd.state_interval(swing, [(t[0] + 0.25, y) for t, y in rows], 6.0, **given).holds(truth(6.0))
 
 
-@pytest.mark.parametrize("jump", [1.0, 1.5, 1.8, 2.0])
+@pytest.mark.parametrize("jump", few([1.0, 1.5, 1.8, 2.0], 0, 1, 3))
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_an_input_that_jumps_at_either_end_or_in_the_middle_is_held_on_both_sides(side, jump):
     """y = x + u, read at any time from 1 to 2, both included, where u jumps: there u is that of the stated side."""
@@ -188,7 +188,7 @@ def test_poles_that_are_equal_but_for_rounding_are_held_in_any_units(n, unit, sp
     np.testing.assert_allclose(ends[1], ends[0], rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.parametrize("seed", few(range(30), 0, 3))
+@pytest.mark.parametrize("seed", few(range(30), 3))
 def test_late_corrected_and_withdrawn_readings_of_uncertain_times_are_as_in_order(seed):
     """Also an input that is told of afterwards, in the middle of a time that is uncertain."""
     case = Case(seed)

@@ -6,6 +6,7 @@ import pytest
 from sampling_design import KalmanFilter, Plant
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.mhe import MovingHorizonEstimator
+from tests.cases import few
 from tests.oracles.estimators import discounted_kalman
 
 A, C, G = np.array([[0.0, 1.0], [-1.0, -0.2]]), np.array([[1.0, 0.0], [0.5, 1.0]]), np.array([[0.0], [1.0]])
@@ -62,7 +63,7 @@ def test_smoother_is_the_endless_window_and_its_last_estimate_the_filters():
     assert np.max(np.abs(smoothed.x - kept[-1].nodes[1:])) < 1e-9
 
 
-@pytest.mark.parametrize("eta", [0.0, 0.3])
+@pytest.mark.parametrize("eta", few([0.0, 0.3], 1))
 def test_smoothed_ellipsoids_hold_the_whole_past(eta):
     rng = np.random.default_rng(3)
     plant = Plant(A, C, G=G)

@@ -126,7 +126,7 @@ def test_a_start_is_what_the_clocks_of_its_zone_show_once():
 
 @pytest.mark.parametrize(
     ("zone", "minutes"),
-    few(product(("Europe/Berlin", "Australia/Lord_Howe", "America/St_Johns"), (1e-3 / 60, 1.0, 60.0, 1440.0)), 2, 4),
+    few(product(("Europe/Berlin", "Australia/Lord_Howe", "America/St_Johns"), (1e-3 / 60, 1.0, 60.0, 1440.0)), 4),
 )
 def test_time_that_passed_and_what_clocks_show_name_each_other(zone, minutes):
     """In any unit: real times give back themselves, and clock times the first real time that shows them."""

@@ -85,6 +85,7 @@ def test_the_filter_of_uneven_samples_is_that_of_the_plan():
     assert wider == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.long
 def test_a_plan_has_one_filter_that_works_out_each_flow_once(found, monkeypatch):
     asked, flow = [], sequence_deviation.discounted_flow
     monkeypatch.setattr(

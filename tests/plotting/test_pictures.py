@@ -3,6 +3,7 @@
 import itertools
 import struct
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
@@ -26,6 +27,12 @@ from sampling_design.schedules.lost_samples import LostSamples
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 SCHEDULE = sd.PeriodicSchedule([0.7, 1.6, 0.9], time_unit="s")
+
+
+@cache
+def horizons():
+    """What two tests draw."""
+    return sd.certificates.four_horizons(OSCILLATOR, SCHEDULE)
 
 
 def test_a_schedule_is_drawn_with_one_stem_per_sample_and_a_second_lap():
@@ -76,18 +83,18 @@ def test_a_certificate_is_drawn_above_its_promise():
 
 
 def test_four_horizons_are_dots_at_their_lengths_and_say_why_one_is_missing():
-    horizons = sd.certificates.four_horizons(OSCILLATOR, SCHEDULE)
-    top, bottom = plotting.draw(horizons)
+    found = horizons()
+    top, bottom = plotting.draw(found)
     drawn = [line.get_xdata()[0] for line in top.lines]
-    assert drawn == pytest.approx([row.minimum for row in horizons.rows])
+    assert drawn == pytest.approx([row.minimum for row in found.rows])
     low, high = top.get_xlim()
     assert low < min(drawn)
     assert max(drawn) < high
-    first = replace(horizons.rows[0], minimum=None, note="the hypotheses fail")
-    one = plotting.draw(replace(horizons, rows=(first, *horizons.rows[1:])), Figure().subplots())
+    first = replace(found.rows[0], minimum=None, note="the hypotheses fail")
+    one = plotting.draw(replace(found, rows=(first, *found.rows[1:])), Figure().subplots())
     assert len(one.lines) == 3
     assert "not available: the hypotheses fail" in [t.get_text() for t in one.texts]
-    assert [t.get_text() for t in top.get_yticklabels()] == [row.name for row in horizons.rows]
+    assert [t.get_text() for t in top.get_yticklabels()] == [row.name for row in found.rows]
     assert bottom.has_data()
 
 
@@ -125,7 +132,7 @@ def test_pictures_are_drawn_on_given_axes():
 
 def test_a_notebook_shows_the_axes_that_plot_returns():
     one = SCHEDULE.plot()
-    several = sd.certificates.four_horizons(OSCILLATOR, SCHEDULE).plot()
+    several = horizons().plot()
     assert isinstance(several, list)
     for shown in (one, several):
         width, height = struct.unpack(">II", shown._repr_png_()[16:24])

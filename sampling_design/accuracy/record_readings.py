@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.bounds import Bound, SignalBounds
+from sampling_design.accuracy.dated_start import start_of_dated
 from sampling_design.accuracy.readings import (
     Arrived,
     DisturbanceSet,
@@ -63,6 +64,9 @@ def read_record(
     push = DisturbanceSet(freeze(centre_w), freeze(np.diag(bounds.w)), bounds.w_ball)
     centre_v = np.zeros(y.shape) if bounds.v_centre is None else bounds.v_centre
     error = StartError.of(plant, initial_error)
+    if spans and error.root is None:
+        proven = start_of_dated(plant, push, inputs, samples, (bounds.v, centre_v), start)
+        centre, error = (centre, error) if proven is None else (proven[0], StartError.of(plant, proven[1]))
     rows: list[tuple[float, tuple[RowReading, ...]]] = []
 
     def read(t: float | None = None) -> Readings:

@@ -49,7 +49,8 @@ def resolved(
     if not stamped:
         return told
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not finite, and bounds nothing
-        sides = [_Side(plant, push, inputs, t, each.output, end, before) for each in stamped for end in each.stamp[:2]]  # type: ignore[index]
+        spans = [(each.output, each.span) for each in stamped if each.span is not None]
+        sides = [TimeShift(plant, push, inputs, t, output, end, before) for output, span in spans for end in span]
     rows = np.concatenate([side.rows[:, :-1] for side in sides])
     asked = np.flatnonzero(rows.any(axis=1))
     low, high = np.zeros(len(rows)), np.zeros(len(rows))
@@ -88,7 +89,7 @@ def _between(plant: Plant, read: CensoredReading, least: float, most: float) -> 
     return read._replace(lower=stamp.lower - most, upper=stamp.upper - least)
 
 
-class _Side:
+class TimeShift:
     """F from t on to an end of the interval, after or before it: at nodes by rows of (x(t), 1), in between by bends."""
 
     def __init__(

@@ -91,6 +91,10 @@ class EstimateOptions:
         return (most, *among) if among else most  # type: ignore[return-value]
 
 
+USUAL = EstimateOptions()
+"""Every row as it came, with the usual radii."""
+
+
 def followed(
     settings: Settings,
     estimator: sd.MovingHorizonEstimator,

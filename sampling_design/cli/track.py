@@ -11,7 +11,7 @@ import typer
 import sampling_design as sd
 from sampling_design.certificates.for_bounds import ErrorBoundArguments
 from sampling_design.cli import reading
-from sampling_design.cli.following import EstimateOptions, followed
+from sampling_design.cli.following import USUAL, EstimateOptions, followed
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for, window_length
 from sampling_design.cli.prove import sampling_certificate
 from sampling_design.cli.settings import (
@@ -52,8 +52,7 @@ def estimate(
     v_bound: VBound = None,
     initial_error: InitialError = None,
     eta: Eta = None,
-    *,
-    how: EstimateOptions,
+    how: EstimateOptions = USUAL,
 ) -> None:
     """Estimate the state from measurements, with a radius that holds the truth if noise keeps its bounds.
 

@@ -104,6 +104,45 @@ class Case:
         return sorted(rows, key=lambda row: np.mean(row[0]))
 
 
+class Unknown(Case):
+    """The same with a start of which nothing is known, and no reading whose time is."""
+
+    def __init__(self, seed):
+        super().__init__(seed)
+        rng, n = np.random.default_rng(seed), len(self.start)
+        middles = np.cumsum(rng.uniform(0.4, 1.2, 6))
+        half = rng.uniform(0.01, 0.08, 6)
+        self.spans, self.end = np.array([middles - half, middles + half]).T, float(middles[-1] + 0.5)
+        self.outputs, real = rng.integers(len(self.v), size=6), rng.uniform(*self.spans.T)
+        whole = self.whole(real)
+        most = np.concatenate([self.start, np.resize(self.w, whole.width - n)])
+        truth = np.append(most * rng.choice([-1, -0.3, 0.5, 1], most.size), 1.0)
+        noise = self.v[self.outputs] * rng.uniform(-1, 1, 6)
+        self.read = [whole.row(s, i) @ truth + e for s, i, e in zip(real, self.outputs, noise, strict=True)]
+        self.start = np.full(n, np.inf)
+
+    def bounds(self):
+        return {"w_bound": self.w, "v_bound": self.v * self.y}
+
+    def worst(self, sign):
+        """The end that is farthest out: times drawn, then one after the other at its ends and in the middle."""
+
+        def far(times):
+            found = self.ends(times)
+            return -np.inf if found is None else sign * found[sign > 0]
+
+        rng = np.random.default_rng(1)
+        best, top = self.spans.mean(axis=1), far(self.spans.mean(axis=1))
+        tried = [np.where(rng.uniform(size=6) < 0.5, *self.spans.T) for _ in range(5)]
+        for k in range(6):
+            for share in (0.0, 1.0, None):
+                drawn = tried.pop() if share is None and tried else best
+                moved = drawn.copy()
+                moved[k] = moved[k] if share is None else self.spans[k] @ [1 - share, share]
+                best, top = max([(best, top), (moved, far(moved))], key=lambda pair: pair[1])
+        return sign * top
+
+
 def makers(case):
     given, prior = case.bounds(), {"prior_time": case.origin}
     yield sd.SetMembershipEstimator(case.plant(), **given, **prior)
@@ -133,6 +172,24 @@ def test_no_real_times_and_no_noise_lead_out_of_what_is_said(seed):
         assert found.lower <= low + room
         assert found.upper >= high - room
         assert found.upper - found.lower <= 20 * (high - low)
+
+
+@pytest.mark.parametrize("seed", few(range(60), 0, 1))
+def test_an_unknown_start_is_held_by_readings_of_uncertain_times_alone(seed):
+    case = Unknown(seed)
+    row = (case.c / case.x)[None]
+    last = case.origin + case.end * case.t
+    try:
+        said = sd.state_interval(case.plant(), case.rows(), last, of=row, **case.bounds())
+    except ArgumentError:  # too few readings of what must be seen, or times too long for how fast it moves
+        with pytest.raises(ArgumentError, match="nothing that is known by then bounds how far"):
+            sd.state_interval(case.plant(), case.rows(), last, of=row, **case.bounds())
+        return
+    low, high = case.worst(-1), case.worst(1)
+    assert said.verify()
+    assert said.lower <= low + ROUNDED * (high - low)
+    assert said.upper >= high - ROUNDED * (high - low)
+    assert said.upper - said.lower <= 20 * (high - low)
 
 
 def test_a_time_that_is_believed_is_outside_and_a_walk_is_held_exactly():

@@ -1,0 +1,182 @@
+"""What readings of uncertain times say by themselves of an unknown start: a box about a trajectory that fits them.
+
+Let xi be a trajectory with the given inputs, x = xi + d, and a reading be of C x(t) + F + v, where its time adds F, a
+part F_xi that lies in a known interval and a part F_d that is linear in d and w. Every reading then says
+
+    |C d(t_j)| <= V_j + |F_d,j|,    V_j: its residual at xi, the widest that F_xi allows, and the noise.
+
+Let g_j(u) bound |F_d,j| where |C d(t_j)| <= V_j + u_j for all j. The value of a program is concave in its right-hand
+sides and 0 at 0, so that g(a u) <= a g(u) for a >= 1. If g(u) < u, no d has a = max |F_d,j|/u_j >= 1: at that reading
+a u_j <= g_j(a u) < a u_j. So |F_d,j| <= u_j for all of them, and the program bounds d at the start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from sampling_design.accuracy.readings import (
+    DisturbanceSet,
+    RecordRow,
+    RowReading,
+    StartError,
+    gathered,
+    input_at,
+)
+from sampling_design.accuracy.record_program import RecordProgram
+from sampling_design.accuracy.uncertain_times import TimeShift
+from sampling_design.numerics.linalg import expm_batch
+from sampling_design.plants.plant import Plant
+from sampling_design.records.arrays import Array
+from sampling_design.records.checks import freeze
+
+TURNS = 24
+"""Times that a bound on what uncertain times add is sought."""
+MORE = 0.02
+"""Share by which a bound is above what it must be more than."""
+FARTHEST = 1e6
+"""Beyond so many times what times add at least, nothing is sought."""
+Inputs = Sequence[tuple[float, Array]]
+
+
+class _Reading(NamedTuple):
+    """|C d(t)| <= size + what its time adds, by the sides of its interval; none of a reading whose time is known."""
+
+    t: float
+    output: int
+    size: float
+    sides: tuple[TimeShift, ...]
+
+
+def start_of_dated(
+    plant: Plant,
+    push: DisturbanceSet,
+    inputs: Inputs,
+    samples: Sequence[RecordRow],
+    noise: tuple[Array, Array],
+    start: float,
+) -> tuple[Array, Array] | None:
+    """Return a centre and half-widths of the state at the start that the readings prove; None if they prove none.
+
+    `noise`: the sizes (N, p) and the middles of what is added to each reading.
+    """
+    flows = _flows(plant, push, inputs, start, [come.t for come in samples])
+    x = _fitted(plant, inputs, samples, flows, noise)
+    still = DisturbanceSet(freeze(np.zeros(plant.n_disturbances)), push.root, push.ball)
+    here = DisturbanceSet(push.centre, freeze(np.zeros_like(push.root)), push.ball)
+    told: list[_Reading] = []
+    for come, M, size, middle in zip(samples, flows, *noise, strict=True):
+        xi = M @ np.append(x, 1.0)
+        for i in np.flatnonzero(np.isfinite(come.y) & np.isfinite(size)).tolist():
+            told.append(_Reading(come.t, i, abs(come.y[i] - middle[i] - plant.C[i] @ xi) + size[i], ()))
+        for each in come.told:
+            if (
+                each.stamp is None
+                or each.since is not None
+                or not np.isfinite([*each.stamp[2:], size[each.output]]).all()
+            ):
+                continue
+            i, (first, last, low, high) = each.output, each.stamp
+            known = [TimeShift(plant, here, inputs, come.t, i, end, before=False) for end in (first, last)]
+            least, most = _ends(known, partial(_at, xi), np.abs(xi))
+            off = middle[i] + float(plant.D[i] @ input_at(inputs, come.t, plant.n_inputs)) + plant.C[i] @ xi
+            moves = tuple(TimeShift(plant, still, (), come.t, i, end, before=False) for end in (first, last))
+            told.append(_Reading(come.t, i, max(abs(low - off - most), abs(high - off - least)) + size[i], moves))
+    found = _bounded(plant, still, told, start)
+    return None if found is None else (freeze(x), freeze(found))
+
+
+def _bounded(plant: Plant, push: DisturbanceSet, told: Sequence[_Reading], start: float) -> Array | None:
+    """How large each entry of d may be at the start; None where nothing bounds it."""
+    before, tried = np.zeros(len(told)), np.zeros(len(told))
+    for _ in range(TURNS):
+        program = _program(plant, push, told, tried, start)
+        boxes = {t: _box(program, t) for t in {each.t for each in told}}
+        found = np.array([_adds(each, boxes[each.t]) for each in told])
+        if not np.isfinite(found).all():
+            return None
+        if np.all((tried >= found * (1 + MORE / 2)) | (found == 0)):
+            box = _box(program, start)
+            return box if np.isfinite(box).all() else None
+        step, last = found - tried, tried - before
+        ratio = float(np.max(np.divide(step, last, out=np.zeros_like(step), where=last > 0), initial=0.0))
+        more = 1 / (1 - ratio) if 0 < ratio < 1 else 2.0
+        before, tried = tried, np.maximum(tried, tried + step * more) * (1 + MORE)
+        if np.any(tried > FARTHEST * (np.max([each.size for each in told]) + 1e-300)):
+            return None
+    return None
+
+
+def _program(plant: Plant, push: DisturbanceSet, told: Sequence[_Reading], added: Array, start: float) -> RecordProgram:
+    """The program of trajectories that read zero within the sizes and what is added to them."""
+    rows: dict[float, tuple[RowReading, ...]] = {start: ()}
+    for each, more in zip(told, added.tolist(), strict=True):
+        rows[each.t] = (*rows.get(each.t, ()), RowReading(plant.C[each.output], 0.0, each.size + more))
+    nothing = freeze(np.zeros(plant.n_states))
+    return RecordProgram(gathered(plant, push, StartError(), nothing, start, sorted(rows.items()), ball=False))
+
+
+def _at(x: Array, rows: Array) -> tuple[Array, Array]:
+    return rows @ x, rows @ x
+
+
+def _box(program: RecordProgram, t: float) -> Array:
+    return np.array([program.solve(t, row)[0].value for row in np.eye(program.readings.plant.n_states)])
+
+
+def _adds(reading: _Reading, box: Array) -> float:
+    """What a time adds at most to a reading of d, of which a box is known."""
+    if not reading.sides:
+        return 0.0
+    return float(np.max(np.abs(_ends(reading.sides, lambda rows: (-np.abs(rows) @ box, np.abs(rows) @ box), box))))
+
+
+def _ends(sides: Sequence[TimeShift], known: Callable[[Array], tuple[Array, Array]], box: Array) -> tuple[float, float]:
+    """Between what the sides of an interval lie, by what is known of rows of the state."""
+    with np.errstate(invalid="ignore"):
+        found = [side.between(*known(side.rows[:, :-1]), box) for side in sides]
+    least, most = min(low for low, _ in found), max(high for _, high in found)
+    return (least, most) if np.isfinite([least, most]).all() else (-np.inf, np.inf)
+
+
+def _flows(plant: Plant, push: DisturbanceSet, inputs: Inputs, start: float, times: Sequence[float]) -> list[Array]:
+    """M (n, n + 1) for each time: x(t) = M (x(start), 1) with the inputs and the disturbance's middle."""
+    n, now, flow, found = plant.n_states, start, np.eye(plant.n_states + 1), list[Array]()
+    for t in times:
+        marks = [now, *(s for s, _ in inputs if now < s < t), t]
+        for a, b in pairwise(marks):
+            longer = np.zeros((n + 1, n + 1))
+            u = input_at(inputs, (a + b) / 2, plant.n_inputs)
+            longer[:n, :n], longer[:n, n] = plant.A, plant.B @ u + plant.G @ push.centre
+            flow = expm_batch(longer, b - a)[0] @ flow
+        now = t
+        found.append(flow[:n])
+    return found
+
+
+def _fitted(
+    plant: Plant, inputs: Inputs, samples: Sequence[RecordRow], flows: Sequence[Array], noise: tuple[Array, Array]
+) -> Array:
+    """The start of the trajectory that fits the readings best, those of uncertain times in the middle of these."""
+    rows, ends = [], []
+    for come, M, middle in zip(samples, flows, noise[1], strict=True):
+        fed = plant.D @ input_at(inputs, come.t, plant.n_inputs)
+        read = {i: come.y[i] for i in np.flatnonzero(np.isfinite(come.y)).tolist()}
+        read |= {
+            e.output: (e.stamp.lower + e.stamp.upper) / 2 - fed[e.output] for e in come.told if e.stamp is not None
+        }
+        for i, y in read.items():
+            if np.isfinite(y):
+                row, scale = plant.C[i] @ M, plant.outputs.scales[i]
+                rows.append(row[:-1] / scale)
+                ends.append((y - middle[i] - row[-1]) / scale)
+    if not rows:
+        return np.zeros(plant.n_states)
+    A = np.array(rows)
+    size = np.linalg.norm(A, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    return np.asarray(np.linalg.lstsq(A / size, np.array(ends), rcond=None)[0] / size)

@@ -11,7 +11,8 @@ from sampling_design.estimators.online.estimate import FAILURES
 from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plotting import style
-from sampling_design.plotting.readings import state_panels
+from sampling_design.plotting.readings import readings_of_state, state_panels
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import counted
 
 
@@ -38,20 +39,26 @@ def draw_envelope(
     proven = int(np.isfinite(record.lower).all(axis=1).sum())
     parts = counted(len(record.lower), "interval" if record.length else "sample")
     said = f"error bounds are proven for {proven} of {parts}"
-    return state_panels(record.plant, ax, measurements, lambda panel, i: draw(panel, record, i), title=said)
+
+    def drawn(panel: Axes, i: int) -> None:
+        draw(panel, record, i, readings_of_state(record.plant, i, measurements)[1])
+
+    return state_panels(record.plant, ax, measurements, drawn, title=said)
 
 
 def draw_curve(curve: EstimateCurve, ax: Axes | None = None) -> Axes | style.Panels:
     """Draw estimates with the tube that holds the truth at all times, one panel for each state."""
-    tube = curve.tube
+    tube, plant, read = curve.tube, curve.estimates.plant, curve.measurements
     whole = tube is not None and bool(np.isfinite(tube.lower).all() and np.isfinite(tube.upper).all())
     said = "the true state is proven to lie in the band at all times" if whole else "estimates"
-    return state_panels(
-        curve.estimates.plant, ax, curve.measurements, lambda panel, i: _band(panel, curve, i), title=said
-    )
+
+    def drawn(panel: Axes, i: int) -> None:
+        _band(panel, curve, i, readings_of_state(plant, i, read)[1])
+
+    return state_panels(plant, ax, read, drawn, title=said)
 
 
-def _bars(ax: Axes, record: EstimateEnvelope, i: int) -> None:
+def _bars(ax: Axes, record: EstimateEnvelope, i: int, read: Array) -> None:
     """A bar at each sample: a band through them would say something of the times between, which nobody has proven."""
     t, low, high = record.times, record.lower[:, i], record.upper[:, i]
     known = np.isfinite(low)
@@ -61,24 +68,24 @@ def _bars(ax: Axes, record: EstimateEnvelope, i: int) -> None:
     )
     x = (record.lowest[:, i] + record.highest[:, i]) / 2
     ax.plot(t, x, ".-", color=style.ATTAINED, linewidth=0.7, markersize=width, label="estimate")
-    style.not_ruled_by_the_start(ax, t, low, high)
+    style.not_ruled_by_the_start(ax, t, low, high, np.append(x, read))
     if record.failed.any():
         ax.plot(t[record.failed], x[record.failed], "x", color=style.FAILED, label="failed")
 
 
-def _stretches(ax: Axes, record: EstimateEnvelope, i: int) -> None:
+def _stretches(ax: Axes, record: EstimateEnvelope, i: int, read: Array) -> None:
     """The extremes of many samples over each stretch."""
     low, high, edges = record.lower[:, i], record.upper[:, i], record.edges
     least, largest = record.lowest[:, i], record.highest[:, i]
     ax.use_sticky_edges = False  # else the axis ends where the band does, as if it went on
     ax.stairs(high, edges, baseline=low, fill=True, color=style.PROVEN, alpha=0.2, label="proven at the samples")
     style.filled(ax, edges, least, largest, style.ATTAINED, "estimates, least to largest")
-    style.not_ruled_by_the_start(ax, record.times, low, high)
+    style.not_ruled_by_the_start(ax, record.times, low, high, np.concatenate([least, largest, read]))
     for edge in edges[:-1][record.failed]:
         ax.axvline(float(edge), color=style.FAILED, linewidth=0.5)
 
 
-def _band(ax: Axes, curve: EstimateCurve, i: int) -> None:
+def _band(ax: Axes, curve: EstimateCurve, i: int, read: Array) -> None:
     """The tube between and at samples, with the open loop between them."""
     record, tube = curve.estimates, curve.tube
     if tube is not None:
@@ -87,7 +94,7 @@ def _band(ax: Axes, curve: EstimateCurve, i: int) -> None:
         low, high = np.where(bounded, low, np.nan), np.where(bounded, high, np.nan)
         said = "proven to hold the truth at all times"
         ax.fill_between(t, low, high, color=style.PROVEN, alpha=0.2, linewidth=0, label=said)
-        style.not_ruled_by_the_start(ax, t, low, high)
+        style.not_ruled_by_the_start(ax, t, low, high, np.append(record.x[:, i], read))
     ax.plot(record.times, record.x[:, i], color=style.ATTAINED, linewidth=1.2, label="estimate")
     failed = np.array([s in FAILURES for s in record.status], dtype=bool)
     if failed.any():

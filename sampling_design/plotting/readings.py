@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plants.plant import Plant
 from sampling_design.plotting import style
+from sampling_design.records.arrays import Array
 from sampling_design.records.record import counted
 from sampling_design.validation.scenario import SimulatedRecord
 
@@ -105,12 +106,17 @@ def state_panels(
 
 def mark_readings(ax: Axes, plant: Plant, i: int, measurements: Measurements) -> None:
     """Mark what was read where an output reads state i alone, rescaled to it; else ticks at the sample times."""
-    C = plant.C
-    reads = [k for k, row in enumerate(C) if row[i] and np.count_nonzero(row) == 1]
-    drawn = measurements.measured.any(axis=1)
-    if reads:
-        y = np.concatenate([measurements.y[:, k] / C[k, i] for k in reads])
-        t = np.tile(measurements.times, len(reads))
+    t, y = readings_of_state(plant, i, measurements)
+    if t.size:
         style.points(ax, t, y, ".", 5, "measured")
         return
-    style.sample_ticks(ax, measurements.times[drawn])
+    style.sample_ticks(ax, measurements.times[measurements.measured.any(axis=1)])
+
+
+def readings_of_state(plant: Plant, i: int, measurements: Measurements | None) -> tuple[Array, Array]:
+    """Times and readings of the outputs that read state i alone, rescaled to it; none where there are none."""
+    reads = [k for k, row in enumerate(plant.C) if row[i] and np.count_nonzero(row) == 1]
+    if measurements is None or not reads:
+        return np.zeros(0), np.zeros(0)
+    y = np.concatenate([measurements.y[:, k] / plant.C[k, i] for k in reads])
+    return np.tile(measurements.times, len(reads)), y

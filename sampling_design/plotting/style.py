@@ -196,9 +196,11 @@ def not_ruled_by_the_start(
     t: Array,
     low: Array,
     high: Array,
+    held: Array | None = None,
 ) -> None:
     """Limit the y axis by what comes after the start, where the start alone would stretch it by half.
 
+    What must be seen all the same, what was read and what was made of it, is `held` within it.
     Where the band goes on beyond the axis a triangle says up to which value.
     """
     known = np.isfinite(low) & np.isfinite(high)
@@ -208,7 +210,9 @@ def not_ruled_by_the_start(
         return
     near = high - low <= WIDER * float(np.median((high - low)[kept]))  # what is little wider is shown on both sides
     near[kept] = True
-    bottom, top = float(low[near].min()), float(high[near].max())
+    within = np.zeros(0) if held is None else held[np.isfinite(held)]
+    bottom = float(min(low[near].min(), within.min(initial=np.inf)))
+    top = float(max(high[near].max(), within.max(initial=-np.inf)))
     if not (top > bottom and float(high.max() - low.min()) > STRETCH * (top - bottom)):
         return
     room = 0.15 * (top - bottom)

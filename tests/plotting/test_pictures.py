@@ -17,6 +17,7 @@ from sampling_design import plotting
 from sampling_design.accuracy.readings import CensoredReading
 from sampling_design.certificates.compare.robustness import FamilyTrial
 from sampling_design.errors import ArgumentError, CertificateError
+from sampling_design.estimators.online.envelope import EstimateEnvelope
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.plan_record import Plan
 from sampling_design.planning.problem import pose_plan
@@ -331,6 +332,19 @@ def test_a_wide_start_does_not_rule_the_axis_of_estimates():
     wide, later = estimates.ellipsoid_radii[0, 0], estimates.ellipsoid_radii[len(estimates.times) // 2 :, 0].max()
     assert high - low < wide
     assert high >= later
+
+
+def test_what_was_read_and_estimated_at_a_wide_start_is_in_the_picture():
+    """A tank that runs empty: the first level lies far above what the later bands would show."""
+    tank = sd.Plant([[-1.0]], [[1.0]], states=["level"])
+    found = EstimateEnvelope.over(tank, np.arange(8.0))
+    x = 10 * np.exp(-np.arange(8.0))[:, None]
+    flags = np.ones(8, dtype=bool)
+    found.add(np.arange(8.0), x, np.full((8, 1), 0.1) + 90 * (np.arange(8.0) == 0)[:, None], flags, ~flags)
+    read = sd.Measurements(tank, np.arange(8.0), x + np.eye(8)[:, :1])
+    high = plotting.draw(found, measurements=read)[0].get_ylim()[1]
+    assert 11.0 < high < 20.0
+    assert plotting.draw(found)[0].get_ylim()[1] > 10.0
 
 
 def test_measurements_show_numbers_limits_and_means():

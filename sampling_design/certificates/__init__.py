@@ -19,7 +19,6 @@ _NAMES = {
     "families.certify_family": ("certify_family",),
     "families.family_certificate": ("FamilyCertificate",),
     "files": ("read_certificate",),
-    "for_bounds": ("certify_for_bounds",),
     "form.constants": ("Constant", "ConstantList"),
     "form.horizon": ("Horizon",),
     "form.verdict": ("Verification",),

@@ -33,7 +33,6 @@ from sampling_design.certificates.existence.periodic import smallest_repair as s
 from sampling_design.certificates.families.certify_family import certify_family as certify_family
 from sampling_design.certificates.families.family_certificate import FamilyCertificate as FamilyCertificate
 from sampling_design.certificates.files import read_certificate as read_certificate
-from sampling_design.certificates.for_bounds import certify_for_bounds as certify_for_bounds
 from sampling_design.certificates.form.constants import Constant as Constant
 from sampling_design.certificates.form.constants import ConstantList as ConstantList
 from sampling_design.certificates.form.horizon import Horizon as Horizon

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design import __version__
+from sampling_design.certificates.exact.bound_weights import weights_within
 from sampling_design.certificates.exact.canonical import ScaledProblem, canonical, followed, origin_question
 from sampling_design.certificates.exact.certificate import WITHOUT_GAIN, Certificate, SampledCertificate
 from sampling_design.certificates.exact.efforts import ALL_WORK, BEYOND, LOOK_WORK, SEARCHED, SearchEffort
@@ -103,21 +104,30 @@ def _bounds(plant: Plant, schedule: AnySchedule, canon: ScaledProblem) -> tuple[
 def certify(
     plant: Plant, schedule: AnySchedule | None, *, eta: float | None = ..., P2: npt.ArrayLike | None = ...,
     Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
+    w_bound: npt.ArrayLike | None = ..., v_bound: npt.ArrayLike | None = ..., initial_error: npt.ArrayLike | None = ...,
     noise_gain: float = ..., budget: float | None = ..., progress: Progress | None = ..., of: Wanted = ...,
 ) -> Certificate: ...  # fmt: skip
 @overload
 def certify(
     plant: Plant, schedule: SamplingFamily, *, eta: float | None = ..., P2: npt.ArrayLike | None = ...,
     Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
+    w_bound: npt.ArrayLike | None = ..., v_bound: npt.ArrayLike | None = ..., initial_error: npt.ArrayLike | None = ...,
     noise_gain: float = ..., budget: float | None = ..., memory: int | None = ..., progress: Progress | None = ...,
     of: Wanted = ...,
 ) -> FamilyCertificate: ...  # fmt: skip
 @overload
 def certify(
+    plant: Plant, schedule: AnySchedule | SamplingFamily, *, eta: float | None = ...,
+    w_bound: npt.ArrayLike | None = ..., v_bound: npt.ArrayLike | None = ..., initial_error: npt.ArrayLike | None = ...,
+    noise_gain: float = ..., budget: float | None = ..., progress: Progress | None = ..., of: Wanted = ...,
+) -> SampledCertificate: ...  # fmt: skip
+@overload
+def certify(
     plant: Plant | OpenPlant, schedule: AnySchedule, *, timing_tolerance: Timing, eta: float | None = ...,
     P2: npt.ArrayLike | None = ..., Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ...,
-    Qv: npt.ArrayLike | None = ..., noise_gain: float = ..., budget: float | None = ..., memory: int | None = ...,
-    progress: Progress | None = ..., of: Wanted = ...,
+    Qv: npt.ArrayLike | None = ..., w_bound: npt.ArrayLike | None = ..., v_bound: npt.ArrayLike | None = ...,
+    initial_error: npt.ArrayLike | None = ..., noise_gain: float = ..., budget: float | None = ...,
+    memory: int | None = ..., progress: Progress | None = ..., of: Wanted = ...,
 ) -> SampledCertificate: ...  # fmt: skip
 @overload
 def certify(
@@ -135,6 +145,9 @@ def certify(
     Qw: npt.ArrayLike | None = None,
     R: npt.ArrayLike | None = None,
     Qv: npt.ArrayLike | None = None,
+    w_bound: npt.ArrayLike | None = None,
+    v_bound: npt.ArrayLike | None = None,
+    initial_error: npt.ArrayLike | None = None,
     noise_gain: float = 3.0,
     budget: float | None = None,
     memory: int | None = None,
@@ -154,14 +167,18 @@ def certify(
         A finite schedule is certified to its last time. For a family see `certify_family`. None, the schedule of a
         design that needs no samples, is refused.
     eta : float, optional [1/time]
-        Discount rate of the squared error. Default: chosen in [0.05, 3]/(mean gap) for the least horizon; slower where
-        nothing in this range can be followed in doubles, or proven.
+        Discount rate of the squared error. Default: chosen in [0.05, 3]/(mean gap) for the least horizon, below rates
+        at which lasting noise would leave ten times the least that it leaves at any; slower where nothing in this range
+        can be followed in doubles, or proven. With bounds one over the longest gap.
     P2 : (n, n) array, optional
         Weight of the prior. Default: shape and scale chosen for the least horizon under the noise budget.
     Qw : (q, q) array, optional
         Default diag(1/s_w^2): a disturbance of typical size counts one per unit of time, whatever that unit is.
     R, Qv : (p, p) arrays, optional
         Default 2 diag(1/s_y^2), so that R~ = (R^-1 + Qv^-1)^-1 = diag(1/s_y^2). One stands for both.
+    w_bound, v_bound, initial_error : float or array, optional
+        As the estimators take them, in place of the weights: the certificate has those of `weights_from_bounds`, for
+        narrow radii instead of the least horizon. Where one is not given, or zero, the plant's scales stand for it.
     noise_gain : float
         C_w and C_v may be at most this many times their least at the eta in question (above 1), states counted in
         their scales. Only used where P2 is chosen. Where nothing is proven with it, a plant that decays on its own is
@@ -224,6 +241,8 @@ def certify(
     5.528, M > 4.277
     >>> certificate.verify().passed
     True
+    >>> certify(oscillator, PeriodicSchedule([0.5, 1.0]), w_bound=0.1, v_bound=0.2, initial_error=1.0).eta
+    1.0
     """
     if late := TimingTolerance.of(timing_tolerance):
         if schedule is None or isinstance(schedule, SamplingFamily):
@@ -232,14 +251,22 @@ def certify(
                 "times its samples may have."
             )
         schedule = Jitter.around(schedule, late)
+    bounded = any(bound is not None for bound in (w_bound, v_bound, initial_error))
+    if bounded and any(weight is not None for weight in (P2, Qw, R, Qv)):
+        raise ArgumentError("`w_bound`, `v_bound` and `initial_error` say the weights: leave out P2, Qw, R and Qv.")
     if not isinstance(plant, Plant):
         if of is not None:
             raise ArgumentError("`of` is for exactly known plants: certify all states of this one.")
+        if bounded:
+            raise ArgumentError("`w_bound`, `v_bound` and `initial_error` are for exactly known plants: give Qw and R.")
         return registered("certify", plant, SampledCertificate)(  # type: ignore[type-abstract]
             plant, schedule, eta=eta, P2=P2, Qw=Qw, R=R, Qv=Qv, noise_gain=noise_gain, budget=budget, memory=memory,
             progress=progress,
         )  # fmt: skip
     plant = part_for(plant, of, decay_rate=eta)
+    if bounded and schedule is not None:
+        eta = 1 / schedule.d_max if eta is None else eta
+        P2, Qw, R, Qv = weights_within(plant, eta, w_bound, v_bound, initial_error)
     if isinstance(schedule, SamplingFamily):
         from sampling_design.certificates.families.certify_family import certify_family
 

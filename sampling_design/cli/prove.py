@@ -12,11 +12,12 @@ from rich.table import Table as RichTable
 
 import sampling_design as sd
 from sampling_design.certificates.compare.four_horizons import FourHorizons
+from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.checkers.strict import Tree
 from sampling_design.cli import reading
 from sampling_design.cli.plan import PlantFile, schedule_for
-from sampling_design.cli.settings import Settings, record_table, table, timing, timing_number
+from sampling_design.cli.settings import Settings, numbers, record_table, table, timing, timing_number
 from sampling_design.errors import ArgumentError
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import positive
@@ -66,6 +67,11 @@ NewFile = Annotated[
     Path | None, typer.Option("--certificate", metavar="FILE", help="Where to write the certificate (.json).")
 ]
 
+Numbers = "One number bounds the norm; numbers with commas between bound each entry. Default: the plant's scales."
+WBound = Annotated[str | None, typer.Option("--w-bound", "--w", help=f"Bound on the disturbance w(t). {Numbers}")]
+VBound = Annotated[str | None, typer.Option("--v-bound", "--v", help=f"Bound on the measurement noise v. {Numbers}")]
+InitialError = Annotated[str | None, typer.Option(help=f"Bound on the prior's error. {Numbers}")]
+
 
 def certify(
     settings: Settings,
@@ -80,11 +86,15 @@ def certify(
     detectability: Detectability = False,
     certificate_file: NewFile = None,
     horizons: Horizons = False,
+    w_bound: WBound = None,
+    v_bound: VBound = None,
+    initial_error: InitialError = None,
 ) -> None:
     """Prove sample-based exponential i-iIOSS on a schedule, or on every schedule of a family.
 
     With -o DIR: certificate.json and .png (family.png for a family, horizons.png with --horizons), constants.md and
-    constants.tex. With --detectability: exponential i-iIOSS of the plant, measured all the time; one file.
+    constants.tex. With bounds the weights follow from them, for narrow radii; without, the horizon is short. With
+    --detectability: exponential i-iIOSS of the plant, measured all the time; one file.
 
     Example: sampling-design certify examples/plants/oscillator.toml out/schedule.csv --eta 0.3 -o out
     """
@@ -93,15 +103,19 @@ def certify(
     families: dict[str, object] = {k: v for k, v in given.items() if v is not None}
     if horizons and (families or schedule_file is None):
         raise ArgumentError("`--horizons` compares those of one SCHEDULE: it goes without a family or --detectability.")
+    bounds = error_bounds(plant, w_bound, v_bound, initial_error)
     if detectability:
         _refuse_samples(schedule_file, families)
+        if any(bound is not None for bound in bounds.values()):
+            raise ArgumentError("`--detectability` has weights of its own and goes without bounds.")
         _detectability(settings, plant, certificate_file, eta, noise_gain)
         return
     times = _times(settings, plant, schedule_file, families)
     budget = Budget(settings.budget)
     with settings.progress("certify") as progress:
         certificate = sd.certify(
-            plant, times, eta=eta, budget=settings.budget, progress=progress,
+            plant, times, eta=eta, budget=settings.budget, progress=progress, w_bound=bounds["w_bound"],
+            v_bound=bounds["v_bound"], initial_error=bounds["initial_error"],
             **({} if noise_gain is None else {"noise_gain": noise_gain}),
         )  # fmt: skip
     compared = None
@@ -116,6 +130,17 @@ def certify(
     notes: list[RichTable | str] = [] if compared is None else [_horizons(compared)]
     notes += [] if compared is None else [f"{r.name}: {r.note}" for r in compared.rows if r.note]
     settings.show(certificate.to_dict(), record_table(certificate), *notes, certificate.explain())
+
+
+def error_bounds(
+    plant: sd.Plant, w_bound: str | None, v_bound: str | None, initial_error: str | None
+) -> ErrorBoundArguments:
+    """The bounds as given."""
+    return ErrorBoundArguments(
+        w_bound=numbers("--w-bound", w_bound, plant.disturbances.names),
+        v_bound=numbers("--v-bound", v_bound, plant.outputs.names),
+        initial_error=numbers("--initial-error", initial_error, plant.states.names),
+    )
 
 
 def _refuse_samples(schedule: Path | None, families: Mapping[str, object]) -> None:

@@ -9,11 +9,10 @@ import numpy as np
 import typer
 
 import sampling_design as sd
-from sampling_design.certificates.for_bounds import ErrorBoundArguments
 from sampling_design.cli import reading
 from sampling_design.cli.following import USUAL, EstimateOptions, followed
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for, window_length
-from sampling_design.cli.prove import sampling_certificate
+from sampling_design.cli.prove import InitialError, VBound, WBound, error_bounds, sampling_certificate
 from sampling_design.cli.settings import (
     Hands,
     Scheduler,
@@ -30,10 +29,6 @@ from sampling_design.records.record import short
 from sampling_design.validation.report import ValidationReport
 
 MeasurementFile = Annotated[Path, typer.Argument(metavar="MEASUREMENTS", help="Measurements: a .csv file.")]
-Numbers = "One number bounds the norm; numbers with commas between bound each entry. Default: the plant's scales."
-WBound = Annotated[str | None, typer.Option("--w-bound", "--w", help=f"Bound on the disturbance w(t). {Numbers}")]
-VBound = Annotated[str | None, typer.Option("--v-bound", "--v", help=f"Bound on the measurement noise v. {Numbers}")]
-InitialError = Annotated[str | None, typer.Option(help=f"Bound on the prior's error. {Numbers}")]
 CertificateFile = Annotated[Path | None, typer.Option("--certificate", metavar="FILE", help="Certificate (.json).")]
 Eta = Annotated[float | None, typer.Option(help="Discount rate of the squared error, where one is certified.")]
 
@@ -66,7 +61,7 @@ def estimate(
     if how.tube and (how.wild or how.smooth):
         raise ArgumentError("`--tube` is of estimates as they came: leave it out with --outliers and --smooth.")
     plant = settings.part(reading.plant(plant_file))
-    bounds = _bounds(plant, w_bound, v_bound, initial_error)
+    bounds = error_bounds(plant, w_bound, v_bound, initial_error)
     schedule = None if schedule_file is None else schedule_for(settings, plant, schedule_file)
     record = reading.measurements(settings, measurement_file, plant, None if schedule is None else schedule.origin)
     if schedule is not None:
@@ -108,17 +103,6 @@ def _numbered(text: str) -> list[int]:
         raise ArgumentError(f"`--leave-out` must hold numbers of samples, 3 or 3,17, got {text!r}.") from None
 
 
-def _bounds(
-    plant: sd.Plant, w_bound: str | None, v_bound: str | None, initial_error: str | None
-) -> ErrorBoundArguments:
-    """The bounds as given."""
-    return ErrorBoundArguments(
-        w_bound=numbers("--w-bound", w_bound, plant.disturbances.names),
-        v_bound=numbers("--v-bound", v_bound, plant.outputs.names),
-        initial_error=numbers("--initial-error", initial_error, plant.states.names),
-    )
-
-
 def validate(
     settings: Settings,
     plant_file: PlantFile,
@@ -142,12 +126,14 @@ def validate(
     """
     plant = settings.part(reading.plant(plant_file))
     schedule = schedule_for(settings, plant, schedule_file)
-    bounds = _bounds(plant, w_bound, v_bound, initial_error)
+    bounds = error_bounds(plant, w_bound, v_bound, initial_error)
     if certificate_file is not None:
         certificate = sampling_certificate(certificate_file, plant)
     else:
         with settings.progress("certificate") as progress:
-            certificate = sd.certificates.certify_for_bounds(plant, schedule, eta=eta, progress=progress, **bounds)
+            scales = {"v_bound": plant.outputs.scales}  # as the defaults of validate
+            known = {name: bound for name, bound in bounds.items() if bound is not None}
+            certificate = sd.certify(plant, schedule, eta=eta, progress=progress, **(known or scales))
     for name, bound in bounds.items():
         if bound is None:
             settings.notice(f"--{name.replace('_', '-')} not given: the plant's scales are used.")

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.certificates.certification import certify
+from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.certificates.exact.certificate import SampledCertificate
-from sampling_design.certificates.for_bounds import ErrorBoundArguments, certify_for_bounds
 from sampling_design.errors import MathematicsError, SolverError
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.estimators.online.estimator import GuaranteeWarning
@@ -71,7 +72,7 @@ def estimator_for(
     record : Measurements
     certificate : Certificate or FamilyCertificate, optional
     schedule : Schedule or PeriodicSchedule, optional
-        Certified with weights that follow the bounds (`certify_for_bounds`).
+        Certified with weights that follow the bounds.
     eta : float, optional [1/time]
         Rate, where one is certified. Default: one over the longest gap.
     horizon : float, optional [time]
@@ -118,7 +119,7 @@ def estimator_for(
     guarantee = "Guarantee of the certificate given."
     if certificate is None and schedule is not None:
         rate = _rate(plant, eta, schedule.d_max, used)
-        certificate = certify_for_bounds(plant, schedule, eta=rate, progress=progress, **bounds)
+        certificate = certify(plant, schedule, eta=rate, progress=progress, **bounds)
         guarantee = "Guarantee for the schedule given."
     elif certificate is None:
         certificate, guarantee = _from_gaps(plant, ordered, eta, bounds, used, progress)
@@ -166,7 +167,7 @@ def _from_gaps(
     if asked and taken.all():
         family = GapRange(shortest, max(longest, float(times[0])), time_unit=plant.time_unit)
         try:
-            found = certify_for_bounds(plant, family, eta=rate, progress=progress, **bounds)
+            found = certify(plant, family, eta=rate, progress=progress, **bounds)
             return found, f"Guarantee for all schedules with {seen}."
         except (MathematicsError, SolverError):
             pass  # not every schedule with these gaps can be certified: perhaps this one can
@@ -175,7 +176,7 @@ def _from_gaps(
         return None, words + f"{OWN_SAMPLES} that are certified in passing. Give a certificate or a schedule."
     try:
         own = Schedule(times, taken, time_unit=plant.time_unit)
-        certificate = certify_for_bounds(plant, own, eta=rate, progress=progress, **bounds)
+        certificate = certify(plant, own, eta=rate, progress=progress, **bounds)
     except (MathematicsError, SolverError) as error:
         return None, f"No guarantee beyond the ellipsoid: {seen} cannot be certified ({str(error).rstrip('.')})."
     words = f"Guarantee for the file's own times only, certified to its last time ({seen})."

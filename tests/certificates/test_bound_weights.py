@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from sampling_design import GapRange, MovingHorizonEstimator, PeriodicSchedule, Plant, certify, simulate_record
+from sampling_design import (
+    GapRange,
+    MovingHorizonEstimator,
+    PeriodicSchedule,
+    Plant,
+    UncertainParameter,
+    UncertainPlant,
+    certify,
+    simulate_record,
+)
 from sampling_design.certificates.exact.bound_weights import weights_from_bounds
 from sampling_design.errors import ArgumentError
 
@@ -20,6 +29,20 @@ def test_everything_within_the_bounds_costs_at_most_one():
     assert np.einsum("ki,ij,kj->k", corner * w, weights["Qw"], corner * w) / 0.5 == pytest.approx(1.0)
     together = np.linalg.solve(weights["R"] + weights["Qv"], weights["R"] @ weights["Qv"])
     assert float(v @ together @ v) == pytest.approx(1.0)
+
+
+def test_certify_takes_bounds_in_place_of_weights():
+    schedule = PeriodicSchedule([0.5, 1.0])
+    made = certify(PLANT, schedule, v_bound=0.3, initial_error=0.0)
+    assert made.eta == 1.0  # one over the longest gap
+    stated = weights_from_bounds(PLANT, 1.0, PLANT.disturbances.scales, 0.3, PLANT.states.scales)
+    for key, weight in stated.items():
+        np.testing.assert_array_equal(getattr(made, key), weight)
+    assert certify(PLANT, GapRange(0.5, 1.0), w_bound=0.1, eta=0.4).eta == 0.4
+    with pytest.raises(ArgumentError, match="`v_bound` and `initial_error` say the weights: leave out P2, Qw, R and"):
+        certify(PLANT, schedule, v_bound=0.3, R=[[1.0]])
+    with pytest.raises(ArgumentError, match="`initial_error` are for exactly known plants: give Qw and R"):
+        certify(UncertainPlant(PLANT, [UncertainParameter("k", 0.9, 1.1, A=-PLANT.A)]), schedule, v_bound=0.3)
 
 
 def test_a_number_bounds_the_norm():

@@ -9,6 +9,7 @@ from sampling_design import PeriodicSchedule, Plant, Schedule, certify
 from sampling_design.certificates.certification import chosen
 from sampling_design.certificates.compare.tradeoff import tradeoff_curve
 from sampling_design.certificates.exact.given_weights import weights_of
+from sampling_design.certificates.exact.weight_choice import LASTING
 from tests.cases import few
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -42,3 +43,23 @@ def test_the_rate_may_be_free():
     made = [certify(OSCILLATOR, PeriodicSchedule([1.0]), noise_gain=budget) for budget in (1.3, 2.5, 40.0)]
     horizons = np.array([one.horizon().minimum for one in made])
     assert np.all(np.diff(horizons) <= ROUNDING * horizons[:-1])
+
+
+def left_by_lasting_noise(plant, certificate):
+    """C_w and C_v over eta, states in their scales: what noise that does not end leaves of the squared error."""
+    P1 = certificate.P1 * np.outer(plant.states.scales, plant.states.scales)
+    return 1 / np.linalg.eigvalsh(P1)[0] / certificate.eta
+
+
+@pytest.mark.parametrize("case", few(range(3), 0))
+def test_no_horizon_is_bought_with_powers_of_ten_of_noise(case):
+    """At the rate that `certify` chooses by itself lasting noise leaves at most LASTING times the least at any rate."""
+    plant, schedule = [(OSCILLATOR, PeriodicSchedule([1.0, 1.0, 1.5])), CASES[1], CASES[3]][case]
+    free = certify(plant, schedule)
+    low, high = (factor / np.mean(schedule.gaps) for factor in (0.05, 3.0))
+    least = min(left_by_lasting_noise(plant, certify(plant, schedule, eta=eta)) for eta in np.geomspace(low, high, 3))
+    assert left_by_lasting_noise(plant, free) <= 1.1 * LASTING * least
+    fastest = certify(plant, schedule, eta=high)
+    assert free.horizon().minimum < 1.5 * fastest.horizon().minimum
+    if case == 0:  # which chasing the horizon would have chosen
+        assert left_by_lasting_noise(plant, fastest) > 2 * LASTING * least

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TypedDict
+
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
-from sampling_design.plants.plant import Plant
+from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.signatures import checked
@@ -34,7 +36,7 @@ def weights_from_bounds(
     Returns
     -------
     dict
-        P2, Qw, R and Qv, to be passed on as `certify(plant, schedule, eta=eta, **weights)`.
+        P2, Qw, R and Qv, as `certify(plant, schedule, w_bound=..., ...)` takes them.
 
     Raises
     ------
@@ -68,6 +70,37 @@ def weights_from_bounds(
         "R": noise,
         "Qv": noise.copy(),
     }
+
+
+class ErrorBoundArguments(TypedDict):
+    """Bounds as verbs take them: a number bounds the norm, a vector each entry."""
+
+    w_bound: npt.ArrayLike | None
+    v_bound: npt.ArrayLike | None
+    initial_error: npt.ArrayLike | None
+
+
+def weights_within(
+    plant: Plant,
+    eta: float,
+    w_bound: npt.ArrayLike | None,
+    v_bound: npt.ArrayLike | None,
+    initial_error: npt.ArrayLike | None,
+) -> tuple[Array, Array, Array, Array]:
+    """P2, Qw, R and Qv of bounds, the plant's scales in place of one that is None or zero.
+
+    Raises ArgumentError if a bound is negative or has another length.
+    """
+    w, v = _or_scales("w_bound", w_bound, plant.disturbances), _or_scales("v_bound", v_bound, plant.outputs)
+    found = weights_from_bounds(plant, eta, w, v, _or_scales("initial_error", initial_error, plant.states))
+    return found["P2"], found["Qw"], found["R"], found["Qv"]
+
+
+def _or_scales(name: str, bound: npt.ArrayLike | None, signals: Signals) -> npt.ArrayLike:
+    """A bound, or the scales where there is none or it is zero: nothing can be weighed by 1/0."""
+    if bound is None:
+        return signals.scales
+    return bound if checks.bound(name, bound, len(signals.scales)).all() else signals.scales
 
 
 def _unit_ball(name: str, bound: npt.ArrayLike, size: int) -> Array:

@@ -27,6 +27,9 @@ from sampling_design.records.progress import Progress
 from sampling_design.schedules.family import AnySchedule
 
 ETA_RANGE = (0.05, 3.0)  # rates that are searched, in units of 1/(mean gap) (formats.md, Defaults)
+LASTING = 10.0
+"""What lasting noise leaves of the squared error, C_w and C_v over eta, is at most so many times (and that by the noise
+gain) its least at any rate that is searched: beyond it a few percent of horizon cost powers of ten of it."""
 BELOW_UNSEEN = 0.9  # fraction of the rate 2 |Re lambda| of an unseen stable mode up to which eta is searched
 SCAN = 7
 SLOWER = 3.0, 10.0, 30.0, 100.0, 1000.0
@@ -134,6 +137,21 @@ class WeightSearch:
         B = np.diag(size**2) / windows.least_floor(size) + LEAST_SHARE * held
         mean = along if windows.steady is None else rounded(np.mean(windows.steady, axis=0), self.roundness)
         return RateWindows(windows, np.asarray(np.linalg.cholesky(symmetrise(B))), mean)
+
+    def calmest(self, bounds: tuple[float, float], rates: list[float]) -> float:
+        """The largest rate up to which lasting noise is held (`LASTING`), of `rates` that rise within bounds.
+
+        Between two of them ln(floor/eta) is taken to be convex in ln(eta), so that its chord is above it.
+        """
+        size = 1.0 / self.canon.plant.states.scales
+        with np.errstate(divide="ignore"):
+            lasting = np.log([self.setting(rate).windows.least_floor(size) / rate for rate in rates])
+        limit = float(lasting.min()) + np.log(LASTING)
+        within = int(np.flatnonzero(lasting <= limit)[-1])
+        if within + 1 == len(rates) or not np.isfinite(lasting[within : within + 2]).all():
+            return bounds[1] if within + 1 == len(rates) else rates[within]
+        share = (limit - lasting[within]) / (lasting[within + 1] - lasting[within])
+        return float(rates[within] * (rates[within + 1] / rates[within]) ** share)
 
     def guesses(self, eta: float) -> list[Array]:
         """Shapes between the inverse of the long-run covariance and the least P1, which any budget allows."""
@@ -347,6 +365,9 @@ def choose_weights(
             "undecided: at no rate that was tried could the information on this schedule be followed in doubles; the "
             f"schedule is on the edge of what can be certified.{origin_question(canon)}"
         )
+    if free:
+        bounds = bounds[0], search.calmest(bounds, [guess.eta for guess in guesses])
+        guesses = [guess for guess in guesses if guess.eta <= bounds[1]]
     guesses.sort(key=attrgetter("value"))
     found: list[ChosenWeights] = []
     for k, guess in enumerate(guesses[: search.starts]):

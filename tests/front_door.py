@@ -195,7 +195,7 @@ def named() -> dict[str, Any]:
         "upper": [1.0, 1.0], "rows": [[1.0, 0.0]], "offsets": [1.0], "dimension": 2, "centre": None, "shape": None,
         "value": [0.1, 0.2], "values": [[0.1, 0.2]], "tolerance": 0.0, "truth": [0.9, 0.0], "i": 1, "noises": True,
         "input_side": "right", "norm": "P2", "scenarios": ["random"], "method": "riccati", "floor": 1e-3,
-        "memory": None, "retained": None, "pairs": 2, "step": 0.1, "cases": ["per_second"], "days": 0.25, "seed": 0,
+        "memory": None, "retained": None, "pairs": 2, "dt": 0.1, "cases": ["per_second"], "days": 0.25, "seed": 0,
         "x": [0.1, 0.2], "w": None, "v": None, "guess": [0.0, 0.0], "case": "per_second", "scheme": "standard",
         "forbidden": [[1.0, 1.2]], "fixed": [0.5], "target_sigma": None, "cost_limit": None, "available": [[0.0, 3.0]],
         "proof_constants": None, "estimates": [t["estimate"]], "samples_needed": 3, "changes": {}, "details": {},

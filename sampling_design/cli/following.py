@@ -12,7 +12,7 @@ import typer
 from rich.table import Table as RichTable
 
 import sampling_design as sd
-from sampling_design.certificates.for_bounds import ErrorBoundArguments
+from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.cli.settings import Settings, rows_table, table
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.estimate_file import (

@@ -177,7 +177,7 @@ def robustness(
     certificate = sampling_certificate(certificate_file, plant)
     with settings.progress("robustness") as progress:
         result = sd.robustness(
-            plant, certificate, length=horizon, longest=longest, budget=settings.budget, progress=progress
+            plant, certificate, horizon=horizon, longest=longest, budget=settings.budget, progress=progress
         )
     folder = settings.folder()
     if folder is not None:

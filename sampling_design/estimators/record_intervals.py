@@ -10,7 +10,7 @@ import numpy as np
 from sampling_design.accuracy.interval import Interval, state_interval
 from sampling_design.accuracy.outliers import left_out
 from sampling_design.accuracy.readings import Arrived
-from sampling_design.certificates.for_bounds import ErrorBoundArguments
+from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.estimate_file import TOGETHER
 from sampling_design.estimators.gap_flows.cost_function import CostFunction

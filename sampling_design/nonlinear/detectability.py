@@ -140,7 +140,7 @@ def check_detectability(
     cost: CostFunction,
     P1: object = None,
     duration: float,
-    step: float | None = None,
+    dt: float | None = None,
     pairs: int = 100,
     u: object = None,
     rng: Seed = None,
@@ -164,7 +164,7 @@ def check_detectability(
         The weight on the left; default P2.
     duration : float
         Length of the trajectories [time].
-    step : float, optional
+    dt : float, optional
         The disturbances are constant on pieces of this length [time]; default duration/40.
     pairs : int
     u : (m,) array, optional
@@ -206,7 +206,7 @@ def check_detectability(
     """
     if cost.eta is None:
         raise ArgumentError("`cost` must give a rate here: CostFunction(eta=...).")
-    study = DetectabilityStudy(plant, scaled_weights(plant, cost), start, duration, step, u)
+    study = DetectabilityStudy(plant, scaled_weights(plant, cost), start, duration, dt, u)
     left = study.weights.P2 if P1 is None else scaled_weights(plant, CostFunction(P2=P1), name="P1").P2  # type: ignore[arg-type]
     rng = checks.generator(rng)
     count, sets = checks.whole("pairs", pairs, 1), SamplingSet(schedule)
@@ -234,7 +234,7 @@ class DetectabilityStudy:
         if not np.all(np.isfinite(self.start)):
             raise ArgumentError("`start` must be a finite box (lower, upper): the plant's box of states is not.")
         self.duration = checks.positive("duration", duration)
-        self.step = self.duration / 40 if step is None else checks.positive("step", step)
+        self.step = self.duration / 40 if step is None else checks.positive("dt", step)
         self.u = checks.vector("u", np.zeros(plant.n_inputs) if u is None else u, plant.n_inputs)
         self.integrator = Integrator(plant)
         self.tightest = TightestPairs(plant, weights)

@@ -176,7 +176,7 @@ def test_proof_constants_are_those_of_the_formulas():
 
 @pytest.mark.parametrize(("field", "factor"), [("eta", 1.01), ("c_w", 0.98), ("c_y", 0.98)])
 def test_altered_constants_fail_their_check(field, factor):
-    best = certify_detectability(DOUBLE, rate=1.0)
+    best = certify_detectability(DOUBLE, eta=1.0)
     values = {key: getattr(best, key) for key in ("eta", "c_w", "c_y")}
     values[field] *= factor
     check = DetectabilityCertificate(DOUBLE, best.P, **values).verify()
@@ -211,7 +211,7 @@ def test_degenerate_plants_are_certified_both_ways(plant):
     [
         ({"method": "sdp"}, '`method` must be "riccati" or "lmi"'),
         ({"c_w": 1.0}, "must be bounded together or not at all"),
-        ({"rate": -1.0}, "`rate` must be positive"),
+        ({"eta": -1.0}, "`eta` must be positive"),
         ({"noise_gain": 0.0}, "`noise_gain` must be positive"),
     ],
 )
@@ -234,7 +234,7 @@ def test_plants_without_states_and_useless_gains_are_refused():
 def test_certificate_that_fails_is_never_returned(monkeypatch):
     monkeypatch.setattr(room, "_largest_P", lambda *_: (np.eye(2), np.zeros((2, 1))))
     with pytest.raises(CertificateError, match="No detectability certificate"):
-        certify_detectability(DOUBLE, rate=1.0)
+        certify_detectability(DOUBLE, eta=1.0)
 
 
 def test_record_shows_itself():

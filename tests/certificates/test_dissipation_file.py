@@ -31,7 +31,7 @@ SCALAR = Plant([[1.0]], [[1.0]])
 def certificates():
     return (
         certify_detectability(OSCILLATOR),
-        certify_detectability(TILTED, rate=0.7, method="lmi"),
+        certify_detectability(TILTED, eta=0.7, method="lmi"),
         detectability_from_proof(DOUBLE),
         DetectabilityCertificate(SCALAR, [[1.0]], eta=1.0, c_w=1.0, c_y=4.01, margin=1e-3),
         certify_detectability(QUIET),

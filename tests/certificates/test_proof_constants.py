@@ -180,7 +180,7 @@ def test_finite_schedule_is_measured_to_its_last_sample():
 
 
 def test_given_detectability_replaces_the_sweep():
-    given = certify_detectability(OSCILLATOR, rate=1.0)
+    given = certify_detectability(OSCILLATOR, eta=1.0)
     proof = constants_from_proof(OSCILLATOR, EACH_SECOND, variant="tightened", detectability=given)
     assert proof.eta == 1.0
     assert proof.horizon < 14.0

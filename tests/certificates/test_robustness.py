@@ -75,7 +75,7 @@ def test_losses_agree_with_brute_force(planned, found):
 
 
 def test_a_longer_horizon_survives_more(planned, found):
-    longer = sd.robustness(OSCILLATOR, planned, length=2 * found.length, longest=2)
+    longer = sd.robustness(OSCILLATOR, planned, horizon=2 * found.length, longest=2)
     assert longer.limit > found.limit
     assert longer.radius > found.radius
 
@@ -106,7 +106,7 @@ def test_a_design_is_certified_first():
 
 def test_nothing_may_survive():
     planned = sd.certify(OSCILLATOR, PeriodicSchedule([3.0]), eta=0.3, P2=np.eye(2))
-    found = sd.robustness(OSCILLATOR, planned, length=planned.horizon().minimum * 1.001, longest=2)
+    found = sd.robustness(OSCILLATOR, planned, horizon=planned.horizon().minimum * 1.001, longest=2)
     assert (found.radius, found.tolerated, found.jittered) == (0.0, (), None)
     assert "no timing error and no loss" in found.explain()
 
@@ -124,7 +124,7 @@ def test_what_cannot_be_asked_is_refused(planned):
     with pytest.raises(ArgumentError, match="`certificate` certifies another plant"):
         sd.robustness(Plant([[0.0, 1.0], [-2.0, 0.0]], [[1.0, 0.0]]), planned)
     with pytest.raises(ArgumentError, match="is too short for the planned schedule: it needs M >"):
-        sd.robustness(OSCILLATOR, planned, length=0.5)
+        sd.robustness(OSCILLATOR, planned, horizon=0.5)
 
 
 def test_what_is_no_family_is_refused(planned):

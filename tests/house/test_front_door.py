@@ -11,10 +11,12 @@ import subprocess
 import sys
 import textwrap
 import tomllib
+import typing
 
 import pytest
 
 import sampling_design
+from sampling_design.records.record import Displayable, Record
 from sampling_design.records.signatures import hints_of
 from tests.front_door import public
 from tests.house.front_door import lazy_rooms, stubs
@@ -209,6 +211,78 @@ def test_public_functions_state_parameters_and_returns():
         assert "Returns\n---" in doc, f"{name} does not say what it returns"
         listed = "Parameters\n---" in doc or not inspect.signature(thing).parameters
         assert listed, f"{name} does not list its parameters"
+
+
+WORDS = {
+    **dict.fromkeys(("T", "length"), "window or horizon"),
+    **dict.fromkeys(("rate", "decay"), "eta of the squared error, decay_rate of modes"),
+    **dict.fromkeys(("step", "sampling_time", "period_time"), "dt"),
+    **dict.fromkeys(("tol", "tolerance", "eps", "reltol"), "rtol"),
+    **dict.fromkeys(("random_state", "generator", "random"), "rng"),
+    **dict.fromkeys(("timeout", "seconds", "time_limit", "max_seconds"), "budget"),
+    **dict.fromkeys(("n_jobs", "jobs", "processes", "pool"), "workers"),
+    **dict.fromkeys(("callback", "verbose", "report"), "progress"),
+    **dict.fromkeys(("file", "filename"), "path"),
+    **dict.fromkeys(("disturbance_bound", "noise_bound", "prior_error"), "w_bound, v_bound or initial_error"),
+    **dict.fromkeys(("rows", "states_of", "wanted"), "of"),
+}
+"""What arguments of public functions are not called, and what the field and the other functions call them."""
+TOGETHER = (
+    ("w_bound", "v_bound", "initial_error"),
+    ("P2", "Qw", "R", "Qv"),
+    ("A", "B", "C", "D"),
+    ("prior", "prior_time"),
+)
+"""Arguments that stand in this order wherever several of them do."""
+
+
+def out_of_order(name, asked):
+    """What stands elsewhere than in other verbs: the plant first, but after the path of what is read; then the rest."""
+    subjects = ["path", "plant"] if name.startswith("read_") else ["plant", "path"]
+    if name.startswith("write_"):
+        subjects = ["path"]
+    groups = [given for group in (*TOGETHER, subjects) if (given := [each for each in group if each in asked])]
+    wrong = [given for given in groups if [each for each in asked if each in given] != given]
+    return wrong + [["plant"]] * ("plant" in asked and not name.startswith("read_") and asked[0] != "plant")
+
+
+def test_arguments_out_of_order_are_seen():
+    assert out_of_order("certify", ["schedule", "plant"])
+    assert out_of_order("certify", ["plant", "v_bound", "w_bound"])
+    assert not out_of_order("read_certificate", ["path", "plant"])
+
+
+@pytest.mark.parametrize("name", functions())
+def test_arguments_are_called_and_ordered_as_in_every_other_verb(name):
+    asked = list(inspect.signature(public()[name]).parameters)
+    assert {each: WORDS[each] for each in asked if each in WORDS} == {}
+    assert out_of_order(name, asked) == []
+    assert not name.startswith(("load_", "get_", "compute_")), "files are read by `read_`"
+    assert "seed" not in asked or "rng" not in asked
+
+
+def results():
+    """The records that verbs of the front door return."""
+    found = {}
+    for name in sampling_design.__all__:
+        thing = getattr(sampling_design, name)
+        if inspect.isfunction(thing):
+            hint = hints_of(thing).get("return")
+            kinds = [each for each in (hint, *typing.get_args(hint)) if inspect.isclass(each)]
+            found |= {each.__name__: each for each in kinds if issubclass(each, Record)}
+    return found
+
+
+@pytest.mark.parametrize("name", results())
+def test_every_result_says_shows_and_holds_itself_in_the_same_ways(name):
+    """In words, as a table, as a picture, and as data; the same methods of whatever a verb returns."""
+    kind = results()[name]
+    for method in ("explain", "plot", "_repr_html_"):
+        assert callable(getattr(kind, method)), method
+    assert hasattr(kind, "to_dict") or hasattr(kind, "to_frame")
+    assert kind._rows is not Displayable._rows or kind._table, "no table"
+    if hasattr(kind, "save"):  # what has a file of its own is a claim that can be checked, or what one was made of
+        assert hasattr(kind, "verify")
 
 
 def test_import_loads_nothing():

@@ -35,11 +35,11 @@ def test_no_trajectory_exceeds_the_bound(seed):
     rng = np.random.default_rng(seed)
     n = 1 + seed % 3
     plant = Plant(rng.normal(size=(n, n)), rng.normal(size=(1, n)), G=rng.normal(size=(n, 1)))
-    for found in (certify_detectability(plant, rate=0.3), detectability_from_proof(plant)):
+    for found in (certify_detectability(plant, eta=0.3), detectability_from_proof(plant)):
         assert worst_ratio(found, 1.0) <= 1 + 1e-4
 
 
 def test_riccati_certificate_is_tight():
     plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
-    found = certify_detectability(plant, rate=0.5, margin=1e-6, floor=0.0)
+    found = certify_detectability(plant, eta=0.5, margin=1e-6, floor=0.0)
     assert 0.99 < worst_ratio(found, 2.0, cells=300) <= 1 + 1e-4

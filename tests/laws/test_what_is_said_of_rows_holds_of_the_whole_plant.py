@@ -60,7 +60,7 @@ def certificate():
 VERBS = {
     "certify": lambda **of: certify(THREE, EVERY_SECOND, eta=0.7, P2=np.eye(2 + (of != {"of": "x1"})), **of),
     "certify a tolerance": lambda **of: certify(THREE, EVERY_SECOND, eta=0.7, timing_tolerance=0.01, **of),
-    "certify_detectability": lambda **of: certify_detectability(THREE, rate=0.1, **of),
+    "certify_detectability": lambda **of: certify_detectability(THREE, eta=0.1, **of),
     "certificate_exists": lambda **of: certificate_exists(THREE, EVERY_SECOND, 0.1, **of),
     "design_schedule": lambda **of: design_schedule(THREE, PLAIN, **of),
     "window_sigma": lambda **of: window_sigma(THREE, EVERY_SECOND, 4.0, **of),

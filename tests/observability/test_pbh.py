@@ -36,11 +36,11 @@ def test_planted_modes_are_found_with_their_directions(seed, hidden, expected):
 
 def test_a_rate_asks_only_for_modes_that_are_too_slow():
     plant, _ = planted(0, [3, 4])
-    assert len(unobservable_modes(plant, rate=0.0)) == 0
+    assert len(unobservable_modes(plant, decay_rate=0.0)) == 0
     np.testing.assert_allclose(
-        unobservable_modes(plant, rate=2.0).eigenvalues, [-1.0], atol=1e-9
+        unobservable_modes(plant, decay_rate=2.0).eigenvalues, [-1.0], atol=1e-9
     )  # -1 = -rate/2 counts
-    assert len(unobservable_modes(plant, rate=8.5)) == 2
+    assert len(unobservable_modes(plant, decay_rate=8.5)) == 2
 
 
 def test_defective_eigenvalues():
@@ -100,8 +100,8 @@ def test_plants_without_states_or_with_blind_outputs():
 
 def test_bad_input():
     plant, _ = planted(0, [])
-    with pytest.raises(ArgumentError, match="`rate` must not be negative"):
-        unobservable_modes(plant, rate=-1.0)
+    with pytest.raises(ArgumentError, match="`decay_rate` must not be negative"):
+        unobservable_modes(plant, decay_rate=-1.0)
     with pytest.raises(ArgumentError, match="`rtol` must be positive"):
         unobservable_modes(plant, rtol=0.0)
 

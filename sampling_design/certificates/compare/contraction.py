@@ -22,8 +22,8 @@ MOST_AT_ONCE = 4096  # windows that are followed side by side: a few megabytes
 
 
 @checked
-def error_map(certificate: Certificate, start: float, length: float, cost: str = "certificate") -> Array:
-    """Return the map e(start) -> e(start + length) of the estimator without noise and constraints.
+def error_map(certificate: Certificate, start: float, horizon: float, cost: str = "certificate") -> Array:
+    """Return the map e(start) -> e(start + horizon) of the estimator without noise and constraints.
 
     One window with prior weight P2: the error is the plant's flow, less what each sample corrects,
     F (I - K_N C) ... (I - K_1 C).
@@ -33,10 +33,10 @@ def error_map(certificate: Certificate, start: float, length: float, cost: str =
     certificate : Certificate
         Its weights are those of the estimator.
     start : float [time]
-    length : float [time]
-        Window length.
+    horizon : float [time]
+        Length of the window.
     cost : "certificate" or "paper"
-        The certificate's cost with the window (start, start + length], or the paper's (15): twice P2, Qw and Qv
+        The certificate's cost with the window (start, start + horizon], or the paper's (15): twice P2, Qw and Qv
         and the closed window.
 
     Returns
@@ -49,26 +49,26 @@ def error_map(certificate: Certificate, start: float, length: float, cost: str =
         If the cost is unknown.
     """
     problem, ends = _stated(certificate, cost)
-    seen = certificate.schedule.between(start, start + length, closed=ends).times
-    found: Array = _along(problem, np.array([start]), length, [seen])[0]
+    seen = certificate.schedule.between(start, start + horizon, closed=ends).times
+    found: Array = _along(problem, np.array([start]), horizon, [seen])[0]
     return found
 
 
 @checked
-def spectral_radius(certificate: Certificate, length: float, cost: str = "certificate") -> float:
-    """Return the spectral radius of the error over one window of `length`, the worst start in a period.
+def spectral_radius(certificate: Certificate, horizon: float, cost: str = "certificate") -> float:
+    """Return the spectral radius of the error over one window of `horizon`, the worst start in a period.
 
     Parameters
     ----------
     certificate : Certificate
         On a periodic schedule.
-    length : float [time]
+    horizon : float [time]
     cost : "certificate" or "paper"
 
     Returns
     -------
     float
-        Below one: the estimator that is restarted from its own estimate every `length` forgets.
+        Below one: the estimator that is restarted from its own estimate every `horizon` forgets.
 
     Raises
     ------
@@ -84,14 +84,14 @@ def spectral_radius(certificate: Certificate, length: float, cost: str = "certif
     period, first = schedule.period, schedule.first
     if not certificate.plant.n_states:
         return 0.0
-    ratio = length / period
+    ratio = horizon / period
     whole = next((k for k in range(1, MOST_PERIODS) if abs(k * ratio - round(k * ratio)) < 1e-9), MOST_PERIODS)
     problem, ends = _stated(certificate, cost)
     offsets, worst = first + (schedule.times - schedule.times[0]), 0.0
     for some in np.array_split(offsets, max(1, whole * len(offsets) // MOST_AT_ONCE)):
-        starts = (some[:, None] + length * np.arange(whole)).ravel()
-        seen = [schedule.between(start, start + length, closed=ends).times for start in starts.tolist()]
-        maps = _along(problem, starts, length, seen).reshape(len(some), whole, problem.size, problem.size)
+        starts = (some[:, None] + horizon * np.arange(whole)).ravel()
+        seen = [schedule.between(start, start + horizon, closed=ends).times for start in starts.tolist()]
+        maps = _along(problem, starts, horizon, seen).reshape(len(some), whole, problem.size, problem.size)
         product = maps[:, 0]
         for k in range(1, whole):
             product = maps[:, k] @ product

@@ -259,7 +259,7 @@ def robustness(
     plant: Plant,
     certificate: SampledCertificate | HasSchedule,
     *,
-    length: float | None = None,
+    horizon: float | None = None,
     longest: int = 8,
     families: Sequence[SamplingFamily] = (),
     budget: float = 60.0,
@@ -276,7 +276,7 @@ def robustness(
     plant : Plant
     certificate : Certificate or ScheduleDesign
         On a PeriodicSchedule; a design is certified first.
-    length : float, optional [time]
+    horizon : float, optional [time]
         The horizon M that is to be kept. Default: `certificate.horizon().length`.
     longest : int
         Losses are counted among at most this many consecutive samples.
@@ -328,12 +328,12 @@ def robustness(
     )
     if other := first_difference(plant, planned.plant):
         raise ArgumentError(f"`certificate` certifies another plant: {other}.")
-    M = planned.horizon().length if length is None else checks.positive("length", length)
+    M = planned.horizon().length if horizon is None else checks.positive("horizon", horizon)
     limit = float(np.exp(planned.eta * M))
     if planned.lam_proven >= limit:
         least = planned.horizon().minimum
         raise ArgumentError(
-            f"`length` = {short(M)} is too short for the planned schedule: it needs M > {short(least)}."
+            f"`horizon` = {short(M)} is too short for the planned schedule: it needs M > {short(least)}."
         )
     most = checks.whole("longest", longest, 2)
     whole = Budget(checks.positive("budget", budget))

@@ -46,7 +46,7 @@ _TOO_LARGE = (
 @checked
 def certify_detectability(
     plant: Plant,
-    rate: float | None = None,
+    eta: float | None = None,
     *,
     c_w: float | None = None,
     c_y: float | None = None,
@@ -63,13 +63,13 @@ def certify_detectability(
     Parameters
     ----------
     plant : Plant
-    rate : float [1/time_unit], optional
-        The rate eta asked for; the least gains at it are returned. Default: the largest rate whose gains stay within
+    eta : float [1/time_unit], optional
+        The rate asked for; the least gains at it are returned. Default: the largest rate whose gains stay within
         the bounds (for an observable pair the rate alone has no maximum).
     c_w, c_y : float, optional
         Bounds on the gains, both or neither. Default: `noise_gain` times their least at rates close to zero.
     noise_gain : float
-        See there; only used without `rate` and bounds.
+        See there; only used without `eta` and bounds.
     margin : float
         The inequality is solved at the rate (1 + margin) eta, and stated, with strict proof, at (1 + margin/4) eta.
     floor : float
@@ -114,18 +114,18 @@ def certify_detectability(
     An unseen mode e^{-0.3 t} limits the rate to 0.6:
 
     >>> plant = Plant([[0.5, 0.0], [0.0, -0.3]], [[1.0, 0.0]])
-    >>> certify_detectability(plant, rate=0.59).verify().passed
+    >>> certify_detectability(plant, eta=0.59).verify().passed
     True
-    >>> certify_detectability(plant, rate=0.61)
+    >>> certify_detectability(plant, eta=0.61)
     Traceback (most recent call last):
         ...
     sampling_design.errors.NotDetectableError: ... -0.3 ...
     """
-    plant = part_for(plant, of, decay_rate=rate)
+    plant = part_for(plant, of, decay_rate=eta)
     _arguments(plant, method, c_w, c_y)
     noise_gain, margin = checks.positive("noise_gain", noise_gain), checks.positive("margin", margin)
     floor = checks.nonnegative("floor", floor)
-    eta = None if rate is None else checks.positive("rate", rate)
+    eta = None if eta is None else checks.positive("eta", eta)
     _refuse_undetectable(plant, 0.0 if eta is None else eta)
     unit_w, unit_y = _units(plant)
     bounds = None if c_w is None or c_y is None else (checks.positive("c_w", c_w), checks.positive("c_y", c_y))

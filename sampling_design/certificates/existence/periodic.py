@@ -19,7 +19,7 @@ from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records.arrays import Array
-from sampling_design.records.record import YesOrNo, short
+from sampling_design.records.record import PlainRecord, YesOrNo, short
 from sampling_design.records.signatures import checked, open_verb
 from sampling_design.schedules.family import period_of
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -52,7 +52,7 @@ class ExistenceAnswer(YesOrNo):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Existence(ExistenceAnswer):
+class Existence(ExistenceAnswer, PlainRecord):
     """Whether some certificate with rate eta exists on a schedule: true if one does.
 
     Attributes
@@ -79,6 +79,7 @@ class Existence(ExistenceAnswer):
     period: float = 0.0
     reason: str = "every mode that does not fade by itself is seen within a period"
 
+    _plain = "exists margin period reason"
     _table = {"exists": "{exists}", "margin": "{margin:3}", "period": "{period}", "reason": "{reason}"}
 
     def explain(self) -> str:

@@ -77,7 +77,9 @@ class UnobservableModes(Record):
 
 
 @checked
-def unobservable_modes(plant: Plant, rate: float | None = None, *, rtol: float = RANK_TOLERANCE) -> UnobservableModes:
+def unobservable_modes(
+    plant: Plant, decay_rate: float | None = None, *, rtol: float = RANK_TOLERANCE
+) -> UnobservableModes:
     """Return the eigenvalues and directions of a plant that no output sees.
 
         A d = lambda d,    C d = 0,    d != 0
@@ -85,9 +87,9 @@ def unobservable_modes(plant: Plant, rate: float | None = None, *, rtol: float =
     Parameters
     ----------
     plant : Plant
-    rate : float, optional
-        Report only modes with Re lambda >= -rate/2 (those that keep the squared error from decaying at
-        `rate`); None reports all.
+    decay_rate : float, optional
+        Report only modes with Re lambda >= -decay_rate/2 (those that keep the squared error from decaying at
+        `decay_rate`); None reports all.
     rtol : float
         Relative rank tolerance, see Notes.
 
@@ -99,7 +101,7 @@ def unobservable_modes(plant: Plant, rate: float | None = None, *, rtol: float =
     Raises
     ------
     ArgumentError
-        If `rate` is negative or `rtol` not positive.
+        If `decay_rate` is negative or `rtol` not positive.
 
     Notes
     -----
@@ -121,7 +123,7 @@ def unobservable_modes(plant: Plant, rate: float | None = None, *, rtol: float =
     >>> modes.explain()
     'No output sees 0 along position.'
     """
-    offset = None if rate is None else checks.nonnegative("rate", rate) / 2
+    offset = None if decay_rate is None else checks.nonnegative("decay_rate", decay_rate) / 2
     tolerance = checks.positive("rtol", rtol)
     n = plant.n_states
     values: list[complex] = []

@@ -9,6 +9,7 @@ import numpy as np
 import typer
 
 import sampling_design as sd
+from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.cli import reading
 from sampling_design.cli.following import USUAL, EstimateOptions, followed
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for, window_length
@@ -131,9 +132,8 @@ def validate(
         certificate = sampling_certificate(certificate_file, plant)
     else:
         with settings.progress("certificate") as progress:
-            scales = {"v_bound": plant.outputs.scales}  # as the defaults of validate
-            known = {name: bound for name, bound in bounds.items() if bound is not None}
-            certificate = sd.certify(plant, schedule, eta=eta, progress=progress, **(known or scales))
+            weighed = _used(plant, bounds)
+            certificate = sd.certify(plant, schedule, eta=eta, progress=progress, **weighed)
     for name, bound in bounds.items():
         if bound is None:
             settings.notice(f"--{name.replace('_', '-')} not given: the plant's scales are used.")

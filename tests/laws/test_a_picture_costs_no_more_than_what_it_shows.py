@@ -35,7 +35,7 @@ def followed(folder, radii, tube=False, **flags):
     record = sd.Measurements(PLANT, times, np.cos(times)[:, None])
     estimator = sd.MovingHorizonEstimator(PLANT, horizon=4.0, **BOUNDS)
     settings = Settings("estimate", output=folder, quiet=True, **flags)
-    following.followed(settings, estimator, record, radii, "words", tube)
+    following.followed(settings, estimator, record, following.EstimateOptions(radii, tube), "words", BOUNDS)
     return [path.name for path in settings.files]
 
 

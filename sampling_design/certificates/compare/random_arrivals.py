@@ -146,7 +146,7 @@ def random_arrivals(
     loss_probability: float = 0.0,
     *,
     arrival_rate: float | None = None,
-    length: float | None = None,
+    horizon: float | None = None,
 ) -> RandomArrivals:
     """Bound how likely a certificate's contraction holds, and its mean, where chance decides which samples arrive.
 
@@ -163,7 +163,7 @@ def random_arrivals(
         p in [0, 1]: of every sample, all outputs together.
     arrival_rate : float, optional [1/time]
         Samples, of all outputs, come as a Poisson process of this rate. Default: at the times of the schedule.
-    length : float, optional [time]
+    horizon : float, optional [time]
         M, a whole number of periods without `arrival_rate`. Default: the least that is not below
         `certificate.horizon().length`.
 
@@ -174,7 +174,7 @@ def random_arrivals(
     Raises
     ------
     ArgumentError
-        If the schedule is finite, `loss_probability` no probability, `length` not a whole number of periods, or a
+        If the schedule is finite, `loss_probability` no probability, `horizon` not a whole number of periods, or a
         window holds more than `MOST_SAMPLES` samples, or more than `MOST_STEPS` time constants of the plant.
 
     Notes
@@ -206,12 +206,12 @@ def random_arrivals(
     if p > 1:
         raise ArgumentError(f"`loss_probability` must lie between 0 and 1, got {p!r}.")
     c = certificate
-    asked = c.horizon().length if length is None else checks.positive("length", length)
+    asked = c.horizon().length if horizon is None else checks.positive("horizon", horizon)
     problem = window_problem(c.plant, c.schedule, c.P2, c.Qw, c.R, c.Qv, c.eta)
     with np.errstate(over="ignore", invalid="ignore"):  # growth that no double holds bounds nothing
         if arrival_rate is None:
             schedule = period_of(c.schedule, FINITE)
-            whole = _periods(asked, schedule.period, len(schedule), length is None)
+            whole = _periods(asked, schedule.period, len(schedule), horizon is None)
             M, samples, ends = whole * schedule.period, float(whole * len(schedule)), np.array(schedule.times)
             found = [_bounds(problem, _planned(problem, k, whole, p), M) for k in range(len(ends))]
         else:
@@ -237,14 +237,14 @@ def _periods(asked: float, period: float, count: int, default: bool) -> int:
     periods = asked / period
     if (most := periods * (1 - 1e-9) * count) > MOST_SAMPLES:
         raise ArgumentError(
-            f"`length` = {short(asked)} spans {short(np.ceil(most))} samples: at most {MOST_SAMPLES} are followed."
+            f"`horizon` = {short(asked)} spans {short(np.ceil(most))} samples: at most {MOST_SAMPLES} are followed."
         )
     if default:
         return max(1, int(np.ceil(periods * (1 - 1e-9))))
     whole = round(periods)
     if whole < 1 or abs(periods - whole) > 1e-9 * whole:
         raise ArgumentError(
-            f"`length` = {short(asked)} must be a whole number of periods ({short(period)}): windows that "
+            f"`horizon` = {short(asked)} must be a whole number of periods ({short(period)}): windows that "
             "follow each other are alike then."
         )
     return whole
@@ -325,7 +325,7 @@ def _poisson(problem: WindowProblem, rows: Array, rate: float, M: float) -> list
     turns = np.linalg.norm(A, 2) * M if n else 0.0
     if not turns <= MOST_STEPS:
         raise ArgumentError(
-            f"`length` = {short(M)} spans {short(turns)} time constants of the plant in the weights of the "
+            f"`horizon` = {short(M)} spans {short(turns)} time constants of the plant in the weights of the "
             f"certificate: at most {MOST_STEPS} are followed."
         )
     count = max(STEPS, int(np.ceil(turns)))

@@ -211,7 +211,9 @@ def test_bad_plants_and_schedules_are_refused():
 
 
 def test_aliased_schedule_is_refused_with_reason_and_a_repair_that_works():
-    with pytest.raises(CertificateError, match=r"0\+1i is aliased with 0-1i: their difference is 2 pi over the period") as caught:
+    with pytest.raises(
+        CertificateError, match=r"0\+1i is aliased with 0-1i: their difference is 2 pi over the period"
+    ) as caught:
         given(schedule=PeriodicSchedule([np.pi]))
     details = caught.value.details
     assert details["eigenvalue"] == pytest.approx(1j)

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar, cast, dataclass_t
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.records.arrays import Array
+
 Plain: TypeAlias = "str | float | bool | Sequence[Plain] | Mapping[str, Plain] | None"
 """Plain data, as it stands in a file: texts, numbers, and lists and tables of them."""
 
@@ -168,7 +170,7 @@ def latex_number(value: float, digits: int = 6) -> str:
     return rf"{mantissa} \cdot 10^{{{int(power)}}}" if power else text.replace("inf", r"\infty")
 
 
-def latex_matrix(values: npt.NDArray[np.float64], digits: int = 6) -> str:
+def latex_matrix(values: Array, digits: int = 6) -> str:
     """Return a matrix for LaTeX's mathematics, of any number of columns."""
     rows = " \\\\ ".join(" & ".join(latex_number(float(v), digits) for v in row) for row in values)
     return rf"\left[\begin{{array}}{{{'r' * values.shape[1]}}} {rows} \end{{array}}\right]"

@@ -36,9 +36,7 @@ def run(path: Path) -> list[dict]:
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "result.json"
         command = [sys.executable, "-m", "pytest", "-q", "-o", "addopts=--import-mode=importlib"]
-        command += [
-            "--benchmark-timer=time.process_time"
-        ]  # by the clock, other work made one thing look 70 times another
+        command += ["--benchmark-timer=time.process_time"]  # by the clock, other work would decide the ratios
         command += ["--benchmark-only", "--benchmark-min-rounds=5", f"--benchmark-json={result}", str(path)]
         subprocess.run(command, check=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"}, stdout=sys.stderr)
         return json.loads(result.read_text())["benchmarks"]
@@ -131,14 +129,8 @@ def main(asked: list[str]) -> None:
         if asked and title in before and path.stem.removeprefix("bench_") not in asked:
             lines += ["", f"## {before[title][0]}", *before[title][1:]]
             continue
-        lines += [
-            "",
-            f"## {title}",
-            "",
-            f"{summary} Measured on {date.today()}.",
-            "",
-            *table([measured(entry) for entry in run(path)]),
-        ]
+        lines += ["", f"## {title}", "", f"{summary} Measured on {date.today()}.", ""]
+        lines += table([measured(entry) for entry in run(path)])
         lines += kept.get(title, [])
     TARGET.write_text("\n".join(lines) + "\n")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Annotated
@@ -32,6 +33,7 @@ from sampling_design.estimators.online.tally import EstimateCounts
 from sampling_design.estimators.record_intervals import estimates_despite_outliers, smoothed_along
 from sampling_design.records.arrays import Array
 from sampling_design.records.file_io import AtomicWriter
+from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 
 
@@ -90,6 +92,23 @@ class EstimateOptions:
             raise ArgumentError(f"`--outliers` must be Q or Q:M, 1 or 1:10, got {self.outliers!r}.")
         return (most, *among) if among else most  # type: ignore[return-value]
 
+    def estimates(
+        self,
+        estimator: sd.MovingHorizonEstimator,
+        record: sd.Measurements,
+        bounds: ErrorBoundArguments,
+        kind: str,
+        *,
+        curve: CurveCollector | None,
+        progress: Progress,
+    ) -> Iterator[list[Estimate]]:
+        """The estimates along a record as they are asked for, some at a time."""
+        if wild := self.wild:
+            return estimates_despite_outliers(estimator, record, bounds, wild, smooth=self.smooth, progress=progress)
+        if self.smooth:
+            return smoothed_along(estimator, record, bounds, kind)
+        return estimates_along(estimator, record, kind, curve, progress)
+
 
 USUAL = EstimateOptions()
 """Every row as it came, with the usual radii."""
@@ -124,15 +143,7 @@ def followed(
                 open_files.enter_context(each)
         tally, last = EstimateCounts(plant.time_unit) if columns is None else columns.tally, None
         with settings.progress("estimate") as progress:
-            if wild:
-                found = estimates_despite_outliers(
-                    estimator, record, bounds, wild, smooth=options.smooth, progress=progress
-                )
-            elif options.smooth:
-                found = smoothed_along(estimator, record, bounds, kind)
-            else:
-                found = estimates_along(estimator, record, kind, curve, progress)
-            for some in found:
+            for some in options.estimates(estimator, record, bounds, kind, curve=curve, progress=progress):
                 last = some[-1]
                 if rows is not None or columns is not None:  # always where there is a picture
                     block = EstimateBlock.of(some, kind)

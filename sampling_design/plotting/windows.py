@@ -23,7 +23,7 @@ def draw_deviations(found: SigmaDeviations | None, ax: Axes, *, late: bool) -> f
     return min(found.late, found.lost)
 
 
-def draw_window_sigma(result: WindowSigma, ax: Axes | None = None, *, columns: int = 3, beside: bool = True) -> Axes:
+def draw_window_sigma(result: WindowSigma, ax: Axes | None = None, *, columns: int = 2, beside: bool = True) -> Axes:
     """Draw sigma over the window's end: attained values, proven bound, and the worst position.
 
     And, `beside`, what samples that come late or are lost leave of it.

@@ -44,9 +44,10 @@ class EstimateOptions:
     radii: Annotated[
         str | None,
         typer.Option(
-            help="intervals: as narrow as data and bounds allow; centred: the same, and each estimate in the middle of "
-            "its interval, where no other has a smaller radius; ellipsoids: wider, a hundred times faster. Default: "
-            f"intervals up to {MOST_INTERVALS} rows (of more than {FEW_STATES} states: fewer), ellipsoids beyond."
+            help="centred: each estimate in the middle of the interval that data and bounds allow, where no other has "
+            "a smaller radius; intervals: the estimator's own, which may lie aside of that middle; ellipsoids: wider, "
+            f"a hundred times faster. Default: centred up to {MOST_INTERVALS} rows (of more than {FEW_STATES} states: "
+            "fewer), ellipsoids beyond."
         ),
     ] = None
     tube: Annotated[
@@ -141,7 +142,8 @@ def followed(
         for each in (rows, columns):
             if each is not None:
                 open_files.enter_context(each)
-        tally, last = EstimateCounts(plant.time_unit) if columns is None else columns.tally, None
+        counts, last = EstimateCounts(plant.time_unit, moved=kind == "centred"), None
+        tally = counts if columns is None else columns.tally
         with settings.progress("estimate") as progress:
             for some in options.estimates(estimator, record, bounds, kind, curve=curve, progress=progress):
                 last = some[-1]
@@ -180,7 +182,7 @@ def _usual(settings: Settings, estimator: sd.MovingHorizonEstimator, record: sd.
     if kind == "ellipsoids" and not estimator.bounds.note:
         settings.notice(
             f"--radii not given: of {len(record)} rows and {n} states the radii are those of ellipsoids; --radii "
-            "intervals are narrower and take longer."
+            "centred are narrower and take longer."
         )
     return kind
 

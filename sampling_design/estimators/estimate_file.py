@@ -124,7 +124,11 @@ class EstimateColumns:
     LISTS = ("times", "x", "radii", "radius", "cost", "status", "certified", "on_schedule", "notes")
 
     def __init__(self, plant: Plant, radii: str = "intervals"):
-        self.plant, self.radii, self.tally = plant, check_radii(radii), EstimateCounts(plant.time_unit)
+        self.plant, self.radii, self.tally = (
+            plant,
+            check_radii(radii),
+            EstimateCounts(plant.time_unit, moved=radii == "centred"),
+        )
         self._begun = False
 
     def __enter__(self) -> EstimateColumns:
@@ -253,11 +257,11 @@ def _listed(columns: list[list[str]]) -> list[str]:
 
 
 def usual_radii(rows: int, states: int) -> str:
-    """Return the kind of radii where none is asked for: those of intervals, if the record takes bearable time.
+    """Return the kind of radii where none is asked for: those of intervals about their middle, if these take little.
 
     The work of one interval grows with the cube of the states.
     """
-    return "intervals" if rows * max(1.0, states / FEW_STATES) ** 3 <= MOST_INTERVALS else "ellipsoids"
+    return "centred" if rows * max(1.0, states / FEW_STATES) ** 3 <= MOST_INTERVALS else "ellipsoids"
 
 
 def estimates_along(

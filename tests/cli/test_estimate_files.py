@@ -98,3 +98,26 @@ def test_files_and_exit_code_say_it_too(shell, tmp_path, radii, written):
         assert (row["certified"] == "1") == data["certified"][k] == standing
         assert (row["level_radius"] != "") == (data["radii"][k] != [None]) == standing
     assert len(data["contradictions"]) == 1
+
+
+def test_an_estimate_lies_in_the_middle_of_what_is_possible_unless_asked_otherwise(shell, tmp_path):
+    """As far from the truth at most as any estimate can guarantee, and not aside of that as the least squares are."""
+    plant = sd.Plant([[0.0]], [[1.0]], states=["level"], outputs=["gauge"])
+    path = sd.plants.write_plant(plant, tmp_path / "plant.toml")
+    (tmp_path / "y.csv").write_text("time,gauge\n0.5,0.7\n1.5,0.74\n2.5,0.82\n")
+    bounds = ("--w", 0.05, "--v", 0.1, "--initial-error", 1)
+    found = {}
+    for radii in ((), ("--radii", "intervals")):
+        done = shell("estimate", path, tmp_path / "y.csv", *bounds, *radii, "--json", "--quiet")
+        assert done.code == 0, done.err
+        data = json.loads(done.out)
+        found[radii] = np.array(data["x"]), np.array(data["radii"])
+        assert ("on schedule" in shell("estimate", path, tmp_path / "y.csv", *bounds, *radii).out) == bool(radii)
+    record = sd.read_measurements(tmp_path / "y.csv", plant)
+    for k, t in enumerate(record.times):
+        rows = [row for row in record if row[0] <= t]
+        held = sd.state_interval(plant, rows, w_bound=0.05, v_bound=0.1, initial_error=1.0)
+        np.testing.assert_allclose(found[()][0][k], held.centre, atol=1e-6)
+        np.testing.assert_allclose(found[()][1][k], held.radii, rtol=1e-5)
+    assert np.all(found[()][1] <= found["--radii", "intervals"][1] + 1e-12)
+    assert np.any(found[()][1] < 0.99 * found["--radii", "intervals"][1])

@@ -56,7 +56,9 @@ def test_estimate_on_an_example_file_holds_the_truth(shell, tmp_path, name):
     truth, bounds = made["RECORDS"][name](), made["BOUNDS"][name]
     eta = {"satellite": "0.0007", "three_compartment": "0.005"}[name]
     flags = [f"--{key.replace('_', '-')}={','.join(map(str, value))}" for key, value in bounds.items()]
-    result = shell("estimate", plant(name), DATA / f"{name}.csv", "--eta", eta, *flags, "-o", tmp_path)
+    result = shell(
+        "estimate", plant(name), DATA / f"{name}.csv", "--eta", eta, *flags, "--radii", "intervals", "-o", tmp_path
+    )
     assert result.code == 0, result.err
     assert {p.name for p in tmp_path.iterdir()} == {"estimates.csv", "estimates.json", "estimates.png"}
     assert "Guarantee for all schedules with gaps from" in result.err

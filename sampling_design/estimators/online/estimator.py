@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
-from sampling_design.estimators.online.estimate import Contradiction, Estimate, Status, half_widths
+from sampling_design.estimators.online.estimate import MOVED, Contradiction, Estimate, Status, half_widths
 from sampling_design.estimators.online.tally import EstimateCounts
 from sampling_design.estimators.records.measurement_table import MeasuredPlant, dates_of
 from sampling_design.plants.plant import Plant
@@ -163,7 +163,7 @@ class EstimateRecord(ListRecord[Estimate], CurveRecord, PlainRecord):
 
     @property
     def _counted(self) -> EstimateCounts:
-        found = EstimateCounts(self.plant.time_unit)
+        found = EstimateCounts(self.plant.time_unit, moved=MOVED in self.notes)
         contradictions = self.contradictions or (None,) * len(self)
         flags = (self.status, self.certified.tolist(), self.on_schedule.tolist(), contradictions)
         for each in zip(self.times.tolist(), *flags, strict=True):

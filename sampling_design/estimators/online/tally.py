@@ -11,9 +11,10 @@ from sampling_design.records.record import short
 
 @dataclass
 class EstimateCounts:
-    """Counts of estimates in order of time."""
+    """Counts of estimates in order of time; no a-priori claim is about those that were `moved` into their intervals."""
 
     time_unit: str
+    moved: bool = False
     count: int = 0
     first: float = 0.0
     last: float = 0.0
@@ -48,7 +49,7 @@ class EstimateCounts:
             ("time", span),
             ("status", ", ".join(f"{k}: {v}" for k, v in self.status.items()) or "-"),
             ("certified", f"{self.certified} of {self.count}"),
-            ("on schedule", f"{self.on_schedule} of {self.count}"),
+            *([] if self.moved else [("on schedule", f"{self.on_schedule} of {self.count}")]),
             *(("contradiction", str(each)) for each in self.contradictions),
         ]
 

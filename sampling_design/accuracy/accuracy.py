@@ -9,9 +9,9 @@ import numpy as np
 from sampling_design.accuracy.accuracy_profile import AccuracyProfile, GapProof
 from sampling_design.accuracy.accuracy_record import Accuracy, AccuracyBracket
 from sampling_design.accuracy.between_samples import speed_of
-from sampling_design.accuracy.bounds import Bound
+from sampling_design.accuracy.bounds import Bound, NoiseBound
 from sampling_design.accuracy.deviation import Intensity, StandardDeviation, deviations
-from sampling_design.accuracy.question import AccuracyQuestion, ResultDelay
+from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.results_out import SAME
 from sampling_design.accuracy.sample_chain import SampleChain
 from sampling_design.accuracy.search import ChainSearch, RowSearch
@@ -45,7 +45,7 @@ def guaranteed_accuracy(
     schedule: Schedule | PeriodicSchedule,
     *,
     w_bound: Bound = None,
-    v_bound: Bound = None,
+    v_bound: NoiseBound = None,
     of: Wanted = None,
     rtol: float | None = None,
     initial_error: InitialError = None,
@@ -54,7 +54,6 @@ def guaranteed_accuracy(
     w_intensity: Intensity = None,
     v_deviation: Intensity = None,
     timing_tolerance: Timing = 0.0,
-    result_delay: ResultDelay = 0.0,
     budget: float | None = None,
     progress: Progress | None = None,
 ) -> Accuracy:
@@ -76,7 +75,8 @@ def guaranteed_accuracy(
     v_bound : float, (p,) or (N, p) array, mapping, or function of the sample's time
         Bound on the Euclidean norm of the noise of a sample, on each output, or on each output of each sample of the
         schedule (a better instrument today); 0 for an exact sensor. A mapping gives each output by name a number, a
-        pair, one for each sample, or a function of its time.
+        pair, one for each sample, a function of its time, or its `schedules.Sensor`: with a `result_delay` both sides
+        are those of what is known at the time, results still out.
     of : str, sequence of str, or (r, n) array, optional
         Names of states or outputs, or rows of a matrix. Default all states, each in its unit.
     rtol : float
@@ -94,9 +94,6 @@ def guaranteed_accuracy(
         time on; the sample times of the record are the middles. Of a finite schedule `start` and `end` (default: the
         last sample and `late`) leave room for it. By output: those of one sample may fall apart, each within its own;
         `lower` is then that of times at which they come together.
-    result_delay : float, (p,) array or mapping [plant.time_unit]
-        How long after its sample a result comes at most; a mapping gives each output by name a number, or a pair
-        (least, most). Both sides are then those of what is known at the time, results still out.
     budget : float, optional [seconds]
         Searches end then, a few programs for each row that is left after: the bracket is proven, and `closed` says
         where it is wider than `rtol`. An interrupt (Ctrl-C) ends them likewise; a second one is raised.
@@ -112,8 +109,8 @@ def guaranteed_accuracy(
     ------
     ArgumentError
         If a bound is missing, negative or of another shape, a name is unknown, a sample of a finite schedule lies
-        outside `start` and `end`, an endless one is given a start, or `timing_tolerance` or `result_delay` do not fit
-        the schedule.
+        outside `start` and `end`, an endless one is given a start, or `timing_tolerance` or a
+        `result_delay` does not fit the schedule.
     UndecidedError
         If nothing bounds the error: samples are too far apart, or what `timing_tolerance` adds grows with it.
 
@@ -151,7 +148,7 @@ def guaranteed_accuracy(
     limit = Budget(None if budget is None else checks.positive("budget", budget))
     schedule = meet(plant, schedule)
     rows = wanted_rows(plant, of)
-    question = AccuracyQuestion.of(plant, schedule, w_bound, v_bound, initial_error, start, end, late, result_delay)
+    question = AccuracyQuestion.of(plant, schedule, w_bound, v_bound, initial_error, start, end, late)
     if question.is_late:
         refuse_tolerance(question, w_intensity is not None or v_deviation is not None)
     deviation = None

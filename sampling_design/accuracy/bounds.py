@@ -15,9 +15,11 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.checks import freeze
+from sampling_design.schedules.sensor import Sensor
 
 Given: TypeAlias = npt.ArrayLike | Mapping[str, Entry] | Callable[[float], npt.ArrayLike | tuple[float, float]]
 Bound: TypeAlias = Given | None
+NoiseBound: TypeAlias = Bound | Mapping[str, Entry | Sensor]
 """A number, entries, a mapping from names to numbers or pairs; for noise also rows per sample or functions of time."""
 
 

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from sampling_design.accuracy.bounded_directions import BoundedDirections
-from sampling_design.accuracy.bounds import Bound, SignalBounds
+from sampling_design.accuracy.bounds import Bound, NoiseBound, SignalBounds
 from sampling_design.accuracy.finite import finite_atoms, finite_chain
 from sampling_design.accuracy.results_out import with_branches, with_results_out
 from sampling_design.accuracy.sample_chain import SampleChain, endless_chain
@@ -23,25 +21,24 @@ from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import freeze
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-from sampling_design.schedules.sensor import delay_span
-
-ResultDelay: TypeAlias = npt.ArrayLike | Mapping[str, float | tuple[float, float]]
-"""A number, one for each output, or by name of the output a number or a pair (least, most)."""
+from sampling_design.schedules.sensor import Sensor, result_span
 
 
-def result_delays(plant: Plant, given: ResultDelay) -> Array:
-    """Return how long after its sample a result of each output comes at most (p,), from 0 on.
+def terms_of_sensors(plant: Plant, v_bound: NoiseBound) -> tuple[Bound, Array | None]:
+    """Return bounds on the noise, and how long results are out at most (p,), of bounds that may name a `Sensor`.
 
-    Raises
-    ------
-    ArgumentError
-        If one is negative, the least is more than the most, or a name is no output.
+    None where all results come at once.
     """
-    names = plant.outputs.names
-    if not isinstance(given, Mapping):
-        return freeze(np.full(len(names), checks.bound("result_delay", given, len(names))))
-    checks.known_keys("`result_delay`", given, names)
-    return freeze([delay_span(f"result_delay.{name}", given.get(name, 0.0))[1] for name in names])
+    if not isinstance(v_bound, Mapping):
+        return v_bound, None
+    if any(isinstance(term, Sensor) for term in v_bound.values()):
+        checks.known_keys("`v_bound`", v_bound, plant.outputs.names)
+    bounds = {name: term.sure_bound if isinstance(term, Sensor) else term for name, term in v_bound.items()}
+    terms = [v_bound.get(name) for name in plant.outputs.names]
+    out = [term.result_delay if isinstance(term, Sensor) else None for term in terms]
+    unit = plant.time_unit
+    delays = np.array([0.0 if each is None else result_span("result_delay", each, unit)[1] for each in out])
+    return bounds, freeze(delays) if delays.any() else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,17 +58,15 @@ class AccuracyQuestion:
 
     @classmethod
     def of(
-        cls, plant: Plant, schedule: Schedule | PeriodicSchedule, w_bound: Bound, v_bound: Bound,
+        cls, plant: Plant, schedule: Schedule | PeriodicSchedule, w_bound: Bound, v_bound: NoiseBound,
         initial_error: InitialError, start: float | None, end: float | None, late: TimingTolerance,
-        delay: ResultDelay = 0.0,
     ) -> AccuracyQuestion:  # fmt: skip
         """Ask about a schedule of either kind, whose samples may be so early or late, and results so much later.
 
-        Raises ArgumentError if an endless one is given a start, an end or an initial error, or as for `finite`
-        and `result_delays`.
+        Raises ArgumentError if an endless one is given a start, an end or an initial error, or as for `finite`.
         """
-        delays = result_delays(plant, delay)
-        comes_later = delays if delays.any() else None
+        v_bound, comes_later = terms_of_sensors(plant, v_bound)
+        delays = np.zeros(plant.n_outputs) if comes_later is None else comes_later
         if isinstance(schedule, PeriodicSchedule):
             given = [n for n, x in (("initial_error", initial_error), ("start", start), ("end", end)) if x is not None]
             if given:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -15,6 +16,7 @@ from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for
 from sampling_design.cli.settings import Settings, TimingOption, numbers, record_table, timing, timing_number
 from sampling_design.errors import ArgumentError
 from sampling_design.records.checks import positive
+from sampling_design.schedules.sensor import Sensor
 
 NUMBERS = "One number bounds the norm; numbers with commas between bound each entry; 0 for none."
 
@@ -25,6 +27,23 @@ WhiteDisturbance = Annotated[
 WhiteNoise = Annotated[
     str | None, typer.Option(help="Standard deviation of the noise of a sample, with --w-intensity.")
 ]
+
+
+@dataclass(frozen=True)
+class TimeOptions:
+    """When samples are taken, and when their results are in."""
+
+    timing_tolerance: TimingOption = None
+    result_delay: Annotated[
+        str | None,
+        typer.Option(
+            help="How long after its sample a result comes at most, one number or one for each output; --v-bound then "
+            "bounds each entry."
+        ),
+    ] = None
+
+
+ON_TIME = TimeOptions()
 
 
 def accuracy(
@@ -51,11 +70,7 @@ def accuracy(
     projection: Annotated[
         str, typer.Option("--projection", help="Two states, FIRST,SECOND: the exact set of errors, drawn with -o.")
     ] = "",
-    timing_tolerance: TimingOption = None,
-    result_delay: Annotated[
-        str | None,
-        typer.Option(help="How long after its sample a result comes at most, one number or one for each output."),
-    ] = None,
+    times: TimeOptions = ON_TIME,
     budget: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="After which brackets stay as they are. Default: none.")
     ] = None,
@@ -74,19 +89,32 @@ def accuracy(
             plant,
             schedule,
             w_bound=numbers("--w-bound", w_bound, plant.disturbances.names),
-            v_bound=numbers("--v-bound", v_bound, plant.outputs.names),
+            v_bound=_noise(plant, numbers("--v-bound", v_bound, plant.outputs.names), times.result_delay),
             of=names if names else None,
             rtol=rtol,
             initial_error=numbers("--initial-error", initial_error, plant.states.names),
             w_intensity=numbers("--w-intensity", w_intensity, plant.disturbances.names),
             v_deviation=numbers("--v-deviation", v_deviation, plant.outputs.names),
-            timing_tolerance=timing(timing_tolerance or "0", timing_number),
-            result_delay=numbers("--result-delay", result_delay, plant.outputs.names) or 0.0,
+            timing_tolerance=timing(times.timing_tolerance or "0", timing_number),
             budget=None if budget is None else positive("budget", budget),
             progress=progress,
         )
         cast = None if pair is None else found.projection(*pair)
     _finish(settings, found, cast, wanted)
+
+
+def _noise(
+    plant: sd.Plant, bound: float | list[float] | None, result_delay: str | None
+) -> float | list[float] | dict[str, Sensor] | None:
+    """Bounds on the noise; where results come later, as the terms of each sensor."""
+    delay = numbers("--result-delay", result_delay, plant.outputs.names)
+    if delay is None:
+        return bound
+    both = (each if isinstance(each, list) else [each] * plant.n_outputs for each in (bound, delay))
+    return {
+        name: Sensor(noise_bound=size, result_delay=out)
+        for name, size, out in zip(plant.outputs.names, *both, strict=True)
+    }
 
 
 def _finish(settings: Settings, found: Accuracy, cast: Projection | None, wanted: list[float] | None) -> None:

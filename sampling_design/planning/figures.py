@@ -24,6 +24,7 @@ from sampling_design.records.record import PlainRecord, TableRecord, short
 from sampling_design.records.units import SECONDS, spoken
 from sampling_design.schedules.opening import PlanClock
 from sampling_design.schedules.schedule import PeriodicSchedule
+from sampling_design.schedules.sensor import Sensor
 
 RTOL = 0.005  # width of the brackets that prove a plan
 
@@ -73,11 +74,14 @@ def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy | None:
     if not told.any():
         raise NotDetectableError("`schedule` reads no sensor that has a `noise_bound`.")
     schedule = problem.schedule(told)
-    v = np.tile(np.where(np.isfinite(problem.v_bound), problem.v_bound, 1.0), (len(schedule), 1))
+    delays = [None] * told.shape[1] if problem.result_delay is None else problem.result_delay.tolist()
+    v = {
+        name: Sensor(noise_bound=size if np.isfinite(size) else None, result_delay=delay)
+        for name, size, delay in zip(problem.plant.outputs.names, problem.v_bound.tolist(), delays, strict=True)
+    }
     return guaranteed_accuracy(
         problem.plant, schedule, w_bound=problem.requirement.w_bound, v_bound=v, of=np.array(rows), rtol=RTOL,
         timing_tolerance=problem.timing_tolerance,
-        result_delay=0.0 if problem.result_delay is None else problem.result_delay,
     )  # fmt: skip
 
 

@@ -26,20 +26,11 @@ from sampling_design.schedules.opening import WEEK
 
 
 class AwaitedResult(NamedTuple):
-    """A sample that was taken and whose result is not in yet.
-
-    Attributes
-    ----------
-    output : str
-    t : float
-        When it was taken.
-    earliest, latest : float
-        When its result comes at least and at most, as the requirement says.
-    """
+    """A sample that was taken and whose result is not in yet."""
 
     output: str
-    t: float
-    earliest: float
+    t: float  # when it was taken
+    earliest: float  # earliest, latest: when its result comes at least and at most, as the requirement says
     latest: float
 
 

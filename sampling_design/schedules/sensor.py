@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -163,16 +163,20 @@ class Sensor(PlainRecord):
         """The same with times that are plain numbers of one unit in another."""
         c = time_factor(source, unit)
 
-        def moved(value: object) -> object:
-            if isinstance(value, (tuple, list)):
-                return tuple(moved(each) for each in value)
-            return value if value is None or isinstance(value, str) else c * float(str(value))
+        def moved(time: Duration) -> Duration:
+            return time if isinstance(time, str) else c * time
 
-        dates = self.available is None or isinstance(self.available, tuple)
-        changes: dict[str, Any] = {"spacing": moved(self.spacing), "result_delay": moved(self.result_delay)}
-        if not dates:
-            changes["available"] = numbers(self) * c
-        return replace(self, **changes)
+        delay, windows = self.result_delay, self.available
+        if isinstance(delay, (tuple, list)):
+            delay = moved(delay[0]), moved(delay[1])
+        elif delay is not None:
+            delay = moved(delay)
+        return replace(
+            self,
+            spacing=None if self.spacing is None else moved(self.spacing),
+            result_delay=delay,
+            available=windows if windows is None or isinstance(windows, tuple) else windows * c,
+        )
 
     def windows(self, name: str, calendar: OpeningCalendar | None, unit: str) -> Array | None:
         """Return when it can be read (m, 2) in `unit`, on the clock of a calendar; None: always.

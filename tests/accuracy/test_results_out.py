@@ -5,8 +5,17 @@ import pytest
 
 from sampling_design import PeriodicSchedule, Plant, Schedule, guaranteed_accuracy
 from sampling_design.errors import ArgumentError
+from sampling_design.schedules.sensor import Sensor
 
 WALK = Plant([[0.0]], [[1.0], [1.0]], states=["level"], outputs=["gauge", "lab"])
+
+
+def terms(gauge, lab):
+    """Noise bound and delay of each sensor."""
+    pairs = zip(("gauge", "lab"), (gauge, lab), strict=True)
+    return {name: Sensor(noise_bound=size, result_delay=delay) for name, (size, delay) in pairs}
+
+
 BOTH = PeriodicSchedule.from_times([0.0], 1.0, [[1, 1]], output_names=["gauge", "lab"])
 
 
@@ -15,7 +24,7 @@ BOTH = PeriodicSchedule.from_times([0.0], 1.0, [[1, 1]], output_names=["gauge", 
 def test_the_quick_and_the_exact_one_are_weighed_at_each_time(unit, gauge, lab):
     """For x' = w the error is the least of v_i + w times the age of the latest result of either."""
     slow = PeriodicSchedule.from_times([0.0], unit, [[1, 1]], output_names=["gauge", "lab"])
-    given = {"w_bound": 0.1 / unit, "v_bound": [0.3, 0.02], "result_delay": np.array([gauge, lab]) * unit}
+    given = {"w_bound": 0.1 / unit, "v_bound": terms((0.3, gauge * unit), (0.02, lab * unit))}
     found = guaranteed_accuracy(WALK, slow, **given)
     ends = np.unique(np.mod([gauge, lab], 1.0))
     at = np.append(ends, 1.0 + ends[0])[1:]  # just before each result comes
@@ -25,9 +34,10 @@ def test_the_quick_and_the_exact_one_are_weighed_at_each_time(unit, gauge, lab):
 
 
 def test_a_finite_schedule_says_what_is_in_by_its_end():
-    given = {"w_bound": 0.1, "v_bound": [0.3, 0.02], "initial_error": 1.0, "start": -1.0}
+    given = {"w_bound": 0.1, "initial_error": 1.0, "start": -1.0}
+    noise = terms((0.3, None), (0.02, (0.5, 1.5)))
     dated = Schedule([0.0, 1.0], [[1, 1], [0, 1]], output_names=["gauge", "lab"])
-    found = guaranteed_accuracy(WALK, dated, result_delay={"lab": (0.5, 1.5)}, **given)
+    found = guaranteed_accuracy(WALK, dated, v_bound=noise, **given)
     assert found.question.end == 2.5
     assert found.verify()
     at = [float(found.profile.upper[0, np.searchsorted(found.profile.edges, t - 1e-6) - 1]) for t in (0.0, 1.5, 2.5)]
@@ -35,7 +45,7 @@ def test_a_finite_schedule_says_what_is_in_by_its_end():
     assert "results come after" in str(found)
     assert "1.5 s (lab)" in found.explain()
     assert found.to_dict()["result_delay"] == {"gauge": 0.0, "lab": 1.5}
-    alone = guaranteed_accuracy(WALK, dated.between(-0.5, 0.5), end=2.5, **given)
+    alone = guaranteed_accuracy(WALK, dated.between(-0.5, 0.5), end=2.5, v_bound=[0.3, 0.02], **given)
     without = alone.profile.upper[0, np.searchsorted(alone.profile.edges, 2.5 - 1e-6) - 1]
     assert at[-1] == pytest.approx(without, rel=5e-3)  # until the second result comes
 
@@ -44,15 +54,17 @@ def test_a_finite_schedule_says_what_is_in_by_its_end():
     ("delay", "said"),
     [
         (-1.0, "`result_delay` must not be negative"),
-        ([0.1, -0.2], "`result_delay` must not be negative, got -0.2"),
-        ([0.1, 0.2, 0.3], "`result_delay` must have 2 entries"),
-        ({"lab": -1.0}, "`result_delay.lab` must not be negative"),
-        ({"lab": (2.0, 1.0)}, r"`result_delay.lab` must be \(least, most\), got \(2.0, 1.0\): the least is more"),
-        ({"lab": (1.0, 2.0, 3.0)}, r"`result_delay.lab` must be a number or a pair \(least, most\)"),
-        ({"labb": 1.0}, "unknown key 'labb' in `result_delay`"),
+        ((2.0, 1.0), r"`result_delay` must be \(least, most\), got \(2.0, 1.0\): the least is more"),
+        ((1.0, 2.0, 3.0), r"`result_delay` must be a number or a pair \(least, most\)"),
         (np.inf, "`result_delay` must be"),
     ],
 )
 def test_what_does_not_fit_is_refused(delay, said):
     with pytest.raises(ArgumentError, match=said):
-        guaranteed_accuracy(WALK, BOTH, w_bound=0.1, v_bound=0.1, result_delay=delay)
+        terms((0.1, 0.0), (0.1, delay))
+
+
+def test_a_sensor_that_is_none_is_refused():
+    noise = {"labb": Sensor(noise_bound=0.1, result_delay=1.0)}
+    with pytest.raises(ArgumentError, match="unknown key 'labb' in `v_bound`"):
+        guaranteed_accuracy(WALK, BOTH, w_bound=0.1, v_bound=noise)

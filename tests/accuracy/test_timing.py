@@ -16,6 +16,7 @@ from sampling_design import PeriodicSchedule, Plant, Schedule, guaranteed_accura
 from sampling_design.accuracy.recursion import PeriodicGains
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.schedules.jitter import TimingTolerance
+from sampling_design.schedules.sensor import Sensor
 from sampling_design.uncertain.plants.parameter import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests.cases import few
@@ -300,7 +301,7 @@ def test_what_is_of_samples_on_time_alone_is_refused():
 
 @pytest.mark.parametrize("delay", [0.4, 2.5])
 def test_what_is_known_at_the_time_lacks_the_results_that_are_out(delay):
-    given = {"w_bound": 0.1, "v_bound": 0.3, "result_delay": delay}
+    given = {"w_bound": 0.1, "v_bound": {"y1": Sensor(noise_bound=0.3, result_delay=delay)}}
     found = guaranteed_accuracy(INTEGRATOR, EVEN, **given)
     assert found.verify()
     assert np.allclose([found.lower, found.upper], 0.3 + 0.1 * (1.0 + delay), rtol=1e-3)
@@ -315,10 +316,11 @@ def test_what_is_known_at_the_time_lacks_the_results_that_are_out(delay):
 def test_a_delay_is_the_same_as_waiting_for_the_next_result():
     """Until the result of the second sample comes, the error is that of the first one alone."""
     given = {"w_bound": 0.02, "v_bound": 0.1, "initial_error": 1.0, "start": 0.0, "of": "x1"}
-    late = guaranteed_accuracy(OSCILLATOR, Schedule([1.0, 2.0]), result_delay=0.5, **given)
+    delayed = given | {"v_bound": {"y1": Sensor(noise_bound=0.1, result_delay=0.5)}}
+    late = guaranteed_accuracy(OSCILLATOR, Schedule([1.0, 2.0]), **delayed)
     assert late.question.end == 2.5
     alone = guaranteed_accuracy(OSCILLATOR, Schedule([1.0]), end=2.5, **given)
     at = np.searchsorted(late.profile.edges, 2.5) - 1
     assert late.profile.upper[0, at] == pytest.approx(alone.profile.upper[0, -1], rel=0.02)
     with pytest.raises(ArgumentError, match=r"`end` not before 2\.5, when the last result is in, got 0 and 2\.1"):
-        guaranteed_accuracy(OSCILLATOR, Schedule([1.0, 2.0]), end=2.1, result_delay=0.5, **given)
+        guaranteed_accuracy(OSCILLATOR, Schedule([1.0, 2.0]), end=2.1, **delayed)

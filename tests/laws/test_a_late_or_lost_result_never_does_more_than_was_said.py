@@ -38,6 +38,12 @@ def drawn(case):
     return plant, schedule, np.array([0.1]), rng.uniform(0.05, 0.3, size=2), delays
 
 
+def late(v, delays):
+    """Noise bound and result delay of each sensor."""
+    each = zip(("gauge", "lab"), v, delays, strict=True)
+    return {name: sd.schedules.Sensor(noise_bound=size, result_delay=delay) for name, size, delay in each}
+
+
 def looked(plant, schedule, delays, w, v, c, looks=5):
     """Times of a late period just before each result comes, and between, with what is left open then."""
     period, times = schedule.period, np.asarray(schedule.times)
@@ -55,7 +61,7 @@ def looked(plant, schedule, delays, w, v, c, looks=5):
 def test_what_is_known_at_the_time_is_proven_and_attained(case):
     plant, schedule, w, v, delays = drawn(case)
     row = np.array([1.0, 0.4])
-    found = sd.guaranteed_accuracy(plant, schedule, w_bound=w, v_bound=v, of=[row], result_delay=delays)
+    found = sd.guaranteed_accuracy(plant, schedule, w_bound=w, v_bound=late(v, delays), of=[row])
     assert found.verify()
     left = looked(plant, schedule, delays, w, v, row)
     most = max(value for _, value in left)
@@ -72,14 +78,14 @@ def test_what_is_known_at_the_time_is_proven_and_attained(case):
 @pytest.mark.parametrize("case", few(range(12), 1))
 def test_results_that_come_sooner_never_leave_more_open(case):
     plant, schedule, w, v, delays = drawn(case)
-    given = {"w_bound": w, "v_bound": v, "of": [[1.0, 0.4]]}
-    at_once = sd.guaranteed_accuracy(plant, schedule, **given)
-    as_said = sd.guaranteed_accuracy(plant, schedule, result_delay=delays, **given)
-    later = sd.guaranteed_accuracy(plant, schedule, result_delay=delays + 0.2, **given)
+    given = {"w_bound": w, "of": [[1.0, 0.4]]}
+    at_once = sd.guaranteed_accuracy(plant, schedule, v_bound=v, **given)
+    as_said = sd.guaranteed_accuracy(plant, schedule, v_bound=late(v, delays), **given)
+    later = sd.guaranteed_accuracy(plant, schedule, v_bound=late(v, delays + 0.2), **given)
     assert at_once.lower[0] <= as_said.upper[0] * (1 + 1e-9)
     assert as_said.lower[0] <= later.upper[0] * (1 + 1e-9)
-    ranges = {"gauge": (0.0, float(delays[0])), "lab": (float(delays[1]) / 2, float(delays[1]))}
-    same = sd.guaranteed_accuracy(plant, schedule, result_delay=ranges, **given)
+    ranges = [(0.0, float(delays[0])), (float(delays[1]) / 2, float(delays[1]))]
+    same = sd.guaranteed_accuracy(plant, schedule, v_bound=late(v, ranges), **given)
     assert np.array_equal(same.upper, as_said.upper)
     assert np.array_equal(same.lower, as_said.lower)
 

@@ -144,7 +144,7 @@ def test_what_a_design_or_a_plan_cannot_keep_is_refused():
         planned(dated)
     with pytest.raises(ArgumentError, match=r"`sensors\.gauge.available` must lie within the period"):
         planned({"gauge": {"available": [[0.0, 2.5]], "noise_bound": 0.1}})
-    with pytest.raises(ArgumentError, match=r"`sensors\.gauge.spacing` is for plans"):
+    with pytest.raises(ArgumentError, match="is for plans: a design has one `spacing` and counts"):
         designed(sensors={"gauge": {"spacing": 1.0}})
     with pytest.raises(ArgumentError, match="`sensors` have hours of their own, which needs a `calendar`"):
         designed(sensors={"gauge": {"hours": {"Mon": [["08:00", "09:00"]]}}})

@@ -60,7 +60,9 @@ def resolve(split: ModalSplit, requirement: Requirement) -> ResolvedRequirement:
     if r.period is None:
         r = r.replace(period=r.window)
         used["period"] = r.period
-    r = _in_windows(r, used)
+    longer, r = r.window, _in_windows(r)
+    if r.window != longer:
+        used["window"] = r.window
     if not r.samples:
         held = _held(r)
         count = zero_count_bound(retained, held)
@@ -88,10 +90,10 @@ def resolve(split: ModalSplit, requirement: Requirement) -> ResolvedRequirement:
     return ResolvedRequirement(r, used, count)
 
 
-def _in_windows(requirement: Requirement, used: dict[str, Any]) -> Requirement:
+def _in_windows(requirement: Requirement) -> Requirement:
     """The requirement with its sensors' terms as numbers: windows, prices, and a window that ends with what is in."""
     unit, terms = str(requirement.time_unit), requirement.sensors
-    changes = dict[str, Any]()
+    changes = dict[str, object]()
     if requirement.calendar is not None:
         changes = {"forbidden": np.vstack([requirement.forbidden, _shut(requirement, None)]), "calendar": None}
     elif any(term.hours is not None for term in terms.values()):
@@ -105,7 +107,7 @@ def _in_windows(requirement: Requirement, used: dict[str, Any]) -> Requirement:
                 f"`window` must be longer than the longest `result_delay` {short(out)}, got {short(window)}: no result "
                 "of a sample in it is in."
             )
-        changes["window"] = used["window"] = window - out
+        changes["window"] = window - out
     plain = {name: {"available": _open(requirement, name), "price": term.price} for name, term in terms.items()}
     return requirement.replace(**changes, sensors=plain)
 

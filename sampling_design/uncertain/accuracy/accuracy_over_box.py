@@ -263,11 +263,11 @@ def refuse_others(where: str, **others: object) -> None:
     Raises
     ------
     ArgumentError
-        The first of them that is not None, or that is a `timing_tolerance` or `result_delay` other than 0.
+        The first of them that is not None, or that is a `timing_tolerance` other than 0.
     """
     for name, value in others.items():
         on_time = name == "timing_tolerance" and not TimingTolerance.of(value)
-        if value is not None and not on_time and not (name == "result_delay" and value == 0.0):
+        if value is not None and not on_time:
             raise ArgumentError(f"`{name}` must be left out for accuracy {where}.")
 
 

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 import typer
 from rich.table import Table
 
 import sampling_design as sd
+from sampling_design.accuracy.readings import PartialReading, as_typed
 from sampling_design.cli import reading
 from sampling_design.cli.settings import Settings, TimingOption, record_table, table, timing
 from sampling_design.errors import ArgumentError
@@ -129,15 +129,19 @@ def next_sample(
         raise typer.Exit(1)
 
 
-def _record(
-    settings: Settings, result: Plan, path: Path
-) -> list[tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]]:
+def _record(settings: Settings, result: Plan, path: Path) -> list[tuple[float, list[PartialReading | float], None]]:
     """The measurements in the time that has passed since the plan's start; dates without a zone are the plan's."""
     calendar = result.requirement.calendar
     zone = None if calendar is None else calendar.zone
     rows = reading.measurements(settings, path, result.plant, result.schedule.origin, zone)
-    samples = zip(*rows.samples(), strict=True)
-    return [(float(t), np.where(taken, 0.0, np.nan), None) for t, taken in samples]  # whatever was read
+    found = dict[float, list[PartialReading | float]]()
+    for k in np.flatnonzero(rows.measured.any(axis=1)).tolist():
+        y = found.setdefault(float(rows.times[k]), [np.nan] * rows.y.shape[1])
+        for j in np.flatnonzero(np.isfinite(rows.y[k])).tolist():
+            y[j] = 0.0  # whatever was read
+        for each in rows.told[k] if rows.told else ():
+            y[each.output] = as_typed(each)
+    return [(t, found[t], None) for t in sorted(found)]
 
 
 def _awaited(settings: Settings, result: Plan, text: str) -> tuple[float, str]:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.accuracy.readings import CensoredReading, rows_of, with_censored
+from sampling_design.accuracy.readings import CensoredReading, PartialReading, rows_of, with_censored
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.choices import NextChoices
 from sampling_design.planning.deadline import GoalDue
@@ -32,6 +32,9 @@ class AwaitedResult(NamedTuple):
     t: float  # when it was taken
     earliest: float  # earliest, latest: when its result comes at least and at most, as the requirement says
     latest: float
+
+
+Reading: TypeAlias = npt.ArrayLike | Sequence[PartialReading | float] | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -233,7 +236,7 @@ class NextSample(Record):
 @checked
 def next_sample(
     plan: Plan,
-    record: Iterable[tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]] | None = None,
+    record: Iterable[tuple[float, Reading, npt.ArrayLike | None]] | None = None,
     *,
     now: float | None = None,
     awaited: Iterable[tuple[float, str]] = (),
@@ -345,9 +348,7 @@ class _Taken(NamedTuple):
     known: Mask
 
 
-def _taken(
-    plan: Plan, record: Iterable[tuple[float, npt.ArrayLike | None, npt.ArrayLike | None]] | None
-) -> _Taken | None:
+def _taken(plan: Plan, record: Iterable[tuple[float, Reading, npt.ArrayLike | None]] | None) -> _Taken | None:
     """Times and outputs of a record."""
     if record is None:
         return None

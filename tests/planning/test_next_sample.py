@@ -157,9 +157,9 @@ def test_a_week_without_samples_breaks_the_tolerance(week):
     assert proven_ratio(week, late) > 1
 
 
-def test_a_limit_is_a_sample_that_was_taken(week):
+def test_a_limit_that_the_plan_does_not_count_with_says_nothing(week):
     due = float(planned(week, 0.5, week.schedule.period)[0][0])
-    one, other = (sd.next_sample(week, [(due, [y, 2.0], None)], prove=False) for y in (1.0, BelowDetection(1.0)))
+    one, other = (sd.next_sample(week, [(due, [y, 2.0], None)], prove=False) for y in (np.nan, BelowDetection(1.0)))
     assert one.to_dict() == other.to_dict()
 
 

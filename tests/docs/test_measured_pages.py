@@ -13,6 +13,7 @@ from tests.benchmarks import (
     bench_worst_case,
     design_bounds,
     inclusion_figures,
+    late_samples,
     library_accuracy,
     plan_search,
     plans,
@@ -21,13 +22,22 @@ from tests.benchmarks import (
 DOCS, EXAMPLES = (Path(__file__).parents[2] / folder for folder in ("docs", "examples"))
 PAGES = {
     module.__name__.rpartition(".")[2]: module
-    for module in (bench_design_search, bench_worst_case, design_bounds, inclusion_figures, library_accuracy, plans)
+    for module in (
+        bench_design_search,
+        bench_worst_case,
+        design_bounds,
+        inclusion_figures,
+        late_samples,
+        library_accuracy,
+        plans,
+    )
 }
 SHORT = (
     ("bench_design_search", "fixed times, two"),
     ("bench_worst_case", "double integrator k=2"),
     ("design_bounds", "fixed times, two"),
     ("inclusion_figures", "oscillator, frequency varying by 0 %, gaps .5 to 1.5, eta .1"),
+    ("late_samples", "0.01 of a gap"),
     ("library_accuracy", "double_integrator"),
     ("plans", "double integrator, place"),
 )
@@ -44,6 +54,7 @@ LONG = (
     ("design_bounds", "spiral e^20"),
     ("inclusion_figures", "oscillator, frequency within 10 %, eta .02, 8 pieces"),
     ("inclusion_figures", "pendulum, all angles, gaps to 1, eta .4"),
+    ("late_samples", "satellite, 1 %"),
     ("library_accuracy", "satellite"),
     ("library_accuracy", "three_compartment"),
 )

@@ -172,7 +172,7 @@ def repeated(requirement: Requirement, periods: int) -> Requirement:
         for name, a in requirement.sensors.items()
     }
     fixed = (requirement.fixed + period * np.arange(periods)[:, None]).ravel()
-    changes: dict[str, Any] = {
+    changes: dict[str, object] = {
         "period": periods * period,
         "forbidden": tiled(requirement.forbidden),
         "fixed": fixed,

@@ -15,12 +15,14 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.certificates import files
+from sampling_design.certificates.form.constants import Constant, ConstantList
 from sampling_design.certificates.form.digest import sealed
 from sampling_design.certificates.rigorous import decide
 from sampling_design.checkers import check, claims, outcome, parts, strict
 from sampling_design.checkers.detectability import downhill
 from sampling_design.checkers.outcome import Proven, Refused, holds
 from sampling_design.numerics.balls import ball, definite, matrix, symmetric
+from sampling_design.records.evidence import Claim
 
 INEQUALITY = "P > 0 and A'P + PA + eta P < 0"
 
@@ -73,6 +75,13 @@ class DecayCertificate(decide.VerifiableRecord):
     plant: sd.Plant
     P: np.ndarray
     eta: float
+
+    @property
+    def claim(self) -> Claim:
+        return Claim("the state decays in the norm of P", INEQUALITY, ("linear plant",))
+
+    def _numbers(self) -> ConstantList:
+        return ConstantList([Constant("eta", self.eta, r"\eta", INEQUALITY)])
 
     def to_dict(self) -> dict[str, Any]:
         return sealed(self.plant, {"claim": "decay", "P": np.asarray(self.P).tolist(), "eta": self.eta}, None)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, Unpack, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design import __version__
-from sampling_design.certificates.exact.bound_weights import weights_within
+from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments, weights_within
 from sampling_design.certificates.exact.canonical import ScaledProblem, canonical, followed, origin_question
 from sampling_design.certificates.exact.certificate import WITHOUT_GAIN, Certificate, SampledCertificate
 from sampling_design.certificates.exact.efforts import ALL_WORK, BEYOND, LOOK_WORK, SEARCHED, SearchEffort
@@ -104,30 +104,29 @@ def _bounds(plant: Plant, schedule: AnySchedule, canon: ScaledProblem) -> tuple[
 def certify(
     plant: Plant, schedule: AnySchedule | None, *, eta: float | None = ..., P2: npt.ArrayLike | None = ...,
     Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
-    w_bound: npt.ArrayLike | None = ..., v_bound: npt.ArrayLike | None = ..., initial_error: npt.ArrayLike | None = ...,
     noise_gain: float = ..., budget: float | None = ..., progress: Progress | None = ..., of: Wanted = ...,
+    **bounds: Unpack[ErrorBoundArguments],
 ) -> Certificate: ...  # fmt: skip
 @overload
 def certify(
     plant: Plant, schedule: SamplingFamily, *, eta: float | None = ..., P2: npt.ArrayLike | None = ...,
     Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ..., Qv: npt.ArrayLike | None = ...,
-    w_bound: npt.ArrayLike | None = ..., v_bound: npt.ArrayLike | None = ..., initial_error: npt.ArrayLike | None = ...,
     noise_gain: float = ..., budget: float | None = ..., memory: int | None = ..., progress: Progress | None = ...,
-    of: Wanted = ...,
+    of: Wanted = ..., **bounds: Unpack[ErrorBoundArguments],
 ) -> FamilyCertificate: ...  # fmt: skip
 @overload
 def certify(
     plant: Plant, schedule: AnySchedule | SamplingFamily, *, eta: float | None = ...,
-    w_bound: npt.ArrayLike | None = ..., v_bound: npt.ArrayLike | None = ..., initial_error: npt.ArrayLike | None = ...,
     noise_gain: float = ..., budget: float | None = ..., progress: Progress | None = ..., of: Wanted = ...,
+    **bounds: Unpack[ErrorBoundArguments],
 ) -> SampledCertificate: ...  # fmt: skip
 @overload
 def certify(
     plant: Plant | OpenPlant, schedule: AnySchedule, *, timing_tolerance: Timing, eta: float | None = ...,
     P2: npt.ArrayLike | None = ..., Qw: npt.ArrayLike | None = ..., R: npt.ArrayLike | None = ...,
-    Qv: npt.ArrayLike | None = ..., w_bound: npt.ArrayLike | None = ..., v_bound: npt.ArrayLike | None = ...,
-    initial_error: npt.ArrayLike | None = ..., noise_gain: float = ..., budget: float | None = ...,
+    Qv: npt.ArrayLike | None = ..., noise_gain: float = ..., budget: float | None = ...,
     memory: int | None = ..., progress: Progress | None = ..., of: Wanted = ...,
+    **bounds: Unpack[ErrorBoundArguments],
 ) -> SampledCertificate: ...  # fmt: skip
 @overload
 def certify(
@@ -145,15 +144,13 @@ def certify(
     Qw: npt.ArrayLike | None = None,
     R: npt.ArrayLike | None = None,
     Qv: npt.ArrayLike | None = None,
-    w_bound: npt.ArrayLike | None = None,
-    v_bound: npt.ArrayLike | None = None,
-    initial_error: npt.ArrayLike | None = None,
     noise_gain: float = 3.0,
     budget: float | None = None,
     memory: int | None = None,
     timing_tolerance: Timing = 0.0,
     progress: Progress | None = None,
     of: Wanted = None,
+    **bounds: Unpack[ErrorBoundArguments],
 ) -> SampledCertificate:
     """Certify that a schedule makes a plant sample-based exponentially i-iIOSS (Assumption 7), with the best lambda.
 
@@ -244,14 +241,8 @@ def certify(
     >>> certify(oscillator, PeriodicSchedule([0.5, 1.0]), w_bound=0.1, v_bound=0.2, initial_error=1.0).eta
     1.0
     """
-    if late := TimingTolerance.of(timing_tolerance):
-        if schedule is None or isinstance(schedule, SamplingFamily):
-            raise ArgumentError(
-                f"`timing_tolerance` is for one schedule, got {checks.described(schedule)}: a family says itself which "
-                "times its samples may have."
-            )
-        schedule = Jitter.around(schedule, late)
-    bounded = any(bound is not None for bound in (w_bound, v_bound, initial_error))
+    schedule = _with_tolerance(schedule, timing_tolerance)
+    bounded = any(bound is not None for bound in bounds.values())
     if bounded and any(weight is not None for weight in (P2, Qw, R, Qv)):
         raise ArgumentError("`w_bound`, `v_bound` and `initial_error` say the weights: leave out P2, Qw, R and Qv.")
     if not isinstance(plant, Plant):
@@ -266,7 +257,7 @@ def certify(
     plant = part_for(plant, of, decay_rate=eta)
     if bounded and schedule is not None:
         eta = 1 / schedule.d_max if eta is None else eta
-        P2, Qw, R, Qv = weights_within(plant, eta, w_bound, v_bound, initial_error)
+        P2, Qw, R, Qv = weights_within(plant, eta, bounds)
     if isinstance(schedule, SamplingFamily):
         from sampling_design.certificates.families.certify_family import certify_family
 
@@ -283,10 +274,31 @@ def certify(
         raise ArgumentError(f"`memory` is for families of schedules, got {memory!r} with a {type(schedule).__name__}.")
     noise_gain = above_one("noise_gain", noise_gain)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
-    try:
-        return _of_schedule(
-            plant, certifiable_schedule(plant, schedule), (Qw, R, Qv), P2, eta, noise_gain, progress, limit
+    return _of_schedule(plant, certifiable_schedule(plant, schedule), (Qw, R, Qv), P2, eta, noise_gain, progress, limit)
+
+
+def _with_tolerance(
+    schedule: AnySchedule | SamplingFamily | None, timing_tolerance: Timing
+) -> AnySchedule | SamplingFamily | None:
+    """The family of all times within a tolerance of a schedule; without one, the schedule as it is."""
+    late = TimingTolerance.of(timing_tolerance)
+    if not late:
+        return schedule
+    if schedule is None or isinstance(schedule, SamplingFamily):
+        raise ArgumentError(
+            f"`timing_tolerance` is for one schedule, got {checks.described(schedule)}: a family says itself which "
+            "times its samples may have."
         )
+    return Jitter.around(schedule, late)
+
+
+def _of_schedule(
+    plant: Plant, schedule: AnySchedule, given: tuple[object, object, object], P2: object, eta: float | None,
+    noise_gain: float, progress: Progress | None, limit: Budget,
+) -> Certificate:  # fmt: skip
+    """The certificate of one schedule; what a spent budget left undecided says so."""
+    try:
+        return _certified(plant, schedule, given, P2, eta, noise_gain, progress, limit)
     except UndecidedError as error:
         if not limit.over:
             raise
@@ -297,16 +309,10 @@ def certify(
         ) from None  # fmt: skip
 
 
-def _of_schedule(
-    plant: Plant,
-    schedule: AnySchedule,
-    given: tuple[object, object, object],
-    P2: object,
-    eta: float | None,
-    noise_gain: float,
-    progress: Progress | None,
-    limit: Budget,
-) -> Certificate:
+def _certified(
+    plant: Plant, schedule: AnySchedule, given: tuple[object, object, object], P2: object, eta: float | None,
+    noise_gain: float, progress: Progress | None, limit: Budget,
+) -> Certificate:  # fmt: skip
     """The certificate of one schedule: for the weights that are given, others chosen."""
     weights = weights_of(plant, *given)
     prior = None if P2 is None else checks.definite("P2", P2, plant.n_states)

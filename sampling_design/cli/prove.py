@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -68,9 +69,30 @@ NewFile = Annotated[
 ]
 
 Numbers = "One number bounds the norm; numbers with commas between bound each entry. Default: the plant's scales."
-WBound = Annotated[str | None, typer.Option("--w-bound", "--w", help=f"Bound on the disturbance w(t). {Numbers}")]
-VBound = Annotated[str | None, typer.Option("--v-bound", "--v", help=f"Bound on the measurement noise v. {Numbers}")]
-InitialError = Annotated[str | None, typer.Option(help=f"Bound on the prior's error. {Numbers}")]
+
+
+@dataclass(frozen=True)
+class BoundOptions:
+    """The three bounds, as they are typed."""
+
+    w_bound: Annotated[
+        str | None, typer.Option("--w-bound", "--w", help=f"Bound on the disturbance w(t). {Numbers}")
+    ] = None
+    v_bound: Annotated[
+        str | None, typer.Option("--v-bound", "--v", help=f"Bound on the measurement noise v. {Numbers}")
+    ] = None
+    initial_error: Annotated[str | None, typer.Option(help=f"Bound on the prior's error. {Numbers}")] = None
+
+    def of(self, plant: sd.Plant) -> ErrorBoundArguments:
+        """The bounds as verbs take them."""
+        return ErrorBoundArguments(
+            w_bound=numbers("--w-bound", self.w_bound, plant.disturbances.names),
+            v_bound=numbers("--v-bound", self.v_bound, plant.outputs.names),
+            initial_error=numbers("--initial-error", self.initial_error, plant.states.names),
+        )
+
+
+UNBOUNDED = BoundOptions()
 
 
 def certify(
@@ -86,9 +108,7 @@ def certify(
     detectability: Detectability = False,
     certificate_file: NewFile = None,
     horizons: Horizons = False,
-    w_bound: WBound = None,
-    v_bound: VBound = None,
-    initial_error: InitialError = None,
+    typed: BoundOptions = UNBOUNDED,
 ) -> None:
     """Prove sample-based exponential i-iIOSS on a schedule, or on every schedule of a family.
 
@@ -103,7 +123,7 @@ def certify(
     families: dict[str, object] = {k: v for k, v in given.items() if v is not None}
     if horizons and (families or schedule_file is None):
         raise ArgumentError("`--horizons` compares those of one SCHEDULE: it goes without a family or --detectability.")
-    bounds = error_bounds(plant, w_bound, v_bound, initial_error)
+    bounds = typed.of(plant)
     if detectability:
         _refuse_samples(schedule_file, families)
         if any(bound is not None for bound in bounds.values()):
@@ -114,8 +134,7 @@ def certify(
     budget = Budget(settings.budget)
     with settings.progress("certify") as progress:
         certificate = sd.certify(
-            plant, times, eta=eta, budget=settings.budget, progress=progress, w_bound=bounds["w_bound"],
-            v_bound=bounds["v_bound"], initial_error=bounds["initial_error"],
+            plant, times, eta=eta, budget=settings.budget, progress=progress, **bounds,
             **({} if noise_gain is None else {"noise_gain": noise_gain}),
         )  # fmt: skip
     compared = None
@@ -130,17 +149,6 @@ def certify(
     notes: list[RichTable | str] = [] if compared is None else [_horizons(compared)]
     notes += [] if compared is None else [f"{r.name}: {r.note}" for r in compared.rows if r.note]
     settings.show(certificate.to_dict(), record_table(certificate), *notes, certificate.explain())
-
-
-def error_bounds(
-    plant: sd.Plant, w_bound: str | None, v_bound: str | None, initial_error: str | None
-) -> ErrorBoundArguments:
-    """The bounds as given."""
-    return ErrorBoundArguments(
-        w_bound=numbers("--w-bound", w_bound, plant.disturbances.names),
-        v_bound=numbers("--v-bound", v_bound, plant.outputs.names),
-        initial_error=numbers("--initial-error", initial_error, plant.states.names),
-    )
 
 
 def _refuse_samples(schedule: Path | None, families: Mapping[str, object]) -> None:

@@ -251,18 +251,15 @@ def with_common_flags(function: Callable[..., None], command_name: str) -> Calla
         flags = {name: arguments.pop(name) for name in flags_of_this}
         flags.pop("version")
         try:
-            begin(flags, arguments)
+            if "seed" in flags:
+                whole("seed", flags["seed"])
+            if "budget" in flags:
+                positive("budget", flags["budget"])
+            for name, kind in groups.items():
+                arguments[name] = kind(**{field.name: arguments.pop(field.name) for field in fields(kind)})
+            function(Settings(command_name, **flags), **arguments)
         except ArgumentError as error:  # what is wrong in a file is named by its key
             raise _renamed(error, typed) from error.__cause__
-
-    def begin(flags: dict[str, Any], arguments: dict[str, Any]) -> None:
-        if "seed" in flags:
-            whole("seed", flags["seed"])
-        if "budget" in flags:
-            positive("budget", flags["budget"])
-        for name, kind in groups.items():
-            arguments[name] = kind(**{field.name: arguments.pop(field.name) for field in fields(kind)})
-        function(Settings(command_name, **flags), **arguments)
 
     keyword = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
     typed = {f"`{p.name}`": f"`{long}`" for p in (*keyword, *common) if (long := _as_typed(p))}

@@ -13,7 +13,7 @@ from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.cli import reading
 from sampling_design.cli.following import USUAL, EstimateOptions, followed
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for, window_length
-from sampling_design.cli.prove import InitialError, VBound, WBound, error_bounds, sampling_certificate
+from sampling_design.cli.prove import UNBOUNDED, BoundOptions, sampling_certificate
 from sampling_design.cli.settings import (
     Hands,
     Scheduler,
@@ -44,9 +44,7 @@ def estimate(
     ] = None,
     prior: Annotated[str | None, typer.Option(help="State before any sample, with commas between; default 0.")] = None,
     horizon: Annotated[float | None, typer.Option(help="Length of the window; default: the certificate's.")] = None,
-    w_bound: WBound = None,
-    v_bound: VBound = None,
-    initial_error: InitialError = None,
+    typed: BoundOptions = UNBOUNDED,
     eta: Eta = None,
     how: EstimateOptions = USUAL,
 ) -> None:
@@ -62,7 +60,7 @@ def estimate(
     if how.tube and (how.wild or how.smooth):
         raise ArgumentError("`--tube` is of estimates as they came: leave it out with --outliers and --smooth.")
     plant = settings.part(reading.plant(plant_file))
-    bounds = error_bounds(plant, w_bound, v_bound, initial_error)
+    bounds = typed.of(plant)
     schedule = None if schedule_file is None else schedule_for(settings, plant, schedule_file)
     record = reading.measurements(settings, measurement_file, plant, None if schedule is None else schedule.origin)
     if schedule is not None:
@@ -111,9 +109,7 @@ def validate(
     certificate_file: CertificateFile = None,
     runs: Annotated[int, typer.Option(help="Random trials.")] = 200,
     duration: Annotated[float | None, typer.Option(help="Length of a trial [plant's time unit].")] = None,
-    w_bound: WBound = None,
-    v_bound: VBound = None,
-    initial_error: InitialError = None,
+    typed: BoundOptions = UNBOUNDED,
     eta: Eta = None,
     workers: Hands = 1,
     scheduler: Scheduler = None,
@@ -127,7 +123,7 @@ def validate(
     """
     plant = settings.part(reading.plant(plant_file))
     schedule = schedule_for(settings, plant, schedule_file)
-    bounds = error_bounds(plant, w_bound, v_bound, initial_error)
+    bounds = typed.of(plant)
     if certificate_file is not None:
         certificate = sampling_certificate(certificate_file, plant)
     else:

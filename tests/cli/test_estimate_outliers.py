@@ -86,7 +86,7 @@ def test_smoothed_states_are_those_of_the_filter_and_hold(shell, files):
         for k, name in enumerate(("level", "flow")):
             off = abs(float(late[name]) - truth(float(late["time"]))[k])
             assert off <= float(late[f"{name}_radius"]) <= float(row[f"{name}_radius"]) * 1.3
-    assert float(rows[0]["flow_radius"]) <= float(before[0]["flow_radius"])
+    assert float(rows[0]["flow_radius"]) <= float(before[0]["flow_radius"]) * (1 + 1e-6)  # solved twice
     assert table(shell, files, "--leave-out", "3", "--smooth", "--radii", "centred")[0].code == 0
 
 

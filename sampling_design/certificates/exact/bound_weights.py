@@ -72,7 +72,7 @@ def weights_from_bounds(
     }
 
 
-class ErrorBoundArguments(TypedDict):
+class ErrorBoundArguments(TypedDict, total=False):
     """Bounds as verbs take them: a number bounds the norm, a vector each entry."""
 
     w_bound: npt.ArrayLike | None
@@ -80,19 +80,16 @@ class ErrorBoundArguments(TypedDict):
     initial_error: npt.ArrayLike | None
 
 
-def weights_within(
-    plant: Plant,
-    eta: float,
-    w_bound: npt.ArrayLike | None,
-    v_bound: npt.ArrayLike | None,
-    initial_error: npt.ArrayLike | None,
-) -> tuple[Array, Array, Array, Array]:
+def weights_within(plant: Plant, eta: float, bounds: ErrorBoundArguments) -> tuple[Array, Array, Array, Array]:
     """P2, Qw, R and Qv of bounds, the plant's scales in place of one that is None or zero.
 
     Raises ArgumentError if a bound is negative or has another length.
     """
-    w, v = _or_scales("w_bound", w_bound, plant.disturbances), _or_scales("v_bound", v_bound, plant.outputs)
-    found = weights_from_bounds(plant, eta, w, v, _or_scales("initial_error", initial_error, plant.states))
+    w = _or_scales("w_bound", bounds.get("w_bound"), plant.disturbances)
+    v = _or_scales("v_bound", bounds.get("v_bound"), plant.outputs)
+    found = weights_from_bounds(
+        plant, eta, w, v, _or_scales("initial_error", bounds.get("initial_error"), plant.states)
+    )
     return found["P2"], found["Qw"], found["R"], found["Qv"]
 
 

@@ -17,8 +17,9 @@ from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import EstimateRecord, Sample
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.same_time import corrected, corrected_inputs, merge, with_input, without
+from sampling_design.estimators.records.frames import DataFrame, Series
 from sampling_design.estimators.records.measurement_table import MeasuredPlant
-from sampling_design.estimators.records.measurements import DataFrame, Measurements, Series, read_measurements
+from sampling_design.estimators.records.measurements import Measurements, read_measurements
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array

@@ -6,19 +6,18 @@ import csv
 import io
 import math
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from datetime import date
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from sampling_design.accuracy.readings import CensoredReading, as_typed, at_some_time, time_or_span
-from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.errors import ArgumentError
+from sampling_design.estimators.records.frames import DataFrame, Series, lines_of
 from sampling_design.estimators.records.measurement_table import (
     SINCE,
-    STAMPS,
     UNTIL,
     MeasuredPlant,
     date_of,
@@ -35,50 +34,6 @@ from sampling_design.records.declarations import Column
 from sampling_design.records.record import TableRecord, counted, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import SECONDS
-
-
-@runtime_checkable
-class DataFrame(Protocol):
-    """What is asked of a frame of pandas or polars, so that reading one needs neither here."""
-
-    columns: Iterable[object]
-
-    def __getitem__(self, name: object) -> object: ...
-
-
-@runtime_checkable
-class _Index(Protocol):
-    """What is asked of the index of a pandas frame."""
-
-    name: object
-    nlevels: int
-
-    def __len__(self) -> int: ...
-
-
-@runtime_checkable
-class _PandasFrame(DataFrame, Protocol):
-    index: _Index
-
-    def rename_axis(self, mapper: str) -> _PandasFrame: ...
-    def reset_index(self) -> _PandasFrame: ...
-    def to_csv(self, *, index: bool, date_format: str) -> str: ...
-
-
-@runtime_checkable
-class _PolarsFrame(DataFrame, Protocol):
-    def fill_nan(self, value: None) -> _PolarsFrame: ...
-    def write_csv(self) -> str: ...
-
-
-@runtime_checkable
-class Series(Protocol):
-    """What is asked of a pandas Series: the readings of one output, with their stamps as its index."""
-
-    index: object
-    name: object
-
-    def to_frame(self, name: object = ...) -> DataFrame: ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -396,61 +351,11 @@ def read_measurements(
     ArgumentError
         If there is no zone of that name.
     """
-    where, lines = _lines_of(path, plant)
+    where, lines = lines_of(path, plant)
     table = read_table(where, lines, plant, origin.isoformat() if isinstance(origin, date) else origin, zone)
     times, y, u = table.arrays()
     told = tuple(table.told) if any(table.told) else ()
     return Measurements(plant, times, y, u, origin=table.origin, assumed_zone=table.assumed_zone, told=told)
-
-
-def _lines_of(source: str | os.PathLike[str] | DataFrame | Series, plant: MeasuredPlant) -> tuple[str, Iterator[str]]:
-    """Name and lines of a file; of a frame those that its file would have, so that both are read by one grammar."""
-    if isinstance(source, str | os.PathLike):
-        return os.fspath(source), file_io.text_lines(source)
-    frame = source
-    if not isinstance(frame, DataFrame):
-        names = plant.outputs.names
-        frame = frame.to_frame(names[0] if frame.name is None and len(names) == 1 else frame.name)
-    header = [str(name) for name in frame.columns]
-    dates = [k for k, name in enumerate(frame.columns) if _kind(frame[name]) == "M"]
-    stamps = [k for k, name in enumerate(header) if name.lower() in STAMPS]
-    if isinstance(frame, _PandasFrame):
-        stamp = "" if stamps else _stamp_of(frame.index, alone=not dates)
-        whole, header = (frame.rename_axis(stamp).reset_index(), [stamp, *header]) if stamp else (frame, header)
-        hours = "%Y-%m-%dT%H:%M:%S.%f%z"  # of days alone, too: a column of pandas has times
-        text, stamps = whole.to_csv(index=False, date_format=hours), [-1] if stamp else stamps
-    elif isinstance(frame, _PolarsFrame):
-        text = frame.fill_nan(None).write_csv()
-    else:
-        raise ArgumentError(f"`path` must be a file, or a frame of pandas or polars, got {checks.described(source)}.")
-    for k in dates if stamps or len(dates) == 1 else ():
-        header[k] = "date" if k in stamps or not stamps else header[k]
-    first = io.StringIO()
-    csv.writer(first, lineterminator="").writerow(header)
-    return "the frame", iter([first.getvalue(), *text.splitlines()[1:]])
-
-
-def _stamp_of(index: _Index, alone: bool) -> str:
-    """What a file calls the index of a frame, "" where it says no times; `alone`: nor does another column."""
-    kind, name = _kind(index), str(index.name).lower()
-    if kind == "M" or name in (*STAMPS, "t"):
-        return "date" if kind == "M" or name == "date" else "time"
-    if index.name is not None or index.nlevels > 1 or kind not in "iuf" or not alone:
-        return ""
-    if np.array_equal(np.asarray(index), np.arange(len(index))):
-        raise FileFormatError(
-            "the frame: has no column `time` or `date`, and its index counts the rows. Add the column, or take the "
-            "times for the index.",
-            "the frame",
-        )
-    return "time"
-
-
-def _kind(column: object) -> str:
-    """The kind of what a column or an index of a frame holds: "M" for dates."""
-    kind = getattr(column, "dtype", None)
-    temporal = getattr(kind, "is_temporal", None)  # of polars
-    return ("M" if temporal() else "") if callable(temporal) else str(getattr(kind, "kind", "O"))
 
 
 @checked

@@ -217,7 +217,8 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
     def deviations(self) -> SigmaDeviations | None:
         """What is left of `lower` if samples come early or late or one is lost, worked out when it is asked for.
 
-        None where sigma is nothing, where only ball arithmetic sees it, over a box of plants and in varying time.
+        None where sigma is nothing, where only ball arithmetic sees it, where a budget was given, over a box of plants
+        and in varying time.
         """
         return self.beside() if self.beside is not None and 0 < self.lower < np.inf and not self.rigorous else None
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from sampling_design.observability.windows.pieces import window_pieces
+from sampling_design.observability.windows.pieces import Pieces, window_pieces
 from sampling_design.observability.windows.window_record import SigmaDeviations, WindowSigma, sigma_of_pieces
 from sampling_design.plants.plant import Plant
+from sampling_design.records.budget import Budget
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.sampling_set import SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -22,12 +23,14 @@ def deviations_of(
     asked: TimingTolerance = ON_TIME,
     sigma: float = np.inf,
     start: float | None = None,
-) -> SigmaDeviations:
-    """Prove what is left of `sigma` if samples come early or late, or one is lost.
+    seconds: float = np.inf,
+) -> SigmaDeviations | None:
+    """Prove what is left of `sigma` if samples come early or late, or one is lost; None where `seconds` are too few.
 
     As early or late as was `asked`, for which `sigma` is proven, else by a share of the least gap (of a window, where
     there is one sample). What only ball arithmetic sees counts as nothing.
     """
+    limit = Budget(seconds)
     least = SamplingSet(schedule).min_gap
     tolerance = asked or TimingTolerance.of(SHARE * (least if np.isfinite(least) else window))
 
@@ -35,29 +38,30 @@ def deviations_of(
         if length <= 2 * tolerance.radius:
             return 0.0
         pieces = window_pieces(schedule, length, start, tolerance)
-        return min(sigma, sigma_of_pieces(plant, schedule, pieces, RTOL, np.inf, handed_over=0.0).lower)
+        return min(sigma, sigma_of_pieces(plant, schedule, pieces, RTOL, limit.left, handed_over=0.0).lower)
 
-    lost, worst = _lost(plant, schedule, window, asked, start)
-    wider = left(window + 2 * tolerance.radius)
-    late = sigma if asked else left(window)
+    lost, worst = _lost(plant, schedule, window_pieces(schedule, window, start, asked), limit)
+    wider = 0.0 if limit.over else left(window + 2 * tolerance.radius)
+    late = sigma if asked or limit.over else left(window)
+    if limit.over:
+        return None
     return SigmaDeviations(tolerance, late, wider, min(lost, sigma), worst, plant.time_unit)
 
 
-def _lost(
-    plant: Plant, schedule: Schedule | PeriodicSchedule, window: float, late: TimingTolerance, start: float | None
-) -> tuple[float, int]:
+def _lost(plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, limit: Budget) -> tuple[float, int]:
     """Proven sigma if any one sample is lost once, and whose loss leaves that: over the windows that could hold it.
 
     What sees more than the worst that was found by then is not looked at closely.
     """
     found: WindowSigma | None = None
     least, worst = np.inf, 0
-    pieces = window_pieces(schedule, window, start, late)
     for k in range(int(pieces.first.min()), int(pieces.stop.max())):
         part = pieces.losing(k, plant.n_outputs)
         if part is None:
             continue
-        seen = sigma_of_pieces(plant, schedule, part, RTOL, np.inf, reached=found, handed_over=0.0)
+        if limit.over:
+            break
+        seen = sigma_of_pieces(plant, schedule, part, RTOL, limit.left, reached=found, handed_over=0.0)
         if seen.lower < least:
             least, worst = seen.lower, k % len(schedule)
         found = seen if found is None or seen.upper < found.upper else found

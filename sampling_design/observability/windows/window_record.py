@@ -163,7 +163,7 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
     time_unit: str = field(default="s", kw_only=True)
     slack: float = field(default=0.0, kw_only=True)
     late: TimingTolerance = field(default=ON_TIME, kw_only=True)
-    beside: Callable[[], SigmaDeviations] | None = field(default=None, kw_only=True)
+    beside: Callable[[], SigmaDeviations | None] | None = field(default=None, kw_only=True)
 
     _plain = (
         "lower upper closed status window from_time rtol time_unit refers_to:_refers_to rigorous slack "
@@ -217,8 +217,8 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
     def deviations(self) -> SigmaDeviations | None:
         """What is left of `lower` if samples come early or late or one is lost, worked out when it is asked for.
 
-        None where sigma is nothing, where only ball arithmetic sees it, where a budget was given, over a box of plants
-        and in varying time.
+        None where sigma is nothing, where only ball arithmetic sees it, where too little of a budget is left, over a
+        box of plants and in varying time.
         """
         return self.beside() if self.beside is not None and 0 < self.lower < np.inf and not self.rigorous else None
 

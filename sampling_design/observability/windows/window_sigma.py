@@ -16,6 +16,7 @@ from sampling_design.observability.windows.window_record import RTOL, WindowSigm
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
 from sampling_design.records import checks
+from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.records.signatures import open_verb
@@ -102,8 +103,8 @@ def window_sigma(
     does not hide it from; it then counts as zero below n eps |C|, and `rigorous` of the record is true.
     Events that coincide to rounding (`pieces.SAME_TIME`) are one event.
     *Deviations.* `deviations` of the record says what is left where samples come a hundredth of the least gap early or
-    late (or as was asked), in windows of T and in such that hold what was planned in T, and where one is lost; not
-    where a `budget` was given, of which it would take more than its share.
+    late (or as was asked), in windows of T and in such that hold what was planned in T, and where one is lost; within
+    what is left of a `budget`.
     *Late samples.* See `timing`: the planned samples of the window that is shorter at both ends, less what moving them
     can take away; `upper` is attained by real times that a search found.
 
@@ -133,7 +134,7 @@ def window_sigma(
                 "no sample is certain to lie in it."
             )
     pieces, tolerance, seconds = asked(aligned, window, start, RTOL if rtol is None else rtol, budget, late)
+    limit = Budget(seconds)
     found = sigma_of_pieces(plant, aligned, pieces, tolerance, seconds, progress, rigorous=rigorous)
-    if budget is not None:  # what stands beside sigma may take longer than sigma itself
-        return found
-    return replace(found, beside=partial(deviations_of, plant, aligned, window, late, found.lower, start))
+    beside = partial(deviations_of, plant, aligned, window, late, found.lower, start, limit.left)
+    return replace(found, beside=beside)

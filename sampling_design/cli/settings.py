@@ -259,7 +259,8 @@ def with_common_flags(function: Callable[..., None], command_name: str) -> Calla
                 arguments[name] = kind(**{field.name: arguments.pop(field.name) for field in fields(kind)})
             function(Settings(command_name, **flags), **arguments)
         except ArgumentError as error:  # what is wrong in a file is named by its key
-            raise _renamed(error, typed) from error.__cause__
+            _rename(error, typed)
+            raise
 
     keyword = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
     typed = {f"`{p.name}`": f"`{long}`" for p in (*keyword, *common) if (long := _as_typed(p))}
@@ -282,13 +283,12 @@ def _as_typed(parameter: inspect.Parameter) -> str:
     return ""
 
 
-def _renamed(error: ArgumentError, typed: Mapping[str, str]) -> ArgumentError:
-    """An error whose words name the flags as they are typed, where the verb below named its own arguments."""
+def _rename(error: ArgumentError, typed: Mapping[str, str]) -> None:
+    """Let the words of an error name the flags as they are typed, where the verb below named its own arguments."""
     text = str(error)
     for name, flag in typed.items():
         text = text.replace(name, flag)
     error.args = (text, *error.args[1:])
-    return error
 
 
 def _read_in_words(annotation: object) -> None:

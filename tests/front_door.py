@@ -74,7 +74,7 @@ def things() -> dict[str, Any]:
     cost = sd.CostFunction(P2=np.eye(2), Qw=np.eye(2), R=np.eye(1), eta=0.2)
     box = ([-1.0, -1.0], [1.0, 1.0])
     evidence = sd.nonlinear.check_detectability(
-        nonlinear, schedule, box, cost=cost, P1=np.eye(2) / 40, duration=3.0, step=0.1, pairs=2
+        nonlinear, schedule, box, cost=cost, P1=np.eye(2) / 40, duration=3.0, dt=0.1, pairs=2
     )
     terms = {"position": {"noise_bound": 0.2}}
     wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, grid=0.8, w_bound=0.02, sensors=terms)
@@ -299,7 +299,7 @@ def special() -> dict[str, dict[str, Any]]:
 OWNERS = {
     "Plant": "plant", "Signals": None, "Schedule": "finite", "PeriodicSchedule": "schedule", "SpacedWindows": "spaced",
     "GapRange": "gaps", "Jitter": "jitter", "LostSamples": "lost", "SamplingSet": None, "Requirement": "requirement",
-    "PlanRequirement": "wanted",
+    "PlanRequirement": "wanted", "SigmaDeviations": None, "Sensor": None, "OpeningCalendar": None,
     "Certificate": "certificate", "FamilyCertificate": "family", "DetectabilityCertificate": "detectability",
     "ScheduleDesign": "design", "Estimate": "estimate", "EstimateRecord": "estimates", "SimulatedRecord": "record",
     "Measurements": None, "NonlinearPlant": "nonlinear", "ModalSplit": "split", "FunctionalPlant": "part",
@@ -326,6 +326,9 @@ def owner(name: str) -> Any:
     bounds = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 2.0}
     fresh: dict[str, Callable[[], Any]] = {
         "Signals": lambda: plant.states,
+        "SigmaDeviations": lambda: t["sigma"].deviations,
+        "Sensor": sd.schedules.Sensor,
+        "OpeningCalendar": lambda: sd.schedules.OpeningCalendar("2026-03-23"),
         "SamplingSet": lambda: sd.schedules.SamplingSet(t["schedule"]),
         "Measurements": lambda: t["record"].measurements,
         "Horizon": certificate.horizon,

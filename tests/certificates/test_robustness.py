@@ -37,7 +37,7 @@ def test_what_survives_is_proven_with_the_same_weights(planned, found):
 
 
 def test_the_certificate_of_a_family_is_sent_to_that_of_a_schedule(found):
-    with pytest.raises(ArgumentError, match="must be about one schedule, got a FamilyCertificate, which says itself"):
+    with pytest.raises(ArgumentError, match="must be about one schedule, got a FamilyCertificate, which is itself"):
         sd.robustness(OSCILLATOR, found.jittered)
 
 

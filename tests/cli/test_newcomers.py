@@ -78,7 +78,7 @@ WISHES = {
     "hours the wrong way round": (WISHED + "forbidden = [[3.0, 2.0]]\n", "forbidden", 2),
     "hours past the period": (WISHED + "forbidden = [[5.0, 9.0]]\n", "forbidden", 2),
     "everything closed": (WISHED + "forbidden = [[0.0, 6.283185307179586]]\n", "forbidden", 1),
-    "an unknown sensor": (WISHED + "[outputs.speed]\ncost = 2.0\n", "speed", 2),
+    "an unknown sensor": (WISHED + "[sensors.speed]\nprice = 2.0\n", "speed", 2),
     "a plant": (TEXT, "is a plant file, expected a requirement file", 2),
     "no format": ("samples = 5\n", 'the line format = "sampling-design/requirement/1"', 2),
 }

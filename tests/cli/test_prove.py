@@ -193,6 +193,12 @@ def test_detectability_is_certified_without_a_schedule_and_verified(shell, tmp_p
     assert "another plant" in other.err
 
 
+def test_detectability_has_weights_of_its_own(shell):
+    refused = shell("certify", OSCILLATOR, "--detectability", "--v-bound", "0.1")
+    assert refused.code == 2
+    assert "`--detectability` has weights of its own and goes without bounds" in refused.err
+
+
 def test_rate_and_noise_budget_of_detectability_are_those_asked_for(shell):
     found = {
         arguments: json.loads(shell("certify", OSCILLATOR, "--detectability", "--json", *arguments).out)

@@ -10,12 +10,14 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.cli import track
+from sampling_design.cli.prove import BoundOptions
 from sampling_design.cli.settings import Settings
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PLANTS, DATA = EXAMPLES / "plants", EXAMPLES / "data"
 OSCILLATOR = PLANTS / "oscillator.toml"
 TIMES = [0.9, 2.1, 3.0, 4.3, 5.1, 6.2]
+INTERVALS = ["--json", "--radii", "intervals"]  # estimates in the middle are no longer those of the schedule's claim
 
 
 def plant(name):
@@ -98,8 +100,8 @@ def test_estimate_with_a_schedule_or_its_certificate_is_the_same(shell, tmp_path
 
 
 def test_times_of_a_file_without_a_schedule_need_not_begin_near_zero(shell, tmp_path):
-    here = json.loads(shell("estimate", OSCILLATOR, write_readings(tmp_path / "a.csv"), "--json").out)
-    there = json.loads(shell("estimate", OSCILLATOR, write_readings(tmp_path / "b.csv", start=1024.0), "--json").out)
+    here = json.loads(shell("estimate", OSCILLATOR, write_readings(tmp_path / "a.csv"), *INTERVALS).out)
+    there = json.loads(shell("estimate", OSCILLATOR, write_readings(tmp_path / "b.csv", start=1024.0), *INTERVALS).out)
     assert there["times"] == pytest.approx(np.array(TIMES) + 1024.0)
     assert np.array(there["x"]) == pytest.approx(np.array(here["x"]), abs=1e-8)
     assert there["on_schedule"] == [True] * len(TIMES)
@@ -107,7 +109,7 @@ def test_times_of_a_file_without_a_schedule_need_not_begin_near_zero(shell, tmp_
 
 def test_gaps_that_no_schedule_family_survives_are_certified_for_the_file_alone(shell, tmp_path):
     readings = write_readings(tmp_path / "y.csv", [0.5, 1.4, 4.9, 5.6, 6.5, 9.0])  # 0.7 to 3.5 holds pi
-    result = shell("estimate", OSCILLATOR, readings, "--json", "--initial-error", "2")
+    result = shell("estimate", OSCILLATOR, readings, *INTERVALS, "--initial-error", "2")
     data = json.loads(result.out)
     assert "certified to its last time" in data["guarantee"]
     assert data["on_schedule"] == [True] * 6
@@ -240,7 +242,7 @@ def test_refusals_carry_their_sentence(tmp_path):
         track.estimate(Settings(quiet=True), OSCILLATOR, tmp_path / "empty.csv")
     readings = write_readings(tmp_path / "y.csv")
     with pytest.raises(sd.ArgumentError, match="`--w-bound` must be numbers with commas between"):
-        track.estimate(Settings(quiet=True), OSCILLATOR, readings, w_bound="one")
+        track.estimate(Settings(quiet=True), OSCILLATOR, readings, typed=BoundOptions(w_bound="one"))
 
 
 def test_every_command_teaches_by_an_example(shell):
@@ -355,7 +357,7 @@ def test_of_many_states_fewer_rows_are_looked_at_closely(shell, tmp_path, monkey
     monkeypatch.setattr("sampling_design.estimators.estimate_file.FEW_STATES", 0.2)
     after = shell("estimate", OSCILLATOR, readings, "--initial-error", "2", "--json")
     assert "--radii" not in before.err
-    assert "of 5 rows and 2 states the radii are those of ellipsoids; --radii intervals" in " ".join(after.err.split())
+    assert "of 5 rows and 2 states the radii are those of ellipsoids; --radii centred" in " ".join(after.err.split())
     narrow, wide = (np.array(json.loads(found.out)["radii"]) for found in (before, after))
     assert np.all(narrow <= wide * (1 + 1e-12))
     assert np.any(narrow < wide)

@@ -32,7 +32,7 @@ def test_the_requirement(tmp_path):
     assert requirement.window == 5554.0
     np.testing.assert_array_equal(requirement.forbidden, [[0.0, 600.0]])
     np.testing.assert_array_equal(requirement.fixed, [700.0])
-    assert "radial" in requirement.outputs
+    assert requirement.sensors["radial"].price == 2.0
 
 
 def test_the_schedule(tmp_path):

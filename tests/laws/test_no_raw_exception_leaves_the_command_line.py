@@ -41,7 +41,7 @@ def test_what_is_wrong_with_any_command_line_is_said(part, tmp_path, monkeypatch
 
 
 def test_every_option_of_every_command_is_spoilt():
-    drawn = command_lines.wrong(3000, 8)
+    drawn = command_lines.wrong(8000, 8)
     for name in command_lines.COMMANDS:
         spoilt = {part.split("=")[0] for line in drawn if line[0] == name for part in line}
         assert {flag for option in command_lines.options(name) for flag in option.opts} <= spoilt, name

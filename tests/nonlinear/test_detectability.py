@@ -158,7 +158,7 @@ def test_the_papers_weights_ask_for_a_lambda_that_random_pairs_miss():
     plant, weights = thyroid.thyroid(), paper_weights()
     rest = plant.equilibrium(thyroid.TRUE_START, [0.0, 0.0])
     schedule = PeriodicSchedule([1.0], time_unit="d")
-    options = {"cost": weights, "duration": 0.01, "step": 0.001, "pairs": 1}
+    options = {"cost": weights, "duration": 0.01, "dt": 0.001, "pairs": 1}
     found = check_detectability(plant, schedule, (0.999 * rest, 1.001 * rest), **options)
     assert found.quiet_lambda == pytest.approx(172.5, rel=2e-2)
     # one pair of trajectories shows it: the difference that grows most, small, and its weights before and after

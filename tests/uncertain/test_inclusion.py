@@ -420,7 +420,7 @@ def test_units_change_nothing(state, per_second, certificate):
         (lambda: certify(UNCERTAIN, GapRange(0.5, 1.0), eta=0.1).at(2.0), "`tau` must lie in"),
         (
             lambda: certify(UNCERTAIN, GapRange(0.5, 1.0), eta=0.1).horizon("best"),
-            "`theorem` must be one of sharp, arrival, paper",
+            "`theorem` must be one of improved, arrival, paper",
         ),
     ],
 )

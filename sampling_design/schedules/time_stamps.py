@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError, available_timezones
 
 import numpy as np
 
@@ -117,7 +117,12 @@ def time_zone(zone: str) -> ZoneInfo:
     try:
         return ZoneInfo(zone)
     except (ZoneInfoNotFoundError, ValueError, TypeError, OSError):
-        raise ArgumentError(f"`zone` must be the name of a time zone like Europe/Berlin, got {zone!r}.") from None
+        city = f"/{zone}".replace(" ", "_").casefold()
+        near = [name for name in sorted(available_timezones()) if name.casefold().endswith(city)]
+        raise ArgumentError(
+            f"`zone` must be the name of a time zone like Europe/Berlin, got {zone!r}."
+            + (f" Did you mean {near[0]!r}?" if near else "")
+        ) from None
 
 
 def _table(text: str, where: str) -> tuple[list[str], list[tuple[int, list[str]]]]:

@@ -212,6 +212,8 @@ def test_dates_without_a_zone_are_those_of_the_plan(tmp_path, given, place):
     assert told.assumed_zone == ""
     with pytest.raises(ArgumentError, match="`zone` must be the name of a time zone"):
         read_measurements(written(tmp_path, text), hours, zone="Nowhere")
+    with pytest.raises(ArgumentError, match=r"got 'berlin'\. Did you mean 'Europe/Berlin'\?"):
+        read_measurements(written(tmp_path, text), hours, zone="berlin")
 
 
 def test_a_record_is_gone_through_in_order_of_time():

@@ -16,7 +16,7 @@ import os
 import threading
 import types
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Concatenate, Literal, ParamSpec, Protocol, TypeVar, Union, overload
 
 import numpy as np
@@ -47,6 +47,9 @@ _CALLED = {
 """Classes whose bare name would not tell a caller what to pass."""
 TOO_BIG = ("array is too big", "Maximum allowed dimension exceeded", "Maximum allowed size exceeded")
 """What numpy says, as a ValueError, of an array beyond every memory."""
+
+ELSEWHERE = {"seed": "rng", "random_state": "rng", "Ts": "dt"}
+"""What other packages call an argument that has another name here."""
 
 _inside = threading.local()
 
@@ -229,7 +232,7 @@ def misfit(
     placed = [each.name for each in taken if each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD)]
     for key in named:
         if key not in known:
-            return CallError(f"`{name}` has no argument `{key}`. {likely(key, known) if known else 'It takes none.'}")
+            return CallError(f"`{name}` has no argument `{key}`. {meant(key, known) if known else 'It takes none.'}")
     if len(given) > len(placed):
         count = f"{len(placed)} argument{'s' * (len(placed) != 1)}"
         told = f" ({', '.join(placed)})" if placed else ""
@@ -240,6 +243,11 @@ def misfit(
     needed = [each.name for each in taken if each.name in known and each.default is each.empty]
     missing = [f"`{key}`" for key in needed if key not in named and key not in placed[: len(given)]]
     return CallError(f"`{name}` needs {' and '.join(missing)}." if missing else str(error))
+
+
+def meant(key: str, known: Collection[str]) -> str:
+    """What a keyword that is not known may have meant: what other packages call so, else the nearest one."""
+    return f"Did you mean {ELSEWHERE[key]!r}?" if ELSEWHERE.get(key) in known else likely(key, known)
 
 
 def _unpacked(hints: dict[str, object], parameters: Sequence[inspect.Parameter]) -> list[inspect.Parameter]:
@@ -440,8 +448,12 @@ def _instance(kind: type) -> tuple[str, Callable[[str, object], object]]:
     label = "a text" if kind is str else _CALLED.get(name, f"{'an' if name[0] in 'AEIOU' else 'a'} {name}")
     foreign = getattr(kind, "_foreign", None)
 
-    def take(_: str, value: object) -> object:
+    def take(argument: str, value: object) -> object:
         if isinstance(value, kind):
+            if isinstance(value, type) and getattr(kind, "_is_protocol", False):  # a class has the methods, too
+                raise ArgumentError(
+                    f"`{argument}` must be {label}, got the class {value.__name__}: make one, {value.__name__}(...)."
+                )
             return value
         maker = None if foreign is None else foreign(value)
         return _NO if maker is None else _Foreign(maker, value)

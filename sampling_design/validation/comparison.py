@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from sampling_design import __version__
 from sampling_design.certificates.exact.certificate import SampledCertificate
-from sampling_design.checkers.strict import likely
 from sampling_design.errors import ArgumentError, CallError
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.estimators.online.estimator import Estimator
@@ -25,7 +24,7 @@ from sampling_design.records.checks import Seed
 from sampling_design.records.dispatch import OpenPlant, registered
 from sampling_design.records.journal import Journal, digest
 from sampling_design.records.progress import Progress
-from sampling_design.records.signatures import checked
+from sampling_design.records.signatures import checked, meant
 from sampling_design.records.workers import Workers, check_workers
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.any_estimator import EstimatorStudy
@@ -138,7 +137,8 @@ def validate(
         raise ArgumentError(f"`scenarios` must be among {', '.join(SCENARIOS)}, got {checks.described(unknown[0])}.")
     taken = inspect.signature(MovingHorizonEstimator).parameters
     for key in options.keys() - taken.keys():
-        raise CallError(f"`validate` and its MovingHorizonEstimator have no argument `{key}`. {likely(key, taken)}")
+        every = (*inspect.signature(validate).parameters, *taken)
+        raise CallError(f"`validate` and its MovingHorizonEstimator have no argument `{key}`. {meant(key, every)}")
     if estimator is not None:
         for key, value in {"certificate": certificate, "workers": workers, "resume": resume, **options}.items():
             if value is not None:

@@ -104,6 +104,10 @@ def test_a_door_leaves_name_signature_and_module():
             lambda: sd.certify(OSCILLATOR, GAPS, budgett=2.0),
             "`certify` has no argument `budgett`. Did you mean 'budget'",
         ),
+        (
+            lambda: sd.validate(OSCILLATOR, sd.PeriodicSchedule([1.0]), seed=1),
+            "have no argument `seed`. Did you mean 'rng'",
+        ),
         (lambda: sd.Plant(OSCILLATOR.A, OSCILLATOR.C, xyzzy=3), "`Plant` has no argument `xyzzy`. Known: 'A', 'C'"),
         (lambda: sd.Plant(OSCILLATOR.A, C=OSCILLATOR.C, state=["p", "v"]), "`state`. Did you mean 'states'"),
         (lambda: sd.Plant(), "`Plant` needs `A`"),
@@ -121,6 +125,11 @@ def test_a_call_that_does_not_fit_is_one_sentence(call, words):
     with pytest.raises(TypeError, match=words) as told:  # what Python calls it, too
         call()
     assert isinstance(told.value, CallError)
+
+
+def test_a_class_is_no_instance():
+    with pytest.raises(ArgumentError, match=r"got the class KalmanFilter: make one, KalmanFilter\(\.\.\.\)"):
+        sd.validate(OSCILLATOR, sd.PeriodicSchedule([1.0]), estimator=sd.KalmanFilter)
 
 
 def test_a_type_error_of_what_the_caller_gave_stays_what_it_is():

@@ -48,6 +48,8 @@ _MIXED = {
     ),
 }
 """The likely slip where one kind of file is given for another."""
+_WRITTEN = {"plan": "plan.json", "schedule": "schedule.csv", "certificate": "certificate.json"}
+"""What a command calls its file of a kind in the folder that it writes."""
 
 
 def plant(path: Path) -> Plant:
@@ -115,6 +117,9 @@ def _read(kind: str, reader: Callable[[Path], T], path: Path) -> T:
     try:
         return reader(path)
     except SamplingDesignError:
+        within = path / _WRITTEN.get(kind, "")
+        if path.is_dir() and within.is_file():
+            raise FileFormatError(f"{path}: is a folder, expected a file. Did you mean {within}?", str(path)) from None
         found, where = kind_of(path), str(path)
         if found not in (kind, ""):
             slip = _MIXED.get((found, kind), "Are the arguments in their order?")

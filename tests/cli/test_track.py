@@ -376,3 +376,9 @@ def test_a_sample_that_contradicts_the_bounds_is_left_out_by_its_number(tmp_path
     assert len(json.loads(mended.out)["times"]) == len(TIMES)
     refused = shell("estimate", OSCILLATOR, path, *bounds, "--leave-out", "4;5")
     assert "`--leave-out` must hold numbers of samples, 3 or 3,17, got '4;5'" in refused.err
+
+
+def test_a_folder_names_the_file_in_it(shell, schedule):
+    given = shell("sigma", OSCILLATOR, schedule.parent, "--window", 3)
+    assert given.code == 2
+    assert f"is a folder, expected a file. Did you mean {schedule}?" in given.err

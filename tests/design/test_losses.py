@@ -18,6 +18,7 @@ def designed(**more):
     )
 
 
+@pytest.mark.long
 def test_a_price_is_what_a_scan_without_the_sample_says():
     design = designed(samples=3, fixed=[0.0], forbidden=[[1.0, 2.0]])
     losses = sample_losses(design, every_period=True)

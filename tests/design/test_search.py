@@ -96,6 +96,7 @@ def test_rows_and_flows_are_exponentials_however_often_the_plant_turns(growth):
     np.testing.assert_allclose(rows.rows(r).reshape(-1, 1, 2), rows.C @ flows, rtol=0, atol=1e-9)
 
 
+@pytest.mark.long
 def test_a_window_of_many_turns_is_designed_to_its_bound():
     asked = sd.Requirement(window=1e4, samples=4, spacing=1.0)
     design = sd.design_schedule(sd.named_plant("oscillator"), asked, starts=1, branches=0)

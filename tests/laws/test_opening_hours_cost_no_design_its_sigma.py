@@ -111,6 +111,7 @@ def test_a_shift_of_all_hours_shifts_the_schedule(seed, shift):
     np.testing.assert_allclose(other.schedule.times, moved, atol=1e-5)
 
 
+@pytest.mark.long
 def test_the_first_hour_is_designed_for_what_its_hours_allow():
     assert designed(BLOOD).sigma > 1.277
     assert judged(replace(BLOOD, samples=3)).sigma > 1.104

@@ -29,6 +29,7 @@ def plan():
     return made(timing_tolerance=0.1, initial_error=0.5)
 
 
+@pytest.mark.long
 def test_no_real_times_break_a_tolerance(plan):
     assert plan.keeps
     assert plan.verify()

@@ -85,6 +85,7 @@ def slow():
     return sd.plan_samples(plant, wanted, certificate=False, robustness=False)
 
 
+@pytest.mark.long
 def test_a_filter_that_forgets_slowly_is_followed_until_it_has(slow):
     """What is said of all that follows is above what is found of each gap, one by one, for much longer."""
     count = len(slow.schedule)

@@ -215,6 +215,7 @@ def load_dict(certificate):
     return certificate_from_dict(json.loads(json.dumps(certificate.to_dict())))
 
 
+@pytest.mark.long
 def test_the_rate_is_chosen_and_what_is_certified_is_what_was_given():
     given = PeriodicSchedule([0.6, 1.4], 0.6)
     chosen = certify(UNCERTAIN, given)

@@ -81,7 +81,7 @@ def assumption_7(patient: sd.NonlinearPlant, pairs: int) -> DetectabilityEvidenc
     box = (thyroid.TRUE_START / 2, 2 * thyroid.TRUE_START)
     daily = sd.PeriodicSchedule([1.0], time_unit="d")
     return sd.nonlinear.check_detectability(
-        patient, daily, box, duration=10.0, step=0.25, pairs=pairs, cost=paper_weights()
+        patient, daily, box, duration=10.0, dt=0.25, pairs=pairs, cost=paper_weights()
     )
 
 

@@ -6,7 +6,7 @@ The grammar: the argument as typed, what was expected, what came, and the likely
 from __future__ import annotations
 
 import numbers
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, fields
 from typing import Any, TypeAlias, TypeVar
 
@@ -20,6 +20,8 @@ from sampling_design.records.arrays import Array, Mask
 Instance = TypeVar("Instance")
 Seed: TypeAlias = np.random.Generator | int | None
 """What random numbers are drawn from: a generator, its seed, or None for the seed 0."""
+ELSEWHERE = {"seed": "rng", "random_state": "rng", "Ts": "dt"}
+"""What other packages call an argument that has another name here."""
 
 
 def freeze(array: object) -> Array:
@@ -347,3 +349,8 @@ def unit_diagonal(matrix: Array) -> tuple[Array, Array]:
     _, exponent = np.frexp(np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
     half = -(exponent - 1)
     return np.ldexp(1.0, exponent - 1), np.ldexp(np.ldexp(matrix, half[:, None]), half[None, :])
+
+
+def meant(key: str, known: Collection[str]) -> str:
+    """What a keyword that is not known may have meant: what other packages call so, else the nearest one."""
+    return f"Did you mean {ELSEWHERE[key]!r}?" if ELSEWHERE.get(key) in known else likely(key, known)

@@ -16,14 +16,13 @@ import os
 import threading
 import types
 import typing
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Concatenate, Literal, ParamSpec, Protocol, TypeVar, Union, overload
 
 import numpy as np
 
-from sampling_design.checkers.strict import likely
 from sampling_design.errors import ArgumentError, CallError, SolverError
-from sampling_design.records.checks import described
+from sampling_design.records.checks import described, meant
 from sampling_design.records.dispatch import OpenPlant, registered
 
 P = ParamSpec("P")
@@ -47,9 +46,6 @@ _CALLED = {
 """Classes whose bare name would not tell a caller what to pass."""
 TOO_BIG = ("array is too big", "Maximum allowed dimension exceeded", "Maximum allowed size exceeded")
 """What numpy says, as a ValueError, of an array beyond every memory."""
-
-ELSEWHERE = {"seed": "rng", "random_state": "rng", "Ts": "dt"}
-"""What other packages call an argument that has another name here."""
 
 _inside = threading.local()
 
@@ -243,11 +239,6 @@ def misfit(
     needed = [each.name for each in taken if each.name in known and each.default is each.empty]
     missing = [f"`{key}`" for key in needed if key not in named and key not in placed[: len(given)]]
     return CallError(f"`{name}` needs {' and '.join(missing)}." if missing else str(error))
-
-
-def meant(key: str, known: Collection[str]) -> str:
-    """What a keyword that is not known may have meant: what other packages call so, else the nearest one."""
-    return f"Did you mean {ELSEWHERE[key]!r}?" if ELSEWHERE.get(key) in known else likely(key, known)
 
 
 def _unpacked(hints: dict[str, object], parameters: Sequence[inspect.Parameter]) -> list[inspect.Parameter]:

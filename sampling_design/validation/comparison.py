@@ -24,7 +24,7 @@ from sampling_design.records.checks import Seed
 from sampling_design.records.dispatch import OpenPlant, registered
 from sampling_design.records.journal import Journal, digest
 from sampling_design.records.progress import Progress
-from sampling_design.records.signatures import checked, meant
+from sampling_design.records.signatures import checked
 from sampling_design.records.workers import Workers, check_workers
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.any_estimator import EstimatorStudy
@@ -138,7 +138,9 @@ def validate(
     taken = inspect.signature(MovingHorizonEstimator).parameters
     for key in options.keys() - taken.keys():
         every = (*inspect.signature(validate).parameters, *taken)
-        raise CallError(f"`validate` and its MovingHorizonEstimator have no argument `{key}`. {meant(key, every)}")
+        raise CallError(
+            f"`validate` and its MovingHorizonEstimator have no argument `{key}`. {checks.meant(key, every)}"
+        )
     if estimator is not None:
         for key, value in {"certificate": certificate, "workers": workers, "resume": resume, **options}.items():
             if value is not None:

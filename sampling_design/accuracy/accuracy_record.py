@@ -180,7 +180,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
         tops = []
         for k in np.flatnonzero(~lost):
             found = search.opened(self.rows.matrix[k] @ known.lift)
-            open_ends = not any(np.isfinite(nodes).any() for nodes in found.nodes)
+            open_ends = not any(np.isfinite(nodes).any() for nodes in found.nodes.values())
             tops.append(np.inf if open_ends else search.top(found)[0])
         return bool(np.all(tops <= self.upper[~lost] * (1 + KEPT)))
 

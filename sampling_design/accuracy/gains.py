@@ -142,7 +142,7 @@ def centre_offset(chain: SampleChain, row: Array, j: int, d: float, gains: tuple
     flows = forced_flow(chain.A, force[:, None], [d, *(gap.length for gap in chain.gaps)])
     total = float(row * chain.D @ flows[0, :, n])
     g = row * chain.D @ flows[0, :, :n]
-    nodes = chain.nodes(j, len(gains))
+    nodes = chain.latest(j, len(gains))
     for k in range(len(nodes) - 1, -1, -1):
         sample, lam = chain.samples[nodes[k]], gains[k - len(nodes)]
         if bounds.v_centre is not None:

@@ -209,6 +209,11 @@ class SampleChain:
             return [*range(max(0, j + 1 - count), j + 1), *out[::-1]]
         return [*((j - k) % len(self) for k in range(count - 1, -1, -1)), *out[::-1]]
 
+    def latest(self, j: int, length: int) -> list[int]:
+        """Indices of the last `length` nodes up to and with j, or as many as there are, the latest last."""
+        every = self.nodes(j, length)
+        return every[max(len(every) - length, 0) :]
+
     def refined(self, loss: float) -> SampleChain:
         """Return the chain with cells so fine that their curvature loses no more than `loss`."""
         after = [self.L[(j + 1) % len(self)] for j in range(len(self.gaps))]

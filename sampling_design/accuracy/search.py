@@ -196,14 +196,15 @@ class ChainSearch:
         """Keep a row_adversary, and what it is at the samples of the last period on its way."""
         count = len(adversary.z)
         rests = self.chain.start is None and not adversary.z[0].any()
-        nodes = self.chain.nodes(j, count)[-count:]
+        nodes = self.chain.latest(j, count)
         for k in range(max(int(rests), count - len(self.chain)), count):
             part = Adversary(0.0, adversary.w[:k], adversary.z[: k + 1])
             self.adversaries[nodes[k]].append(RowAdversary(nodes[k], part, chain))
 
     def evaluate(self, j: int, mu: Array, gains: tuple[Array, ...]) -> Gains:
         """What any gains prove of mu'z_j; no solver."""
-        nodes, start = self.past(j, len(gains), False)
+        branch = len(self.chain.nodes(j, 0))  # samples of which some results are out, which are beside the count
+        nodes, start = self.past(j, max(len(gains) - branch, 1), False)
         missing = [np.zeros(len(self.chain.samples[node].H)) for node in nodes[: len(nodes) - len(gains)]]
         return evaluated(self.chain, nodes, start, mu, [*missing, *gains])
 
@@ -443,6 +444,6 @@ def combined_gains(chain: SampleChain, j: int, mu: Array, atoms: BoundedDirectio
     """Return gains for mu'z_j put together from those of the nearest atoms, the latest sample last."""
     fit = atoms.fit(mu[None])
     parts = [[a * g for g in atoms.gains[k].gains] for k, a in zip(fit.place[0], fit.share[0], strict=True)]
-    empty = [np.zeros(len(chain.samples[k].H)) for k in chain.nodes(j, max(map(len, parts)))]
+    empty = [np.zeros(len(chain.samples[k].H)) for k in chain.latest(j, max(map(len, parts)))]
     both = [[*empty[: len(empty) - len(part)], *part] for part in parts]
     return tuple(a + b for a, b in zip(*both, strict=True))

@@ -231,7 +231,7 @@ def physical(row: Array, opened: RowBetweenSamples, row_adversary: RowAdversary,
     chain, count = row_adversary.chain, len(row_adversary.adversary.w) + 1
     reached = float(opened.mu[offset] @ row_adversary.end)
     sign = -1.0 if reached < 0 else 1.0
-    nodes = chain.nodes(row_adversary.sample, count)[-count:]
+    nodes = chain.latest(row_adversary.sample, count)
     scale = chain.bounds.w
     edges, w, samples, now = [np.zeros(1)], [], [0.0], 0.0
     for j, u in zip(nodes[:-1], row_adversary.adversary.w, strict=True):

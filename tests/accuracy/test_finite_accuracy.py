@@ -128,6 +128,16 @@ def test_names_choose_and_order_the_sensors():
     assert found.upper == pytest.approx([0.1, 0.2], rel=1e-4)
 
 
+def test_a_bound_of_what_is_known_nowhere_does_not_verify():
+    plant = sd.Plant(np.diag([0.1, 0.2]), np.eye(2))
+    found = sd.guaranteed_accuracy(
+        plant, sd.Schedule([0.0, 1.0], [[1, 0], [1, 0]]), w_bound=0.1, v_bound=0.1, of=["x2"]
+    )
+    assert np.isinf(found.upper[0])
+    assert found.verify()
+    assert not replace(found, upper=np.array([0.1])).verify()
+
+
 def test_a_forged_start_does_not_verify():
     found = sd.guaranteed_accuracy(PLANT, SCHEDULE, w_bound=0.02, v_bound=0.1, initial_error=[0.3, 0.2])
     assert found.verify()

@@ -1,5 +1,7 @@
 """What is known at the time: which results are in when, and what does not fit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -48,6 +50,24 @@ def test_a_finite_schedule_says_what_is_in_by_its_end():
     alone = guaranteed_accuracy(WALK, dated.between(-0.5, 0.5), end=2.5, v_bound=[0.3, 0.02], **given)
     without = alone.profile.upper[0, np.searchsorted(alone.profile.edges, 2.5 - 1e-6) - 1]
     assert at[-1] == pytest.approx(without, rel=5e-3)  # until the second result comes
+
+
+def test_what_grows_while_results_are_out_proves_itself():
+    """Gains are put in again over the samples that they are of, and over no more."""
+    plant = Plant([[1.5, 1.0], [0.0, -0.5]], [[1.0, 0.0], [1.0, 1.0]], G=[[1.0], [1.0]], outputs=["gauge", "lab"])
+    dated = PeriodicSchedule.from_times([0.0, 0.4], 1.0, [[1, 1], [0, 1]], output_names=["gauge", "lab"])
+    found = guaranteed_accuracy(plant, dated, w_bound=0.1, v_bound=terms((0.1, 0.4), (0.02, 2.7)))
+    assert found.verify()
+    assert not replace(found, upper=found.upper * 0.999).verify()
+
+
+def test_bounds_that_are_not_about_0_shift_what_is_known_at_the_time():
+    """For x' = w in [.05, .15] the middle of what is known of age 1.5 lies 1.5 times .1 after the reading."""
+    dated = PeriodicSchedule.from_times([0.0], 1.0, [[0, 1]], output_names=["gauge", "lab"])
+    found = guaranteed_accuracy(WALK, dated, w_bound={"w1": (0.05, 0.15)}, v_bound=terms((0.3, None), (0.02, 0.5)))
+    assert found.verify()
+    assert found.upper[0] == pytest.approx(0.02 + 0.05 * 1.5, rel=2e-3)
+    assert found.offset[0] == pytest.approx(0.1 * 1.5, rel=2e-3)
 
 
 @pytest.mark.parametrize(

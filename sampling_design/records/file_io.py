@@ -115,8 +115,9 @@ def csv_rows(lines: Iterable[tuple[int, str]], where: str, mark: str = "") -> li
         try:
             row = next(csv.reader([line], delimiter=mark, strict=True))
         except csv.Error as error:
+            why = "a line ends within a cell" if "new-line" in str(error) else error
             raise FileFormatError(
-                f"{where}, line {number}: cannot be read as cells ({error}). Was a quote left open?", where
+                f"{where}, line {number}: cannot be read as cells ({why}). Was a quote left open?", where
             ) from None
         cells = [cell.strip() for cell in row]
         if mark != ",":

@@ -42,6 +42,7 @@ _CALLED = {
     "OnlineEstimator": "an estimator of this package",
     "OpenPlant": "a plant of another kind",
     "SampledCertificate": "a Certificate or FamilyCertificate",
+    "Series": "a pandas Series",
 }
 """Classes whose bare name would not tell a caller what to pass."""
 TOO_BIG = ("array is too big", "Maximum allowed dimension exceeded", "Maximum allowed size exceeded")

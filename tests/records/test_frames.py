@@ -1,9 +1,11 @@
 """Records that are tables become pandas frames, and frames of measurements are read like files."""
 
+import csv
 import importlib
+import io
 import pkgutil
 import sys
-from datetime import datetime
+from datetime import datetime, timedelta
 from functools import cache
 from importlib.util import find_spec
 from types import SimpleNamespace
@@ -271,16 +273,21 @@ class _Polars:
         self.columns, self.cells = list(columns), {k: self._Column(v) for k, v in columns.items()}
 
     def __getitem__(self, name):
-        return self.cells[name]
+        return _Polars(**{each: self.cells[each] for each in name}) if isinstance(name, list) else self.cells[name]
 
     def fill_nan(self, value):
         return _Polars(**{k: [value if c != c else c for c in v] for k, v in self.cells.items()})
 
     def write_csv(self):
         def said(cell):
-            return "" if cell is None else f"{cell:%Y-%m-%dT%H:%M:%S.%f}" if isinstance(cell, datetime) else str(cell)
+            if isinstance(cell, timedelta):
+                raise RuntimeError("datatype duration cannot be written to CSV")
+            return "" if cell is None else f"{cell:%Y-%m-%dT%H:%M:%S.%f}" if isinstance(cell, datetime) else cell
 
-        return "\n".join(",".join(map(said, row)) for row in [self.columns, *zip(*self.cells.values(), strict=True)])
+        text = io.StringIO()
+        rows = [self.columns, *zip(*self.cells.values(), strict=True)]
+        csv.writer(text, lineterminator="\n").writerows([said(cell) for cell in row] for row in rows)
+        return text.getvalue()
 
 
 def frames():
@@ -304,17 +311,52 @@ def test_frames_of_pandas_and_polars_say_the_same():
         assert [len(row) for row in found.told] == [1, 0, 0]
         estimates = sd.KalmanFilter(plant, w_bound=0.1, v_bound=0.1, initial_error=9.0).run(frame)
         assert list(estimates.to_frame().index) == list(found.to_frame().index)
-    with pytest.raises(ArgumentError, match="`path` must be a file, or a frame of pandas or polars, got"):
-        sd.read_measurements(Columns(), plant)
 
 
 class Columns:
-    """A frame of another library."""
+    """A frame of another library, whose columns are no names."""
 
-    columns = ("time", "low", "high")
+    columns = ([0.0], [1.0])
 
     def __getitem__(self, name):
-        return [0.0]
+        raise TypeError(name)
+
+
+@pytest.mark.parametrize("given", [Columns(), pandas.DataFrame, pandas.Series])
+def test_frames_of_other_libraries_and_classes_are_refused_by_name(given):
+    told = r"(a frame of pandas or polars, got Columns|, got the class (DataFrame|Series): make one)"
+    with pytest.raises(ArgumentError, match=f"`path` must be a.*{told}"):
+        sd.read_measurements(given, TANK)
+    with pytest.raises(ArgumentError, match=r"`record` must be Measurements, a DataFrame or a list of .* got"):
+        sd.KalmanFilter(TANK).run(given)
+
+
+def test_what_ends_a_line_or_begins_a_comment_in_a_file_is_a_cell_of_a_frame():
+    plant = sd.Plant([[0.0]], [[1.0]], outputs=['# a\n"b"'])
+    told = r"the frame(: .* in line {0} is not a number: '|, line {0}: cannot be read as cells .a line ends within)"
+    for frame in (pandas.DataFrame, lambda columns: _Polars(**columns)):
+        given = frame({plant.outputs.names[0]: [1.0, 2.0], "time": [0.5, 1.5]})
+        np.testing.assert_array_equal(sd.read_measurements(given, plant).times, [0.5, 1.5])
+        for cell in ("#1", " # 1", "1\n2,5.0", "1\r2", "1\u20282", "1\x852", '1"'):
+            with pytest.raises(FileFormatError, match=told.format(3)):
+                sd.read_measurements(frame({"time": [1.0, cell], "gauge": [2.0, 3.0]}), TANK)
+            with pytest.raises(FileFormatError, match=told.format(2)):
+                sd.read_measurements(frame({"time": [1.0], "gauge": [cell]}), TANK)
+
+
+def test_a_column_that_no_file_can_say_is_named():
+    beyond = np.array(["12345-01-01", "0001-01-01"], "M8[s]")
+    columns = {"date": beyond, "gauge": [1.0, 2.0]}
+    lengths = _Polars(gauge=[1.0, 2.0], time=[timedelta(1), timedelta(2)])
+    for given, name in (
+        (pandas.DataFrame(columns), "date"),
+        (pandas.Series([1.0, 2.0], beyond), "date"),
+        (lengths, "time"),
+    ):
+        with pytest.raises(
+            FileFormatError, match=f"the frame: column '{name}' must hold numbers, texts or dates of the"
+        ):
+            sd.read_measurements(given, TANK)
 
 
 def test_an_interval_says_how_a_frame_is_given():
@@ -326,7 +368,7 @@ def test_an_interval_says_how_a_frame_is_given():
 def test_a_bad_frame_is_refused_in_the_words_of_a_file():
     with pytest.raises(FileFormatError, match="the frame: column 'position' is missing"):
         sd.read_measurements(pandas.DataFrame({"time": [0.0], "force_per_mass": [0.0]}), OSCILLATOR)
-    with pytest.raises(ArgumentError, match="`path` must be a text or a path or a DataFrame or a Series, got int 3"):
+    with pytest.raises(ArgumentError, match=r"`path` must be .* or a DataFrame or a pandas Series, got int 3"):
         sd.read_measurements(3, OSCILLATOR)
 
 

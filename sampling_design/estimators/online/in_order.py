@@ -17,7 +17,7 @@ from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.estimator import EstimateRecord, Sample
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.same_time import corrected, corrected_inputs, merge, with_input, without
-from sampling_design.estimators.records.frames import DataFrame, Series
+from sampling_design.estimators.records.frames import is_frame
 from sampling_design.estimators.records.measurement_table import MeasuredPlant
 from sampling_design.estimators.records.measurements import Measurements, read_measurements
 from sampling_design.plants.plant import Plant
@@ -402,7 +402,7 @@ def listed(record: object, plant: MeasuredPlant) -> tuple[list[object], str]:
     Raises ArgumentError if it cannot be gone through; FileFormatError if it is a frame that holds no measurements of
     this plant.
     """
-    if isinstance(record, DataFrame | Series):
+    if is_frame(record):
         record = read_measurements(record, plant)
     origin = record.origin if isinstance(record, Measurements) else ""
     if isinstance(record, Iterable) and not isinstance(record, (str, bytes)):

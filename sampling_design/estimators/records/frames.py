@@ -6,7 +6,8 @@ import csv
 import io
 import os
 from collections.abc import Iterable, Iterator
-from typing import Protocol, runtime_checkable
+from itertools import chain, islice
+from typing import Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
 
@@ -40,7 +41,7 @@ class _PandasFrame(DataFrame, Protocol):
 
     def rename_axis(self, mapper: str) -> _PandasFrame: ...
     def reset_index(self) -> _PandasFrame: ...
-    def to_csv(self, *, index: bool, date_format: str) -> str: ...
+    def to_csv(self, *, index: bool, date_format: str, lineterminator: str) -> str: ...
 
 
 @runtime_checkable
@@ -59,31 +60,72 @@ class Series(Protocol):
     def to_frame(self, name: object = ...) -> DataFrame: ...
 
 
+def is_frame(record: object) -> TypeGuard[DataFrame | Series]:
+    """Whether this is a frame or a series that can be read, and not the class of one."""
+    return isinstance(record, _PandasFrame | _PolarsFrame | Series) and not isinstance(record, type)
+
+
 def lines_of(source: str | os.PathLike[str] | DataFrame | Series, plant: MeasuredPlant) -> tuple[str, Iterator[str]]:
     """Name and lines of a file; of a frame those that its file would have, so that both are read by one grammar."""
     if isinstance(source, str | os.PathLike):
         return os.fspath(source), file_io.text_lines(source)
-    frame = source
-    if not isinstance(frame, DataFrame):
-        names = plant.outputs.names
-        frame = frame.to_frame(names[0] if frame.name is None and len(names) == 1 else frame.name)
+    frame = source.to_frame(_name_of(source, plant)) if isinstance(source, Series) else source
+    if not isinstance(frame, _PandasFrame | _PolarsFrame):
+        raise ArgumentError(f"`path` must be a file, or a frame of pandas or polars, got {checks.described(source)}.")
     header = [str(name) for name in frame.columns]
     dates = [k for k, name in enumerate(frame.columns) if _kind(frame[name]) == "M"]
     stamps = [k for k, name in enumerate(header) if name.lower() in STAMPS]
-    if isinstance(frame, _PandasFrame):
-        stamp = "" if stamps else _stamp_of(frame.index, alone=not dates)
-        whole, header = (frame.rename_axis(stamp).reset_index(), [stamp, *header]) if stamp else (frame, header)
-        hours = "%Y-%m-%dT%H:%M:%S.%f%z"  # of days alone, too: a column of pandas has times
-        text, stamps = whole.to_csv(index=False, date_format=hours), [-1] if stamp else stamps
-    elif isinstance(frame, _PolarsFrame):
-        text = frame.fill_nan(None).write_csv()
-    else:
-        raise ArgumentError(f"`path` must be a file, or a frame of pandas or polars, got {checks.described(source)}.")
+    stamp = "" if stamps or isinstance(frame, _PolarsFrame) else _stamp_of(frame.index, alone=not dates)
+    if stamp and isinstance(frame, _PandasFrame):
+        frame, header, stamps = frame.rename_axis(stamp).reset_index(), [stamp, *header], [-1]
     for k in dates if stamps or len(dates) == 1 else ():
         header[k] = "date" if k in stamps or not stamps else header[k]
     first = io.StringIO()
-    csv.writer(first, lineterminator="").writerow(header)
-    return "the frame", iter([first.getvalue(), *text.splitlines()[1:]])
+    csv.writer(first, lineterminator="", quoting=csv.QUOTE_ALL).writerow(header)
+    return "the frame", chain([first.getvalue()], islice(_lines(_text(frame)), 1, None))
+
+
+def _name_of(series: Series, plant: MeasuredPlant) -> object:
+    names = plant.outputs.names
+    return names[0] if series.name is None and len(names) == 1 else series.name
+
+
+def _text(frame: _PandasFrame | _PolarsFrame) -> str:
+    """The file that a frame would be."""
+    try:
+        return _written(frame)
+    except Exception:  # whatever a column of foreign objects does when it is asked for text
+        for name in frame.columns:
+            try:
+                _written(frame[[name]])
+            except Exception:
+                kind = getattr(frame[name], "dtype", "unknown")
+                raise FileFormatError(
+                    f"the frame: column {str(name)!r} must hold numbers, texts or dates of the years 1 to 9999, "
+                    f"got the kind {kind}.",
+                    "the frame",
+                ) from None
+        raise
+
+
+def _written(frame: object) -> str:
+    if isinstance(frame, _PandasFrame):
+        hours = "%Y-%m-%dT%H:%M:%S.%f%z"  # of days alone, too: a column of pandas has times
+        return frame.to_csv(index=False, date_format=hours, lineterminator="\n")
+    return frame.fill_nan(None).write_csv() if isinstance(frame, _PolarsFrame) else ""
+
+
+def _lines(text: str) -> Iterator[str]:
+    """The rows of a file; an end of a line within quotes ends none, and none is a comment."""
+    held = ""
+    for line in text.split("\n"):
+        held += line
+        if held.count('"') % 2:
+            held += "\n"
+        else:
+            cell, comma, rest = held.partition(",")
+            yield f'"{cell}"{comma}{rest}' if cell.lstrip().startswith("#") else held
+            held = ""
 
 
 def _stamp_of(index: _Index, alone: bool) -> str:

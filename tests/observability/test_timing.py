@@ -136,6 +136,40 @@ def test_growth_and_late_clocks():
     assert late.lower == pytest.approx(early.lower, rel=1e-4)
 
 
+@pytest.mark.parametrize("size", [1e-200, 1e-12, 1e12, 1e100])
+def test_the_size_of_an_output_is_a_factor(size):
+    plant, schedule = sd.Plant([[0.1, 1.0], [-1.0, 0.1]], [[1.0, 0.3]]), sd.PeriodicSchedule([0.9, 0.6])
+    said = sd.window_sigma(plant, schedule, 2.0, timing_tolerance=0.02)
+    same = sd.window_sigma(sd.Plant(plant.A, size * plant.C), schedule, 2.0, timing_tolerance=0.02)
+    assert (same.lower / size, same.upper / size) == pytest.approx((said.lower, said.upper), rel=1e-9)
+
+
+@pytest.mark.parametrize("unit", [1e4, 1e6, 1e12, 1e60])
+@pytest.mark.parametrize("C", [[[1.0, 0.0]], [[1.0, 0.0], [0.0, 1.0]]])
+def test_rates_whose_exponential_is_no_number_prove_less_and_break_nothing(unit, C):
+    """A double integrator in small units: e^(d |A|) overflows, e^(A d) does not."""
+    plant, schedule = sd.Plant([[0.0, unit], [0.0, 0.0]], C), sd.PeriodicSchedule([1.0])
+    for tolerance in (0.01, (0.0, 0.01), {"y1": (0.01, 0.0)}):
+        said = sd.window_sigma(plant, schedule, 3.0, timing_tolerance=tolerance)
+        assert 0 <= said.lower <= said.upper
+        assert unit > 1e5 or said.lower > 0.9 * said.upper
+
+
+@pytest.mark.parametrize("finite", [True, False])
+@pytest.mark.parametrize("sides", [(0.0, 0.2), (0.2, 0.0), (0.1, 0.3), {"a": (0.2, 0.0), "b": (0.0, 0.1)}])
+def test_no_window_begins_before_the_start_that_was_given(sides, finite):
+    plant = sd.Plant([[0.3, 1.0], [-1.0, 0.3]], [[1.0, 0.2], [0.1, 1.0]], outputs=["a", "b"])
+    schedule = sd.PeriodicSchedule([1.0, 0.7], first=1.6, outputs=[[True, False], [False, True]])
+    asked = schedule.between(0, 9) if finite else schedule
+    for start in (0.0, 0.4, 0.55):  # the rhythm begins at 0.6 or 0.9
+        said = sd.window_sigma(plant, asked, 2.9, timing_tolerance=sides, start=start)
+        assert said.from_time == start
+        assert said.lower <= said.upper
+        assert said.witness.t - said.window >= start - 1e-9
+    with pytest.raises(ArgumentError, match=r"ends 8\.4 after `start` with up to 0\.2 more, got 8\.8"):
+        sd.window_sigma(plant, schedule.between(0, 9), 8.8, timing_tolerance=(0.1, 0.2), start=0.0)
+
+
 def test_sensors_that_measure_in_turn():
     plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], np.eye(2))
     masked = sd.PeriodicSchedule([0.5, 0.5], outputs=[[True, False], [False, True]])

@@ -138,32 +138,36 @@ def window_pieces(
 ) -> Pieces:
     """Return the pieces of all full windows that begin at `start` or later.
 
-    With samples that may come early or late, those of windows that are by the radius shorter at both ends.
+    With samples that may come early or late, those of windows that are by the radius shorter at both ends: a window
+    from `start` on holds for sure what was planned `back` after it at least.
 
     A finite schedule is judged from its first sample unless `start` says otherwise: where a clock has its zero is no
     property of the schedule. An endless one is judged from time 0 on. One period stands for all windows in its rhythm;
     if its first sample comes later than that rhythm has one, the windows that miss what came before are judged too.
     """
-    asked, window = window, window - 2 * late.radius
+    asked, window, back = window, window - 2 * late.radius, late.radius - late.shift
     if schedule.endless:
         start = 0.0 if start is None else start
         high, missed = schedule.first + schedule.period, schedule.first - float(schedule.gaps[0])
-        low = min(start, schedule.first) if start < missed - SAME_TIME * high else schedule.first
+        low = min(start + back, schedule.first) if start + back < missed - SAME_TIME * high else schedule.first
         slack = SAME_TIME * (high + window)
         held = schedule.between(low - late.radius, high + window + slack + late.radius)
     else:
         held = schedule
         first, last = (float(schedule.times[0]), float(schedule.times[-1])) if len(schedule) else (0.0, 0.0)
-        low = first if start is None else start
+        low = first if start is None else start + back
         high = last - window
         if high < low - SAME_TIME * max(window, abs(last)):
-            spans = f"spans {short(last - low)}" if start is None else f"ends {short(last - low)} after `start`"
-            spans += f" with up to {short(late.radius)} more at both ends" if late else ""
+            spans = f"spans {short(last - low)}" if start is None else f"ends {short(last - start)} after `start`"
+            more = (
+                f"{short(late.radius)} more at both ends" if start is None else f"{short(2 * late.radius - back)} more"
+            )
+            spans += f" with up to {more}" if late else ""
             raise ArgumentError(
                 f"`window` must fit into the schedule, which {spans}, got {short(asked)}. "
                 "A finite schedule is judged from its first full window to its last."
             )
-        start, high = low, max(high, low)
+        start, high = first if start is None else start, max(high, low)
     found = _cut(held.times, held.outputs, low, high, window, start)
     return found.widened(late) if late else found
 

@@ -24,6 +24,7 @@ MOST_TRIED = 24
 _TURNS = 6  # how often the least seen state and the times that it sees least are sought in turn
 _SHARES = (0.9, 0.08, 0.02)  # q of the terms of first to third order: what is small gets little
 _FACTORS = np.geomspace(1e-7, 0.9, 60)  # k: the best one is taken
+_MOST_LOST = 1e100  # of rows of size one: beyond it nothing is left of them
 _GAIN = 1e-9  # relative: by less sigma does not fall in a turn
 _EPS = float(np.finfo(float).eps)
 
@@ -31,21 +32,27 @@ _EPS = float(np.finfo(float).eps)
 def rows_of_any_time(rows: Array, A: Array, tolerance: Array) -> Array:
     """Return rows (m, n, n) that see no more than `rows` (m, k, n) at times up to `tolerance` (k,) away, or zero."""
     n, count, (first, second, third) = len(A), max(rows.shape[1:]), _SHARES
-    W, d = np.swapaxes(rows, 1, 2) @ rows, tolerance[:, None]
-    one, two, three = d * rows @ A, d**2 / 2 * rows @ A @ A, d**3 / 6 * rows @ A @ A @ A
-    last = np.sum(three**2 * np.exp(2 * d * np.linalg.norm(A, 2)), axis=(1, 2))
-    lost = np.swapaxes(one, 1, 2) @ one / first + np.swapaxes(two, 1, 2) @ two / second
-    lost = lost + (last / third)[:, None, None] * np.eye(n)
+    sizes = 2.0 ** np.frexp(np.abs(rows).max(axis=(1, 2), initial=0.0))[1]  # squares of rows / sizes are numbers
+    rows, d = rows / sizes[:, None, None], tolerance[:, None]
+    W = np.swapaxes(rows, 1, 2) @ rows
+    with np.errstate(over="ignore", invalid="ignore"):
+        one, two, three = d * rows @ A, d**2 / 2 * rows @ A @ A, d**3 / 6 * rows @ A @ A @ A
+        grown = np.where(three == 0, 0.0, three * np.exp(d * np.linalg.norm(A, 2)))  # 0 however much e^{d|A|} is
+        last = np.sum(grown**2, axis=(1, 2))
+        lost = np.swapaxes(one, 1, 2) @ one / first + np.swapaxes(two, 1, 2) @ two / second
+        lost = lost + (last / third)[:, None, None] * np.eye(n)
+        bounded = np.isfinite(lost).all(axis=(1, 2)) & (np.abs(lost).max(axis=(1, 2), initial=0.0) < _MOST_LOST)
+    lost = np.where(bounded[:, None, None], lost, 0.0)
     rounding = 8 * n * count * _EPS * (np.trace(W, axis1=1, axis2=2) + np.trace(lost, axis1=1, axis2=2))
     result, best = np.zeros((len(rows), n, n)), np.zeros(len(rows))
     for k in _FACTORS:
         M = (1 - k) * W - (1 / k - 1) * lost - ((1 + 1 / k) * rounding)[:, None, None] * np.eye(n)
         values, vectors = np.linalg.eigh((M + np.swapaxes(M, 1, 2)) / 2)
-        better = values[:, 0] > best
+        better = (values[:, 0] > best) & bounded
         best = np.where(better, values[:, 0], best)
         root = np.sqrt(np.maximum(values, 0.0))[:, :, None] * np.swapaxes(vectors, 1, 2)
         result = np.where(better[:, None, None], root, result)
-    return result
+    return np.asarray(result * sizes[:, None, None])
 
 
 def middle_rows(plant: Plant, late: TimingTolerance) -> Plant:
@@ -75,6 +82,7 @@ def moved_window(plant: Plant, pieces: Pieces, g: int, start: float) -> WindowWi
         held = times if mask is None or not late.apart else times[mask]
         kept = WindowWitness(start + pieces.window, "at", np.unique(held), right[-1], float(singular[-1]))
         seen = np.array([_rows(plant, centres[:, None] + e - start, mask) @ right[-1] for e in places])
+        seen /= max(float(np.abs(seen).max(initial=0.0)), np.finfo(float).tiny)
         size = np.abs(seen) if late.apart else np.linalg.norm(seen, axis=2, keepdims=True)
         best = np.argmin(size, axis=0)
         moves = np.choose(best, places)

@@ -15,7 +15,6 @@ from sampling_design.cli.settings import Settings, numbers
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.requirement import PlanRequirement
-from sampling_design.planning.requirement_file import requirement_and_plant
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 
@@ -90,13 +89,8 @@ def _wanted(
     """The plant and what is wanted of its schedule; a plan requirement may hold its plant."""
     if plant_file is None:
         raise ArgumentError("`PLANT` is missing: give a plant file, or one of the scenes with `--scene`.")
-    plan_file = requirement_file or plant_file
-    if reading.is_plan_requirement(plan_file):
-        wanted, plant = requirement_and_plant(plan_file)
-        if requirement_file is not None:
-            plant = reading.plant(plant_file)
-        if plant is None:
-            raise ArgumentError(f"`PLANT` is missing: {plan_file} is a requirement that holds no plant.")
+    if reading.is_plan_requirement(requirement_file or plant_file):
+        wanted, plant = reading.plan_requirement(plant_file, requirement_file)
         return plant, wanted
     requirement = reading.requirement(requirement_file)
     if settings.decay_rate is not None:

@@ -57,11 +57,7 @@ def plan(
 
     Example: sampling-design plan examples/plans/oscillator.toml -o out
     """
-    requirement, plant = reading.plan_requirement(plant_file if requirement_file is None else requirement_file)
-    if requirement_file is not None:
-        plant = reading.plant(plant_file)
-    if plant is None:
-        raise ArgumentError(f"`PLANT` is missing: {plant_file} is a requirement that holds no plant.")
+    requirement, plant = reading.plan_requirement(plant_file, requirement_file)
     if timing_tolerance is not None:
         requirement = requirement.replace(timing_tolerance=timing(timing_tolerance, _duration))
     other = None if compare is None else reading.plan(compare)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 import sampling_design as sd
 from sampling_design.accuracy.interval import Interval
 from sampling_design.checkers.check import verdict
-from sampling_design.errors import CertificateError, FileFormatError, SamplingDesignError
+from sampling_design.errors import ArgumentError, CertificateError, FileFormatError, SamplingDesignError
 from sampling_design.plants.plant import first_difference
 from sampling_design.records.file_io import from_json, from_toml, read_text
 
@@ -67,11 +67,21 @@ def requirement(path: Path | None) -> Requirement:
     return sd.Requirement() if path is None else _read("requirement", sd.read_requirement, path)
 
 
-def plan_requirement(path: Path) -> tuple[PlanRequirement, Plant | None]:
-    """The requirement of a plan, and the plant that its file holds."""
+def plan_requirement(first: Path, second: Path | None) -> tuple[PlanRequirement, Plant]:
+    """The requirement of a plan and its plant: of one file that holds both, or of a plant file and another.
+
+    Raises ArgumentError if one file is given and holds no plant.
+    """
     from sampling_design.planning.requirement_file import requirement_and_plant
 
-    return _read("plan requirement", requirement_and_plant, path)
+    requirement, own = _read("plan requirement", requirement_and_plant, first if second is None else second)
+    if second is not None:
+        return requirement, plant(first)
+    if own is None:
+        beside = first.with_name("plant.toml")
+        likely = f" Did you mean {beside} {first}?" if beside.is_file() else ""
+        raise ArgumentError(f"`PLANT` is missing: {first} is a requirement that holds no plant.{likely}")
+    return requirement, own
 
 
 def plan(path: Path) -> Plan:

@@ -59,6 +59,10 @@ def test_a_requirement_without_a_plant_needs_one(shell, tmp_path):
     result = shell("plan", tmp_path / "wanted.toml")
     assert result.code == 2
     assert "`PLANT` is missing" in result.err
+    assert "Did you mean" not in result.err
+    (tmp_path / "plant.toml").write_text("")
+    near = f"Did you mean {tmp_path / 'plant.toml'} {tmp_path / 'wanted.toml'}?"
+    assert near in shell("plan", tmp_path / "wanted.toml").err
     with pytest.raises(ArgumentError, match="is a requirement that holds no plant"):
         plan(Settings("plan"), tmp_path / "wanted.toml")
 

@@ -24,7 +24,7 @@ UNSTABLE = 1e-9
 
 REPRODUCED = 1e-5
 """Relative change over a period, and growth of an error, below which what doubling found is the limit; above what a
-small random walk leaves of motions that neither grow nor fade and that no noise reaches."""
+small random walk leaves of motions that neither grow nor decay and that no noise reaches."""
 
 STEADY = 1e-9
 """Relative change over a period at which roots have settled; after `MOST_PERIODS` what is left is no more than this."""

@@ -40,7 +40,7 @@ FADING = 256  # the same where nothing is attained: a drift is known twice as we
 
 NEGLIGIBLE = 1e-4
 """A row counts as 0 below this share of what disturbance and noise of a period make of it (`state_scales`), if
-adversaries attain less than so much of that again: what nothing drives and what fades is known exactly in the end, no
+adversaries attain less than so much of that again: what nothing drives and what decays is known exactly in the end, no
 relative tolerance closes the bracket of a 0, and a solver leaves its last digits."""
 
 

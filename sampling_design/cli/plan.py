@@ -60,9 +60,9 @@ def info(
         if left:
             kept = split.retained.n_states
             means = "its one retained direction" if kept == 1 else f"its {kept} retained directions"
-            others, counts = f"The other {left} fade by themselves and need", "some of them are counted too"
+            others, counts = f"The other {left} decay by themselves and need", "some of them are counted too"
             if left == 1:
-                others, counts = "The other one fades by itself and needs", "it may be counted too"
+                others, counts = "The other one decays by itself and needs", "it may be counted too"
             tables.append(
                 f"To determine the state means here: {means}. {others} no samples; with a larger --decay-rate {counts}."
             )

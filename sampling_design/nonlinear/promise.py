@@ -51,7 +51,7 @@ class InclusionPromise:
               + sum e^{-eta(t-t_k)/2} |jump_k|_P(tau_k)
 
     J is the certificate's cost of the trajectory with the arrival weight P(tau). Where the trajectory jumps, sqrt(V)
-    grows by no more than the jump's own size in P, and fades with the rest. Raises ArgumentError if the certificate is
+    grows by no more than the jump's own size in P, and decays with the rest. Raises ArgumentError if the certificate is
     of another kind or belongs to another plant.
 
     Parameters
@@ -146,7 +146,7 @@ class InclusionPromise:
             When the last sample before that counted.
         """
         times, end = flown.times, flown.times[-1]
-        fade = np.exp(-self.eta * (end - times))
+        decay = np.exp(-self.eta * (end - times))
         ages = np.empty(times.size)
         for k, t in enumerate(times.tolist()):
             ages[k] = self.age(t, last)
@@ -156,13 +156,13 @@ class InclusionPromise:
         c = self.certificate
         off = flown.x[0] - prior
         lengths = np.diff(times)
-        spent = discounted_length(self.eta, lengths) * fade[1:]
-        cost = fade[0] * off @ c.at(ages[0]) @ off + spent @ np.einsum("ki,ij,kj->k", flown.w, c.Qw, flown.w)
-        heard = fade * flown.counted
+        spent = discounted_length(self.eta, lengths) * decay[1:]
+        cost = decay[0] * off @ c.at(ages[0]) @ off + spent @ np.einsum("ki,ij,kj->k", flown.w, c.Qw, flown.w)
+        heard = decay * flown.counted
         cost += heard @ np.einsum("ki,ij,kj->k", flown.misfit, c.Rtilde, flown.misfit)
-        truth = fade[0] * square + self.w_square * spent.sum() + self.v_square * heard.sum()
+        truth = decay[0] * square + self.w_square * spent.sum() + self.v_square * heard.sum()
         jumped = np.einsum("ki,kij,kj->k", flown.jumps, c.at(ages[1:]), flown.jumps) if len(lengths) else np.zeros(0)
-        total = np.sqrt(cost) + np.sqrt(truth) + np.sqrt(fade[1:]) @ np.sqrt(np.maximum(jumped, 0.0))
+        total = np.sqrt(cost) + np.sqrt(truth) + np.sqrt(decay[1:]) @ np.sqrt(np.maximum(jumped, 0.0))
         return float(total * (1 + ROUNDING)) ** 2
 
     def holds(self, x: Array) -> bool:

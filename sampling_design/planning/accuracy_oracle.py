@@ -80,7 +80,7 @@ class AccuracyOracle:
         """Worst ratio and the strongest trajectory of each goal and gap; stops once a gap is worse than `above`.
 
         `longest`: only the longest gaps are looked at, where the worst is found as a rule, unless goals name times.
-        Infinite, without a trajectory, where the choice hides a motion that never fades.
+        Infinite, without a trajectory, where the choice hides a motion that never decays.
         """
         key = chosen.tobytes(), self.back, above, longest
         if key not in self._kept:
@@ -168,7 +168,7 @@ class AccuracyOracle:
         return None if self.spread is None else self.spread.tangent(z, g)
 
     def hidden(self, chosen: Mask) -> UndetectedModes | None:
-        """What a choice does not see and what never fades; None if it sees all of that."""
+        """What a choice does not see and what never decays; None if it sees all of that."""
         goals = self.problem.goals
         for kind, outputs in ((False, self.motion.H), (True, self.motion.S)):
             mine = np.array([goal.spread == kind for goal in goals], dtype=bool)

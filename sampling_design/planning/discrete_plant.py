@@ -31,7 +31,7 @@ HIDDEN = 1e-9  # a direction is hidden from rows of norm one that show less than
 GROWTH = 200.0
 """Logarithm of the growth beyond which nothing is followed: what has grown so much broke its tolerance long before."""
 
-STAYS = 1e-6  # a mode that loses no more than this share in a period never fades
+STAYS = 1e-6  # a mode that loses no more than this share in a period never decays
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ class DiscretePlant:
 
 @dataclass(frozen=True, eq=False)
 class UndetectedModes:
-    """Motions that do not fade and that a choice never sees."""
+    """Motions that do not decay and that a choice never sees."""
 
     where: Mask  # (M, p): where they show: any choice that measures nowhere on the mask hides them, too
     states: Array  # (n, k): z at step 0 of such motions, orthonormal
@@ -124,7 +124,7 @@ class UndetectedModes:
 def hidden_at(
     motion: DiscretePlant, chosen: Mask, rows: Array, always: Mask, outputs: Array | None = None
 ) -> UndetectedModes | None:
-    """Return the motions that do not fade and that a choice never sees.
+    """Return the motions that do not decay and that a choice never sees.
 
     None if there are none, or if they are hidden at all times, not only at those of the grid, and of no account to
     the rows of z, at any time to those that are `always` wanted; whether another sensor would show them is nothing
@@ -198,7 +198,7 @@ def motion_of(problem: PlanProblem) -> DiscretePlant:
     for goal in problem.goals:
         if known.touches(goal.row):
             raise InfeasibleRequirementError(
-                f"No sensor ever shows {', '.join(known.modes)}, on which {goal.name} depends and which never fades: "
+                f"No sensor ever shows {', '.join(known.modes)}, on which {goal.name} depends and which never decays: "
                 "no plan can keep its tolerance. Add a sensor, or a `noise_bound` to one that has none.",
                 "accuracy",
             )

@@ -94,7 +94,7 @@ class FeasibleChoices:
     def _mended(self, chosen: Mask, everything: Mask, best: ProvenChoice | None) -> ProvenChoice:
         """More of what is allowed, spread out, until the tolerances are proven, as long as that is cheaper than `best`.
 
-        It is asked for where a motion that no disturbance drives neither fades nor is seen well. Raises UndecidedError
+        It is asked for where a motion that no disturbance drives neither decays nor is seen well. Raises UndecidedError
         if there is no `best`, and not even as much as spacings allow is proven to keep them.
         """
         more = np.argwhere(everything & ~chosen)

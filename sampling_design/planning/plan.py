@@ -390,7 +390,7 @@ class _Planning:
     def _require_seen(self) -> None:
         """Refuse goals that not even all that is allowed shows.
 
-        Raises InfeasibleRequirementError if a motion that never fades moves a goal and is hidden at every allowed time.
+        Raises InfeasibleRequirementError if a mode that never decays moves a goal and is hidden at every allowed time.
         """
         undetected = self.oracle.hidden(self.problem.allowed)
         if undetected is not None:
@@ -406,7 +406,7 @@ class _Planning:
             )
 
     def _seeing(self, chosen: Mask) -> Mask:
-        """The choice, or one within the limits that hides no motion that never fades.
+        """The choice, or one within the limits that hides no motion that never decays.
 
         Raises InfeasibleRequirementError if the limits leave none.
         """

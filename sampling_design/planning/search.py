@@ -69,7 +69,7 @@ class PlanSearch:
         self.starts: list[Mask] = []
         """Choices that are judged before any other."""
         self.undetected_at: list[Mask] = []
-        """Where a choice must measure once at least, or it hides a motion that never fades."""
+        """Where a choice must measure once at least, or it hides a motion that never decays."""
 
     @property
     def late(self) -> bool:
@@ -136,7 +136,7 @@ class PlanSearch:
         self.add([t for t in found if t is not None], level)
 
     def see(self, undetected: UndetectedModes, level: float) -> None:
-        """Ask for a measurement that shows what never fades, by a motion that reaches a level if there is one."""
+        """Ask for a measurement that shows what never decays, by a motion that reaches a level if there is one."""
         self.undetected_at.append(undetected.where)
         trajectory = self.oracle.drifting(undetected, level) if self.oracle.few else None
         if trajectory is not None:

@@ -75,10 +75,10 @@ def forgets(plan: PlanFigures) -> int:
 def settles(plan: PlanFigures) -> int:
     """Samples of the plan after a change, beside one period, until its own proof holds again; that before it, too.
 
-    Where samples may be early or late, what they add fades as well.
+    Where samples may be early or late, what they add decays as well.
     """
-    fades = 1 + bool(plan.problem.timing_tolerance)
-    return fades * max(looks_back(plan), forgets(plan)) + len(plan.schedule) + 2
+    factor = 1 + bool(plan.problem.timing_tolerance)
+    return factor * max(looks_back(plan), forgets(plan)) + len(plan.schedule) + 2
 
 
 def worst_ratio(
@@ -101,7 +101,7 @@ def worst_ratio(
 
 
 def _bounded_worst(plan: PlanFigures, sequence: SampleSequence, above: float, until: float, *, closely: bool) -> float:
-    """The same of the goals that are guaranteed; what a change does fades: so many gaps no worse end it."""
+    """The same of the goals that are guaranteed; what a change does decays: so many gaps no worse end it."""
     worst = before = here = 0.0
     where: tuple[GridWindow, int, int, int, int] | None = None
     oracle, back = plan.oracle, departs_and_returns(plan, sequence)[1]

@@ -142,7 +142,7 @@ def _chain_of_samples(
 
 
 def _fading(noise: Array, count: int) -> Array:
-    """What noise would be that fades, a share of itself from one sample to the next: a guess that is often enough."""
+    """What noise would be that decays, a share of itself from one sample to the next: a guess that is often enough."""
     found = np.zeros((count, noise.shape[1]))
     for k in range(1, count):
         found[k] = FADES * np.maximum(found[k - 1], noise[k - 1] if k <= len(noise) else 0.0)

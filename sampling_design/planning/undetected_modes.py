@@ -32,7 +32,7 @@ def modes_of(motion: DiscretePlant, undetected: UndetectedModes) -> str:
 
 
 def finer_grid(problem: PlanProblem, motion: DiscretePlant, rows: Array) -> float | None:
-    """Return a grid that shows all that never fades, in the hours that there are; None if none was found."""
+    """Return a grid that shows all that never decays, in the hours that there are; None if none was found."""
     always = np.array([goal.at == "all times" for goal in problem.goals], dtype=bool)
     for parts in FINER:
         if problem.steps * parts > MOST_STEPS:

@@ -15,7 +15,7 @@ PERIODS, LEAST_SAMPLES = 2, 4  # periods that are drawn, more where they hold fe
 
 
 def draw_split(split: ModalSplit, ax: Axes | None = None) -> Axes:
-    """Draw the eigenvalues: right of the line they must be observed, left of it they fade by themselves."""
+    """Draw the eigenvalues: right of the line they must be observed, left of it they decay by themselves."""
     ax = style.new_axes(ax, width=6.0, height=3.4)
     kept = [c for c in split.clusters if c in split.retained_clusters]
     rest = [c for c in split.clusters if c not in split.retained_clusters]

@@ -24,7 +24,7 @@ from sampling_design.validation.trials import EstimatedRun, real_run, true_run
 
 GROWTH_LIMIT = {"resonant": 1.5, "initial": 1.0}
 """Largest error of the second half over that of the first: a settled error under a disturbance in step with a mode
-repeats itself (1), one that grows linearly doubles (2); what a wrong prior leaves fades."""
+repeats itself (1), one that grows linearly doubles (2); what a wrong prior leaves decays."""
 
 
 class EstimatorStudy:

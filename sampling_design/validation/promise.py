@@ -37,12 +37,12 @@ class Promise:
         total = quadratic(inputs.e0, self.prior)
         push = np.einsum("rci,ij,rcj->rc", inputs.w, self.w, inputs.w) * discounted_length(self.rate, line.lengths)
         noise = np.einsum("rji,jik,rjk->rj", inputs.v, self.sample_weights(line.masks), inputs.v)
-        fade = np.exp(-self.rate * line.lengths)
+        decay = np.exp(-self.rate * line.lengths)
         found = np.empty((rows.at.size, total.size))
         last = 0
         for row, (b, after) in enumerate(zip(rows.at, rows.after, strict=True)):
             for c in range(last, b):
-                total = total * fade[c] + push[:, c]
+                total = total * decay[c] + push[:, c]
             last = b
             if after and int(b) in samples:
                 total = total + noise[:, samples[int(b)]]
@@ -58,8 +58,8 @@ class Promise:
         e0, w, v = energies
         t, when = rows.times, line.times[line.samples]
         heard = (when[None] < t[:, None]) | ((when[None] == t[:, None]) & rows.after[:, None])
-        fade = np.exp(-self.rate * np.maximum(t[:, None] - when[None], 0.0))
-        total = np.exp(-self.rate * t) * e0 + w * discounted_length(self.rate, t) + np.where(heard, fade, 0.0) @ v
+        decay = np.exp(-self.rate * np.maximum(t[:, None] - when[None], 0.0))
+        total = np.exp(-self.rate * t) * e0 + w * discounted_length(self.rate, t) + np.where(heard, decay, 0.0) @ v
         return np.asarray(self.gain * total)
 
     def size(self, e: Array) -> Array:

@@ -99,14 +99,14 @@ def _promise_terms(found: ErrorMap, promise: Promise, row: int, parts: ErrorSour
     inside, rate = line.times[1:] <= t * (1 + 1e-15), promise.rate
     faded = np.exp(-rate * np.maximum(t - line.times[1:], 0)) * discounted_length(rate, line.lengths)
     cost = np.where(inside, faded, np.inf)
-    fade = np.exp(rate * np.maximum(t - line.times[line.samples], 0))
+    decay = np.exp(rate * np.maximum(t - line.times[line.samples], 0))
     unit = np.linalg.inv(promise.w)
     seen = promise.sample_weights(line.masks)
     blank = np.einsum("ja,ab->jab", 1 - line.masks, np.eye(line.masks.shape[1]))
     return [
         (parts.e0, np.linalg.inv(promise.prior) * np.exp(rate * t) / promise.gain),
         (parts.w, unit / cost[:, None, None] / promise.gain),
-        (parts.v, np.linalg.inv(seen + blank) * fade[:, None, None] / promise.gain),
+        (parts.v, np.linalg.inv(seen + blank) * decay[:, None, None] / promise.gain),
     ]
 
 

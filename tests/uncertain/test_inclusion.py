@@ -440,7 +440,7 @@ def test_no_gap_at_all_is_undecided():
 
 def test_the_record_and_its_picture(certificate):
     assert "parameters in a box" in str(certificate)
-    assert "fades at rate 0.1" in certificate.explain()
+    assert "decays at rate 0.1" in certificate.explain()
     assert "share the parameters" in str(certificate.claim)
     assert certificate.error_bound(1000.0, [1.0, 0.0]) < 1e-3
     np.testing.assert_allclose(certificate.at(certificate.nodes), certificate.P)

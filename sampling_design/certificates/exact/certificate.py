@@ -429,7 +429,8 @@ class Certificate(SampledCertificate):
     def explain(self) -> str:
         """Say what the certificate proves."""
         return (
-            f"On this schedule the past fades at rate {short(self.eta)} per {self.plant.time_unit}{self._until()}: "
+            f"On this schedule the influence of the past decays at rate {short(self.eta)} per {self.plant.time_unit}"
+            f"{self._until()}: "
             f"whatever the window start, the information kept is at least 1/{short(self.lam)} of the prior weight P2, "
             f"so that a window longer than {short(self.horizon().minimum)} contracts." + self._beyond()
         )

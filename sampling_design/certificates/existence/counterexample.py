@@ -35,7 +35,7 @@ RESIDUAL = 1e-6
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Counterexample(Record):
-    """A periodic schedule on which a direction that does not fade at rate eta is never seen.
+    """A periodic schedule on which a direction that does not decay at rate eta is never seen.
 
         e^{A P} v = mu v,    |mu| >= e^{-eta P/2},    C_i e^{A tau_i} v = 0 at every sample
 
@@ -260,7 +260,7 @@ def _candidate_schedules(
 
 
 def _aliasing_periods(plant: Plant, eta: float, family: SamplingFamily) -> tuple[list[float], float]:
-    """Periods 2 pi k/|Im(a - b)| that words of the family can have, over the eigenvalues that do not fade at rate eta.
+    """Periods 2 pi k/|Im(a - b)| that words of the family can have, over the eigenvalues that do not decay at rate eta.
 
     At most `MOST_PERIODS`, evenly chosen on a logarithmic scale where there are more; and how many were left out.
     """

@@ -77,7 +77,7 @@ class Existence(ExistenceAnswer, PlainRecord):
     eigenvalue: complex | None = None
     partners: tuple[complex, ...] = ()
     period: float = 0.0
-    reason: str = "every mode that does not fade by itself is seen within a period"
+    reason: str = "every mode that does not decay by itself is seen within a period"
 
     _plain = "exists margin period reason"
     _table = {"exists": "{exists}", "margin": "{margin:3}", "period": "{period}", "reason": "{reason}"}
@@ -166,14 +166,14 @@ def judged(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Existence:
     """Return what the lifted pair says alone, for searches that ask about many schedules."""
     modes = period_modes(plant, float(eta))
     if not modes.blocks:
-        return Existence(True, float("inf"), period=schedule.period, reason="every mode fades by itself at that rate")
+        return Existence(True, float("inf"), period=schedule.period, reason="every mode decays by itself at that rate")
     sight = modes.least_seen(schedule)
     if sight.margin > REPAIRED:
         return Existence(True, sight.margin, period=schedule.period)
     main, partners = _involved(modes, sight, schedule.period)
     reason = _reason(main, partners, schedule, eta)
     if sight.margin > UNSEEN_TOLERANCE:
-        seen = f"every mode that does not fade by itself is seen, but barely (margin {short(sight.margin, 3)})"
+        seen = f"every mode that does not decay by itself is seen, but barely (margin {short(sight.margin, 3)})"
         reason = f"{seen}: nearly, {reason}"
         return Existence(True, sight.margin, period=schedule.period, reason=reason)
     if isinstance(plant, FunctionalPlant):

@@ -79,7 +79,7 @@ class FamilyCertificate(SampledCertificate):
     def explain(self) -> str:
         """Say what the certificate proves."""
         return (
-            f"{self.family.explain()} On each of them the past fades at rate {short(self.eta)} per "
+            f"{self.family.explain()} On each of them the influence of the past decays at rate {short(self.eta)} per "
             f"{self.plant.time_unit}: whatever the schedule and the window start, the information kept is at least "
             f"1/{short(self.lam)} of the prior weight P2, so that a window longer than {short(self.horizon().minimum)} "
             "contracts."

@@ -1,4 +1,4 @@
-"""What one period of a schedule shows of the modes that do not fade by themselves, each in its own coordinates.
+"""What one period of a schedule shows of the modes that do not decay by themselves, each in its own coordinates.
 
 In the coordinates of invariant subspaces the flow over a period is block diagonal, whatever other modes do,
 and every column counts as large as what the outputs show of it: neither units nor fast modes decide.
@@ -55,7 +55,7 @@ class LeastObservedMode(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PeriodModes:
-    """The modes of a plant that do not fade at rate eta, as blocks that do not drive each other."""
+    """The modes of a plant that do not decay at rate eta, as blocks that do not drive each other."""
 
     blocks: tuple[ModeBlock, ...]
     d: Array
@@ -178,7 +178,7 @@ def _block(form: SchurForm, clusters: tuple[EigenvalueCluster, ...], group: list
 
 
 def _stays(cluster: EigenvalueCluster, eta: float) -> bool:
-    """Whether a group of eigenvalues does not fade at rate eta: within what is known of it, on or right of the line."""
+    """Whether a group of eigenvalues does not decay at rate eta: on or right of the line, as far as it is known."""
     value = cluster.value if cluster.sure else complex(max(v.real for v in cluster.members), cluster.value.imag)
     slack = cluster.uncertainty + ON_THE_LINE * max(abs(value), eta / 2)
     return value.real >= -eta / 2 - slack

@@ -174,7 +174,7 @@ class InclusionCertificate(SampledCertificate):
         unit = self.plant.time_unit
         return (
             f"{self.family.explain()} For every plant of the model and each of these schedules the distance of two "
-            f"trajectories, weighed by P(tau), fades at rate {short(self.eta)} per {unit} but for what noise and "
+            f"trajectories, weighed by P(tau), decays at rate {short(self.eta)} per {unit} but for what noise and "
             f"samples show of it; a window longer than {short(self.horizon('arrival').minimum)} {unit} contracts with "
             f"the arrival weight P(tau), longer than {short(self.horizon().minimum)} {unit} with P2."
         )

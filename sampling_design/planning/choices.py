@@ -11,7 +11,7 @@ import numpy as np
 from sampling_design.planning.dates import plan_dates
 from sampling_design.planning.deadline import GoalDue, exceeded_since, first_due, kept_from, reached_at
 from sampling_design.planning.plan_record import Plan
-from sampling_design.planning.sequence import proven_ratio, settles, worst_ratio
+from sampling_design.planning.sequence import proven_ratio, settling_time, worst_ratio
 from sampling_design.planning.sequence_deviation import SampleSequence, departs_and_returns, is_apart, planned, too_soon
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.schedules.opening import PlanClock
@@ -102,7 +102,7 @@ class NextChoices:
         if start in self._after:
             return self._after[start]
         plan = self.plan
-        span = settles(plan) * plan.schedule.period / len(plan.schedule) + plan.schedule.period
+        span = settling_time(plan)
         times, seen = planned(plan, start, start + span, self.clock)
         clock = replace(self.clock, until=float(times[-1]))
         shown = clock.shown(times)
@@ -144,7 +144,7 @@ class NextChoices:
     def judged_until(self, t: float) -> float:
         """The first closed day with a sample of the plan that lies so far behind one at t that it is not judged."""
         calendar, plan = self.plan.requirement.calendar, self.plan
-        span = settles(plan) * plan.schedule.period / len(plan.schedule) + plan.schedule.period
+        span = settling_time(plan)
         day = 1440 / plan.minutes(1.0)
         if calendar is None:
             return np.inf

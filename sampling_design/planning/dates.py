@@ -15,7 +15,7 @@ import numpy as np
 
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.figures import PlanFigures
-from sampling_design.planning.sequence import gap_ratios, proven_ratio, settles
+from sampling_design.planning.sequence import gap_ratios, longest_out, proven_ratio, settling_time
 from sampling_design.planning.sequence_deviation import (
     GRAIN,
     SampleSequence,
@@ -210,7 +210,8 @@ class _Dating:
         self.plan, self.calendar, self.prove = plan, plan.requirement.calendar, prove
         self.end, self.known = (count * plan.schedule.period for count in (periods, periods + 1))
         self.clock = replace(plan.clock, until=float(plan.clock.elapsed(self.known)))
-        self.span = settles(plan) * plan.schedule.period / len(plan.schedule) + plan.schedule.period
+        self.span = settling_time(plan)
+        self.shows = plan.schedule.period + longest_out(plan)  # how long after it a change is looked for
         self.times, self.seen = planned(plan, 0.0, self.known + self.span)
         start = plan.start or plan_start(plan)
         self.since = np.inf if start is None else float(self.clock.elapsed(start.from_time))
@@ -285,7 +286,7 @@ class _Dating:
     def above(self, closed: _Closed, added: list[DatedSample], level: float) -> float:
         """How far accuracies are above a share of their tolerances around samples that are left out, over time."""
         since, until = (float(t) for t in closed.times[[0, -1]])
-        since, until = since - AROUND * self.day, until + self.plan.schedule.period
+        since, until = since - AROUND * self.day, until + self.shows
         near = [one for one in added if since - self.span <= one[0] < until + self.span]
         sequence = self.sequence(near, since - self.span, until + self.span)
         real = self.clock.elapsed([since, until]).tolist()
@@ -327,9 +328,9 @@ class _Dating:
     def ratios(self, whole: SampleSequence, about: list[float]) -> dict[int, tuple[float, bool]]:
         """Of each gap that the start or exceptions can touch: accuracy over tolerance, and whether it is proven."""
         if not self.prove:
-            period, found = self.plan.schedule.period, dict[int, float]()
+            found = dict[int, float]()
             for real in (0.0, *about):
-                found |= gap_ratios(self.plan, whole, real - AROUND * self.day, real + period)
+                found |= gap_ratios(self.plan, whole, real - AROUND * self.day, real + self.shows)
             return {k: (ratio, False) for k, ratio in found.items()}
         proven = dict[int, float]()
         proven_ratio(self.plan, whole, proven)

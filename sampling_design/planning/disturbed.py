@@ -8,7 +8,7 @@ from sampling_design.errors import NotDetectableError
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import WHOLE
 from sampling_design.planning.robustness import PlanRobustness
-from sampling_design.planning.sequence import proven_ratio, settles, worst_ratio
+from sampling_design.planning.sequence import proven_ratio, settling_time, worst_ratio
 from sampling_design.planning.sequence_deviation import GRAIN, SampleSequence, planned
 from sampling_design.planning.start import SAME_ANEW
 from sampling_design.records.arrays import Array, Mask
@@ -88,8 +88,7 @@ def _around(plan: PlanFigures, k: int, count: int) -> tuple[tuple[Array, Mask], 
     """The plan's samples before sample k, and those after so many from it on."""
     schedule, N = plan.schedule, plan.samples
     tiny = 1e-6 * plan.problem.step
-    mean = schedule.period / N
-    span = settles(plan) * mean + schedule.period
+    span = settling_time(plan)
     first = float(schedule.times[k])
     back = float(schedule.times[(k + count) % N]) + (k + count) // N * schedule.period
     return planned(plan, first - span, first - tiny), planned(plan, back - tiny, back + span)

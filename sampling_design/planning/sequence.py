@@ -81,6 +81,18 @@ def settles(plan: PlanFigures) -> int:
     return factor * max(looks_back(plan), forgets(plan)) + len(plan.schedule) + 2
 
 
+def settling_time(plan: PlanFigures) -> float:
+    """How long the plan is followed after a change until that is so and the results are in; before it as well."""
+    period = plan.schedule.period
+    return settles(plan) * period / len(plan.schedule) + period + time_out(plan)
+
+
+def time_out(plan: PlanFigures) -> float:
+    """A time that holds all samples whose results may be out at once, by whole periods of the plan; 0: none is."""
+    out, period = longest_out(plan), plan.schedule.period
+    return (np.ceil((out + plan.problem.timing_tolerance) / period) + 1) * period if out else 0.0
+
+
 def worst_ratio(
     plan: PlanFigures,
     sequence: SampleSequence,
@@ -257,7 +269,8 @@ def proven_ratio(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, fl
 def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, float] | None) -> float:
     """The same of the goals that are guaranteed; infinite where a sequence does not end with enough of the plan.
 
-    Gaps are judged one by one until `settled + back`, but where those since a change are the plan's for long enough.
+    Gaps are judged one by one until `settled + back`, but where those since a change are the plan's for long enough:
+    of that sample all results are in when the sequence ends.
     From the sample `settled` on the error is at most `wider` times what the plan's filter bounds,
     R_j >= cost_j + |rest_j|'R_k with k = j - forgetting[j]: over as many samples by what is found here, and so over all
     that follow, since wider >= 1. Gains of the plan's proof reach back no farther than `settled`, and what they prove
@@ -268,7 +281,9 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, 
     work, n = plan.oracle.work, plan.plant.n_states
     work.add(CHAIN, len(times) * n**2)
     memory = forgets(plan)
-    worst, settled = 0.0, len(times) - 1 - max(back, memory) - count
+    out = longest_out(plan)
+    known = int(np.sum(times + sequence.lateness + out <= times[-1])) if out else len(times)
+    worst, settled = 0.0, known - 1 - max(back, memory) - count
     work.add(STARTED, n * len(times) * memory if sequence.begins else 0)
     try:
         chain = sequence_chain(plan, filtered, sequence, len(times) - max(settled, 0))

@@ -8,7 +8,7 @@ import numpy as np
 
 from sampling_design.errors import NotDetectableError, UndecidedError
 from sampling_design.planning.figures import PlanFigures, PlanStart
-from sampling_design.planning.sequence import proven_ratio, settled_since, settles
+from sampling_design.planning.sequence import proven_ratio, settled_since, settling_time
 from sampling_design.planning.sequence_deviation import GRAIN, ORDINARY, SampleSequence, begun, planned
 from sampling_design.records.budget import Budget
 from sampling_design.schedules.opening import PlanClock
@@ -44,7 +44,7 @@ def plan_start(plan: PlanFigures, work: Budget | None = None) -> PlanStart | Non
 
 def _settled(plan: PlanFigures) -> tuple[SampleSequence, dict[int, float]]:
     """A plan from its start until that is forgotten, and the ratio in each gap and in all that follows."""
-    span = settles(plan) * plan.schedule.period / len(plan.schedule) + plan.schedule.period
+    span = settling_time(plan)
     for doubled in range(LONGER + 1):
         sequence, gaps = from_start(plan, span * 2**doubled), dict[int, float]()
         proven_ratio(plan, sequence, gaps)
@@ -59,7 +59,7 @@ def settled_from_start(plan: PlanFigures) -> tuple[float, float]:
 
     Infinite where that is not proven.
     """
-    span = settles(plan) * plan.schedule.period / len(plan.schedule) + plan.schedule.period
+    span = settling_time(plan)
     found = np.inf, np.inf
     for doubled in range(LONGER + 1):
         try:

@@ -15,7 +15,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.planning.choices import NextChoices
 from sampling_design.planning.deadline import GoalDue
 from sampling_design.planning.plan_record import Plan
-from sampling_design.planning.sequence import known_at, looks_back
+from sampling_design.planning.sequence import known_at, looks_back, time_out
 from sampling_design.planning.sequence_deviation import SampleSequence, planned
 from sampling_design.planning.start import from_start, settled_from_start
 from sampling_design.records import checks
@@ -431,7 +431,7 @@ def _out(plan: Plan, history: SampleSequence, now: float) -> tuple[AwaitedResult
 def _history(plan: Plan, taken: _Taken | None, now: float) -> SampleSequence:
     """Everything measured until now, and how much of it is the plan's: from its start, until that settles by proof."""
     mean = plan.schedule.period / len(plan.schedule)
-    span = (looks_back(plan) + 1) * mean + plan.schedule.period
+    span = (looks_back(plan) + 1) * mean + plan.schedule.period + time_out(plan)
     tiny = 1e-6 * plan.problem.step
     taken = taken if taken is not None and taken.times.size else None
     until = now + tiny if taken is None else float(taken.times[0]) - tiny

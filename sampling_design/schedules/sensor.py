@@ -138,6 +138,8 @@ class Sensor(PlainRecord):
             detection_limit=checks.number,
             lowest=checks.number,
         )
+        if self.spacing is not None:
+            duration("spacing", self.spacing, "h")
         if self.result_delay is not None:
             result_span("result_delay", self.result_delay, "h")
         if self.lowest is not None and (self.detection_limit is None or self.lowest >= self.detection_limit):
@@ -293,7 +295,7 @@ def _from_file(path: str) -> list[list[float]] | list[tuple[str, str]]:
     """Rows of two times of a CSV file, below a line of names if there is one."""
     lines = [(k, line) for k, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
     rows = [row for _, row in csv_rows(lines, path)]
-    if rows and not rows[0][0][:1].isdigit():
+    if rows and all(map(_is_name, rows[0][:2])):
         rows = rows[1:]
     short_of = next((row for row in rows if len(row) < 2 or not row[0] or not row[1]), None)
     if not rows or short_of is not None:
@@ -302,6 +304,15 @@ def _from_file(path: str) -> list[list[float]] | list[tuple[str, str]]:
         return [[float(row[0]), float(row[1])] for row in rows]
     except ValueError:
         return [(row[0], row[1]) for row in rows]
+
+
+def _is_name(word: str) -> bool:
+    """Whether a word heads a column: it is no number, and no date, which begins with a digit."""
+    try:
+        float(word)
+    except ValueError:
+        return not word[:1].isdigit()
+    return False
 
 
 def from_files(sensors: object, where: str) -> object:

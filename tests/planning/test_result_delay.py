@@ -7,6 +7,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.planning.disturbed import without
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import proven_plan
@@ -15,6 +16,7 @@ from sampling_design.planning.requirement_file import (
     read_plan_requirement,
     write_plan_requirement,
 )
+from sampling_design.planning.sequence import proven_ratio, worst_ratio
 
 WALK = sd.Plant([[0.0]], [[1.0], [1.0]], states=["level"], outputs=["gauge", "lab"])
 
@@ -42,6 +44,22 @@ def test_a_plan_is_as_good_as_what_is_known_at_the_time():
     both = planned(wanted(), [2], [0])  # the gauge of time 5 is better until the laboratory's result of 4 is in
     assert both.reached[0] == pytest.approx(0.02 + 0.5, rel=2e-3)
     assert plan.verify()
+
+
+@pytest.mark.parametrize("delay", [6.0, 30.0])
+def test_what_is_out_for_many_periods_is_judged_to_the_end(delay):
+    """For x' = w: of the lost result the one before is known for a gap longer, however late both come."""
+    plan = planned(wanted(20.0, delay=delay), [], [0, 5])
+    for k in range(2):
+        lost = without(plan, k, 1)
+        assert 20.0 * worst_ratio(plan, lost) == pytest.approx(0.02 + 0.1 * (delay + 4.0), rel=1e-6)
+        assert 20.0 * proven_ratio(plan, lost) == pytest.approx(0.02 + 0.1 * (delay + 4.0), rel=2e-3)
+    latest = max(t for k in range(60) for t in (4.0 * k, 4.0 * k + 2.5) if t + delay <= 201.0)
+    followed = sd.next_sample(plan, now=201.0, prove=False)
+    assert followed.known["level"] == pytest.approx(0.02 + 0.1 * (201.0 - latest), rel=1e-6)
+    assert len(followed.awaited) == sum(
+        4.0 * k + h > 201.0 - delay for k in range(60) for h in (0.0, 2.5) if 4.0 * k + h <= 201.0
+    )
 
 
 def test_the_cheapest_plan_and_its_bound_count_with_the_delay():

@@ -76,12 +76,23 @@ def test_windows_come_from_a_file(tmp_path, text):
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [("start,stop\n", "must hold rows of two times"), ("1.0\n2.0\n", "must hold rows of two times")],
+    [
+        ("start,stop\n", "must hold rows of two times"),
+        ("1.0\n2.0\n", "must hold rows of two times"),
+        ("-1,1\n2,3\n", "`available` must not be negative, got -1"),
+        ("nan,1\n2,3\n", "`available` must be finite"),
+    ],
 )
 def test_a_file_without_windows_is_refused(tmp_path, text, said):
     (tmp_path / "passes.csv").write_text(text)
-    with pytest.raises(FileFormatError, match=said):
+    with pytest.raises((FileFormatError, ArgumentError), match=said):
         Sensor(available=tmp_path / "passes.csv")
+
+
+@pytest.mark.parametrize("text", [".5,1\n2,3\n", "+0.5,1\n2,3\n", "begin,end\n.5,1\n2,3\n"])
+def test_the_first_window_of_a_file_is_no_line_of_names(tmp_path, text):
+    (tmp_path / "passes.csv").write_text(text)
+    assert Sensor(available=tmp_path / "passes.csv").available.tolist() == [[0.5, 1.0], [2.0, 3.0]]
 
 
 def test_a_reading_below_the_limit_says_what_it_is_sure_to_say():
@@ -131,6 +142,8 @@ def test_a_limit_that_was_read_counts_as_planned():
         ({"available": [["2026-03-02"]]}, "`available` must hold pairs of dates"),
         ({"available": [["soon", "later"]]}, "`available` must be a date"),
         ({"result_delay": -1.0}, "`result_delay` must not be negative"),
+        ({"spacing": -1.0}, "`spacing` must be positive"),
+        ({"spacing": [1.0]}, "`spacing` must be a number"),
     ],
 )
 def test_terms_that_say_nothing_are_refused(terms, said):

@@ -282,8 +282,8 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, 
     work.add(CHAIN, len(times) * n**2)
     memory = forgets(plan)
     out = longest_out(plan)
-    known = int(np.sum(times + sequence.lateness + out <= times[-1])) if out else len(times)
-    worst, settled = 0.0, known - 1 - max(back, memory) - count
+    complete = int(np.sum(times + sequence.lateness + out <= times[-1])) if out else len(times)
+    worst, settled = 0.0, complete - 1 - max(back, memory) - count
     work.add(STARTED, n * len(times) * memory if sequence.begins else 0)
     try:
         chain = sequence_chain(plan, filtered, sequence, len(times) - max(settled, 0))

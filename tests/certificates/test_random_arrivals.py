@@ -2,6 +2,7 @@
 
 import itertools
 
+import mpmath as mp
 import numpy as np
 import pytest
 from scipy.linalg import eigh
@@ -63,6 +64,8 @@ def test_bounds_coincide_with_the_sum_over_all_patterns(name, periods, p, reques
         rho = np.array([factor(certificate, start, times, rows, each) for each in patterns])
         assert found.probability[k] == pytest.approx([np.dot(mass, rho < 1)] * 2, abs=1e-12)
         assert found.factor[k] == pytest.approx([np.dot(mass, rho)] * 2, rel=1e-9)
+        noise = np.sum(patterns, axis=1)  # what samples bring of it rises with them as the factor falls
+        assert np.dot(mass, rho * noise) <= np.dot(mass, rho) * np.dot(mass, noise) * (1 + 1e-12)
 
 
 def test_few_patterns_leave_bounds_around_the_exact_values(spiral, monkeypatch):
@@ -76,6 +79,48 @@ def test_few_patterns_leave_bounds_around_the_exact_values(spiral, monkeypatch):
             assert np.all(fine[:, 1] <= rough[:, 1] * (1 + 1e-12))
         widths.append(np.ptp(found.factor, axis=1).max())
     assert widths[0] > widths[1] > widths[2] > 0
+
+
+def exact_factors(certificate, count):
+    """Rho of all patterns of a plant of real modes in 60 digits, one sample a period; windows start at a sample."""
+    c, gap, n = certificate, mp.mpf(float(certificate.schedule.period)), certificate.plant.n_states
+    rates = [mp.mpf(float(a)) + mp.mpf(c.eta) / 2 for a in np.diag(c.plant.A)]
+    drive = mp.inverse(mp.matrix(c.Qw.tolist()))
+    F = mp.diag([mp.exp(a * gap) for a in rates])
+    W = mp.matrix(n, n)
+    for i, j in itertools.product(range(n), repeat=2):
+        W[i, j] = drive[i, j] * mp.expm1((rates[i] + rates[j]) * gap) / (rates[i] + rates[j])
+    C, V = mp.matrix(c.plant.C.tolist()), 1 / mp.mpf(c.R[0, 0]) + 1 / mp.mpf(c.Qv[0, 0])
+    found = [mp.inverse(mp.matrix(c.P2.tolist()))]
+    for _ in range(count):
+        before = [F * Y * F.T + W for Y in found]
+        found = before + [Y - Y * C.T * C * Y / ((C * Y * C.T)[0] + V) for Y in before]
+    root = mp.cholesky(mp.matrix(c.P2.tolist()))
+    scale = mp.exp(-mp.mpf(c.eta) * gap * count)
+    return [scale * max(mp.eigsy(root.T * Y * root, eigvals_only=True)) for Y in found]
+
+
+@pytest.mark.parametrize(("rates", "count"), few([((6.0, 5.0), 6), ((6.0, -0.5), 5), ((4.0, 3.5), 4)], 0))
+def test_growth_that_drowns_what_is_seen_leaves_bounds_around_the_truth(rates, count):
+    """After e^18 and more one sample leaves its rounding in place of what it knows of the other mode."""
+    made = sd.certify(Plant(np.diag(rates), [[1.0, 1.0]]), PeriodicSchedule([1.0]), eta=3.0, P2=np.eye(2))
+    with mp.workdps(60):
+        rho = exact_factors(made, count)
+        for p in (0.0, 0.01, 0.3):
+            lost = [count - k.bit_count() for k in range(2**count)]
+            mass = [mp.mpf(p) ** m * (1 - mp.mpf(p)) ** (count - m) for m in lost]
+            mean = mp.fdot(mass, rho)
+            share = mp.fsum(m for m, each in zip(mass, rho, strict=True) if each < 1)
+            found = random_arrivals(made, p, horizon=float(count))
+            assert found.mean_factor[0] * (1 - 1e-9) <= mean <= found.mean_factor[1] * (1 + 1e-9)
+            assert found.contracts[0] - 1e-12 <= share <= found.contracts[1] + 1e-12
+
+
+@pytest.mark.parametrize("p", [5e-324, 1e-16, 0.1, 1 - 1e-16, 1.0])
+def test_bounds_stand_in_order_however_rare_a_pattern_is(spiral, p):
+    for found in (random_arrivals(spiral, p, horizon=spiral.schedule.period), random_arrivals(spiral, p)):
+        assert np.all(found.probability[:, 0] <= found.probability[:, 1])
+        assert np.all(found.factor[:, 0] <= found.factor[:, 1])
 
 
 def test_without_losses_it_is_the_certificate_itself(spiral):
@@ -234,6 +279,27 @@ def test_rates_of_nothing_and_of_very_much(spiral, monkeypatch):
     assert often.mean_factor[1] < spiral.lam * np.exp(-spiral.eta * often.length) < 1  # today's claim
     assert often.rate > 0
     assert "samples come as a Poisson process, 10000 per" in often.explain()
+
+
+@pytest.mark.parametrize("rate", few([1e6, 1e9, 1e12, 1e15, 1e18, 1e60, 1e300], 2, 4, 6))
+def test_more_samples_do_no_harm_however_many(rate, monkeypatch):
+    """Both values are monotone in the rate, so that bounds at one of them are bounds at every other, on one side."""
+    monkeypatch.setattr(module, "MOST_CLASSES", 8)
+    A = np.diag([1.0, 1.0], 1) + 0.2 * np.eye(3)
+    made = sd.certify(Plant(A, [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), PeriodicSchedule([1.0]), eta=2.0, P2=np.eye(3))
+    few_, many = (random_arrivals(made, arrival_rate=each) for each in (1e3, rate))
+    assert many.mean_factor[0] <= many.mean_factor[1]
+    assert many.mean_factor[0] <= few_.mean_factor[1] < 1
+    assert many.contracts[1] >= few_.contracts[0] > 0.9
+    assert many.contracts[0] > 0.9
+
+
+@pytest.mark.parametrize("x", [1e-9, 0.5, 30.0, 0.99 * module.OFTEN, 1.01 * module.OFTEN])
+def test_the_mean_of_one_over_the_arrivals(x):
+    """E[1/N; N > 0] = e^-x (Ei(x) - ln x - gamma)."""
+    with mp.workdps(60):
+        exact = mp.exp(-mp.mpf(x)) * (mp.ei(x) - mp.log(x) - mp.euler) / -mp.expm1(-mp.mpf(x))
+    assert module._mean_inverse(x) == pytest.approx(float(exact), rel=1e-9)
 
 
 def test_a_poisson_process_is_the_limit_of_losses_on_a_fine_grid(spiral, monkeypatch):

@@ -32,6 +32,8 @@ MOST_SAMPLES = 128  # of a window: work grows with their square
 STEPS = 64  # of a window with Poisson arrivals, or more: within one it is only known whether something arrived
 MOST_STEPS = 1024  # of a window with Poisson arrivals; each takes some 10 ms
 NODES = 8  # Gauss points over a step, in which no mode turns or grows by more than e: means are exact to rounding
+OFTEN = 1e4  # arrivals in a step, expected, from which on the mean of 1/N is an asymptotic sum
+FASTEST = 2.0**16  # a filter that reads without a break is followed up to so many of its time constants in a step
 NEIGHBOURS = 3  # classes that each one is compared with before two become one
 ROUNDING = 1e-12  # of the size of Y: less does not count where it is asked which classes are alike
 LARGEST = 1e150  # of Y in units of P2's inverse: beyond, squares are no doubles, and nothing is said of a pattern
@@ -153,7 +155,7 @@ def random_arrivals(
         P(rho_S < 1),   E[rho_S],   rho_S = e^{-eta M} lambda_max(P2 Y_S(t)),   S the samples received in (t - M, t]
 
     Y_S is the inverse of the information that the window keeps of P2: in its norm |e(t)|^2 <= rho_S (|e(t - M)|^2 + N),
-    N = e^{eta M} times the noise of the window in the certificate's cost.
+    N = e^{eta M} times the noise of the window in the certificate's cost, that of the samples which are expected.
 
     Parameters
     ----------
@@ -184,8 +186,9 @@ def random_arrivals(
     p = 0 this is the certificate's own contraction. *Method.* Patterns are followed in classes, of each of which an
     upper bound of E[Y] and one of E[1/Y] are known; both are carried over a step by Jensen's inequality, since either
     is concave in what it was. What a class says of rho is of second order in how much its patterns differ. Up to
-    eight samples of a schedule each class is a pattern, and the bounds coincide. *Limits.* A
-    rate of 0 leaves the plant alone; as rates grow, all windows contract.
+    eight samples of a schedule each class is a pattern, and the bounds coincide but for rounding, which either bound
+    is moved outwards by: plants that grow by e^18 over a gap or two drown in it what is then seen. *Limits.* A rate of
+    0 leaves the plant alone; as rates grow, all windows contract.
 
     References
     ----------
@@ -251,9 +254,24 @@ def _periods(asked: float, period: float, count: int, default: bool) -> int:
 
 
 def _updated(Y: Array, rows: Array) -> Array:
-    """Y after a sample, raised by its rounding: what was large and is seen leaves an error that may be negative."""
-    rounding = 8 * np.finfo(float).eps * np.trace(Y, axis1=1, axis2=2)
-    return np.asarray(measurement_update(Y, rows) + rounding[:, None, None] * np.eye(Y.shape[1]))
+    """Y after a sample, raised by its rounding: what was large and is seen leaves an error of either sign."""
+    return np.asarray(measurement_update(Y, rows) + _rounding(Y)[:, None, None] * np.eye(Y.shape[1]))
+
+
+def _updated_below(Y: Array, rows: Array) -> Array:
+    """Y after a sample, lowered by its rounding; what is less than that may be nothing."""
+    return _lowered(measurement_update(Y, rows), _rounding(Y))
+
+
+def _rounding(Y: Array) -> Array:
+    """A bound of the rounding of a step that begins with Y."""
+    return np.asarray(8 * np.finfo(float).eps * np.trace(Y, axis1=1, axis2=2))
+
+
+def _lowered(Y: Array, by: Array) -> Array:
+    """The least of stacks of psd matrices that lie within a distance of Y: its eigenvalues lowered, none below 0."""
+    values, vectors = np.linalg.eigh(Y)
+    return symmetrise((vectors * np.maximum(values - by[:, None], 0.0)[:, None, :]) @ vectors.swapaxes(1, 2))
 
 
 class _Sample(NamedTuple):
@@ -269,8 +287,8 @@ class _Sample(NamedTuple):
         return _updated(propagate(Y, self.F, self.W), self.rows)
 
     def lower(self, Y: Array) -> Array:
-        """The same: what is known of it is known exactly."""
-        return self.upper(Y)
+        """The same but for rounding: what is known of it is known exactly."""
+        return _updated_below(propagate(Y, self.F, self.W), self.rows)
 
 
 class _Interval(NamedTuple):
@@ -288,8 +306,7 @@ class _Interval(NamedTuple):
     """Rows (g, p, n) at Gauss points, and their weights."""
     noise: Array
     """What the disturbance of the step adds to the mean covariance of one reading."""
-    before: Array
-    after: tuple[Array, Array]
+    flown: CovarianceMap | None
     """The step of a filter that reads without a break: a sample, and a flow."""
 
     def upper(self, Y: Array) -> Array:
@@ -308,7 +325,11 @@ class _Interval(NamedTuple):
 
     def lower(self, Y: Array) -> Array:
         """1/E[1/Y] after arrivals: as if their information were spread evenly over the step."""
-        return propagate(_updated(Y, self.before), *self.after)
+        if self.flown is None:
+            return np.zeros_like(Y)
+        values, vectors = np.linalg.eigh(self.flown.G)
+        seen = _updated_below(Y, (vectors * np.sqrt(np.maximum(values, 0.0))).T)
+        return propagate(seen, self.flown.F, self.flown.Q)
 
 
 def _planned(problem: WindowProblem, last: int, periods: int, p: float) -> list[_Sample | _Interval]:
@@ -342,8 +363,6 @@ def _poisson(problem: WindowProblem, rows: Array, rate: float, M: float) -> list
     at, weights = np.polynomial.legendre.leggauss(NODES)
     flows, gramians = discounted_flow(A, problem.noise, h * (at + 1) / 2)
     mean = np.einsum("g,gij->ij", weights / 2, rows @ gramians @ rows.T)
-    steady = _filtered(A, problem.noise, rows.T @ rows * rate / arrives, h)
-    values, vectors = np.linalg.eigh(steady.G)
     step = _Interval(
         F=F,
         W=W,
@@ -353,27 +372,37 @@ def _poisson(problem: WindowProblem, rows: Array, rate: float, M: float) -> list
         weights=weights / 2,
         nodes=rows @ flows,
         noise=mean,
-        before=(vectors * np.sqrt(np.maximum(values, 0.0))).T,
-        after=(steady.F, steady.Q),
+        flown=_filtered(A, problem.noise, rows * np.sqrt(rate / arrives), h),
     )
     return [step] * count
 
 
-def _filtered(A: Array, noise: Array, information: Array, h: float) -> CovarianceMap:
-    """Y over h, where outputs are read without a break: Y' = AY + YA' + noise - Y information Y."""
+def _filtered(A: Array, noise: Array, rows: Array, h: float) -> CovarianceMap | None:
+    """Y over h, where outputs are read without a break: Y' = AY + YA' + noise - Y rows' rows Y; None where lost.
+
+    Y is counted in the unit in which noise and information are alike: halvings, each of which doubles the rounding,
+    grow with the root of the information only.
+    """
     n = len(A)
-    hamiltonian = np.block([[A, noise], [information, -A.T]]) * h
-    halvings = max(0, int(np.ceil(np.log2(np.linalg.norm(hamiltonian, 1)))))
+    seen = np.linalg.norm(rows)
+    unit = max(np.sqrt(np.linalg.norm(noise)), 1 / (h * seen)) / seen if seen else 1.0
+    scaled = rows * np.sqrt(unit)
+    hamiltonian = np.block([[A, noise / unit], [scaled.T @ scaled, -A.T]]) * h
+    if not (steps := float(np.linalg.norm(hamiltonian, 1))) <= FASTEST:
+        return None
+    halvings = max(0, int(np.ceil(np.log2(max(steps, 1.0)))))
     (E,) = expm_batch(np.ldexp(hamiltonian, -halvings), 1.0)
     F = np.linalg.solve(E[n:, n:].T, np.eye(n))
     found = CovarianceMap(F, symmetrise(F.T @ E[n:, :n]), symmetrise(E[:n, n:] @ F.T))
     for _ in range(halvings):
         found = found.then(found)
-    return found
+    return CovarianceMap(found.F, found.G / unit, found.Q * unit)
 
 
 def _mean_inverse(x: float) -> float:
     """E[1/N | N >= 1], N Poisson of mean x."""
+    if x > OFTEN:  # the sum of k!/x^{k+1}, whose terms fall to rounding
+        return float(np.sum(np.cumprod(np.arange(1, 7) / x) / np.arange(1, 7)))
     k = np.arange(1, int(x + 12 * np.sqrt(x) + 40))
     return float(np.sum(np.exp(k * np.log(x) - x - gammaln(k + 1)) / k) / -np.expm1(-x))
 
@@ -383,7 +412,7 @@ def _bounds(problem: WindowProblem, steps: list[_Sample | _Interval], M: float) 
     n = problem.size
     if not n:
         return np.ones(2), np.zeros(2)
-    classes = _Classes(np.ones(1), np.eye(n)[None], np.eye(n)[None])
+    classes = _Classes(np.ones(1), np.ones(1, dtype=np.bool_), np.eye(n)[None], np.eye(n)[None])
     beyond = 0.0
     for step in steps:
         classes = classes.after(step)
@@ -395,35 +424,40 @@ def _bounds(problem: WindowProblem, steps: list[_Sample | _Interval], M: float) 
     low, high = classes.factors(float(np.exp(-problem.eta * M / 2)))
     with np.errstate(divide="ignore"):  # E[(f - y)^2/f]/(1 - y)^2 of the best y: what may lie on the other side of 1
         wrong = np.nan_to_num((high - low) / (high * low + 1 - 2 * low), nan=1.0)
-    right = classes.mass * (1 - wrong.clip(0.0, 1.0))
-    probability = np.array([right[high < 1 - UNDECIDED].sum(), 1 - right[low > 1 + UNDECIDED].sum()])
+    wrong = np.where(classes.single, 0.0, wrong.clip(0.0, 1.0))
+    least = np.where(high < 1 - UNDECIDED, 1 - wrong, 0.0)
+    most = np.where(low > 1 + UNDECIDED, wrong, 1.0)
+    upper = max(classes.mass @ most + beyond, 1 - classes.mass @ (1 - most))  # equal but for the rounding of a sum
+    probability = np.array([classes.mass @ least, upper])
     factor = np.array([classes.mass @ low, classes.mass @ high + (np.inf if beyond else 0.0)])
     return probability.clip(0.0, 1.0), factor
 
 
 class _Classes(NamedTuple):
-    """Classes of patterns: of each its probability, an upper bound of E[Y], and that of E[1/Y], inverted.
+    """Classes of patterns: probability, whether it is one, an upper bound of E[Y], and that of E[1/Y], inverted.
 
-    A class of one pattern has twice the same.
+    Of one pattern both bounds are the same, but for rounding.
     """
 
     mass: Array
+    single: Mask
     upper: Array
     lower: Array
 
     def only(self, which: Mask | Index) -> _Classes:
         """Return the classes of a mask or an index."""
-        return _Classes(self.mass[which], self.upper[which], self.lower[which])
+        return _Classes(self.mass[which], self.single[which], self.upper[which], self.lower[which])
 
     def after(self, step: _Sample | _Interval) -> _Classes:
         """Return twice as many: those to which nothing arrives, and those to which something does."""
         mass = np.concatenate([self.mass * (1 - step.arrives), self.mass * step.arrives])
         idle = [propagate(Y, step.F, step.W) for Y in (self.upper, self.lower)]
         if not step.arrives:
-            return _Classes(self.mass, *idle)
+            return _Classes(self.mass, self.single, *idle)
         upper = np.concatenate([idle[0], step.upper(self.upper)])
         lower = np.concatenate([idle[1], step.lower(self.lower)])
-        return _Classes(mass, upper, lower).only(mass > 0)
+        single = np.append(self.single, self.single & isinstance(step, _Sample))
+        return _Classes(mass, single, upper, lower).only(mass > 0)
 
     def joined(self, count: int) -> _Classes:
         """Return fewer classes, by at most `count`: of those near each other the pairs whose two means differ least.
@@ -456,13 +490,13 @@ class _Classes(NamedTuple):
         i, j, a, b = i[pairs], j[pairs], a[pairs], b[pairs]
         self.upper[i] = a * self.upper[i] + b * self.upper[j]
         self.lower[i] = _harmonic(self.lower[i], self.lower[j], a, b)
-        self.mass[i] = mass[pairs]
+        self.mass[i], self.single[i] = mass[pairs], False
         return self.only(np.delete(first, j))
 
     def factors(self, half: float) -> tuple[Array, Array]:
         """Bounds of E[rho] of each class, with e^{-eta M/2} on either side.
 
-        Low: lambda_max is convex. High: where all of a class is one Y its own, else the largest r with
+        Low: lambda_max is convex. High: where all of a class is one Y that of its upper bound, else the largest r with
         X r^2 - (T X + 1 - (n - 1)^2) r + T <= 0, T = tr E[Y], X = tr E[1/Y].
         """
         values = np.linalg.eigvalsh(self.lower)
@@ -474,7 +508,8 @@ class _Classes(NamedTuple):
             b = T * X + 1 - (n - 1) ** 2
             high = (b + np.sqrt(np.maximum(b**2 - 4 * T * X, 0.0))) / (2 * X)
         high = np.where(np.isfinite(high), np.clip(high, low, np.maximum(T, low)), np.maximum(T, low))
-        return np.asarray(low), np.where((self.upper == self.lower).all(axis=(1, 2)), low, high)
+        own = half * np.linalg.eigvalsh(self.upper)[:, -1] * half
+        return np.asarray(low), np.where(self.single, np.maximum(own, low), high)
 
 
 def _harmonic(Y: Array, Z: Array, a: Array, b: Array) -> Array:

@@ -262,7 +262,6 @@ def special() -> dict[str, dict[str, Any]]:
         "estimate_curve": {"estimator": owner("KalmanFilter"), "points": 2},
         "error_map": {"cost": "certificate"},
         "plant_along": {"plant": t["nonlinear"], "start": [0.5, 0.2], "horizon": 1.0},
-        "cost_from_deviations": {"plant": t["nonlinear"], "prior": [0.1, 0.1], "v": [0.1], "w": [0.1, 0.1]},
         "sweep": {"question": sd.plants.split_modes, "items": [plant]},
         "Measurements": {"times": [0.5, 1.0], "y": [[0.1], [0.2]]},
         "Signals": {},

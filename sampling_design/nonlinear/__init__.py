@@ -11,6 +11,5 @@ _NAMES = {
     "model": ("NonlinearPlant",),
     "report": ("ThyroidReport",),
     "time_varying": ("plant_along",),
-    "weights": ("cost_from_deviations",),
 }
 __getattr__, __dir__, __all__ = lazy(__name__, _NAMES, modules=("examples", "thyroid", "thyroid_logs"))

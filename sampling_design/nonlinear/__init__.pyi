@@ -11,4 +11,3 @@ from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator as Non
 from sampling_design.nonlinear.model import NonlinearPlant as NonlinearPlant
 from sampling_design.nonlinear.report import ThyroidReport as ThyroidReport
 from sampling_design.nonlinear.time_varying import plant_along as plant_along
-from sampling_design.nonlinear.weights import cost_from_deviations as cost_from_deviations

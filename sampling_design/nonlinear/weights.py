@@ -7,14 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from sampling_design.errors import ArgumentError
-from sampling_design.estimators.gap_flows.cost_function import ArrivalKind, CostFunction, Form
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.signatures import checked
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,74 +89,3 @@ def fit_covariance(plant: NonlinearPlant, weights: NonlinearWeights) -> Array:
 def output_slope(plant: NonlinearPlant, x: Array, u: Array, t: float) -> Array:
     """dh/dx (p, n) at a state, without noise."""
     return plant.linearise(x, u, t).C
-
-
-@checked
-def cost_from_deviations(
-    plant: NonlinearPlant,
-    *,
-    prior: npt.ArrayLike,
-    v: npt.ArrayLike,
-    w: npt.ArrayLike | None = None,
-    w_time: float = 1.0,
-    form: Form = "paper",
-    eta: float = 0.0,
-    arrival: ArrivalKind = "fixed",
-) -> CostFunction:
-    """Return the cost whose weights are the inverse covariances that standard deviations stand for.
-
-        paper:        2 P2 = Sigma_x^-1,  2 Qw = Sigma_w^-1 / w_time,  (R^-1 + (2 Qv)^-1) = Sigma_v
-        certificate:    P2 = Sigma_x^-1,    Qw = Sigma_w^-1 / w_time,  (R^-1 + Qv^-1) = Sigma_v
-
-    so that with eta = 0 the estimate is the most likely trajectory of Gaussian noise, and `covariance` the usual one.
-
-    Parameters
-    ----------
-    plant : NonlinearPlant
-    prior : (n,) array
-        Standard deviations of the first error, in the units of the states.
-    v : (p,) array
-        Of the noise of a sample, in the units of the outputs.
-    w : (q,) array, optional
-        Of the disturbance; may be left out where there is none.
-    w_time : float [time]
-        How long w keeps a value: it acts like white noise of intensity std^2 w_time.
-    form : "paper" or "certificate"
-    eta : float [1/time]
-        Discount rate, as for `CostFunction`.
-    arrival : "fixed" or "filtered"
-
-    Returns
-    -------
-    CostFunction
-
-    Raises
-    ------
-    ArgumentError
-        If a deviation is not positive, or a length differs.
-
-    Examples
-    --------
-    >>> decay = NonlinearPlant(lambda x, u, w: [-x[0] + w[0]], lambda x, u, v: [x[0] + v[0]],
-    ...                        {"states": 1, "disturbances": 1, "outputs": 1})
-    >>> cost = cost_from_deviations(decay, prior=[0.5], v=[0.1], w=[0.2])
-    >>> cost.P2.tolist(), cost.R.round(9).tolist()
-    ([[2.0]], [[200.0]])
-    """
-    sizes = {"prior": plant.n_states, "v": plant.n_noises, "w": plant.n_disturbances}
-    given = {"prior": prior, "v": v, "w": np.zeros(0) if w is None else w}
-    square = {}
-    for key, size in sizes.items():
-        value = checks.vector(key, given[key], size)
-        if np.any(value <= 0):
-            raise ArgumentError(f"`{key}` must hold positive standard deviations, got {float(value.min())!r}.")
-        square[key] = value**2
-    if plant.n_noises != plant.n_outputs:
-        raise ArgumentError("`plant` must have one noise for each output for its weights to follow from deviations.")
-    twice = 1.0 if form == "certificate" else 2.0
-    P2, Qw = (
-        np.diag(1 / square["prior"]) / twice,
-        np.diag(1 / (square["w"] * checks.positive("w_time", w_time))) / twice,
-    )
-    R = np.diag(2 / square["v"])
-    return CostFunction(P2, Qw if w is not None else None, R, R / twice, eta, form, arrival)

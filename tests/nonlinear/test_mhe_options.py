@@ -17,8 +17,9 @@ from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.outliers import Outliers
 from sampling_design.nonlinear.simulation import simulate
-from sampling_design.nonlinear.weights import ScaleWarning, cost_from_deviations
+from sampling_design.nonlinear.weights import ScaleWarning
 from tests.cases import few
+from tests.nonlinear.likely import likely_cost
 
 SIZES = {"states": 2, "disturbances": 1, "outputs": 1}
 
@@ -231,7 +232,7 @@ def spoiled(**options):
     y = truth[:, 0] + noise
     y[6] += 1.5
     scheme = NonlinearMovingHorizonEstimator(
-        SLOW, horizon=3.0, prior=[0.8, 0.0], cost=cost_from_deviations(SLOW, **SPREAD),
+        SLOW, horizon=3.0, prior=[0.8, 0.0], cost=likely_cost(**SPREAD),
         collocation=Collocation(0.6, 3), **options,
     )  # fmt: skip
     found = scheme.run(zip(times, y[:, None], strict=True))
@@ -252,7 +253,7 @@ def test_an_outlier_spoils_only_the_plain_estimate():
 
 def test_a_gate_gives_in_where_the_estimate_is_what_is_off():
     scheme = NonlinearMovingHorizonEstimator(
-        SLOW, horizon=3.0, prior=[2.5, 0.0], cost=cost_from_deviations(SLOW, **{**SPREAD, "prior": [0.05, 0.05]}),
+        SLOW, horizon=3.0, prior=[2.5, 0.0], cost=likely_cost(**{**SPREAD, "prior": [0.05, 0.05]}),
         outliers=Outliers(gate=4.0, patience=2), collocation=Collocation(0.5, 3),
     )  # fmt: skip
     times = np.arange(0.0, 2.1, 0.5)
@@ -274,7 +275,7 @@ def test_other_starts_find_what_the_first_one_misses():
     for starts in (0, 2):
         scheme = NonlinearMovingHorizonEstimator(
             well, horizon=1.0, prior=[-2.0], collocation=Collocation(0.5), solver=WindowSolver(starts=starts),
-            cost=cost_from_deviations(well, prior=[2.0], v=[0.1]),
+            cost=likely_cost(prior=[2.0], v=[0.1]),
         )  # fmt: skip
         found[starts] = scheme.update(0.0, [10.0]).x[0], scheme.solves[-1].attempts
     assert found[0] == (pytest.approx(-1.0, abs=0.1), 1)
@@ -283,7 +284,7 @@ def test_other_starts_find_what_the_first_one_misses():
     boxed = well.with_bounds(states=(-1.5, 1.5))
     scheme = NonlinearMovingHorizonEstimator(
         boxed, horizon=0.1, collocation=Collocation(0.5), solver=WindowSolver(starts=2),
-        cost=cost_from_deviations(boxed, prior=[1.0], v=[0.1]),
+        cost=likely_cost(prior=[1.0], v=[0.1]),
     )  # fmt: skip
     scheme.run((float(t), [10.0]) for t in range(8))
     assert [solve.attempts > 1 for solve in scheme.solves] == [True, False, True, False, False, True, False, False]
@@ -315,21 +316,14 @@ def test_a_pickled_estimator_goes_on_as_if_nothing_had_happened():
     assert other.predict(3.5).x == pytest.approx(scheme.predict(3.5).x, abs=1e-12)
 
 
-def test_weights_from_deviations_are_the_most_likely_trajectory():
+def test_weights_that_are_inverse_covariances_give_the_most_likely_trajectory():
     still = NonlinearPlant(lambda x, u, w: [0.0 * x[0]], lambda x, u, v: [x[0] + v[0]], {"states": 1, "outputs": 1})
     for form in ("paper", "certificate"):
-        cost = cost_from_deviations(still, prior=[2.0], v=[0.5], form=form)
+        cost = likely_cost(prior=[2.0], v=[0.5], form=form)
         scheme = NonlinearMovingHorizonEstimator(still, horizon=9.0, cost=cost)
         found = [scheme.update(t, [y]) for t, y in ((1.0, 1.0), (2.0, 3.0))][-1]
         assert found.covariance[0, 0] == pytest.approx(1 / (1 / 4 + 2 / 0.25), rel=1e-6)
         assert found.x[0] == pytest.approx(found.covariance[0, 0] * (1.0 + 3.0) / 0.25, rel=1e-6)
-    with pytest.raises(ArgumentError, match="`v` must hold positive standard deviations"):
-        cost_from_deviations(still, prior=[1.0], v=[0.0])
-    mixed = NonlinearPlant(
-        lambda x, u, w: [0.0 * x[0]], lambda x, u, v: [x[0]], {"states": 1, "outputs": 1, "noises": 2}
-    )
-    with pytest.raises(ArgumentError, match="`plant` must have one noise for each output"):
-        cost_from_deviations(mixed, prior=[1.0], v=[1.0, 1.0])
 
 
 def test_a_filtered_arrival_weight_makes_up_for_a_short_horizon():
@@ -340,9 +334,7 @@ def test_a_filtered_arrival_weight_makes_up_for_a_short_horizon():
     y = truth[:, 1:] + 0.5 * rng.standard_normal((times.size, 1))
     errors = []
     for arrival in ("fixed", "filtered"):
-        cost = cost_from_deviations(
-            plant, prior=[0.1, 3.0], v=[0.5], w=[0.02, 0.5], w_time=0.25, form="certificate", arrival=arrival
-        )
+        cost = likely_cost(prior=[0.1, 3.0], v=[0.5], w=[0.02, 0.5], w_time=0.25, form="certificate", arrival=arrival)
         scheme = NonlinearMovingHorizonEstimator(
             plant, horizon=0.5, cost=cost, prior=[0.5, 350.0], collocation=Collocation(0.25, 3, accuracy=None)
         )

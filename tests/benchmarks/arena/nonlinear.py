@@ -23,10 +23,10 @@ from sampling_design.nonlinear.collocation import Collocation
 from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant
-from sampling_design.nonlinear.weights import cost_from_deviations
 from sampling_design.uncertain.nominal_filter import NominalFilter
 from sampling_design.uncertain.plants.parameter import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
+from tests.nonlinear.likely import likely_cost
 
 from .nonlinear_rival import stepped
 from .page import markdown, renewed
@@ -211,7 +211,7 @@ def windowed(case: Case, data: tuple[np.ndarray, ...]) -> tuple[np.ndarray, floa
     """The same of the moving horizon estimator of this toolbox."""
     counts, _, shown, prior = data
     dt = case.longest / STEPS
-    cost = cost_from_deviations(case.plant, prior=case.error, v=case.noise, w=case.push, w_time=dt, arrival="filtered")
+    cost = likely_cost(prior=case.error, v=case.noise, w=case.push, w_time=dt, arrival="filtered")
     estimator = NonlinearMovingHorizonEstimator(
         case.plant, horizon=WINDOW * case.longest, cost=cost, prior=prior, collocation=Collocation(dt, 3)
     )

@@ -171,7 +171,7 @@ def _answered(
     safe = [k for k, row in enumerate(rows.matrix) if not known.touches(row)]
     noise = noise_enough(question, known, limit) if question.timing_tolerance and safe else None
     bounding = question.noisier(noise)
-    search = ChainSearch(*bounding.chain(known.plant, known.moving), budget=limit) if safe else None
+    search = ChainSearch(*bounding.filter_bounds(known.plant, known.moving), budget=limit) if safe else None
     if search is not None and noise is not None:
         added(search, question, known, seek=True)
     found: dict[int, RowSearch] = {}
@@ -183,7 +183,7 @@ def _answered(
                 progress(done / len(safe), f"{rows.labels()[k]} {between}")
     planned = None
     if noise is not None and search is not None:
-        chain, atoms = question.chain(known.plant, known.moving)
+        chain, atoms = question.filter_bounds(known.plant, known.moving)
         planned = ChainSearch(replace(chain, speed=speed_of(search.chain)), atoms, budget=limit)  # on the same panels
     record = replace(
         _record(question, rows, known, search, found, tolerance, planned), deviation=deviation, noise=noise

@@ -157,7 +157,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
         """Both sides in ball arithmetic."""
         from sampling_design.accuracy.rigorous import proven_above, proven_below
 
-        chain, _ = asked.chain(self.plant)
+        chain, _ = asked.filter_bounds(self.plant)
         below = all(
             bool(lower == 0) if witness is None else proven_below(witness, self.bounds, float(lower))
             for witness, lower in zip(self.witnesses, self.lower, strict=True)
@@ -171,7 +171,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
         if lost.all():
             return True
         noise = None if self.noise is None else self.noise[: len(asked.nodes)]
-        search = ChainSearch(*asked.noisier(noise).chain(known.plant, known.moving))
+        search = ChainSearch(*asked.noisier(noise).filter_bounds(known.plant, known.moving))
         for part in self.proof:
             for mu, gains in zip(part.directions, part.gains, strict=True):
                 search.restore(part.sample, mu, gains)

@@ -197,7 +197,7 @@ class _Curves:
 
     def __init__(self, question: AccuracyQuestion, plant: Plant, W: Array, moving: Array | None):
         self.question = question
-        chain, atoms = question.chain(plant, moving)
+        chain, atoms = question.filter_bounds(plant, moving)
         self.D, self.A, self._L, self._atoms, self._r = chain.D, chain.A, chain.L, atoms, chain.determined
         G = plant.G / self.D[:, None]
         self._noise = symmetrise(G @ W @ G.T)

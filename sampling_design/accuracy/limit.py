@@ -240,7 +240,7 @@ def _step(plant: Plant, bounds: SignalBounds, allowed: Array | None, period: flo
     """A step over which the filter's fastest error shrinks by about a quarter."""
     step = _time_constant(plant)
     for _ in range(SCALINGS):
-        chain, _ = _question(plant, bounds, np.zeros(1), step).chain(plant)
+        chain, _ = _question(plant, bounds, np.zeros(1), step).filter_bounds(plant)
         sample, F = chain.samples[0], chain.gaps[0].F
         passed = F @ (np.eye(len(F)) - sample.K @ sample.H)
         fastest = float(np.min(np.abs(np.linalg.eigvals(passed))))
@@ -266,7 +266,9 @@ def _strongest(
         if nodes.size > 2 * CROWDED and halving:
             break
         question = _question(plant, bounds, nodes, span)
-        found, factor = _adversary_in_gap(ChainSearch(*question.chain(plant)), question, row, allowed, period, rtol)
+        found, factor = _adversary_in_gap(
+            ChainSearch(*question.filter_bounds(plant)), question, row, allowed, period, rtol
+        )
         if found.trajectory is not None and (best.trajectory is None or found.trajectory.value > best.trajectory.value):
             best = found
         if factor <= 1 + rtol / 2:

@@ -165,7 +165,7 @@ def project_rows(
         raise ArgumentError(f"`first` and `second` must be known, got {first!r} and {second!r}.")
     at = _time(found, first, t)
     node = int(np.searchsorted(question.nodes, at, side="right")) - 1
-    search = ChainSearch(*question.chain(known.plant, known.moving))
+    search = ChainSearch(*question.filter_bounds(known.plant, known.moving))
     search.back = max([len(g) for part in found.proof for g in part.gains], default=8)
     search.deep = max([search.back, *(w.samples.size for w in found.witnesses if w is not None)])
     lifted = rows.matrix @ known.lift

@@ -201,7 +201,7 @@ class AccuracyQuestion:
             chain = endless_chain(plant, np.diff(self.nodes, append=self.end), self.bounds, moving)
         return with_results_out(chain, self.comes_after) if self.is_late else chain
 
-    def chain(self, plant: Plant, moving: Array | None = None) -> tuple[SampleChain, list[BoundedDirections]]:
+    def filter_bounds(self, plant: Plant, moving: Array | None = None) -> tuple[SampleChain, list[BoundedDirections]]:
         """The chain, and what its filter bounds."""
         chain = self.sample_chain(plant, moving)
         if chain.start is not None:

@@ -135,7 +135,7 @@ class PeriodicGains:
         if not start.whole:
             raise ArgumentError("`initial_error` must bound every state: nothing is guaranteed before it is forgotten.")
         self.plant, self.schedule, self.rows = plant, schedule, found.rows
-        search = ChainSearch(*found.question.chain(plant))
+        search = ChainSearch(*found.question.filter_bounds(plant))
         chain = self._chain = search.chain
         search.back = max([len(g) for part in found.proof for g in part.gains], default=8)
         self._back, self._p, self._n = search.back, plant.n_outputs, plant.n_states

@@ -86,7 +86,7 @@ def noise_enough(question: AccuracyQuestion, known: DetectablePart, budget: Budg
     before, tried = np.zeros_like(question.bounds.v), np.zeros_like(question.bounds.v)
     kept: tuple[Array, Array] | None = None
     for turn in range(TURNS):
-        search = ChainSearch(*question.noisier(tried).chain(known.plant, known.moving), budget=budget)
+        search = ChainSearch(*question.noisier(tried).filter_bounds(known.plant, known.moving), budget=budget)
         if search.chain.start is None:
             search.back = int(np.clip(search.chain.memory, search.back, FARTHEST))
         found = added(search, question, known, seek=not budget.over)

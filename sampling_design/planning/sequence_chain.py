@@ -69,7 +69,7 @@ def plan_chain(plan: PlanFigures) -> SampleChain:
         raise NotDetectableError(
             f"`plan` never shows {', '.join(known.modes)}: what a change of its samples does is not bounded."
         )
-    return question.chain(plan.plant)[0]
+    return question.filter_bounds(plan.plant)[0]
 
 
 def sequence_chain(
@@ -244,7 +244,7 @@ def proof_chain(plan: PlanFigures) -> SampleChain:
     """The chain of a plan's proof: the shortest period that its samples have."""
     assert plan.accuracy is not None
     question = plan.accuracy.question.noisier(plan.accuracy.noise).primitive()
-    return question.chain(plan.plant)[0]
+    return question.filter_bounds(plan.plant)[0]
 
 
 def _proof_part(plan: PlanFigures, phase: int) -> GapProof | None:

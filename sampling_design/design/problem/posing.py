@@ -64,7 +64,7 @@ def resolve(split: ModalSplit, requirement: Requirement) -> ResolvedRequirement:
     if r.window != longer:
         used["window"] = r.window
     if not r.samples:
-        held = _held(r)
+        held = _sure_window(r)
         count = zero_count_bound(retained, held)
         needed = count.samples
         per_period = max(1, int(np.ceil(needed * _known(r.period) / held - SLACK)))
@@ -149,7 +149,7 @@ def _week_hours(requirement: Requirement) -> list[WeekHours]:
     return [requirement.calendar.open_hours(), *own]
 
 
-def _held(requirement: Requirement) -> float:
+def _sure_window(requirement: Requirement) -> float:
     """The part of a window whose planned samples lie in it whatever their real times are."""
     window, late = _known(requirement.window), TimingTolerance.of(requirement.timing_tolerance)
     if not window > 2 * late.radius:
@@ -223,7 +223,7 @@ def pose(plant: Plant, requirement: Requirement, samples: int, check: bool = Tru
     lost = min(late.early) + min(late.late)
     problem = DesignProblem(
         plant=_read_in_the_middle(plant, late) if late else plant,
-        window=_held(requirement) + 2 * late.radius - lost,
+        window=_sure_window(requirement) + 2 * late.radius - lost,
         late=lost / 2,
         period=_known(requirement.period),
         spacing=_known(requirement.spacing),

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from importlib import import_module
 
 from .parts import FORMAT, Claim, digest, plant_of
-from .strict import Altered, BadFile, plain, refuse
+from .strict import Altered, BadFile, is_text, plain, refuse
 
 CLAIMS = {
     "assumption-7": "sampled",
@@ -21,11 +21,10 @@ def claim_of(data: Mapping[str, object]) -> Claim:
     if data.get("format") != FORMAT:
         raise refuse("format", f"must be {FORMAT!r}, got {data.get('format')!r:.60}. Is this a certificate file?")
     name = data.get("claim")
-    if not isinstance(name, str) or name not in CLAIMS:
+    if not is_text(name) or name not in CLAIMS:
         known = ", ".join(map(repr, CLAIMS))
         raise BadFile(f"`claim` must be {known} here, got {name!r:.60}")
-    found = import_module(f".{CLAIMS[name]}", __package__).CLAIM
-    assert isinstance(found, Claim)
+    found: Claim = import_module(f".{CLAIMS[name]}", __package__).CLAIM
     return found
 
 

@@ -7,7 +7,6 @@ The schedules are those of a family, or one that is periodic: a family of one. E
 its own. What comes before the first sample is the end of a longer gap of the graph, or the start has a P(tau) too.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +25,8 @@ from .strict import (
     Tree,
     anything,
     flag,
+    is_table,
+    is_text,
     list_of,
     matrix,
     nonnegative,
@@ -177,7 +178,7 @@ def inclusion(read: Tree, plant: Plant) -> Inclusion:
 
 def schedules_of(value: object, plant: Plant) -> Family:
     """The family; one periodic schedule is the family of deviations 0 from it."""
-    if isinstance(value, Mapping) and value.get("kind") == "periodic":
+    if is_table(value) and value.get("kind") == "periodic":
         return Jitter(times_of(value, plant), 0.0)
     return family_of(value, plant)
 
@@ -242,8 +243,8 @@ def moved(parameter: Parameter) -> list[int]:
 
 def model_of(value: object, plant: Plant) -> Box | Vertices | Region:
     """The model, of sizes that fit the plant."""
-    kind = value.get("kind") if isinstance(value, Mapping) else None
-    if not isinstance(kind, str) or kind not in MODELS:
+    kind = value.get("kind") if is_table(value) else None
+    if not is_text(kind) or kind not in MODELS:
         raise refuse("model.kind", f"must be one of {', '.join(MODELS)}, got {kind!r:.40}")
     if kind == "nonlinear":
         return region(value, plant)

@@ -15,7 +15,7 @@ import numpy as np
 
 from . import intervals as iv
 from .intervals import Interval
-from .strict import Reader, count, list_of, number, refuse, table
+from .strict import Reader, count, is_list, is_text, list_of, number, refuse, table
 
 MOST_INSTRUCTIONS = 20_000
 INPUTS = ("x", "u", "w")
@@ -54,7 +54,7 @@ def read(value: object, place: str, sizes: Mapping[str, int]) -> Program:
 
 def instruction(value: object, place: str, at: int, sizes: Mapping[str, int]) -> Instruction:
     """One instruction: known, with as many earlier places as it takes."""
-    if not isinstance(value, (list, tuple)) or not value or not isinstance(value[0], str):
+    if not is_list(value) or not value or not is_text(value[0]):
         raise refuse(place, "must be a list of a word and numbers")
     name, rest = value[0], value[1:]
     wanted = 1 if name in (*INPUTS, "constant") else 2 if name in (*TWO, "power") else 1 if name in ONE else 0

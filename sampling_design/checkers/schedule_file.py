@@ -16,6 +16,8 @@ from .strict import (
     Tree,
     anything,
     bit,
+    is_table,
+    is_text,
     list_of,
     nonnegative,
     number,
@@ -53,10 +55,10 @@ def of_kind(what: str, kinds: Mapping[str, Reader]) -> Reader:
     """Reader of a table that names its own kind."""
 
     def read(value: object, place: str) -> object:
-        if not isinstance(value, Mapping):
+        if not is_table(value):
             raise refuse(place or what, f"must be a table of keys and values, got a {type(value).__name__}")
         kind = value.get("kind")
-        if not isinstance(kind, str) or kind not in kinds:
+        if not is_text(kind) or kind not in kinds:
             which = f"{place}.kind" if place else "kind"
             known = ", ".join(kinds)
             raise refuse(which, f"of {what} must be one of {known}, got {kind!r}")

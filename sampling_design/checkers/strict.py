@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Callable, Collection, Mapping
 from itertools import islice
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -55,11 +55,44 @@ def shown(value: object) -> str:
         return "nothing (null)"
     kind = names.get(type(value), "")
     try:
-        long = isinstance(value, int) and abs(value) > MOST_WHOLE
+        long = is_whole(value) and abs(value) > MOST_WHOLE
         text = "a whole number of many digits" if long else " ".join(repr(value).split())
     except (ValueError, RecursionError):  # the interpreter writes no number of thousands of digits, and no deep list
         text = ""
     return f"{kind} {text[:40]}{'...' * (len(text) > 40)}".strip() or f"a {type(value).__name__}"
+
+
+# --- kinds of plain data ---------------------------------------------------------------------------------------------
+
+
+def is_text(value: object) -> TypeGuard[str]:
+    """Whether it is a text."""
+    return isinstance(value, str)
+
+
+def is_flag(value: object) -> TypeGuard[bool]:
+    """Whether it is true or false."""
+    return isinstance(value, (bool, np.bool_))
+
+
+def is_whole(value: object) -> TypeGuard[int]:
+    """Whether it is a whole number, written without a point; a truth value is none."""
+    return isinstance(value, (int, np.integer)) and not is_flag(value)
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Whether it is a real number, finite or not; a truth value is none."""
+    return isinstance(value, (float, np.floating)) or is_whole(value)
+
+
+def is_list(value: object) -> TypeGuard[list[object] | tuple[object, ...]]:
+    """Whether it is a list."""
+    return isinstance(value, (list, tuple))
+
+
+def is_table(value: object) -> TypeGuard[Mapping[str, object]]:
+    """Whether it is a table of keys and values."""
+    return isinstance(value, Mapping)
 
 
 # --- plain data ------------------------------------------------------------------------------------------------------
@@ -70,7 +103,7 @@ def plain(value: Mapping[str, object]) -> dict[str, object]:
 
     BadFile for anything else: what holds itself or is too deep or large, numbers that no double holds.
     """
-    if not isinstance(value, Mapping):
+    if not is_table(value):
         raise refuse("", f"must hold one table, got {type(value).__name__}")
     found = _plain(value, "", [], [0])
     return found if isinstance(found, dict) else {}
@@ -82,21 +115,21 @@ def _plain(value: object, place: str, around: list[int], items: list[int]) -> ob
         raise refuse("", f"holds more than {MOST_ITEMS} values")
     if isinstance(value, (np.ndarray, np.generic)):
         value = value.tolist()
-    if value is None or isinstance(value, bool):
+    if value is None or is_flag(value):
         return value
-    if isinstance(value, (int, float)):
-        number(value, place)
-        return int(value) if isinstance(value, int) else float(value)
-    if isinstance(value, str):
+    if is_number(value):
+        found = number(value, place)
+        return int(value) if is_whole(value) else found
+    if is_text(value):
         return unicode(str(value))
-    if not isinstance(value, (Mapping, list, tuple)):
+    if not is_table(value) and not is_list(value):
         raise refuse(place, f"must be plain data, got a {type(value).__name__}")
     if id(value) in around:
         raise refuse(place, "must not hold itself")
     if len(around) >= MOST_DEPTH:
         raise refuse("", f"is nested more than {MOST_DEPTH} levels deep")
     inside = [*around, id(value)]
-    if not isinstance(value, Mapping):
+    if not is_table(value):
         return [_plain(item, f"{place}[{k}]", inside, items) for k, item in enumerate(value)]
     keys = [unicode(text(key, f"a key of {place or 'the file'}")) for key in value]
     return {
@@ -126,9 +159,9 @@ def from_json(text: str) -> Tree:
     except json.JSONDecodeError as error:
         line = f"line {error.lineno} ({error.msg})"
         raise refuse("", f"is not valid JSON at {line}. Was the file cut off?") from None
-    if not isinstance(data, dict):
+    if not is_table(data):
         raise refuse("", f"must hold one JSON object, got {type(data).__name__}")
-    return data
+    return dict(data)
 
 
 def shallow(text: str) -> None:
@@ -146,7 +179,7 @@ def unique(pairs: list[tuple[str, object]]) -> Tree:
     if len(result) < len(pairs):
         keys = [key for key, _ in pairs]
         raise refuse("", f"key {next(key for key in keys if keys.count(key) > 1)!r} occurs twice")
-    for word in (word for pair in pairs for word in pair if isinstance(word, str)):
+    for word in (word for pair in pairs for word in pair if is_text(word)):
         unicode(word)
     return result
 
@@ -187,9 +220,11 @@ def whole(word: str) -> int:
 
 def number(value: object, place: str) -> float:
     """A finite number."""
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
+    if type(value) is float and math.isfinite(value):  # nearly all of a long file
+        return value
+    if not is_number(value):
         raise refuse(place, f"must be a number, got {shown(value)}")
-    if isinstance(value, int) and abs(value) > MOST_WHOLE:
+    if is_whole(value) and abs(value) > MOST_WHOLE:
         raise refuse(place, f"must be a number that a double holds, got {shown(value)}")
     if not math.isfinite(value):
         raise refuse(place, f"must be finite, got {value}")
@@ -214,28 +249,28 @@ def nonnegative(value: object, place: str) -> float:
 
 def count(value: object, place: str) -> int:
     """A whole number >= 0, written without a point."""
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)) or not 0 <= value <= MOST_WHOLE:
+    if not is_whole(value) or not 0 <= value <= MOST_WHOLE:
         raise refuse(place, f"must be a whole number, got {shown(value)}")
     return int(value)
 
 
 def bit(value: object, place: str) -> bool:
     """0 or 1, written as a number."""
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)) or value not in (0, 1):
+    if not is_whole(value) or value not in (0, 1):
         raise refuse(place, f"must be 1 (measured) or 0, got {shown(value)}")
     return bool(value)
 
 
 def flag(value: object, place: str) -> bool:
     """true or false."""
-    if not isinstance(value, (bool, np.bool_)):
+    if not is_flag(value):
         raise refuse(place, f"must be true or false, got {shown(value)}")
     return bool(value)
 
 
 def text(value: object, place: str) -> str:
     """A text."""
-    if not isinstance(value, str):
+    if not is_text(value):
         raise refuse(place, f"must be a string, got {shown(value)}")
     return str(value)
 
@@ -244,9 +279,9 @@ def word(*known: str) -> Reader:
     """Reader of one of these words."""
 
     def read(value: object, place: str) -> str:
-        if not isinstance(value, str) or value not in known:
+        if not is_text(value) or value not in known:
             expected = repr(known[0]) if len(known) == 1 else f"one of {', '.join(known)}"
-            came = f"{value!r:.60}" if isinstance(value, str) else shown(value)
+            came = f"{value!r:.60}" if is_text(value) else shown(value)
             sentence = f"must be {expected}, got {came}"
             raise refuse(place, sentence)
         return str(value)
@@ -256,11 +291,11 @@ def word(*known: str) -> Reader:
 
 def anything(value: object, place: str) -> object:
     """Plain data of any shape, numbers finite: provenance that decides nothing."""
-    if isinstance(value, dict):
+    if is_table(value):
         return {text(key, place): anything(item, f"{place}.{key}") for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
+    if is_list(value):
         return [anything(item, f"{place}[{k}]") for k, item in enumerate(value)]
-    if value is not None and not isinstance(value, (str, bool)):
+    if value is not None and type(value) is not bool and not is_text(value):
         number(value, place)
     return value
 
@@ -279,7 +314,7 @@ def list_of(read: Reader, length: int | None = None) -> Reader:
     def read_list(value: object, place: str) -> list[object]:
         if isinstance(value, np.ndarray):
             value = value.tolist()
-        if not isinstance(value, (list, tuple)):
+        if not is_list(value):
             raise refuse(place, f"must be a list, got {shown(value)}")
         if length is not None and len(value) != length:
             raise refuse(place, f"must have a length of {length}, got {len(value)}")
@@ -292,7 +327,7 @@ def matrix(rows: int | None = None, columns: int | None = None) -> Reader:
     """Reader of a list of rows of finite numbers, all of one length; without rows it has the columns asked for."""
 
     def read(value: object, place: str) -> Array:
-        if isinstance(value, (list, tuple)) and value and not any(isinstance(row, (list, tuple)) for row in value):
+        if is_list(value) and value and not any(map(is_list, value)):
             raise refuse(place, f"must be a list of rows, got {shown(value)}. One row is [[...]], in two brackets")
         table = list_of(list_of(number))(value, place)
         wide = columns if columns is not None else len(table[0]) if table else 0
@@ -320,7 +355,7 @@ def listed(names: Collection[str]) -> str:
 
 def a_table(value: object, place: str) -> Mapping[str, object]:
     """Refuse what is no table."""
-    if not isinstance(value, Mapping):
+    if not is_table(value):
         raise refuse(place, f"must be a table of keys and values, got {shown(value)}")
     return value
 

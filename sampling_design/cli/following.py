@@ -17,8 +17,6 @@ from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.cli.settings import Settings, rows_table, table
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.estimate_file import (
-    FEW_STATES,
-    MOST_INTERVALS,
     EstimateBlock,
     EstimateColumns,
     EstimateTable,
@@ -29,6 +27,7 @@ from sampling_design.estimators.estimate_file import (
 from sampling_design.estimators.online.curve import CurveCollector
 from sampling_design.estimators.online.envelope import EstimateEnvelope
 from sampling_design.estimators.online.estimate import Estimate
+from sampling_design.estimators.online.in_order import FEW_STATES, MOST_INTERVALS
 from sampling_design.estimators.online.tally import EstimateCounts
 from sampling_design.estimators.record_intervals import estimates_despite_outliers, smoothed_along
 from sampling_design.records.arrays import Array

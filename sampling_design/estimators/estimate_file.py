@@ -19,7 +19,7 @@ import numpy as np
 from sampling_design.estimators.online.curve import CurveCollector
 from sampling_design.estimators.online.estimate import Estimate, half_widths
 from sampling_design.estimators.online.estimator import EstimateRecord
-from sampling_design.estimators.online.in_order import AHEAD, OnlineEstimator
+from sampling_design.estimators.online.in_order import AHEAD, OnlineEstimator, few_intervals
 from sampling_design.estimators.online.tally import EstimateCounts
 from sampling_design.estimators.records.measurement_table import date_of, dated
 from sampling_design.estimators.records.measurements import Measurements, cell_of
@@ -33,8 +33,6 @@ from sampling_design.records.signatures import checked
 PIECE = 1 << 20  # Characters that are written at a time
 TOGETHER = 32  # estimates that are written at a time
 
-MOST_INTERVALS, FEW_STATES = 1000, 4
-"""Rows up to which radii are those of intervals unless told, and states up to which that holds."""
 REPORTS = 1000  # times that the progress of a record is told
 
 RADII = ("intervals", "centred", "ellipsoids")
@@ -257,11 +255,8 @@ def _listed(columns: list[list[str]]) -> list[str]:
 
 
 def usual_radii(rows: int, states: int) -> str:
-    """Return the kind of radii where none is asked for: those of intervals about their middle, if these take little.
-
-    The work of one interval grows with the cube of the states.
-    """
-    return "centred" if rows * max(1.0, states / FEW_STATES) ** 3 <= MOST_INTERVALS else "ellipsoids"
+    """Return the kind of radii where none is asked for: those of intervals about their middle, if these take little."""
+    return "centred" if few_intervals(rows, states) else "ellipsoids"
 
 
 def estimates_along(

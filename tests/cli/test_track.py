@@ -354,7 +354,7 @@ def test_of_many_states_fewer_rows_are_looked_at_closely(shell, tmp_path, monkey
     """Two states count as many here; of eleven a row took a second."""
     readings = write_readings(tmp_path / "y.csv", [1.0, 2.2, 3.2, 4.4, 5.4])
     before = shell("estimate", OSCILLATOR, readings, "--initial-error", "2", "--json")
-    monkeypatch.setattr("sampling_design.estimators.estimate_file.FEW_STATES", 0.2)
+    monkeypatch.setattr("sampling_design.estimators.online.in_order.FEW_STATES", 0.2)
     after = shell("estimate", OSCILLATOR, readings, "--initial-error", "2", "--json")
     assert "--radii" not in before.err
     assert "of 5 rows and 2 states the radii are those of ellipsoids; --radii centred" in " ".join(after.err.split())

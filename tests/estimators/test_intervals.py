@@ -243,3 +243,27 @@ def test_what_cannot_be_moved_says_why():
     torn = sd.KalmanFilter(walk, w_bound=0.1, v_bound=0.1, initial_error=1.0)
     torn.update(1.0, [0.0])
     assert torn.update(2.0, [3.0]).centred().status == "bounds disproved"
+
+
+def walked(centred=None, **options):
+    """One reading of 1.2 of a state that stays where it is: with noise of .3 it lies in [.9, 1.5]."""
+    given = {"w_bound": 0.0, "v_bound": 0.3, "initial_error": 3.0, **options}
+    estimator = sd.MovingHorizonEstimator(sd.Plant([[0.0]], [[1.0]]), horizon=3.0, **given)
+    return estimator.run([(1.0, [1.2])], centred=centred)
+
+
+def test_an_estimate_of_a_record_lies_in_the_middle_unless_asked_otherwise(monkeypatch):
+    found, own = walked(), walked(centred=False)
+    assert (found.x[0, 0], found.radii[0, 0]) == pytest.approx((1.2, 0.3), abs=1e-6)
+    assert found.explain() == (
+        "1 estimate, each in the middle of what data and bounds allow, 1 of them with a proven radius."
+    )
+    assert own.x[0, 0] < 1.19
+    assert own.x[0, 0] + own.radii[0, 0] == pytest.approx(1.5, abs=1e-6)
+    assert walked(cost=sd.CostFunction()).x[0, 0] == own.x[0, 0]
+    assert walked(cost=sd.CostFunction(), centred=True).x[0, 0] == found.x[0, 0]
+    assert "middle" not in walked(w_bound=None).explain()
+    with pytest.raises(ArgumentError, match="`w_bound` and `v_bound` must be given to the estimator"):
+        walked(w_bound=None, centred=True)
+    monkeypatch.setattr("sampling_design.estimators.online.in_order.MOST_INTERVALS", 0)
+    assert walked().x[0, 0] == own.x[0, 0]

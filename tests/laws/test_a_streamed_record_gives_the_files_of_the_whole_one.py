@@ -12,7 +12,7 @@ from sampling_design.cli import following
 from sampling_design.cli.following import EstimateOptions
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError, FileFormatError
-from sampling_design.estimators import estimate_file
+from sampling_design.estimators.online import in_order
 from sampling_design.estimators.online.estimate import with_proof
 from sampling_design.estimators.online.history import InputHistory
 from sampling_design.estimators.records import measurement_table
@@ -88,7 +88,7 @@ def test_blocks_are_read_as_single_rows_are(tmp_path, monkeypatch, seed):
 
 @pytest.mark.parametrize("radii", ["intervals", "centred", "ellipsoids"])
 def test_estimates_written_one_by_one_are_those_of_the_record(tmp_path, monkeypatch, capsys, radii):
-    monkeypatch.setattr(estimate_file, "MOST_INTERVALS", 5)
+    monkeypatch.setattr(in_order, "MOST_INTERVALS", 5)
     path = drawn_file(np.random.default_rng(3), tmp_path / "y.csv", rows=12, awkward=False)
     record = replace(sd.read_measurements(path, PLANT), origin="2026-03-01")
 

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from sampling_design.estimators.online.estimate import FAILURES, Contradiction, Estimate, Status
-from sampling_design.records.record import short
+from sampling_design.records.record import counted, short
 
 
 @dataclass
@@ -59,4 +59,5 @@ class EstimateCounts:
         trouble = f" {failed} failed; their notes say why." if failed else ""
         for each in self.contradictions:
             trouble += f" The data contradict the bounds: {each}."
-        return f"{self.count} estimates, {self.certified} of them with a proven radius.{trouble}"
+        where = ", each in the middle of what data and bounds allow" * self.moved
+        return f"{counted(self.count, 'estimate')}{where}, {self.certified} of them with a proven radius.{trouble}"

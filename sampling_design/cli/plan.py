@@ -161,7 +161,8 @@ def design(
         given = {} if branches is None else {"branches": branches}
         result = sd.design_schedule(plant, requirement, rng=rng, budget=settings.budget, progress=progress, **given)
     for name, value in result.defaults_used.items():
-        settings.notice(str(value) if name == "notice" else f"{name} not given: {value} is used.")
+        said = [f"{each.replace('_', ' ')} {of}" for each, of in value.items()] if isinstance(value, dict) else [value]
+        settings.notice(str(value) if name == "notice" else f"--{name} not given: {said[0]} is used.")
     _write_design(settings, result, zero, zone)
     settings.show(result.to_dict(), record_table(result), *_samples(result), result.explain())
     end_unseen(result)

@@ -48,7 +48,14 @@ _MIXED = {
     ),
 }
 """The likely slip where one kind of file is given for another."""
-_WRITTEN = {"plan": "plan.json", "schedule": "schedule.csv", "certificate": "certificate.json"}
+_WRITTEN = {
+    "plant": "plant.toml",
+    "requirement": "requirement.toml",
+    "plan requirement": "plan.toml",
+    "plan": "plan.json",
+    "schedule": "schedule.csv",
+    "certificate": "certificate.json",
+}
 """What a command calls its file of a kind in the folder that it writes."""
 
 
@@ -127,9 +134,10 @@ def _read(kind: str, reader: Callable[[Path], T], path: Path) -> T:
     try:
         return reader(path)
     except SamplingDesignError:
-        within = path / _WRITTEN.get(kind, "")
-        if path.is_dir() and within.is_file():
-            raise FileFormatError(f"{path}: is a folder, expected a file. Did you mean {within}?", str(path)) from None
+        if path.is_dir():
+            within = path / _WRITTEN.get(kind, "")
+            slip = f" Did you mean {within}?" if within.is_file() else ""
+            raise FileFormatError(f"{path}: is a folder, expected a file.{slip}", str(path)) from None
         found, where = kind_of(path), str(path)
         if found not in (kind, ""):
             slip = _MIXED.get((found, kind), "Are the arguments in their order?")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -248,6 +249,7 @@ def with_common_flags(function: Callable[..., None], command_name: str) -> Calla
 
     @functools.wraps(function)
     def command(**arguments: Any) -> None:
+        given = dict(arguments)
         flags = {name: arguments.pop(name) for name in flags_of_this}
         flags.pop("version")
         try:
@@ -259,11 +261,12 @@ def with_common_flags(function: Callable[..., None], command_name: str) -> Calla
                 arguments[name] = kind(**{field.name: arguments.pop(field.name) for field in fields(kind)})
             function(Settings(command_name, **flags), **arguments)
         except ArgumentError as error:  # what is wrong in a file is named by its key
-            _rename(error, typed)
+            in_file = given.get("requirement_file") is not None
+            _rename(error, [p for p in parameters if not in_file or given[p.name] != p.default])
             raise
 
     keyword = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
-    typed = {f"`{p.name}`": f"`{long}`" for p in (*keyword, *common) if (long := _as_typed(p))}
+    parameters = [*keyword, *common]
     for flag in (*keyword, *common):
         _read_in_words(flag.annotation)
     # one unbroken line to copy: the mark keeps the paragraph from being filled
@@ -283,11 +286,12 @@ def _as_typed(parameter: inspect.Parameter) -> str:
     return ""
 
 
-def _rename(error: ArgumentError, typed: Mapping[str, str]) -> None:
+def _rename(error: ArgumentError, parameters: Sequence[inspect.Parameter]) -> None:
     """Let the words of an error name the flags as they are typed, where the verb below named its own arguments."""
     text = str(error)
-    for name, flag in typed.items():
-        text = text.replace(name, flag)
+    for each in parameters:
+        if flag := _as_typed(each):
+            text = text.replace(f"`{each.name}`", f"`{flag}`")
     error.args = (text, *error.args[1:])
 
 
@@ -335,6 +339,8 @@ def numbers(flag: str, text: str | None, names: Sequence[str] = ()) -> float | l
 
 def timing(text: str, time: Callable[[str], T]) -> T | list[T] | dict[str, T | list[T]]:
     """How early or late samples may be: TIME or EARLY:LATE, or NAME=either with commas between, one for each output."""
+    if not all(part.strip() for part in re.split("[,:=]", text)):
+        raise ArgumentError(f"`--timing-tolerance` must be TIME, EARLY:LATE or NAME=TIME,..., got {text!r}.")
     if "=" not in text:
         return _early_late(text, time)
     named = [part.partition("=") for part in text.split(",")]

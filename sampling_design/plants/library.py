@@ -351,7 +351,8 @@ def plant_of_modes(
     Raises
     ------
     ArgumentError
-        If nothing moves, a time is not positive, or there is another number of names or units.
+        If nothing moves or is measured, a time is not positive, a name comes twice, or there is another number of names
+        or units.
 
     Examples
     --------
@@ -369,6 +370,9 @@ def plant_of_modes(
     called = checks.names("names", list(names) or ["level"] * level + usual, level + len(usual), "")
     turns = [f"{mode}{part}" for mode in called[level : level + len(rates)] for part in ("", "_quadrature")]
     states = [*called[:level], *turns, *called[level + len(rates) :]]
+    if not len(sensors):
+        raise ArgumentError("`sensors` must name at least one: a plant without outputs cannot be measured.")
+    sensors = checks.names("sensors", sensors, len(sensors), "")
     C, shared = np.tile(row, (len(sensors), 1)), units[0] if len(set(units)) == 1 else ""
     outputs = Signals(sensors, [shared] * len(sensors) if len(units) == 1 else units)
     return Plant(A, C, time_unit=time_unit, states=Signals(states, [shared] * len(states)), outputs=outputs, name=name)

@@ -183,7 +183,7 @@ def test_an_impossible_requirement_is_a_no(shell):
     ("arguments", "words"),
     [
         (("info", "nowhere.toml"), "no such file"),
-        (("info", PLANTS), "suffix must be one of"),
+        (("info", PLANTS), "is a folder, expected a file"),
         (("info", plant("oscillator"), "--window", "-1"), "`--window` must be positive"),
         (("info", plant("oscillator"), "--decay-rate", "-1"), "must not be negative"),
         (("design", plant("oscillator"), "--spacing", "0"), "`--spacing` must be positive"),

@@ -2,6 +2,7 @@
 
 import functools
 import inspect
+import shutil
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from sampling_design.cli.app import COMMANDS, function_of, loaded
 from sampling_design.cli.plan import design
 from sampling_design.cli.settings import Settings, with_common_flags
 from sampling_design.cli.what_if import _counts
+from sampling_design.design import write_requirement
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.schedules import PeriodicSchedule, write_schedule
 
@@ -89,9 +91,58 @@ def test_an_error_names_the_flag_as_it_is_typed(command):
 
         refusing.__signature__ = inspect.signature(real, eval_str=True)
         wrapped = with_common_flags(refusing, command)
-        given = {each: p.default for each, p in wrapped.__signature__.parameters.items()}
+        given = {each: p.default for each, p in wrapped.__signature__.parameters.items()} | {parameter.name: 3}
         with pytest.raises(ArgumentError, match=rf"^`{flags[0]}` must be otherwise, got 3\.$"):
             wrapped(**given)
+
+
+@pytest.mark.parametrize(
+    ("typed", "words"),
+    [
+        ([], "`timing_tolerance`, early and late together, must be less than the least time between two samples, 0.5,"),
+        (["--timing-tolerance", "9"], "`--timing-tolerance`, early and late"),
+        (["--spacing", "0.25"], "Ask for a wider `--spacing`."),
+    ],
+)
+def test_an_error_about_what_stands_in_a_file_names_the_key_of_the_file(shell, tmp_path, typed, words):
+    path = tmp_path / "requirement.toml"
+    write_requirement(sd.Requirement(window=4.0, spacing=0.5, samples=3, timing_tolerance=3.0), path)
+    result = shell("design", OSCILLATOR, path, *typed, "--quiet")
+    assert result.code == 2
+    assert words in result.err
+    assert ("`--" in result.err) == bool(typed)
+
+
+@pytest.mark.parametrize("text", ["5:", ":5", "position=", "=1", "position=1,", "1:,2"])
+def test_a_half_written_tolerance_is_named_as_it_was_typed(shell, text):
+    result = shell("design", OSCILLATOR, "--timing-tolerance", text, "--quiet")
+    assert result.code == 2
+    said = f"`--timing-tolerance` must be TIME, EARLY:LATE or NAME=TIME,..., got {text!r}."
+    assert result.err == f"sampling-design: {said}\n"
+
+
+@pytest.mark.parametrize(
+    ("sensors", "words"), [("", "must name at least one"), ("a,b,a", "must be distinct, got 'a' ")]
+)
+def test_sensors_of_a_new_plant_are_named_as_they_are_typed(shell, tmp_path, sensors, words):
+    result = shell("new", tmp_path / "new", "--oscillation", "24", "--sensors", sensors)
+    assert result.code == 2
+    assert result.err.startswith(f"sampling-design: `--sensors` {words}")
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_folder_in_place_of_a_file_leads_to_the_file_in_it(shell, tmp_path):
+    (tmp_path / "empty").mkdir()
+    shutil.copy(OSCILLATOR, tmp_path / "plant.toml")
+    write_requirement(sd.Requirement(), tmp_path / "requirement.toml")
+    for arguments, words in (
+        (("info", tmp_path), f"{tmp_path}: is a folder, expected a file. Did you mean {tmp_path / 'plant.toml'}?"),
+        (("info", tmp_path / "empty"), f"{tmp_path / 'empty'}: is a folder, expected a file."),
+        (("design", OSCILLATOR, tmp_path), f"Did you mean {tmp_path / 'requirement.toml'}?"),
+    ):
+        result = shell(*arguments)
+        assert result.code == 2
+        assert result.err.endswith(f"{words}\n")
 
 
 @pytest.mark.parametrize(("earlier", "today"), [("log", "compare"), ("survive", "robustness")])

@@ -69,11 +69,14 @@ def refuse_tolerance(question: AccuracyQuestion, spread: bool) -> None:
         )
     first, last = question.nodes[question.samples][[0, -1]]
     planned = first - late.shift, last - late.shift
-    if nodes[0] > first - late.radius or nodes[0] == first or question.end < question.last_result * (1 - KEPT):
+    hasty = nodes[0] > first - late.radius or (late and nodes[0] == first)
+    rounding = KEPT * (question.last_result - nodes[0]) + 2 * np.spacing(question.last_result)
+    if hasty or question.end < question.last_result - rounding:
         raise ArgumentError(
             f"`start` must lie before the first sample, `timing_tolerance` {short(max(late.early))} at least, and "
-            f"`end` not before {short(question.last_result)}, when the last result is in, got {short(nodes[0])} and "
-            f"{short(question.end)} for samples from {short(planned[0])} to {short(planned[1])}."
+            f"`end` not before {short(question.last_result, 12)}, when the last result is in, got "
+            f"{short(nodes[0], 12)} and {short(question.end, 12)} for samples from {short(planned[0], 12)} "
+            f"to {short(planned[1], 12)}."
         )
 
 

@@ -88,3 +88,24 @@ def test_a_sensor_that_is_none_is_refused():
     noise = {"labb": Sensor(noise_bound=0.1, result_delay=1.0)}
     with pytest.raises(ArgumentError, match="unknown key 'labb' in `v_bound`"):
         guaranteed_accuracy(WALK, BOTH, w_bound=0.1, v_bound=noise)
+
+
+def test_a_first_sample_at_the_start_may_come_late():
+    """Before its result is in, what is known is the start and what the disturbance did to it since."""
+    found = guaranteed_accuracy(
+        WALK, Schedule([0.0, 1.0], [[0, 1], [0, 1]], output_names=["gauge", "lab"]), w_bound=0.1,
+        v_bound=terms((0.3, 0.0), (0.02, 0.5)), initial_error=1.0, start=0.0, end=2.0,
+    )  # fmt: skip
+    assert found.verify()
+    assert found.upper[0] == pytest.approx(1.0 + 0.1 * 0.5, rel=2e-3)
+
+
+def test_times_in_a_refusal_have_digits_enough_to_be_told_apart():
+    at = 1.7e9
+    with pytest.raises(
+        ArgumentError, match=r"`end` not before 1700000001\.5, when the last result is in, got 1700000000 "
+    ):
+        guaranteed_accuracy(
+            WALK, Schedule([at, at + 1], [[0, 1], [0, 1]], output_names=["gauge", "lab"]), w_bound=0.1,
+            v_bound=terms((0.3, 0.0), (0.02, 0.5)), initial_error=1.0, start=at, end=at + 1.25,
+        )  # fmt: skip

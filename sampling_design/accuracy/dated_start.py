@@ -59,13 +59,14 @@ def start_of_dated(
     samples: Sequence[RecordRow],
     noise: tuple[Array, Array],
     start: float,
+    before: bool = False,
 ) -> tuple[Array, Array] | None:
     """Return a centre and half-widths of the state at the start that the readings prove; None if they prove none.
 
-    `noise`: the sizes (N, p) and the middles of what is added to each reading.
+    `noise`: the sizes (N, p) and the middles of what is added to each reading; `before` as in `resolved`.
     """
     flows = _flows(plant, push, inputs, start, [come.t for come in samples])
-    x = _fitted(plant, inputs, samples, flows, noise)
+    x = _fitted(plant, inputs, samples, flows, noise, before)
     still = DisturbanceSet(freeze(np.zeros(plant.n_disturbances)), push.root, push.ball)
     here = DisturbanceSet(push.centre, freeze(np.zeros_like(push.root)), push.ball)
     told: list[_Reading] = []
@@ -81,10 +82,10 @@ def start_of_dated(
             ):
                 continue
             i, (first, last, low, high) = each.output, each.stamp
-            known = [TimeShift(plant, here, inputs, come.t, i, end, before=False) for end in (first, last)]
+            known = [TimeShift(plant, here, inputs, come.t, i, end, before) for end in (first, last)]
             least, most = _ends(known, partial(_at, xi), np.abs(xi))
-            off = middle[i] + float(plant.D[i] @ input_at(inputs, come.t, plant.n_inputs)) + plant.C[i] @ xi
-            moves = tuple(TimeShift(plant, still, (), come.t, i, end, before=False) for end in (first, last))
+            off = middle[i] + float(plant.D[i] @ input_at(inputs, come.t, plant.n_inputs, before)) + plant.C[i] @ xi
+            moves = tuple(TimeShift(plant, still, (), come.t, i, end, before) for end in (first, last))
             told.append(_Reading(come.t, i, max(abs(low - off - most), abs(high - off - least)) + size[i], moves))
     found = _bounded(plant, still, told, start)
     return None if found is None else (freeze(x), freeze(found))
@@ -159,12 +160,17 @@ def _flows(plant: Plant, push: DisturbanceSet, inputs: Inputs, start: float, tim
 
 
 def _fitted(
-    plant: Plant, inputs: Inputs, samples: Sequence[RecordRow], flows: Sequence[Array], noise: tuple[Array, Array]
+    plant: Plant,
+    inputs: Inputs,
+    samples: Sequence[RecordRow],
+    flows: Sequence[Array],
+    noise: tuple[Array, Array],
+    before: bool,
 ) -> Array:
     """The start of the trajectory that fits the readings best, those of uncertain times in the middle of these."""
     rows, ends = [], []
     for come, M, middle in zip(samples, flows, noise[1], strict=True):
-        fed = plant.D @ input_at(inputs, come.t, plant.n_inputs)
+        fed = plant.D @ input_at(inputs, come.t, plant.n_inputs, before)
         read = {i: come.y[i] for i in np.flatnonzero(np.isfinite(come.y)).tolist()}
         read |= {
             e.output: (e.stamp.lower + e.stamp.upper) / 2 - fed[e.output] for e in come.told if e.stamp is not None

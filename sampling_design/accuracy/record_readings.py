@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,7 @@ from sampling_design.accuracy.bounds import Bound, SignalBounds
 from sampling_design.accuracy.dated_start import start_of_dated
 from sampling_design.accuracy.readings import (
     Arrived,
+    CensoredReading,
     DisturbanceSet,
     Readings,
     RecordRow,
@@ -19,6 +21,7 @@ from sampling_design.accuracy.readings import (
     StartError,
     arrived,
     gathered,
+    input_at,
     rows_told,
 )
 from sampling_design.accuracy.record_program import RecordProgram
@@ -28,6 +31,8 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
+
+Rows: TypeAlias = list[tuple[float, tuple[RowReading, ...]]]
 
 
 def read_record(
@@ -67,22 +72,68 @@ def read_record(
     if spans and error.root is None:
         proven = start_of_dated(plant, push, inputs, samples, (bounds.v, centre_v), start)
         centre, error = (centre, error) if proven is None else (proven[0], StartError.of(plant, proven[1]))
-    rows: list[tuple[float, tuple[RowReading, ...]]] = []
 
-    def read(t: float | None = None) -> Readings:
-        some = rows if t is None else [*rows, (t, ())]
-        return gathered(plant, push, error, centre, start, some, ball=bounds.v_ball, inputs=inputs)
+    def read(rows: Rows) -> Readings:
+        return gathered(plant, push, error, centre, start, rows, ball=bounds.v_ball, inputs=inputs)
 
-    for come, values, size, middle in zip(samples, y - centre_v, bounds.v, centre_v, strict=True):
-        seen = np.flatnonzero(np.isfinite(size) & np.isfinite(values))
-        own = [RowReading(plant.C[i], values[i], size[i]) for i in seen]
-        for each in resolved(plant, push, inputs, come.t, come.told, partial(_known, read, come.t)):
-            i = each.output
-            own += rows_told(plant, come.t, each, float(size[i]), float(middle[i]), inputs)
-        rows.append((come.t, tuple(row for row in own if np.isfinite(row.size))))
+    said = _one_by_one(plant, push, inputs, samples, (bounds.v, centre_v), read)
+    rows = [(come.t, own) for come, (_, own) in zip(samples, said, strict=True)]
     if also is not None and also < start:
         raise ArgumentError(f"`t` must not lie before the start {start!r}, got {also!r}.")
-    return read(None if also is None or also >= rows[-1][0] or also in dict(rows) else also)
+    return read(rows if also is None or also >= rows[-1][0] or also in dict(rows) else [*rows, (also, ())])
+
+
+def told_together(
+    plant: Plant,
+    push: DisturbanceSet,
+    inputs: Sequence[tuple[float, Array]],
+    samples: Sequence[RecordRow],
+    noise: tuple[Array, Array, bool],
+    start: float,
+    before: bool,
+) -> tuple[tuple[Array, Array], list[tuple[CensoredReading, ...]]] | None:
+    """Return a box of the start (middle, half-widths), and what readings of uncertain times say together of theirs.
+
+    Of the start nothing else is known; None if they bound nothing. Samples are less D u; `noise`: sizes (p,), middles,
+    and whether it is one ball.
+    """
+    size, middle, ball = noise
+    every = np.tile(size, (len(samples), 1)), np.tile(middle, (len(samples), 1))
+    proven = start_of_dated(plant, push, inputs, samples, every, start, before)
+    if proven is None:
+        return None
+    centre, error = proven[0], StartError.of(plant, proven[1])
+
+    def read(rows: Rows) -> Readings:
+        return gathered(plant, push, error, centre, start, rows, ball=ball, inputs=tuple(inputs))
+
+    return proven, [told for told, _ in _one_by_one(plant, push, inputs, samples, every, read, before, waiting=True)]
+
+
+def _one_by_one(
+    plant: Plant,
+    push: DisturbanceSet,
+    inputs: Sequence[tuple[float, Array]],
+    samples: Sequence[RecordRow],
+    noise: tuple[Array, Array],
+    read: Callable[[Rows], Readings],
+    before: bool = False,
+    waiting: bool = False,
+) -> Iterator[tuple[tuple[CensoredReading, ...], tuple[RowReading, ...]]]:
+    """What each sample says of its time, by those before it, and as rows of the state."""
+    rows: Rows = []
+    for come, size, middle in zip(samples, *noise, strict=True):
+        values = come.y - middle
+        seen = np.flatnonzero(np.isfinite(size) & np.isfinite(values))
+        own = [RowReading(plant.C[i], values[i], size[i]) for i in seen]
+        known = partial(_known, read, rows, come.t)
+        told = resolved(plant, push, inputs, come.t, come.told, known, before, waiting)
+        u = input_at(inputs, come.t, plant.n_inputs, before)
+        for each in told:
+            i = each.output
+            own += rows_told(plant, come.t, each, float(size[i]), float(middle[i]), inputs, float(plant.D[i] @ u))
+        rows.append((come.t, tuple(row for row in own if np.isfinite(row.size))))
+        yield told, rows[-1][1]
 
 
 def beginning(items: Sequence[RecordRow]) -> float:
@@ -91,9 +142,9 @@ def beginning(items: Sequence[RecordRow]) -> float:
     return min([items[0].t, *(span.first for span in spans)]) if items else 0.0
 
 
-def _known(read: Callable[[float], Readings], t: float, rows: Array) -> tuple[Array, Array]:
+def _known(read: Callable[[Rows], Readings], before: Rows, t: float, rows: Array) -> tuple[Array, Array]:
     """Ends of rows of x(t), by the readings before; NaN where these contradict the bounds."""
-    program = RecordProgram(read(t))
+    program = RecordProgram(read([*before, (t, ())]))
     ends = [program.solve(t, row) for row in rows]
     found = np.array([(-down.value, up.value) for up, down in ends]).T
     return (found[0], found[1]) if not program.infeasible else (found[0] * np.nan, found[1] * np.nan)

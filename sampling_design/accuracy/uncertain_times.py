@@ -39,11 +39,13 @@ def resolved(
     told: tuple[CensoredReading, ...],
     known: Known,
     before: bool = False,
+    waiting: bool = False,
 ) -> tuple[CensoredReading, ...]:
     """Return readings of uncertain times as what they say of t, a time in each; the others as they are.
 
-    D u is that from t on; `before`: an input that jumps at a time enters there as it was before. Raises ArgumentError
-    if nothing that is known bounds how far an output may move meanwhile.
+    D u is that from t on; `before`: an input that jumps at a time enters there as it was before. `waiting`: later
+    readings may tell what one says of which nothing is known yet. Else raises ArgumentError if nothing that is known
+    bounds how far an output may move meanwhile.
     """
     stamped = [each for each in told if each.stamp is not None]
     if not stamped:
@@ -70,7 +72,9 @@ def resolved(
         at += len(side.rows)
     least = {id(each): min(ends[2 * k][0], ends[2 * k + 1][0]) for k, each in enumerate(stamped)}
     most = {id(each): max(ends[2 * k][1], ends[2 * k + 1][1]) for k, each in enumerate(stamped)}
-    return tuple(_between(plant, each, least[id(each)], most[id(each)]) if each.stamp else each for each in told)
+    return tuple(
+        _between(plant, each, least[id(each)], most[id(each)], waiting) if each.stamp else each for each in told
+    )
 
 
 def nothing_said(told: tuple[CensoredReading, ...]) -> tuple[CensoredReading, ...]:
@@ -78,10 +82,10 @@ def nothing_said(told: tuple[CensoredReading, ...]) -> tuple[CensoredReading, ..
     return tuple(each if each.stamp is None else each._replace(lower=-np.inf, upper=np.inf) for each in told)
 
 
-def _between(plant: Plant, read: CensoredReading, least: float, most: float) -> CensoredReading:
+def _between(plant: Plant, read: CensoredReading, least: float, most: float, waiting: bool) -> CensoredReading:
     stamp = read.stamp
     assert stamp is not None
-    if np.isinf(least) and np.isinf(most) and stamp.first < stamp.last:
+    if np.isinf(least) and np.isinf(most) and stamp.first < stamp.last and not waiting:
         raise ArgumentError(
             f"`t` = ({stamp.first!r}, {stamp.last!r}) is uncertain, and nothing that is known by then bounds how far "
             f"{plant.outputs.names[read.output]} may move meanwhile: give `initial_error`, or the time."

@@ -179,17 +179,91 @@ def test_an_unknown_start_is_held_by_readings_of_uncertain_times_alone(seed):
     case = Unknown(seed)
     row = (case.c / case.x)[None]
     last = case.origin + case.end * case.t
+    low, high = case.worst(-1), case.worst(1)
+    online = []
+    for estimator in makers(case):
+        for t, y, u in case.rows():
+            estimator.update(t, y, u)
+        online.append(estimator.predict(last).interval(row))
     try:
-        said = sd.state_interval(case.plant(), case.rows(), last, of=row, **case.bounds())
+        said = [sd.state_interval(case.plant(), case.rows(), last, of=row, **case.bounds()), *online]
     except ArgumentError:  # too few readings of what must be seen, or times too long for how fast it moves
         with pytest.raises(ArgumentError, match="nothing that is known by then bounds how far"):
             sd.state_interval(case.plant(), case.rows(), last, of=row, **case.bounds())
+        assert all(found.lower == -np.inf and found.upper == np.inf for found in online)
         return
+    assert said[0].verify()
+    for found in said:
+        assert found.lower <= low + ROUNDED * (high - low)
+        assert found.upper >= high - ROUNDED * (high - low)
+        assert found.upper - found.lower <= 20 * (high - low)
+
+
+@pytest.mark.parametrize("seed", few(range(30), 1))
+def test_an_unknown_start_is_held_by_readings_that_come_in_any_order(seed):
+    case, rng = Unknown(seed), np.random.default_rng(seed)
+    row, last = (case.c / case.x)[None], case.origin + case.end * case.t
     low, high = case.worst(-1), case.worst(1)
-    assert said.verify()
-    assert said.lower <= low + ROUNDED * (high - low)
-    assert said.upper >= high - ROUNDED * (high - low)
-    assert said.upper - said.lower <= 20 * (high - low)
+    estimator = sd.SetMembershipEstimator(
+        case.plant(), **case.bounds(), prior_time=case.origin, maximum_delay=20 * case.t
+    )
+    for k in rng.permutation(len(case.rows())):
+        estimator.update(*case.rows()[k])
+    found = estimator.predict(last).interval(row)
+    assert found.lower <= low + ROUNDED * (high - low)
+    assert found.upper >= high - ROUNDED * (high - low)
+    assert found.upper - found.lower <= 20 * (high - low)
+
+
+def swung(t):
+    return np.array([np.cos(t), -np.sin(t)])
+
+
+SWING = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], B=[[0.0], [1.0]])
+
+
+@pytest.mark.parametrize("origin", few([0.0, 1.7e9], 1))
+@pytest.mark.parametrize("change", ["withdraw", "correct", "input"])
+def test_what_later_readings_told_of_earlier_ones_goes_with_them(change, origin):
+    """Nothing is known of the start: two readings of uncertain times prove each other, and what came then was wrong."""
+
+    def read(t, by=0.0):
+        return (origin + t - 0.1, origin + t + 0.1), [swung(t + 0.1)[0] + by]
+
+    def estimator():
+        known = {"w_bound": 1e-3, "v_bound": 1e-2, "prior_time": origin}
+        return sd.SetMembershipEstimator(SWING, maximum_delay=9.0, **known)
+
+    once, never = estimator(), estimator()
+    once.update(*read(1.0)), never.update(*read(1.0))
+    assert np.isinf(once.predict(origin + 1.0).interval().upper).all()
+    if change == "input":
+        once.update(origin + 1.4, None, [80.0]), never.update(origin + 1.4, None, [0.0])
+        once.update(origin + 1.5, None, [0.0]), never.update(origin + 1.5, None, [0.0])
+    found = once.update(*read(2.0, 0.0 if change == "input" else 8.0)).interval()
+    assert np.isfinite(found.upper).all()
+    assert not found.holds(swung(2.0))
+    if change == "withdraw":
+        once.withdraw(read(2.0)[0])
+    else:
+        once.correct(*read(2.0)) if change == "correct" else once.correct(origin + 1.4, None, [0.0])
+        never.update(*read(2.0))
+    for t in (3.0, 4.0):
+        found, other = (each.update(*read(t)).interval() for each in (once, never))
+        assert found.holds(swung(t))
+        np.testing.assert_allclose(found.upper - found.lower, other.upper - other.lower, rtol=1e-5)
+
+
+def test_a_reading_whose_meaning_rests_on_one_that_is_taken_back_must_still_be_known():
+    estimator = sd.SetMembershipEstimator(SWING, w_bound=1e-3, v_bound=1e-2, maximum_delay=0.5)
+    estimator.remembered = 0
+    for t in (1.0, 2.0):
+        estimator.update((t - 0.1, t + 0.1), [swung(t)[0]])
+    rested = estimator.state
+    assert [node.t for node in rested.nodes] == pytest.approx([1.0, 2.0])
+    with pytest.raises(ArgumentError, match="the oldest snapshot kept"):
+        estimator.withdraw((1.9, 2.1))
+    assert estimator.state is rested
 
 
 def test_a_time_that_is_believed_is_outside_and_a_walk_is_held_exactly():
@@ -283,13 +357,12 @@ def test_what_is_said_once_more_beside_another_output_is_held_once():
 
 def test_where_nothing_is_known_or_a_time_is_needed_it_is_said():
     swing = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], B=[[0.0], [1.0]])
-    free = sd.SetMembershipEstimator(swing, w_bound=0.1, v_bound=0.1)
     known = sd.SetMembershipEstimator(swing, w_bound=0.1, v_bound=0.1, initial_error=1.0, prior_time=1.0)
     plain = sd.MovingHorizonEstimator(swing, horizon=5.0, cost=sd.CostFunction(eta=0.1))
     mean = CompositeReading(0.5, 1.0)
     exact = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
     for call, words in (
-        (lambda: free.update((1.0, 2.0), [1.0]), "nothing that is known by then bounds how far y1 may move"),
+        (lambda: sd.state_interval(swing, [((1.0, 2.0), [1.0])], w_bound=0.1, v_bound=0.1), "how far y1 may move"),
         (lambda: known.update((0.5, 2.0), [1.0]), "must not begin before 1.0, the oldest time kept"),
         (lambda: known.update((2.0, 1.0), [1.0]), r"a time or a pair \(first, last\) in order, got \(2.0, 1.0\)"),
         (lambda: known.update((1.0, 2.0), [1.0], [0.0]), "an input needs its time"),

@@ -156,6 +156,9 @@ class EstimateEvidence:
         if first.number:
             known = self.radius_known and first.stands and bool(np.isfinite(first.beta) and np.isfinite(first.Y).all())
             start = StartError(_root(first.beta * first.Y), True) if known else StartError()
+        centre = first.x
+        if start.root is None and first.box is not None:
+            centre, start = first.box.middle, StartError.of(self.assumed.plant, first.box.half)
         rows: dict[float, tuple[RowReading, ...]] = {}
         for node in nodes:
             rows[node.t] = (*rows.get(node.t, ()), *self._rows(node), *self.assumed.state)
@@ -165,7 +168,7 @@ class EstimateEvidence:
             self.assumed.plant,
             self.assumed.push,
             start,
-            first.x,
+            centre,
             first.t,
             sorted(rows.items()),
             ball=self.assumed.noise.ball,

@@ -66,6 +66,14 @@ class SampleBranch:
         return branch._proven[1]
 
 
+class StateBox(NamedTuple):
+    """A box that holds the state, by samples until some time."""
+
+    middle: Array
+    half: Array
+    until: float
+
+
 class HistoryNode(NamedTuple):
     """A processed sample: a snapshot from which everything later can be computed again.
 
@@ -74,7 +82,8 @@ class HistoryNode(NamedTuple):
     the samples, 0 is the prior; `counted` is when a sample last counted for the proof of a nonlinear estimator,
     `limited` when one last had limits or means; `held` is the square of x in units of what is known of it, with what is
     left of those before, for the rounding of what follows; `loose` is how far the gaps' information may be off;
-    `branch` knows what intervals have proven of the samples up to here.
+    `branch` knows what intervals have proven of the samples up to here; `box` holds the state where nothing else does,
+    by readings of uncertain times that came later; its own rest on samples `until` then.
     """
 
     t: float
@@ -97,10 +106,23 @@ class HistoryNode(NamedTuple):
     held: float = 0.0
     loose: float = 0.0
     branch: SampleBranch | None = None
+    box: StateBox | None = None
+    until: float = -np.inf
 
     def told_after(self, t: float) -> bool:
         """Whether a reading of it may have been taken at t or later."""
         return any(each.stamp is not None and each.stamp.last >= t for each in self.sample.told)
+
+    @property
+    def waits(self) -> bool:
+        """Whether a reading of an uncertain time says nothing yet, since nothing bounds how far it may have moved."""
+        return any(
+            each.stamp is not None and each.lower == -np.inf and each.upper == np.inf for each in self.sample.told
+        )
+
+    def known_by(self, t: float) -> HistoryNode:
+        """The same without a box that rests on samples at t or later."""
+        return self if self.box is None or self.box.until < t else self._replace(box=None)
 
     @property
     def contradiction(self) -> Contradiction | None:

@@ -76,6 +76,10 @@ class OnlineEstimator(Displayable, ABC):
         del state
         return sample
 
+    def _settled(self, state: EstimatorState) -> EstimatorState:
+        """Return a state in which readings of uncertain times say what all of them together tell."""
+        return state
+
     @abstractmethod
     def _predict(self, state: EstimatorState, t: float) -> Estimate:
         """Return the estimate at t, at or after the first node of `state`."""
@@ -119,6 +123,7 @@ class OnlineEstimator(Displayable, ABC):
                 state = self._after_input(state, checked.t)
                 return state, self._predict(state, checked.t)
             state = EstimatorState((*state.nodes, self._advance(state, self._resolved(state, checked))), state.inputs)
+            state = self._settled(state)
             state = state.trimmed(self.memory, self.remembered)
             return state, self._handed_out(state, len(state.nodes) - 1)
         return self._late(state, checked)
@@ -151,16 +156,18 @@ class OnlineEstimator(Displayable, ABC):
 
         What contradicted the bounds still does, if nothing is `taken` away and the input is what it was.
         """
-        back = min([at, *(k - 1 for k in _touched(state, t) if forced)])
+        least = -1 if taken or forced else 0
+        back = min([at, *(k - 1 for k in _touched(state, t) if forced), *(max(k, least) for k in _resting(state, t))])
         first, at = [*(node.sample for node in state.nodes[back + 1 : at + 1]), *first], back
         if at < 0:
             raise ArgumentError(f"`t` = {t!r} is the oldest snapshot kept: there is nothing before it to replay from.")
         later = [node.sample for node in state.nodes[at + 1 :] if node.t > t]
-        replayed = EstimatorState(state.nodes[: at + 1], state.inputs)
+        replayed = EstimatorState(tuple(node.known_by(t) for node in state.nodes[: at + 1]), state.inputs)
         for item in [*first, *later]:
             node = self._advance(replayed, self._resolved(replayed, item))
+            node = node._replace(until=replayed.last.until) if replayed.last.until >= node.t else node
             replayed = EstimatorState((*replayed.nodes, node), state.inputs)
-        replayed = replayed.trimmed(self.memory, self.remembered)
+        replayed = self._settled(replayed).trimmed(self.memory, self.remembered)
         old, new = state.last.branch, replayed.last.branch
         if (
             not (taken or forced)
@@ -405,6 +412,16 @@ def _touched(state: EstimatorState, t: float) -> list[int]:
     """The nodes before t with readings that may have been taken at t or later."""
     nodes = state.nodes[: state.node_before(t) + 1] if np.isfinite(state.last.limited) else ()
     return [k for k, node in enumerate(nodes) if node.told_after(t)]
+
+
+def _resting(state: EstimatorState, t: float) -> list[int]:
+    """The nodes from which on what uncertain times tell rests on samples at t or later."""
+    if not np.isfinite(state.last.limited):
+        return []
+    nodes = list(enumerate(state.nodes))
+    return [k for k, node in nodes if node.box is not None and node.box.until >= t] + [
+        k - 1 for k, node in nodes if node.until >= t
+    ]
 
 
 def _stamp(item: object) -> float:

@@ -9,12 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.readings import CensoredReading, RecordRow
+from sampling_design.accuracy.record_readings import told_together
 from sampling_design.accuracy.uncertain_times import nothing_said, resolved
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.error_bounds import ErrorBounds
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.evidence import REMEMBERED
-from sampling_design.estimators.online.history import EstimatorState
+from sampling_design.estimators.online.history import EstimatorState, StateBox
 from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.estimators.online.open_loop import OpenLoop
 from sampling_design.estimators.online.recorder import Recorder, SampleReader
@@ -112,7 +113,34 @@ class LinearPlantEstimator(OnlineEstimator):
             return found.lower, found.upper
 
         inputs, before = tuple(state.inputs), self.reader.before
-        return sample._replace(told=resolved(self.plant, assumed.push, inputs, sample.t, sample.told, known, before))
+        told = resolved(self.plant, assumed.push, inputs, sample.t, sample.told, known, before, waiting=True)
+        return sample._replace(told=told)
+
+    def _settled(self, state: EstimatorState) -> EstimatorState:
+        assumed, begun = self.recorder.assumed, max(len(state.nodes) - 1 - REMEMBERED, 0)
+        if assumed is None or not np.isfinite(state.last.limited) or not state.last.stands:
+            return state
+        at = next((k for k, node in enumerate(state.nodes) if k > begun and node.waits), None)
+        if at is None:
+            return state
+        first, last, rows = state.nodes[begun], state.last.t, list[RecordRow]()
+        for node in state.nodes[begun if first.number else begun + 1 :]:
+            told = tuple(each.as_read for each in node.sample.told if each.since is None)
+            rows.append(RecordRow(node.t, np.where(node.mask > 0, node.y - node.feedthrough, np.nan), None, told))
+        noise = assumed.noise.size, assumed.noise.centre, assumed.noise.ball
+        inputs, before = tuple(state.inputs), self.reader.before
+        proven = told_together(self.plant, assumed.push, inputs, rows, noise, first.t, before)
+        if proven is None:
+            return state
+        held = first._replace(box=StateBox(*proven[0], until=last))
+        found = state._replace(nodes=(*state.nodes[:begun], held, *state.nodes[begun + 1 : at]))
+        said = {row.t: told for row, told in zip(rows, proven[1], strict=True)}
+        for node in state.nodes[at:]:
+            means = [each for each in node.sample.told if each.since is not None]
+            told = tuple(sorted((*means, *said[node.t]), key=lambda each: each.output))
+            sample = node.sample._replace(told=told) if node.waits else self._resolved(found, node.sample)
+            found = found._replace(nodes=(*found.nodes, self._advance(found, sample)._replace(until=last)))
+        return found
 
     def _check_censored(self, state: EstimatorState, t: float, limits: tuple[CensoredReading, ...]) -> None:
         exact = self.weighs_means and all(each.since is not None and each.lower == each.upper for each in limits)

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.start import Entry, half_and_centre, named_bounds
+from sampling_design.checkers.strict import is_table
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -48,7 +49,7 @@ class SignalBounds:
         w, w_centre, w_ball = _one("w_bound", missing, plant.disturbances.names)
         v, v_centre, v_ball = _each(_refuse_missing("v_bound", v_bound, plant.outputs.names), plant, samples, times)
         measured = np.ones(v.shape, dtype=bool) if mask is None else mask
-        if isinstance(v_bound, Mapping):
+        if is_table(v_bound):
             lost = [n for k, n in enumerate(plant.outputs.names) if n not in v_bound and measured[:, k].any()]
             if lost:
                 raise ArgumentError(
@@ -111,7 +112,7 @@ def _each(value: Given, plant: Plant, samples: int, times: Array | None) -> tupl
         if len(balls) > 1:
             raise ArgumentError("`v_bound` must return numbers for all samples or entries for all samples, got both.")
         return np.array([v for v, *_ in rows]), np.array([c for _, c, _ in rows]), balls == {True}
-    if isinstance(value, Mapping):
+    if is_table(value):
         v, centre = np.full(shape, np.inf), np.zeros(shape)
         checks.known_keys("`v_bound`", [str(key) for key in value], names)
         for name, entry in value.items():

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.checkers.strict import is_list
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.plants.grouping import balanced_schur
@@ -177,7 +178,7 @@ def with_censored(y: object, p: int) -> tuple[object, tuple[CensoredReading, ...
     Raises ArgumentError if a limit or the mean is not a finite number.
     """
     y = [y] if isinstance(y, PartialReading) else y
-    if not isinstance(y, (list, tuple)):
+    if not is_list(y):
         return y, ()
     found = {k: value.censored(k) for k, value in enumerate(y) if isinstance(value, PartialReading)}
     if not found:
@@ -476,8 +477,7 @@ def rows_of(record: Iterable[Row]) -> list[Row]:
 
 
 def _arrived(item: object, p: int) -> RecordRow:
-    if not isinstance(item, (tuple, list)) or len(item) not in (2, 3):
-        raise ArgumentError(f"`record` must hold rows (t, y, u), got {checks.described(item)}.")
+    item = checks.entries("record", item, (2, 3), "hold rows (t, y, u)")
     (t, span), u = time_or_span(item[0]), item[2] if len(item) == 3 else None
     if span is not None and (u is not None or item[1] is None):
         raise ArgumentError(f"`t` = {span!r} is uncertain: an input needs its time, and there must be readings.")

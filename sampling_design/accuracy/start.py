@@ -9,6 +9,7 @@ from typing import TypeAlias, TypeGuard
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.checkers.strict import is_number
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.cone_table import ConeTable
 from sampling_design.numerics.linalg import symmetrise
@@ -235,4 +236,4 @@ def half_and_centre(argument: str, entry: object) -> tuple[float, float]:
 
 
 def _is_infinite(value: object) -> TypeGuard[float]:
-    return isinstance(value, (int, float, np.floating)) and bool(np.isinf(value))
+    return is_number(value) and bool(np.isinf(value))

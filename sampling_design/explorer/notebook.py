@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, TypedDict, Unpack
 import numpy.typing as npt
 
 from sampling_design.accuracy.start import InitialError
+from sampling_design.checkers.strict import is_table
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import MissingExtraError
 from sampling_design.explorer.bench import Bench
@@ -70,7 +71,7 @@ def explore(
 
     def on_message(_: object, message: dict[str, object], buffers: object) -> None:
         question = message.get("question")
-        answer = bench.answer(question if isinstance(question, dict) else {})
+        answer = bench.answer(question if is_table(question) else {})
         widget.send({"number": message.get("number"), "answer": answer})
 
     widget.on_msg(on_message)

@@ -8,6 +8,7 @@ from typing import ClassVar, TypeAlias
 import numpy.typing as npt
 
 from sampling_design.accuracy.start import InitialError
+from sampling_design.checkers.strict import is_text
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -60,7 +61,7 @@ class AccuracyGoal(PlainRecord):
     def __post_init__(self) -> None:
         checks.word("kind", self.kind, KINDS)
         self._check(tolerance=checks.positive, row=checks.vector)
-        if isinstance(self.at, str):
+        if is_text(self.at):
             checks.word("at", self.at, TIMES)
         else:
             self._hold(at=tuple(checks.increasing("at", self.at).tolist()))
@@ -69,7 +70,7 @@ class AccuracyGoal(PlainRecord):
 
     def when(self) -> str:
         """Say at which times it holds."""
-        times = self.at if isinstance(self.at, str) else "at " + short(list(self.at))
+        times = self.at if is_text(self.at) else "at " + short(list(self.at))
         return times if self.kind == KINDS[0] else f"{self.kind}, {times}"
 
     def explain(self) -> str:
@@ -195,7 +196,7 @@ class PlanRequirement(WrittenRecord):
         """
 
         def time(name: str, value: object) -> float:
-            return duration(name, value, unit) if isinstance(value, str) else checks.nonnegative(name, value)
+            return duration(name, value, unit) if is_text(value) else checks.nonnegative(name, value)
 
         return TimingTolerance.of(0.0 if self.timing_tolerance is None else self.timing_tolerance, outputs, time)
 

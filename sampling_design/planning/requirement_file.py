@@ -11,6 +11,7 @@ from sampling_design.checkers.strict import (
     anything,
     by_name,
     count,
+    is_table,
     list_of,
     matrix,
     nonnegative,
@@ -97,7 +98,7 @@ def requirement_and_plant(path: str | os.PathLike[str]) -> tuple[PlanRequirement
     data = read_tree(where)
     plant = data.get("plant")
     found = None
-    if isinstance(plant, Mapping):
+    if is_table(plant):
         found = plant_from_dict(dict(plant), f"{where}: plant")
     return plan_requirement_from_dict(data, where), found
 

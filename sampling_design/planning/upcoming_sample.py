@@ -355,9 +355,8 @@ def _taken(plan: Plan, record: Iterable[tuple[float, Reading, npt.ArrayLike | No
     times: list[float] = []
     seen: list[Mask] = []
     for item in rows_of(record):
-        if not isinstance(item, (tuple, list)) or len(item) not in (2, 3):
-            raise ArgumentError(f"`record` must hold rows (t, y, u), got {checks.described(item)}.")
-        plain, limits = with_censored(item[1], plan.plant.n_outputs)
+        _, reading, *_ = checks.entries("record", item, (2, 3), "hold rows (t, y, u)")
+        plain, limits = with_censored(reading, plan.plant.n_outputs)
         y = None if plain is None else np.isfinite(checks.floats("y", plain).reshape(-1))
         if y is None:
             continue
@@ -393,9 +392,8 @@ def _with_awaited(plan: Plan, taken: _Taken | None, awaited: list[tuple[float, s
         )
     found = {t: (seen.copy(), known.copy()) for t, seen, known in zip(*taken, strict=True)}
     for item in awaited:
-        if not isinstance(item, (tuple, list)) or len(item) != 2 or not isinstance(item[1], str):
-            raise ArgumentError(f"`awaited` must hold pairs (t, output), got {checks.described(item)}.")
-        t, name = checks.number("awaited", item[0]), item[1]
+        time, output = checks.entries("awaited", item, (2,), "hold pairs (t, output)")
+        t, name = checks.number("awaited", time), checks.of_kind("awaited", output, str, "the name of an output")
         checks.known_keys("`awaited`", [name], names)
         j = names.index(name)
         delay = 0.0 if problem.result_delay is None else float(problem.result_delay[j])

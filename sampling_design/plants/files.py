@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.checkers.parts import PLANT
-from sampling_design.checkers.strict import MOST_BYTES, Tree
+from sampling_design.checkers.strict import MOST_BYTES, Tree, is_table, is_text
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.plant import FORMAT, GROUPS, MATRICES, Plant, Signals
@@ -116,7 +116,7 @@ def _plant_from_tree(data: Mapping[str, Any], time_unit: str | None) -> Plant:
     if stray := [key for key in MATRICES if key in data and "matrices" not in data]:
         raise ArgumentError(f"`{stray[0]}` stands in a table: write the line [matrices] before it.")
     kind = data.get("format")
-    other = offered("read_plant", kind, object) if isinstance(kind, str) and kind != FORMAT else None
+    other = offered("read_plant", kind, object) if is_text(kind) and kind != FORMAT else None
     if other is not None:
         raise ArgumentError(
             f"`format` is {kind!r}, of another kind of plant: `{other.__qualname__}.read(path)` reads it."
@@ -165,7 +165,7 @@ def _agreed_unit(in_file: object, given: str | None) -> str:
 
 def _table(data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     value = data.get(key, {})
-    if not isinstance(value, Mapping):
+    if not is_table(value):
         raise ArgumentError(f"`{key}` must be a table of keys and values, got {value!r:.60}.")
     return value
 
@@ -207,8 +207,8 @@ def _read_json(where: str) -> dict[str, object]:
 def _as_toml(tree: Tree) -> bytes:
     import tomli_w
 
-    head = {key: value for key, value in tree.items() if not isinstance(value, dict)}
-    tables = {key: value for key, value in tree.items() if isinstance(value, dict) and key != "matrices"}
+    head = {key: value for key, value in tree.items() if not is_table(value)}
+    tables = {key: value for key, value in tree.items() if is_table(value) and key != "matrices"}
     matrices = "".join(_toml_matrix(key, rows) for key, rows in tree["matrices"].items())
     text = f"{tomli_w.dumps(head)}\n[matrices]\n{matrices}\n{tomli_w.dumps(tables)}"
     return text.encode("utf-8")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.checkers.strict import is_text
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.modal_flow import exponential
 from sampling_design.plants.systems import CARRIED, StateSpace, check_system, driven, is_system, parts_of
@@ -53,13 +54,14 @@ class Signals(Record):
     scales: Converted[npt.ArrayLike | None, Array] = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
-        if isinstance(self.names, str) or not isinstance(self.names, Sequence):
+        listed = checks.texts(self.names)
+        if listed is None:
             raise ArgumentError(f"`names` must be a list of strings, got {checks.described(self.names)}.")
-        count = len(self.names)
-        names = checks.names("names", self.names, count, "")
-        listed = isinstance(self.units, Sequence) and not isinstance(self.units, str)
-        units = (tuple(self.units) or ("",) * count) if listed else ()
-        if len(units) != count or not all(isinstance(u, str) for u in units):
+        count = len(listed)
+        names = checks.names("names", listed, count, "")
+        units = checks.texts(self.units)
+        units = ("",) * count if units == () else units
+        if units is None or len(units) != count:
             raise ArgumentError(f"`units` must be {count} strings, one per name, got {checks.described(self.units)}.")
         scales = checks.vector("scales", np.ones(count) if self.scales is None else self.scales, count)
         if np.any(scales <= 0):
@@ -200,7 +202,7 @@ class Plant(Record):
                 raise ArgumentError(f"`{key}` must come with the system, got one beside it.")
         for key, value in parts_of(system).items():
             given = getattr(self, key)
-            if key == "A" or given is None or (isinstance(given, str) and not given):
+            if key == "A" or given is None or (is_text(given) and not given):
                 object.__setattr__(self, key, value)
 
     @property

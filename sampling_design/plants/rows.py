@@ -9,7 +9,7 @@ from typing import TypeAlias, TypedDict
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.checkers.strict import likely
+from sampling_design.checkers.strict import is_text, likely
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -78,9 +78,9 @@ def rows_asked(of: Wanted) -> tuple[str, ...] | Array | None:
     """
     if of is None:
         return None
-    names = (of,) if isinstance(of, str) else tuple(of) if isinstance(of, Sequence) else ()
-    if names and all(isinstance(name, str) for name in names):
-        return tuple(str(name) for name in names)
+    names = checks.texts([of] if is_text(of) else of)
+    if names:
+        return names
     matrix = checks.matrix("of", of)
     if not matrix.shape[0]:
         raise ArgumentError("`of` must name at least one row, got none.")

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.checkers.strict import likely
+from sampling_design.checkers.strict import is_list, is_text, likely
 from sampling_design.errors import ArgumentError
 from sampling_design.records.arrays import Array, Mask
 
@@ -250,16 +250,32 @@ def definite(name: str, value: object, size: int, slip: str = "") -> Array:
     return array
 
 
-def names(name: str, value: Sequence[str] | None, length: int, prefix: str) -> tuple[str, ...]:
+def texts(value: object) -> tuple[str, ...] | None:
+    """Return the texts of a list as a tuple; None where it is no list, or holds anything else."""
+    listed = value if isinstance(value, Sequence) and not is_text(value) else [None]
+    return tuple(str(each) for each in listed) if all(map(is_text, listed)) else None
+
+
+def entries(name: str, value: object, counts: Collection[int], expected: str) -> Sequence[object]:
+    """Return the entries of a list that has as many of them as one of `counts`.
+
+    Raises ArgumentError if it is no list or of another length; `expected` ends "`name` must ...".
+    """
+    if not is_list(value) or len(value) not in counts:
+        raise ArgumentError(f"`{name}` must {expected}, got {described(value)}.")
+    return value
+
+
+def names(name: str, value: object, length: int, prefix: str) -> tuple[str, ...]:
     """Return `value` as a tuple of distinct strings, or `prefix1, prefix2, ...` where it is None.
 
     Raises ArgumentError if the number is wrong, an entry is no string, or a name occurs twice.
     """
     if value is None:
         return tuple(f"{prefix}{i + 1}" for i in range(length))
-    if not isinstance(value, Sequence) or isinstance(value, str) or not all(isinstance(v, str) for v in value):
+    result = texts(value)
+    if result is None:
         raise ArgumentError(f"`{name}` must be a list of strings, got {described(value)}.")
-    result = tuple(str(v) for v in value)
     if len(result) != length:
         raise ArgumentError(f"`{name}` must have {length} entr{'y' if length == 1 else 'ies'}, got {len(result)}.")
     twice = [v for i, v in enumerate(result) if v in result[:i]]
@@ -292,11 +308,11 @@ def record(name: str, value: object, kind: type[Instance]) -> Instance:
 def word(name: str, value: object, known: Iterable[str]) -> str:
     """Return `value` if it is one of the known words. Raises ArgumentError if it is not."""
     words = list(known)
-    if isinstance(value, str) and value in words:
+    if is_text(value) and value in words:
         return value
     shown = [f'"{each}"' if len(words) == 2 or " " in each else each for each in words]
     told = " or ".join(shown) if len(words) == 2 else f"one of {', '.join(shown)}"
-    raise ArgumentError(f"`{name}` must be {told}, got {repr(value) if isinstance(value, str) else described(value)}.")
+    raise ArgumentError(f"`{name}` must be {told}, got {repr(value) if is_text(value) else described(value)}.")
 
 
 def known_keys(where: str, found: Iterable[str], known: Iterable[str]) -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar, cast, dataclass_t
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.checkers.strict import is_text
 from sampling_design.records.arrays import Array
 
 Plain: TypeAlias = "str | float | bool | Sequence[Plain] | Mapping[str, Plain] | None"
@@ -205,7 +206,7 @@ def _truth_in_words(value: object, digits: int = 6) -> str:
 @in_words.register(tuple)
 @in_words.register(list)
 def _list_in_words(value: Sequence[object], digits: int = 6) -> str:
-    return ", ".join(map(str, value)) if all(isinstance(each, str) for each in value) else short(value, digits)
+    return ", ".join(map(str, value)) if all(is_text(each) for each in value) else short(value, digits)
 
 
 @in_words.register(Mapping)

@@ -18,7 +18,7 @@ from typing import BinaryIO
 import numpy as np
 
 from sampling_design.checkers import strict
-from sampling_design.checkers.strict import Reader, Tree
+from sampling_design.checkers.strict import Reader, Tree, is_list
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.records.arrays import Array
 
@@ -368,7 +368,7 @@ def by_first(kinds: Mapping[type, Reader], other: Reader) -> Reader:
     """Return what reads a list of things that may be of several kinds, by its first entry, and whatever else."""
 
     def read(value: object, place: str) -> object:
-        first = value[0] if isinstance(value, (list, tuple)) and value else None
+        first = value[0] if is_list(value) and value else None
         return next((reader for kind, reader in kinds.items() if isinstance(first, kind)), other)(value, place)
 
     return read

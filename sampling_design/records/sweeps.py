@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, TypeVar, runtime_checkable
 
+from sampling_design.checkers.strict import is_text
 from sampling_design.errors import ArgumentError, FileFormatError, SamplingDesignError
 from sampling_design.records import checks
 from sampling_design.records.file_io import from_json, to_json
@@ -116,7 +117,7 @@ def sweep(
     True
     """
     named = items if isinstance(items, Mapping) else {str(k): item for k, item in enumerate(items)}
-    if not named or not all(isinstance(name, str) for name in named):
+    if not named or not all(map(is_text, named)):
         raise ArgumentError("`items` must hold at least one thing, and their names must be texts.")
     check_workers(workers)
     names = tuple(named)

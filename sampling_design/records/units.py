@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from sampling_design.checkers.strict import is_text
 from sampling_design.errors import ArgumentError
 from sampling_design.records.checks import described
 from sampling_design.records.record import short
@@ -18,10 +19,10 @@ def check_time_unit(unit: object, name: str = "time_unit") -> str:
 
     Raises ArgumentError if the unit is missing or unknown.
     """
-    if unit is None or (isinstance(unit, str) and not unit):
+    if unit is None or (is_text(unit) and not unit):
         raise ArgumentError(f"`{name}` is missing. Give one of {', '.join(SECONDS)}.")
-    if not isinstance(unit, str) or unit not in SECONDS:
-        came = repr(unit) if isinstance(unit, str) else described(unit)
+    if not is_text(unit) or unit not in SECONDS:
+        came = repr(unit) if is_text(unit) else described(unit)
         raise ArgumentError(f"`{name}` must be one of {', '.join(SECONDS)}, got {came}.")
     return str(unit)
 

@@ -7,7 +7,7 @@ from dataclasses import MISSING, fields
 from typing import Any
 
 from sampling_design.checkers import family_file
-from sampling_design.checkers.strict import anything
+from sampling_design.checkers.strict import anything, is_text
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.file_io import exactly
@@ -44,7 +44,7 @@ def family_from_dict(data: Mapping[str, Any]) -> SamplingFamily:
     GapRange(shortest_gap=0.5, longest_gap=1.5)
     """
     kind = data.get("kind")
-    if not isinstance(kind, str) or kind not in SamplingFamily.KINDS:
+    if not is_text(kind) or kind not in SamplingFamily.KINDS:
         known = ", ".join(sorted(SamplingFamily.KINDS))
         raise ArgumentError(f"`kind` of a family must be one of {known}, got {kind!r}.")
     build = SamplingFamily.KINDS[kind]

@@ -10,6 +10,7 @@ from typing import Self, TypeAlias
 
 import numpy as np
 
+from sampling_design.checkers.strict import is_table
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -79,7 +80,7 @@ class TimingTolerance:
         it is none of these, a number is negative, or an output is unknown.
         """
         name = "timing_tolerance"
-        if isinstance(value, Mapping):
+        if is_table(value):
             names = tuple(str(key) for key in value) if outputs is None else tuple(outputs)
             checks.known_keys(f"`{name}`", map(str, value), names)
             on_time = (0.0, 0.0)

@@ -13,6 +13,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.checkers.strict import is_list
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -63,10 +64,9 @@ def _days(name: str, key: str) -> tuple[str, ...]:
 
 def _spans(name: str, spans: object) -> tuple[tuple[str, str], ...]:
     found = []
-    for span in spans if isinstance(spans, Sequence) and not isinstance(spans, str) else [spans]:
-        pair = list(span) if isinstance(span, Sequence) and not isinstance(span, str) else []
-        right = len(pair) == 2 and all(isinstance(c, str) and _CLOCK.fullmatch(c) for c in pair)
-        if not right or pair[0] == pair[1] or pair[0] == "24:00":
+    for span in spans if is_list(spans) else [spans]:
+        pair = checks.texts(span) or ()
+        if len(pair) != 2 or not all(map(_CLOCK.fullmatch, pair)) or pair[0] == pair[1] or pair[0] == "24:00":
             raise ArgumentError(
                 f'`{name}` must hold spans like ["08:00", "17:00"] or, past midnight, ["22:00", "06:00"], '
                 f"got {span!r:.60}."

@@ -9,6 +9,7 @@ from typing import ClassVar, Literal, TypedDict, Unpack
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.checkers.strict import is_list
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
@@ -75,7 +76,7 @@ class _Sampled(TableRecord):
             check_time_unit(self.time_unit)
         mask = values.get("outputs")
         if self.output_names is not None:
-            if not isinstance(self.output_names, (tuple, list)):
+            if not is_list(self.output_names):
                 came = checks.described(self.output_names)
                 raise ArgumentError(f"`output_names` must be a list of strings, got {came}.")
             length = len(self.output_names) if mask is None else np.shape(mask)[1]

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from sampling_design import __version__
 from sampling_design.certificates.exact.certificate import SampledCertificate
+from sampling_design.checkers.strict import is_text
 from sampling_design.errors import ArgumentError, CallError
 from sampling_design.estimators.mhe import MovingHorizonEstimator
 from sampling_design.estimators.online.estimator import Estimator
@@ -132,7 +133,7 @@ def validate(
             progress=progress, **options,
         )  # fmt: skip
     plant, chosen = part_for(plant, typing.cast(Wanted, options.pop("of", None))), tuple(scenarios)
-    unknown = [name for name in chosen if not isinstance(name, str) or name not in SCENARIOS]
+    unknown = [name for name in chosen if not is_text(name) or name not in SCENARIOS]
     if unknown:
         raise ArgumentError(f"`scenarios` must be among {', '.join(SCENARIOS)}, got {checks.described(unknown[0])}.")
     taken = inspect.signature(MovingHorizonEstimator).parameters

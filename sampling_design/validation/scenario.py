@@ -302,10 +302,8 @@ def simulate_record(
 
 
 def _inputs(plant: Plant, given: Sequence[tuple[float, npt.ArrayLike]]) -> list[tuple[float, Array]]:
-    for pair in given:
-        if not isinstance(pair, (tuple, list)) or len(pair) != 2:
-            raise ArgumentError(f"`inputs` must hold pairs (t, u), got {checks.described(pair)}.")
-    checked = [(checks.number("inputs", t), checks.vector("inputs", u, plant.n_inputs)) for t, u in given]
+    pairs = [checks.entries("inputs", pair, (2,), "hold pairs (t, u)") for pair in given]
+    checked = [(checks.number("inputs", t), checks.vector("inputs", u, plant.n_inputs)) for t, u in pairs]
     return sorted(checked, key=lambda pair: pair[0])
 
 

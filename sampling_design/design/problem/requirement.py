@@ -9,6 +9,7 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.checkers.strict import is_table
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.rows import Wanted, rows_asked, rows_in_words
 from sampling_design.records import checks
@@ -194,7 +195,7 @@ def _counts(value: object) -> dict[str, int]:
     """The sample count as a dict with "exactly", or with "at_least" and "at_most"."""
     if value is None:
         return {}
-    if not isinstance(value, Mapping):
+    if not is_table(value):
         return {"exactly": checks.whole("samples", value, 1)}
     checks.known_keys("`samples`", value, COUNTS)
     counts = {k: checks.whole(f"samples.{k}", value[k], 1) for k in COUNTS if k in value}

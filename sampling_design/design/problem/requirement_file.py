@@ -10,6 +10,7 @@ from sampling_design.checkers.parts import time_unit
 from sampling_design.checkers.strict import (
     by_name,
     count,
+    is_table,
     list_of,
     matrix,
     nonnegative,
@@ -98,7 +99,7 @@ def requirement_from_dict(data: Mapping[str, object], where: str = "requirement"
     with usable(where):
         tree = of_format(_TREE, data, FORMAT)
         samples = tree.get("samples")
-        if isinstance(samples, dict) and "target_sigma" in samples:  # both places are in use
+        if is_table(samples) and "target_sigma" in samples:  # both places are in use
             if "target_sigma" in tree:
                 raise ArgumentError("`target_sigma` is given twice, beside `samples` and inside it.")
             tree["samples"] = {k: v for k, v in samples.items() if k != "target_sigma"}

@@ -7,6 +7,7 @@ from typing import Literal, TypeAlias, get_args
 
 import numpy.typing as npt
 
+from sampling_design.checkers.strict import is_list
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.records import checks
 from sampling_design.records.record import Record, short
@@ -78,6 +79,6 @@ class Constraints(Record):
 
 
 def _bounds_text(chosen: object) -> str:
-    if isinstance(chosen, (tuple, list)) and len(chosen) == 2:
+    if is_list(chosen) and len(chosen) == 2:
         return f"{short(chosen[0], 4)} to {short(chosen[1], 4)}"
     return repr(chosen)

@@ -276,9 +276,8 @@ def convex_set(name: str, value: object, dimension: int) -> ConvexSet | None:
     if value is None:
         return None
     if not isinstance(value, ConvexSet):
-        if not isinstance(value, (tuple, list)) or len(value) != 2:
-            raise ArgumentError(f"`{name}` must be a ConvexSet or a pair (lower, upper), got {type(value).__name__}.")
-        sides = (checks.floats(name, side) for side in value)
+        pair = checks.entries(name, value, (2,), "be a ConvexSet or a pair (lower, upper)")
+        sides = (checks.floats(name, side) for side in pair)
         lower, upper = (np.broadcast_to(side, (dimension,)) if side.ndim == 0 else side for side in sides)
         value = ConvexSet.box(lower, upper)
     found: ConvexSet = value

@@ -6,6 +6,7 @@ from typing import ClassVar, Literal, get_args
 
 import numpy.typing as npt
 
+from sampling_design.checkers.strict import is_text
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -85,7 +86,7 @@ class CostFunction(Record):
             object.__setattr__(self, "eta", checks.nonnegative("eta", self.eta))
         words_of = ("form", self.form, Form), ("arrival", self.arrival, ArrivalKind), ("begins", self.begins, Beginning)
         for key, value, known in words_of:
-            named = isinstance(value, str) and value in get_args(known)
+            named = is_text(value) and value in get_args(known)
             if not (named or (key == "form" and value is None)):
                 words = " or ".join(f'"{word}"' for word in get_args(known))
                 raise ArgumentError(f"`{key}` must be {words}, got {checks.described(value)}.")

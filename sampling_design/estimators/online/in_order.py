@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.readings import CensoredReading, RecordRow, at_some_time, time_or_span, with_censored
+from sampling_design.checkers.strict import is_list, is_number
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.online.estimate import Estimate
@@ -426,10 +427,10 @@ def _resting(state: EstimatorState, t: float) -> list[int]:
 
 def _stamp(item: object) -> float:
     """The time stamp of a sample, the middle of one that is uncertain; NaN where it says nothing."""
-    t = item[0] if isinstance(item, (tuple, list)) and item else None
-    if isinstance(t, (tuple, list)) and len(t) == 2 and all(isinstance(end, (int, float)) for end in t):
+    t = item[0] if is_list(item) and item else None
+    if is_list(t) and len(t) == 2 and is_number(t[0]) and is_number(t[1]):
         return float(t[0] + (t[1] - t[0]) / 2)
-    return float(t) if isinstance(t, (int, float)) else np.nan
+    return float(t) if is_number(t) else np.nan
 
 
 def _stamps(samples: list[object]) -> list[float]:
@@ -457,6 +458,6 @@ def listed(record: object, plant: MeasuredPlant) -> tuple[list[object], str]:
 
 def triple(item: object) -> Sample:
     """One sample of a record. Raises ArgumentError if it is no (t, y), (t, y, u)."""
-    if not isinstance(item, (tuple, list)) or not 1 <= len(item) <= 3:
+    if not is_list(item) or not 1 <= len(item) <= 3:
         raise ArgumentError(f"`sample` must be (t, y) or (t, y, u), got {checks.described(item)}.")
     return Sample(*item)

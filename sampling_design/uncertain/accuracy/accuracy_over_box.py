@@ -11,6 +11,7 @@ import numpy as np
 from sampling_design.accuracy.accuracy import guaranteed_accuracy
 from sampling_design.accuracy.accuracy_record import AccuracyBracket
 from sampling_design.accuracy.bounds import Bound
+from sampling_design.checkers.strict import is_table
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.branch_and_bound import LeastOverCells
 from sampling_design.observability.alignment import meet
@@ -243,7 +244,7 @@ def _parameter_values(plant: UncertainPlant, theta: Array) -> dict[str, float]:
 
 def _entries(name: str, value: Bound, count: int) -> Array:
     """A bound for each entry; one number only where there is one entry."""
-    if value is not None and not callable(value) and not isinstance(value, Mapping):
+    if value is not None and not callable(value) and not is_table(value):
         size = checks.dimensions(value)
         if size == 0 and count == 1:
             return np.array([checks.nonnegative(name, value)])

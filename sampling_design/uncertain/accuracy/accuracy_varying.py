@@ -14,7 +14,7 @@ from sampling_design.accuracy.bounds import Bound, SignalBounds
 from sampling_design.accuracy.start import InitialError, InitialSet
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.observability.alignment import meet
-from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
+from sampling_design.plants.rows import Wanted, WantedRows, rows_asked, wanted_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
@@ -201,8 +201,8 @@ class _ScaledProblem:
             )
         still = plant.at(0.0)
         self.plant, self.schedule, self.rows = plant, meet(still, schedule), wanted_rows(still, of)
-        names = [of] if isinstance(of, str) else list(of) if isinstance(of, Sequence) else []
-        if any(isinstance(name, str) and name not in still.states.names for name in names):
+        asked = rows_asked(of)
+        if isinstance(asked, tuple) and not set(asked) <= set(still.states.names):
             raise ArgumentError("`of` must name states, or be rows of a matrix: the rows of outputs vary in time.")
         times = self.schedule.times
         first, last = (float(edge if end is None else checks.number(name, end))

@@ -6,6 +6,7 @@ from dataclasses import field
 
 import numpy.typing as npt
 
+from sampling_design.checkers.strict import is_text
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -46,7 +47,7 @@ class UncertainParameter(PlainRecord):
     _plain = "name low nominal high A? C? G?"
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name:
+        if not is_text(self.name) or not self.name:
             raise ArgumentError(f"`name` of a parameter must be a text, got {checks.described(self.name)}.")
         low, high = checks.number("low", self.low), checks.number("high", self.high)
         if low > high:

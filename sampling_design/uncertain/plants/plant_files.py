@@ -13,6 +13,9 @@ from sampling_design.checkers.strict import (
     Reader,
     Tree,
     flag,
+    is_list,
+    is_number,
+    is_text,
     list_of,
     matrix,
     number,
@@ -39,13 +42,13 @@ _AROUND = re.compile(rf"({_DECIMAL})\s*\+-\s*({_DECIMAL})", re.ASCII)
 
 def ends(value: object, place: str) -> Ends:
     """A number that is known, or a range: [low, high], or a text "middle +- half"."""
-    if isinstance(value, str):
+    if is_text(value):
         found = _AROUND.fullmatch(value.strip())
         if found is None:
             raise refuse(place, f'must be a number, a range [low, high] or "middle +- half", got {shown(value)}')
         middle, half = (number(float(part), place) for part in found.groups())
         low, high = middle - half, middle + half
-    elif isinstance(value, (list, tuple)):
+    elif is_list(value):
         if len(value) != 2:
             raise refuse(place, f"must be a range of two numbers, [low, high], got {len(value)}")
         low, high = (number(item, f"{place}[{k}]") for k, item in enumerate(value))
@@ -66,7 +69,7 @@ def entries(value: object, place: str) -> list[list[Ends]]:
 
 def _range(value: object, place: str) -> Ends:
     low, high = ends(value, place)
-    if isinstance(value, (int, float)):
+    if is_number(value):
         raise refuse(place, 'must be a range, [low, high] or "middle +- half"')
     return low, high
 

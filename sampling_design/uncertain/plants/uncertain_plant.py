@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.checkers.strict import is_flag
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant, Signals
 from sampling_design.records import checks
@@ -81,7 +82,7 @@ class UncertainPlant(LinearInclusion, PlainRecord):
             object.__setattr__(self, key, tuple(value))
         if bool(self.parameters) == bool(self.vertices):
             raise ArgumentError("`parameters` or `vertices` must be given, one of them and not both.")
-        if not isinstance(self.varying, (bool, np.bool_)):
+        if not is_flag(self.varying):
             raise ArgumentError(f"`varying` must be True or False, got {checks.described(self.varying)}.")
         checks.names("parameters", [each.name for each in self.parameters], len(self.parameters), "")
         for each in self.parameters:

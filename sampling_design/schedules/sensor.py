@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import re
+import stat
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import TypeAlias
 
 import numpy as np
@@ -26,6 +27,9 @@ from sampling_design.schedules.time_stamps import parse_date
 Duration: TypeAlias = float | str
 Windows: TypeAlias = npt.ArrayLike | Sequence[tuple[str, str]] | str | os.PathLike[str] | None
 Dates: TypeAlias = tuple[tuple[str, str], ...]
+
+LARGEST = 1 << 22
+"""Bytes of a file of windows: some fifty thousand passes; what is larger is another file."""
 
 
 _DURATION = re.compile(r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)\s*([a-z]+)", re.ASCII)
@@ -293,9 +297,20 @@ def _windows(value: object) -> Array | Dates | None:
 
 def _from_file(path: str) -> list[list[float]] | list[tuple[str, str]]:
     """Rows of two times of a CSV file, below a line of names if there is one."""
+    try:
+        found = os.stat(path)
+    except FileNotFoundError:
+        found = None  # said where it is read
+    except (OSError, ValueError) as error:
+        raise FileFormatError(f"{path!r:.200}: cannot be read ({error}).", path) from None
+    if found is not None and not stat.S_ISDIR(found.st_mode):
+        if not stat.S_ISREG(found.st_mode):
+            raise FileFormatError(f"{path}: must be a plain file of windows, got a device or a pipe.", path)
+        if found.st_size > LARGEST:
+            raise FileFormatError(f"{path}: must hold windows in at most {LARGEST} bytes, got {found.st_size}.", path)
     lines = [(k, line) for k, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
     rows = [row for _, row in csv_rows(lines, path)]
-    if rows and all(map(_is_name, rows[0][:2])):
+    if rows and all(_is_name(cell) for cell in rows[0] if cell) and all(rows[0][:2]):
         rows = rows[1:]
     short_of = next((row for row in rows if len(row) < 2 or not row[0] or not row[1]), None)
     if not rows or short_of is not None:
@@ -307,25 +322,40 @@ def _from_file(path: str) -> list[list[float]] | list[tuple[str, str]]:
 
 
 def _is_name(word: str) -> bool:
-    """Whether a word heads a column: it is no number, and no date, which begins with a digit."""
+    """Whether a word heads a column: it is no number, and no date or time, which begins with a digit."""
     try:
         float(word)
     except ValueError:
-        return not word[:1].isdigit()
+        return not word.lstrip("+-., ")[:1].isdigit()
     return False
 
 
 def from_files(sensors: object, where: str) -> object:
-    """The sensors of a requirement file, with files of windows beside it."""
+    """The sensors of a requirement file, with files of windows beside or below it.
+
+    Raises ArgumentError if one lies elsewhere: whoever reads a file from others reads nothing but what came with it.
+    """
     if not isinstance(sensors, Mapping):
         return sensors
     place = Path(where).parent
     return {
-        name: {**terms, "available": os.fspath(place / terms["available"])}
+        name: {**terms, "available": _beside(place, f"sensors.{name}.available", terms["available"])}
         if isinstance(terms, Mapping) and isinstance(terms.get("available"), str)
         else terms
         for name, terms in sensors.items()
     }
+
+
+def _beside(place: Path, key: str, name: str) -> str:
+    kinds = PurePosixPath(name), PureWindowsPath(name)
+    path = place / name
+    try:
+        inside = path.resolve().is_relative_to(place.resolve())  # a link may lead elsewhere
+    except (OSError, ValueError, RuntimeError):
+        inside = False
+    if not inside or any(kind.anchor or ".." in kind.parts for kind in kinds):
+        raise ArgumentError(f"`{key}` must name a file beside or below the one that names it, got {name!r:.80}.")
+    return os.fspath(path)
 
 
 _SPANS = by_name(list_of(list_of(text, 2)))

@@ -1,5 +1,7 @@
 """One table per sensor, which a design and a plan read alike."""
 
+import os
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import proven_plan
 from sampling_design.planning.requirement_file import plan_requirement_from_dict
-from sampling_design.schedules.sensor import Sensor, common
+from sampling_design.schedules.sensor import LARGEST, Sensor, common
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], np.eye(2), time_unit="d", outputs=["gauge", "lab"])
 PLACE = {"start": "2026-03-02", "zone": "Europe/Berlin", "hours": {"Mon-Sun": [["06:00", "18:00"]]}}
@@ -89,10 +91,68 @@ def test_a_file_without_windows_is_refused(tmp_path, text, said):
         Sensor(available=tmp_path / "passes.csv")
 
 
-@pytest.mark.parametrize("text", [".5,1\n2,3\n", "+0.5,1\n2,3\n", "begin,end\n.5,1\n2,3\n"])
+@pytest.mark.parametrize(
+    "text", [".5,1\n2,3\n", "+0.5,1\n2,3\n", "begin,end\n.5,1\n2,3\n", "begin,end,\n.5,1,low\n2,3,\n"]
+)
 def test_the_first_window_of_a_file_is_no_line_of_names(tmp_path, text):
     (tmp_path / "passes.csv").write_text(text)
     assert Sensor(available=tmp_path / "passes.csv").available.tolist() == [[0.5, 1.0], [2.0, 3.0]]
+
+
+@pytest.mark.parametrize("first", ["-1 h,.5 h", ".5 h,.7 h", "begin,2026-03-02", "pass,end,7", ",", ",end"])
+def test_a_first_row_with_a_number_a_date_or_nothing_is_never_passed_over(tmp_path, first):
+    (tmp_path / "passes.csv").write_text(f"{first}\n2,3\n")
+    with pytest.raises((FileFormatError, ArgumentError), match=r"rows of two times|must be a date"):
+        Sensor(available=tmp_path / "passes.csv")
+
+
+ASKED = {
+    "design": ("requirement/1", "window = 4.0\nperiod = 2.0\nspacing = 0.2\nsamples = 2\n[sensors.gauge]\n"),
+    "plan": (
+        "plan-requirement/1",
+        "period = 2.0\ngrid = 0.25\nw_bound = [0.1, 0.1]\naccuracy = {x1 = 2.0}\n[sensors.gauge]\nnoise_bound = 0.1\n",
+    ),
+}
+
+
+def asked_of(kind, folder, name):
+    form, text = ASKED[kind]
+    path = folder / "asked.toml"
+    path.write_text(f"format = 'sampling-design/{form}'\n{text}available = {name!r}\n")
+    return sd.design.read_requirement(path) if kind == "design" else sd.read_plan_requirement(path)
+
+
+@pytest.mark.parametrize("kind", ASKED)
+def test_a_requirement_file_names_windows_beside_or_below_it_and_no_other_file(tmp_path, kind):
+    place, secret = tmp_path / "place", tmp_path / "secret.csv"
+    (place / "below").mkdir(parents=True)
+    secret.write_text("0.25,0.5\n")
+    (place / "below" / "passes.csv").write_text("0.25,0.5\n")
+    (place / "link.csv").symlink_to(secret)
+    for name in ("below/passes.csv", "./below/passes.csv"):
+        assert asked_of(kind, place, name).sensors["gauge"].available.tolist() == [[0.25, 0.5]]
+    elsewhere = ("../secret.csv", "below/../../secret.csv", "link.csv", str(secret), "/dev/zero", "..\\secret.csv")
+    for name in (*elsewhere, "C:\\secret.csv", "below/../below/passes.csv"):
+        with pytest.raises(FileFormatError, match=r"sensors\.gauge\.available.* must name a file beside or below"):
+            asked_of(kind, place, name)
+
+
+def test_what_is_no_plain_file_of_windows_is_not_read(tmp_path):
+    os.mkfifo(tmp_path / "pipe.csv")
+    with pytest.raises(FileFormatError, match="must be a plain file of windows, got a device or a pipe"):
+        asked_of("plan", tmp_path, "pipe.csv")
+    with pytest.raises(FileFormatError, match="must be a plain file of windows"):
+        Sensor(available="/dev/zero")
+    with open(tmp_path / "large.csv", "wb") as large:
+        large.truncate(LARGEST + 1)
+    with pytest.raises(FileFormatError, match="at most 4194304 bytes, got 4194305"):
+        asked_of("plan", tmp_path, "large.csv")
+    with pytest.raises(FileFormatError, match="no such file"):
+        asked_of("plan", tmp_path, "passes.csv")
+    with pytest.raises(FileFormatError, match="is a folder"):
+        asked_of("plan", tmp_path, ".")
+    with pytest.raises(FileFormatError, match="cannot be read"):
+        Sensor(available="pass\0es.csv")
 
 
 def test_a_reading_below_the_limit_says_what_it_is_sure_to_say():

@@ -13,6 +13,7 @@ from sampling_design.design.problem.posing import pose, repeated
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
+from sampling_design.observability.sigma_bracket import SigmaDeviations
 from sampling_design.observability.windows.window_record import WindowSigma
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
@@ -46,6 +47,8 @@ class SampleLosses(TableRecord):
         Whether the sample is missing from every period, or from a single one.
     time_unit : str or None
         Unit of the times.
+    deviations : SigmaDeviations or None
+        What is left of `sigma` if samples come early or late.
     """
 
     times: Array
@@ -55,6 +58,7 @@ class SampleLosses(TableRecord):
     bound: Array
     every_period: bool
     time_unit: str | None = None
+    deviations: SigmaDeviations | None = None
 
     @property
     def price(self) -> Array:
@@ -72,10 +76,12 @@ class SampleLosses(TableRecord):
         """Plain data, one entry per sample."""
         columns = zip(*(a.tolist() for a in (self.times, self.lower, self.upper, self.bound)), strict=True)
         rows = [{"time": t, "lower": low, "upper": up, "bound": top} for t, low, up, top in columns]
-        return {"sigma": self.sigma, "every_period": self.every_period, "without": rows}
+        left = None if self.deviations is None else self.deviations.to_dict()
+        return {"sigma": self.sigma, "deviations": left, "every_period": self.every_period, "without": rows}
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("lost", "in every period" if self.every_period else "once"), ("sigma with all", short(self.sigma))]
+        rows += [] if self.deviations is None else self.deviations._rows()[:1]
         columns = zip(self.times, self.lower, self.bound, strict=True)
         return rows + [(f"without t = {short(t)}", f"{short(v)}, none exceeds {short(b)}") for t, v, b in columns]
 
@@ -87,6 +93,7 @@ class SampleLosses(TableRecord):
             f"If the sample at {short(self.times[i])} is {how}, sigma falls from {short(self.sigma)} "
             f"to {short(self.lower[i])}; no other single loss costs more. No schedule with one sample fewer exceeds "
             f"{short(self.bound[i])}."
+            + ("" if self.deviations is None or self.deviations.asked else f" {self.deviations.explain()}")
         )
 
 
@@ -155,9 +162,8 @@ def sample_losses(
         _bounds(design, every_period, given, rng), lower
     )  # a bound may round to just below a tight proof
     lower, upper, bound = (checks.freeze(a) for a in (lower, upper, bound))
-    return SampleLosses(
-        design.schedule.times, design.sigma, lower, upper, bound, every_period, design.schedule.time_unit
-    )
+    times, left = design.schedule.times, None if given.over else design.deviations
+    return SampleLosses(times, design.sigma, lower, upper, bound, every_period, design.schedule.time_unit, left)
 
 
 @checked

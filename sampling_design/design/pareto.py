@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from sampling_design.checkers.strict import Tree
 from sampling_design.design.design import design_schedule
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError
+from sampling_design.observability.sigma_bracket import SigmaDeviations
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget
@@ -25,6 +26,7 @@ from sampling_design.records.progress import Progress
 from sampling_design.records.record import ListRecord, PlainRecord, counted, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.workers import Workers, check_workers, mapped
+from sampling_design.schedules.jitter import TimingTolerance
 
 FORMAT = "sampling-design/pareto/1"
 NO_NEED = "no samples needed"
@@ -34,13 +36,17 @@ _LEAST_SHARE = 0.05  # of an equal share of the budget: with less than that a co
 
 @dataclass(frozen=True)
 class ParetoPoint:
-    """One count of samples: proven sigma, the bound that none can beat, and the times; sigma 0 where impossible."""
+    """One count of samples: proven sigma, the bound that none can beat, and the times; sigma 0 where impossible.
+
+    `deviations` says what is left of sigma if samples come early or late or one is lost.
+    """
 
     samples: int
     sigma: float
     upper_bound: float
     times: tuple[float, ...]
     obstacle: str = ""
+    deviations: SigmaDeviations | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -55,7 +61,7 @@ class ParetoFront(ListRecord[ParetoPoint], PlainRecord):
 
     points: tuple[ParetoPoint, ...]
 
-    _plain = "points"
+    _plain = "points{samples sigma upper_bound deviations times obstacle}"
 
     @property
     def efficient(self) -> tuple[ParetoPoint, ...]:
@@ -73,7 +79,10 @@ class ParetoFront(ListRecord[ParetoPoint], PlainRecord):
 
     def _rows(self) -> list[tuple[str, str]]:
         return [
-            (counted(p.samples, "sample"), p.obstacle or f"sigma {short(p.sigma)}, none exceeds {short(p.upper_bound)}")
+            (
+                counted(p.samples, "sample"),
+                p.obstacle or f"sigma {short(p.sigma)}, none exceeds {short(p.upper_bound)}{_left(p)}",
+            )
             for p in self.points
         ]
 
@@ -83,10 +92,21 @@ class ParetoFront(ListRecord[ParetoPoint], PlainRecord):
         if not good:
             needless = any(point.obstacle == NO_NEED for point in self.points)
             return "No samples needed." if needless else "None of the counts can be met."
+        left = "" if good[-1].deviations is None else good[-1].deviations.explain()
         return (
             f"From {good[0].samples} to {good[-1].samples} samples per period sigma grows from "
             f"{short(good[0].sigma)} to {short(good[-1].sigma)}."
+            + (left and f" With {good[-1].samples}: {left[0].lower()}{left[1:]}")
         )
+
+
+def _left(point: ParetoPoint) -> str:
+    """What late or lost samples leave of it."""
+    left = point.deviations
+    if left is None:
+        return ""
+    late = "" if left.asked else f"; {left.tolerance.describe(left.time_unit)}: {short(left.late)}"
+    return f"{late}; one lost: {short(left.lost)}"
 
 
 @checked
@@ -152,8 +172,8 @@ def pareto_front(
     for done, point in enumerate(mapped(_point, jobs, workers, ordered=False)):
         known[point.samples] = point
         if resume is not None:
-            rows = [asdict(known[c]) for c in sorted(known) if known[c].obstacle != NO_TIME]
-            write_text(resume, to_json({"format": FORMAT, "key": key, "points": rows}))
+            done_by_now = ParetoFront(tuple(known[c] for c in sorted(known) if known[c].obstacle != NO_TIME))
+            write_text(resume, to_json({"format": FORMAT, "key": key, **done_by_now.to_dict()}))
         if progress:
             progress((done + 1) / len(jobs), f"{counted(point.samples, 'sample')}: sigma {point.sigma:.6g}")
     return ParetoFront(tuple(known[c] for c in wanted))
@@ -186,7 +206,8 @@ def _point(job: tuple[Plant, Requirement, int, Tree, Budget, float]) -> ParetoPo
     if design.schedule is None:
         return ParetoPoint(count, 0.0, 0.0, (), NO_NEED)
     unseen = "" if design.sigma > 0 else design.explain()
-    return ParetoPoint(count, design.sigma, design.upper_bound, tuple(design.schedule.times.tolist()), unseen)
+    times = tuple(design.schedule.times.tolist())
+    return ParetoPoint(count, design.sigma, design.upper_bound, times, unseen, design.deviations)
 
 
 def _key(plant: Plant, requirement: Requirement, options: Tree) -> str:
@@ -208,5 +229,12 @@ def _load(path: str | os.PathLike[str], key: str) -> dict[int, ParetoPoint]:
         raise FileFormatError(
             f"{where}: belongs to another plant, requirement or option. Name another file to resume from.", where
         )
-    points = [ParetoPoint(**{**entry, "times": tuple(entry["times"])}) for entry in data["points"]]
+    points = [ParetoPoint(**_read(entry)) for entry in data["points"]]
     return {point.samples: point for point in points}
+
+
+def _read(entry: Tree) -> Tree:
+    """The fields of a point."""
+    left = entry.get("deviations")
+    told = None if left is None else SigmaDeviations(**{**left, "tolerance": TimingTolerance.of(left["tolerance"])})
+    return {**entry, "times": tuple(entry["times"]), "deviations": told}

@@ -16,9 +16,9 @@ from sampling_design.design.search.fedorov_exchange import is_admissible
 from sampling_design.observability.count.default_window import default_window
 from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
-from sampling_design.observability.sigma_bracket import coordinates_in
+from sampling_design.observability.sigma_bracket import SigmaDeviations, coordinates_in
 from sampling_design.observability.windows.deviations import deviations_of
-from sampling_design.observability.windows.window_record import SigmaDeviations, WindowSigma
+from sampling_design.observability.windows.window_record import WindowSigma
 from sampling_design.observability.windows.window_sigma import window_sigma
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant
@@ -268,12 +268,7 @@ class ScheduleDesign(PlainRecord):
         return (
             f"{many} {sees} {rows or 'every state direction'} in every window with sigma >= {short(self.sigma)}{late}; "
             f"no admissible schedule can exceed {short(self.upper_bound)}, so at most {100 * self.gap:.1f} % "
-            "could be gained."
-            + (
-                ""
-                if self.deviations is None
-                else f" {self.deviations.lost_only if asked else self.deviations.explain()}"
-            )
+            "could be gained." + ("" if self.deviations is None else f" {self.deviations.explain()}")
         )
 
 

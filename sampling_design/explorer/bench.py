@@ -21,6 +21,7 @@ from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import ArgumentError, SamplingDesignError
 from sampling_design.observability.count.default_window import default_window
 from sampling_design.observability.count.zero_count import zero_count_bound
+from sampling_design.observability.sigma_bracket import SigmaDeviations
 from sampling_design.observability.windows.window_record import WindowSigma
 from sampling_design.observability.windows.window_sigma import window_sigma
 from sampling_design.planning.plan import plan_samples
@@ -34,6 +35,7 @@ from sampling_design.records.declarations import plain
 from sampling_design.records.file_io import from_json
 from sampling_design.records.record import Plain, short
 from sampling_design.schedules.files import read_schedule, write_schedule
+from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.schedules.sensor import numbers
 
@@ -248,7 +250,7 @@ class Bench:
         told = self._rules()
         if not self.split.retained.n_states:
             return {"t": [], "sigma": [], "piece": [], "lower": None, "told": [*told, self.split.explain()]}
-        shown = window_sigma(self.split.retained, self.schedule, self.window, budget=LIVE_BUDGET)
+        shown = self._shown(self.schedule)
         profile = shown.profile
         broken = [] if shown.lower > self.clear else self._broken(shown, moving)
         return {
@@ -259,9 +261,17 @@ class Bench:
             "upper": shown.upper,
             "worst": shown.witness.t,
             "scaled": shown.coordinates == "scaled",
+            "late": shown._late(),
+            "left": None if moving or shown.deviations is None else _left(shown.deviations),
             "told": [*told, *broken],
             "broken": bool(broken),
         }
+
+    def _shown(self, schedule: PeriodicSchedule) -> WindowSigma:
+        """Sigma of a schedule for the times that the requirement allows, as long as its samples keep their order."""
+        late = TimingTolerance.of(self.requirement.timing_tolerance, self.plant.outputs.names)
+        kept = late if late.span < min(schedule.gaps.min(), self.window) else ON_TIME
+        return window_sigma(self.split.retained, schedule, self.window, budget=LIVE_BUDGET, timing_tolerance=kept.plain)
 
     def _rules(self) -> list[Plain]:
         """What the requirement says of these samples, where it says no."""
@@ -276,6 +286,9 @@ class Bench:
                 told.append(f"{name} cannot be read at {', '.join(short(t, 4) for t in shut[:4])}.")
         if closed:
             told.append(f"Closed at {', '.join(short(t, 4) for t in closed[:4])}: no sample is allowed there.")
+        late = TimingTolerance.of(self.requirement.timing_tolerance)
+        if late and late.span >= gaps.min():
+            told.append(f"Samples {late.describe(self.plant.time_unit)} could change places: shown as if on time.")
         least = self.requirement.spacing
         if least and len(gaps) and gaps.min() < least * (1 - TOGETHER):
             at = int(np.argmin(gaps))
@@ -323,7 +336,7 @@ class Bench:
                     marks = [{"t": float(t), "on": row.tolist()} for t, row in zip(moved, on, strict=True)]
                     if not 0 <= moved[k] < self.period or np.unique(moved).size < moved.size:
                         continue
-                    found = window_sigma(self.split.retained, self._scheduled(marks), self.window, budget=LIVE_BUDGET)
+                    found = self._shown(self._scheduled(marks))
                     tried.append((found.lower, sign * share * step, k))
         best = max((sigma for sigma, _, _ in tried), default=0.0)
         if not best > 0:
@@ -440,6 +453,11 @@ class Bench:
         except SamplingDesignError as error:
             return _message({"error": str(error)})
         return _message(self.answer(question))
+
+
+def _left(found: SigmaDeviations) -> Reply:
+    """What is left of sigma if samples are late (where that was not asked for) or lost."""
+    return {"late": None if found.asked else found.late, "lost": found.lost, "said": found.explain()}
 
 
 def _modes_said(modes: Sequence[complex]) -> list[str]:

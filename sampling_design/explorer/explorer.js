@@ -57,6 +57,7 @@ export async function mount(element, ask) {
   const told = html("p", { class: "told", role: "status", "aria-live": "polite" }, root);
   const mend = html("p", { class: "mend", role: "status" }, root);
   const chart = node("svg", { class: "sigma", role: "img", "aria-label": "sigma over the window's position" }, root);
+  const left = html("p", { class: "hint left", role: "status" }, root);
   const buttons = html("div", {}, root);
   const said = html("p", { class: "said", role: "status", "aria-live": "polite" }, root);
   const unknown = html("p", { class: "unknown", role: "status" }, root);
@@ -208,6 +209,7 @@ export async function mount(element, ask) {
     told.textContent = answer.error || answer.told.join(" ");
     mend.replaceChildren();
     chart.replaceChildren();
+    left.textContent = (!answer.error && answer.left && answer.left.said) || "";
     chart.setAttribute("viewBox", `0 0 ${WIDE} ${CHART + (narrow ? 66 : 50)}`);
     if (answer.error || !answer.t.length) return;
     const highest = Math.max(...answer.sigma), top = highest > 0 ? 1.15 * highest : 1, from = answer.t[0], to = answer.t[answer.t.length - 1];
@@ -217,9 +219,13 @@ export async function mount(element, ask) {
     answer.t.forEach((t, i) => (path += `${i && answer.piece[i] === answer.piece[i - 1] ? "L" : "M"}${x(t).toFixed(2)} ${y(answer.sigma[i]).toFixed(2)}`));
     node("path", { d: path, fill: "none", stroke: COLOUR.measured, "stroke-width": 2, class: "curve" }, chart);
     node("line", { x1: LEFT, x2: WIDE - RIGHT, y1: y(answer.lower), y2: y(answer.lower), stroke: COLOUR.proven, "stroke-width": 2, "stroke-dasharray": "7 4" }, chart);
+    if (answer.left) {
+      for (const [value, colour, dash] of [[answer.left.late, COLOUR.attained, "7 3 2 3"], [answer.left.lost, COLOUR.failed, "2 3"]])
+        if (value !== null) node("line", { x1: LEFT, x2: WIDE - RIGHT, y1: y(value), y2: y(value), stroke: colour, "stroke-dasharray": dash, class: "left" }, chart);
+    }
     node("circle", { cx: x(Math.min(Math.max(answer.worst, from), to)), cy: y(answer.upper), r: 5, fill: "#fff", stroke: COLOUR.attained, "stroke-width": 2 }, chart);
     for (const t of ticks(from, to)) node("text", { x: x(t), y: CHART + 26, "text-anchor": "middle", class: "soft" }, chart, t === 0 ? "0" : short(t));
-    node("text", { x: narrow ? 2 : LEFT, y: CHART + 44, class: "lower" }, chart, `proven, windows of ${short(opened.window)} ${unit}: sigma ≥ ${short(answer.lower)}`);
+    node("text", { x: narrow ? 2 : LEFT, y: CHART + 44, class: "lower" }, chart, `proven, windows of ${short(opened.window)} ${unit}${answer.late ? `, samples ${answer.late}` : ""}: sigma ≥ ${short(answer.lower)}`);
     node("text", { x: WIDE - RIGHT, y: CHART + (narrow ? 60 : 44), "text-anchor": "end", class: "soft" }, chart, `end of the window [${unit}]`);
   }
 

@@ -9,9 +9,10 @@ _NAMES = {
     "count.pbh": ("UnobservableModes", "require_observable", "unobservable_modes"),
     "count.zero_count": ("ZeroCountBound", "zero_count_bound"),
     "count.functional": ("functional_plant",),
+    "sigma_bracket": ("SigmaDeviations",),
     "windows.sampled": ("observability_gramian", "observability_matrix", "sigma_min"),
     "windows.pieces": ("WindowWitness",),
-    "windows.window_record": ("SigmaDeviations", "WindowProfile", "WindowSigma"),
+    "windows.window_record": ("WindowProfile", "WindowSigma"),
     "windows.window_sigma": ("window_sigma",),
     "worst_case.worst_case_sigma": ("WorstCaseProfile", "WorstCaseSigma", "worst_case_sigma"),
 }

@@ -11,11 +11,11 @@ from sampling_design.observability.count.pbh import require_observable as requir
 from sampling_design.observability.count.pbh import unobservable_modes as unobservable_modes
 from sampling_design.observability.count.zero_count import ZeroCountBound as ZeroCountBound
 from sampling_design.observability.count.zero_count import zero_count_bound as zero_count_bound
+from sampling_design.observability.sigma_bracket import SigmaDeviations as SigmaDeviations
 from sampling_design.observability.windows.pieces import WindowWitness as WindowWitness
 from sampling_design.observability.windows.sampled import observability_gramian as observability_gramian
 from sampling_design.observability.windows.sampled import observability_matrix as observability_matrix
 from sampling_design.observability.windows.sampled import sigma_min as sigma_min
-from sampling_design.observability.windows.window_record import SigmaDeviations as SigmaDeviations
 from sampling_design.observability.windows.window_record import WindowProfile as WindowProfile
 from sampling_design.observability.windows.window_record import WindowSigma as WindowSigma
 from sampling_design.observability.windows.window_sigma import window_sigma as window_sigma

@@ -1,8 +1,10 @@
-"""What every bracket of sigma shows and says, of one schedule or of the worst of a family."""
+"""What every bracket of sigma shows and says, and what is left of it if samples are late or lost."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -11,10 +13,12 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.records import checks
-from sampling_design.records.record import PlainRecord, short
+from sampling_design.records.record import Plain, PlainRecord, Record, short
+from sampling_design.schedules.jitter import TimingTolerance
 
 UNSETTLED = ("budget", "interrupted", "rounding", "timing", "too many states", "sampled")
 """Of a search: what ends it with a bracket that is wider than was asked."""
+SHARE = 0.01  # of the least gap: how early or late samples are taken to be where nobody says
 Bracket = TypeVar("Bracket", bound="SigmaBracket")
 
 
@@ -26,9 +30,76 @@ class ProvenSigma(NamedTuple):
     status: str
 
 
+@dataclass(frozen=True, repr=False)
+class SigmaDeviations(Record):
+    """Proven sigma of schedules that are not kept to the letter.
+
+    Attributes
+    ----------
+    tolerance : TimingTolerance
+        How early or late each sample may be.
+    late : float
+        Sigma over windows of the stated length for all such times.
+    late_wider : float
+        The same over windows that are early and late together longer: they hold every sample that was planned in the
+        shorter one.
+    lost : float
+        Sigma if any one sample is lost once.
+    lost_sample : int or None
+        Which loss leaves that, counted from 0; None where it is that of any schedule of a family.
+    time_unit : str
+    asked : bool
+        Whether the tolerance was asked for: sigma itself is then proven for such times.
+    """
+
+    tolerance: TimingTolerance
+    late: float
+    late_wider: float
+    lost: float
+    lost_sample: int | None
+    time_unit: str
+    asked: bool = False
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Plain data."""
+        return {
+            "tolerance": self.tolerance.plain,
+            "asked": self.asked,
+            "late": self.late,
+            "late_wider": self.late_wider,
+            "lost": self.lost,
+            "lost_sample": self.lost_sample,
+            "time_unit": self.time_unit,
+        }
+
+    def _rows(self) -> list[tuple[str, str]]:
+        wider = f"windows {short(2 * self.tolerance.radius)} {self.time_unit} longer"
+        which = "" if self.lost_sample is None else f" (sample {self.lost_sample + 1})"
+        return [
+            (
+                f"if {self.tolerance.describe(self.time_unit)}",
+                f"{short(self.late)}; {short(self.late_wider)} in {wider}",
+            ),
+            ("if one sample is lost", short(self.lost) + which),
+        ]
+
+    def explain(self) -> str:
+        """Say what is left of sigma; of late samples only where they were not asked for."""
+        if self.asked:
+            return f"If one sample is lost, sigma is at least {short(self.lost)}."
+        wider = f"{short(2 * self.tolerance.radius)} {self.time_unit}"
+        return (
+            f"If samples come {self.tolerance.describe(self.time_unit)}, sigma is at least {short(self.late)}, and "
+            f"over windows that are {wider} longer {short(self.late_wider)}; if one is lost, {short(self.lost)}."
+        )
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class SigmaBracket(PlainRecord):
-    """A proven lower and an attained upper bound of sigma, with why the search between them ended."""
+    """A proven lower and an attained upper bound of sigma, with why the search between them ended.
+
+    `beside` works out `deviations`, where that is possible.
+    """
 
     lower: float = field(kw_only=True)
     upper: float = field(kw_only=True)
@@ -36,11 +107,24 @@ class SigmaBracket(PlainRecord):
     rtol: float = field(kw_only=True)
     coordinates: str = field(default="physical", kw_only=True)
     rigorous: bool = field(default=False, kw_only=True)
+    beside: Callable[[], SigmaDeviations | None] | None = field(default=None, kw_only=True)
 
     _table = {
         "sigma at least": "{_at_least} ({_grounds}; {coordinates} coordinates, state at the window's start)",
         "sigma at most": "{upper} (attained)",
     }
+
+    @cached_property
+    def deviations(self) -> SigmaDeviations | None:
+        """What is left of `lower` if samples come early or late or one is lost, worked out when it is asked for.
+
+        None where sigma is nothing, where only ball arithmetic sees it, where too little of a budget is left, for the
+        windows of one schedule over a box of plants, and in varying time.
+        """
+        return self.beside() if self.beside is not None and 0 < self.lower < np.inf and not self.rigorous else None
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [*super()._rows(), *([] if self.deviations is None else self.deviations._rows())]
 
     @property
     def closed(self) -> bool:
@@ -62,15 +146,19 @@ class SigmaBracket(PlainRecord):
         return "proven in ball arithmetic" if self.rigorous else "proven"
 
     def _concluded(self, claim: str, where: str, reasons: dict[str, str]) -> str:
-        """The claim, what is attained and where; why the bracket did not close, if `reasons` knows the status."""
+        """The claim, what is attained and where; why the bracket did not close, if `reasons` knows the status.
+
+        And what is left of it if samples are late or lost.
+        """
         if self._is_undecided and self.status in reasons:
             return (
                 f"Nothing is proven yet, whether sigma is positive is undecided: {short(self.upper)} is attained, and "
                 f"{reasons[self.status]}. {where}."
             )
-        if self.status not in reasons:
-            return f"{claim} and {short(self.upper)} is attained. {where}."
-        return f"{claim}; {short(self.upper)} is attained, and {reasons[self.status]}. {where}."
+        attained = f"{short(self.upper)} is attained"
+        reached = f"; {attained}, and {reasons[self.status]}" if self.status in reasons else f" and {attained}"
+        left = "" if self.deviations is None else f" {self.deviations.explain()}"
+        return f"{claim}{reached}. {where}.{left}"
 
 
 def in_balls(found: Bracket, proof: ProvenSigma, room: float = 1.0) -> Bracket:

@@ -42,7 +42,7 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str |
     bottom.set_title("", loc="left")  # the whole picture has one
     note = f"no admissible schedule exceeds {short(result.upper_bound, 4)}"
     bottom.axhline(result.upper_bound, color=style.TRUTH, linestyle="--", linewidth=1.0, label=note)
-    least = draw_deviations(result.deviations, bottom, late=not result.late)
+    least = draw_deviations(result.deviations, bottom)
     style.legend(bottom, 2)
     style.from_below(bottom, min(shown.lower, least), max(result.upper_bound, float(shown.profile.sigma.max())))
     if schedule.origin is not None:

@@ -15,6 +15,12 @@ from sampling_design.observability.worst_case.worst_case_sigma import WorstCaseS
 from sampling_design.plotting import style
 from sampling_design.records.record import counted, short
 
+_LEFT = (
+    ("late", "if samples are late or early", "v-.", style.ATTAINED),
+    ("lost", "if one sample is lost", "x:", style.FAILED),
+)
+"""What is left of sigma: its name, words, line and colour."""
+
 
 def draw_worst_case(result: WorstCaseSigma, ax: Axes | None = None) -> Axes:
     """Draw what the worst schedule sees of the worst state over the window."""
@@ -27,6 +33,10 @@ def draw_worst_case(result: WorstCaseSigma, ax: Axes | None = None) -> Axes:
     style.time_axis(ax, result.time_unit, "time in the window")
     ax.set_ylabel("seen of a state of size 1")
     ax.set_title(f"sigma {short(result.lower, 4)} proven, {short(result.upper, 4)} attained", loc="left")
+    if (left := result.deviations) is not None:  # these are sigmas, the curve is of one state
+        wider = f"{short(left.late, 4)}, {short(left.late_wider, 4)} in longer windows"
+        told = "" if left.asked else f"if late or early: {wider}; "
+        ax.set_title(f"{told}if one is lost: {short(left.lost, 4)}", loc="right", fontsize="small")
     style.legend(ax)
     return ax
 
@@ -74,12 +84,19 @@ def _whole_counts(ax: Axes) -> None:
 def _front(points: Sequence[ParetoPoint], ax: Axes) -> Axes:
     counts = [p.samples for p in points]
     sigma, bound = np.array([p.sigma for p in points]), np.array([p.upper_bound for p in points])
+    least = [float(sigma.min())]
     ax.fill_between(counts, sigma, bound, color=style.ALLOWED, alpha=0.4, linewidth=0)
     ax.plot(
         counts, bound, "_--", color=style.TRUTH, linewidth=1.0, markersize=14, label="no schedule exceeds", zorder=3
     )
     ax.plot(counts, sigma, "o-", color=style.PROVEN, linewidth=2.5, alpha=0.8, label="proven sigma of the design")
-    style.from_below(ax, float(sigma.min()), float(bound.max()))
+    told = [p.deviations for p in points]
+    for key, words, line, colour in _LEFT:
+        left = [np.nan if one is None or (one.asked and key == "late") else getattr(one, key) for one in told]
+        if np.isfinite(left).any():
+            ax.plot(counts, left, line, color=colour, linewidth=1.2, markersize=4, label=words)
+            least.append(float(np.nanmin(left)))
+    style.from_below(ax, min(least), float(bound.max()))
     _whole_counts(ax)
     ax.set_ylabel("sigma")
     ends = (f"{counted(p.samples, 'sample')}: sigma {short(p.sigma, 4)}" for p in (points[0], points[-1]))
@@ -98,13 +115,17 @@ def draw_losses(losses: SampleLosses, ax: Axes | None = None) -> Axes:
     for t, low in zip(losses.times, losses.lower, strict=True):
         said = f"{100 * (low / losses.sigma - 1):+.0f} %" if losses.sigma > 0 else ""
         ax.annotate(said, (t, low), xytext=(7, 0), textcoords="offset points", va="center", fontsize="small")
-    top = max(losses.sigma, float(np.max(losses.bound)))
-    style.from_below(ax, float(min(np.min(losses.lower), losses.sigma)), top)
+    top, least = max(losses.sigma, float(np.max(losses.bound))), float(min(np.min(losses.lower), losses.sigma))
+    if (left := losses.deviations) is not None and not left.asked:
+        label = f"with all, {left.tolerance.describe(left.time_unit)}: {short(left.late, 4)}"
+        ax.axhline(left.late, color=style.ATTAINED, linestyle="-.", linewidth=1.0, label=label)
+        least = min(least, left.late)
+    style.from_below(ax, least, top)
     ax.margins(x=0.08)
     style.time_axis(ax, losses.time_unit, "time of the lost sample")
     ax.set_ylabel("sigma (state at window's start)")
     worst = short(losses.times[int(np.argmin(losses.lower))], 4)
     missed = "missing in every period" if losses.every_period else "missed once"
     ax.set_title(f"{missed}: the sample at {worst} {losses.time_unit} costs most", loc="left")
-    style.legend(ax)
+    style.legend(ax, 2)
     return ax

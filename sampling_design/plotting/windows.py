@@ -5,17 +5,18 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
-from sampling_design.observability.windows.window_record import SigmaDeviations, WindowSigma
+from sampling_design.observability.sigma_bracket import SigmaDeviations
+from sampling_design.observability.windows.window_record import WindowSigma
 from sampling_design.plotting import style
 from sampling_design.records.record import short
 from sampling_design.records.units import spoken
 
 
-def draw_deviations(found: SigmaDeviations | None, ax: Axes, *, late: bool) -> float:
+def draw_deviations(found: SigmaDeviations | None, ax: Axes) -> float:
     """Draw what late samples (unless they were asked for) and a lost one leave; the least of it."""
     if found is None:
         return np.inf
-    if late:
+    if not found.asked:
         label = f"if {found.tolerance.describe(found.time_unit)}: {short(found.late, 4)}"
         ax.axhline(found.late, color=style.ATTAINED, linestyle="-.", linewidth=1.0, label=label)
     lost = f"if one sample is lost: {short(found.lost, 4)}"
@@ -42,7 +43,7 @@ def draw_window_sigma(result: WindowSigma, ax: Axes | None = None, *, columns: i
     face = style.ATTAINED if result.witness.side == "at" else "none"
     worst = f"attained: {short(result.upper, 4)}, window ends {result.witness.position} {result.time_unit}"
     ax.plot([result.witness.t], [result.upper], "o", color=style.ATTAINED, markerfacecolor=face, label=worst)
-    least = min(result.lower, draw_deviations(result.deviations, ax, late=not result.late) if beside else np.inf)
+    least = min(result.lower, draw_deviations(result.deviations, ax) if beside else np.inf)
     style.from_below(ax, min(least, float(profile.sigma.min())), float(profile.sigma.max()))
     style.time_axis(ax, result.time_unit, f"end of the window of {spoken(result.window, result.time_unit)}")
     kind = result.coordinates

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import meet
+from sampling_design.observability.windows.deviations import deviations_of
 from sampling_design.observability.windows.pieces import window_pieces
 from sampling_design.observability.windows.window_record import RTOL, WindowSigma, sigma_of_pieces
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.records.budget import Budget
 from sampling_design.records.declarations import plain
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import Plain, TableRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken
+from sampling_design.schedules.jitter import ON_TIME
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 STRETCH = 4000  # samples whose windows are judged at a time: what is held does not grow with the record
@@ -125,6 +129,8 @@ class ScheduleLog(TableRecord):
         if self.planned_sigma is not None and self.actual_sigma is not None:
             rows.append(("window", f"{short(self.planned_sigma.window)} {unit}"))
             rows.append(("sigma, planned", short(self.planned_sigma.lower)))
+            if self.planned_sigma.deviations is not None:
+                rows += [(f"planned, {label}", value) for label, value in self.planned_sigma.deviations._rows()]
             rows.append(("sigma, actual", short(self.actual_sigma.lower)))
         return rows
 
@@ -139,7 +145,10 @@ class ScheduleLog(TableRecord):
         if self.kept is None:
             return text + "The plan itself does not see every mode in each window."
         worst = f"sigma {short(self.actual_sigma.lower, 4)} instead of {short(self.planned_sigma.lower, 4)}"
-        return text + f"The worst window keeps {short(100 * self.kept, 3)} % of the plan: {worst}."
+        left = (
+            "" if self.planned_sigma.deviations is None else f" Of the plan: {self.planned_sigma.deviations.explain()}"
+        )
+        return text + f"The worst window keeps {short(100 * self.kept, 3)} % of the plan: {worst}.{left}"
 
 
 @checked
@@ -213,7 +222,10 @@ def compare_schedule(
     start, end = float(min(planned.times[0], actual[0])), float(min(planned.times[-1], actual[-1]))
     if judged.n_states and end - start >= length:
         after = _judged(judged, taken, length, budget, progress, start)
-        before = _judged(judged, _told_apart(plan, planned, start + length), length, budget, progress, start)
+        limit, part = Budget(budget), _told_apart(plan, planned, start + length)
+        before = _judged(judged, part, length, budget, progress, start)
+        beside = partial(deviations_of, judged, part, length, ON_TIME, before.lower, start, limit.left)
+        before = replace(before, beside=beside)
         if max(len(planned), len(taken)) > STRETCH:
             before, after = (
                 replace(sigma, profile=_around(judged, each, length, after.witness.t, start).profile)

@@ -34,6 +34,16 @@ def test_what_is_lost_is_what_the_losses_say(design):
     losses = sd.sample_losses(design)
     assert design.deviations.lost == pytest.approx(losses.lower.min(), rel=0.02)
     assert design.deviations.lost <= losses.upper.min() * (1 + 1e-9)
+    assert losses.deviations == design.deviations
+    assert design.deviations.explain() in losses.explain()
+    assert "if up to 0.015708 s early or late" in str(losses)
+
+
+def test_a_log_says_what_the_plan_keeps(design):
+    log = sd.compare_schedule(OSCILLATOR, design.schedule, np.arange(9) * np.pi / 2 + 0.2, window=2 * np.pi)
+    assert log.planned_sigma.deviations.lost == pytest.approx(design.deviations.lost, rel=0.02)
+    assert "planned, if one sample is lost" in str(log)
+    assert f"Of the plan: {log.planned_sigma.deviations.explain()}" in log.explain()
 
 
 def test_nothing_is_said_where_nothing_is_observed():

@@ -24,6 +24,10 @@ def test_sigma_grows_with_the_count_and_impossible_counts_say_why():
     assert all(p.sigma <= p.upper_bound for p in front.points)
     assert "From 2 to 5 samples" in front.explain()
     assert "3 samples" in str(front)
+    left = front.points[2].deviations
+    assert left.lost < left.late < left.late_wider < front.points[2].sigma
+    assert f"{left.tolerance.describe('s')}: {left.late:.6g}; one lost: {left.lost:.6g}" in str(front)
+    assert f"if one is lost, {front.efficient[-1].deviations.lost:.6g}." in front.explain()
 
 
 def test_a_file_is_resumed_and_not_designed_again(tmp_path):
@@ -37,6 +41,7 @@ def test_a_file_is_resumed_and_not_designed_again(tmp_path):
         PLANT, REQUIREMENT, [3, 4], resume=path, progress=lambda f, m: messages.append((f, m)), **OPTIONS
     )
     assert front.points[0].sigma == 0.123
+    assert front.points[0].deviations.to_dict() == data["points"][0]["deviations"]
     assert front.points[1].sigma > 0.5
     assert len(messages) == 1
     assert len(json.loads(path.read_text())["points"]) == 2

@@ -59,7 +59,7 @@ def test_while_a_mark_moves_the_same_is_said_as_where_it_rests():
         for times in [*drawn, (np.arange(count) + 0.5) * bench.period / count, np.array([1.0, 1.0 + np.pi])]:
             laid = marks(*times, sensors=sensors)
             moving, rests = (bench.answer({"ask": ask, "marks": laid}) for ask in ("moving", "sigma"))
-            assert {**moving, "ask": "sigma"} == rests
+            assert {**moving, "ask": "sigma", "left": rests["left"]} == rests
             sigma = sd.window_sigma(bench.plant.scaled(), bench.schedule, bench.window)
             assert rests["told"] == [*bench._rules(), *bench._broken(sigma, moving=False)]
 
@@ -283,3 +283,19 @@ def test_a_notebook_gets_the_same_answers(monkeypatch):
 def test_a_plan_needs_a_plan_requirement():
     with pytest.raises(ArgumentError, match="`requirement` must be a plan requirement for that"):
         Bench(PLANT)._plan()
+
+
+def test_sigma_is_shown_for_the_tolerance_that_is_required():
+    schedule = sd.PeriodicSchedule([1.0] * 5)
+    bench = Bench(PLANT, sd.Requirement(window=5.0, period=5.0, timing_tolerance=0.05), schedule)
+    found = bench.answer({"ask": "sigma"})
+    asked = sd.window_sigma(PLANT, schedule, 5.0, timing_tolerance=0.05)
+    assert found["lower"] == asked.lower
+    assert found["late"] == "up to 0.05 s early or late"
+    assert found["left"] == {"late": None, "lost": asked.deviations.lost, "said": asked.deviations.explain()}
+    plain = Bench(PLANT, sd.Requirement(window=5.0, period=5.0), schedule).answer({"ask": "sigma"})
+    assert plain["late"] is None
+    assert plain["left"]["late"] < plain["lower"]
+    near = bench.answer({"ask": "sigma", "marks": marks(1.0, 1.05, 2.0, 3.0, 4.0)})
+    assert near["late"] is None
+    assert any("could change places: shown as if on time" in text for text in near["told"])

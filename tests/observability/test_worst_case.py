@@ -386,3 +386,41 @@ def test_an_interrupt_of_one_plant_leaves_the_schedule_that_it_had_found(monkeyp
     assert (found.status, found.closed, found.lower, found.plants) == ("interrupted", False, 0.0, 1)
     assert 0 < found.upper < 2
     assert "whether sigma is positive is undecided" in found.explain()
+
+
+@pytest.mark.parametrize("plant", [oscillators(1.0), chain(2)], ids=["oscillator", "chain"])
+def test_what_a_rule_keeps_of_sigma_holds_for_late_and_lost_samples(plant):
+    family, rng = SpacedWindows(4.0, 4, 0.5), np.random.default_rng(3)
+    sigma = worst_case_sigma(plant, family)
+    found = sigma.deviations
+    d = found.tolerance.radius
+    assert (d, found.lost_sample, found.asked) == (0.005, None, False)
+    assert 0 < found.late == found.lost < found.late_wider < sigma.lower
+    assert found.late_wider > 0.97 * sigma.lower  # no cliff there
+    for _ in range(4):
+        member = family.draw(rng)
+        times = member.times + d * rng.choice([-1.0, 1.0], len(member))
+        real = sd.Schedule(times + d)
+        assert sd.window_sigma(plant, real, 4.0).upper >= found.late
+        assert sd.window_sigma(plant, real, 4.0 + 2 * d).upper >= found.late_wider
+        kept = np.delete(member.times, rng.integers(1, len(member) - 1))
+        assert sd.window_sigma(plant, sd.Schedule(kept), 4.0).upper >= found.lost
+    assert f"if one is lost, {found.lost:.6g}." in sigma.explain()
+    assert "if one sample is lost" in str(sigma)
+    assert sigma.to_dict()["deviations"] == found.to_dict()
+
+
+def test_a_rule_with_no_sample_to_spare_keeps_nothing():
+    found = worst_case_sigma(oscillators(1.0), SpacedWindows(3.0, 2, 0.5)).deviations
+    assert (found.late, found.lost) == (0.0, 0.0)
+    still = worst_case_sigma(Plant([[0.0]], [[1.0]]), SpacedWindows(4.0, 1, 0.5)).deviations
+    assert (still.late, still.lost) == (0.0, 0.0)
+    assert still.late_wider == pytest.approx(1.0, rel=0.01)
+
+
+def test_a_rule_for_late_samples_says_only_what_a_lost_one_leaves():
+    found = worst_case_sigma(oscillators(1.0), SpacedWindows(4.0, 4, 0.5), timing_tolerance=(0.0, 0.1))
+    assert found.deviations.asked
+    assert found.deviations.late == found.lower
+    assert found.deviations.lost == worst_case_sigma(oscillators(1.0), SpacedWindows(4.1, 3, 0.4)).lower
+    assert found.explain().endswith(f" If one sample is lost, sigma is at least {found.deviations.lost:.6g}.")

@@ -113,7 +113,9 @@ def test_fronts_and_losses_are_drawn_and_an_empty_front_refused():
     assert list(top.lines[1].get_ydata()) == [p.sigma for p in front.points]
     between = [100 * (p.upper_bound / p.sigma - 1) for p in front.points]
     assert [bar.get_height() for bar in room.patches] == pytest.approx(between)
-    assert len(front.plot(Figure().subplots()).lines) == 2
+    drawn = front.plot(Figure().subplots()).lines
+    assert list(drawn[2].get_ydata()) == [p.deviations.late for p in front.points]
+    assert list(drawn[3].get_ydata()) == [p.deviations.lost for p in front.points]
     losses = sd.sample_losses(sd.design_schedule(OSCILLATOR, requirement.replace(samples=3), starts=1, branches=0))
     drawn = losses.plot()
     assert len(drawn.collections[0].get_segments()) == 3

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from sampling_design.observability.sigma_bracket import SHARE, SigmaDeviations
 from sampling_design.observability.windows.pieces import Pieces, window_pieces
-from sampling_design.observability.windows.window_record import SigmaDeviations, WindowSigma, sigma_of_pieces
+from sampling_design.observability.windows.window_record import WindowSigma, sigma_of_pieces
 from sampling_design.plants.plant import Plant
 from sampling_design.records.budget import Budget
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.sampling_set import SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
-SHARE = 0.01  # of the least gap: how early or late samples are taken to be where nobody says
 RTOL = 0.01  # width of the brackets here: they say how steep the ground is, not where it lies
 
 
@@ -45,7 +45,7 @@ def deviations_of(
     late = sigma if asked or limit.over else left(window)
     if limit.over:
         return None
-    return SigmaDeviations(tolerance, late, wider, min(lost, sigma), worst, plant.time_unit)
+    return SigmaDeviations(tolerance, late, wider, min(lost, sigma), worst, plant.time_unit, bool(asked))
 
 
 def _lost(plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, limit: Budget) -> tuple[float, int]:

@@ -1,10 +1,8 @@
-"""What is found of sigma over every real position of a sliding window, and what is left of it if samples deviate."""
+"""What is found of sigma over every real position of a sliding window."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from importlib.util import find_spec
 
 import numpy as np
@@ -26,7 +24,7 @@ from sampling_design.records.arrays import Array, Integers
 from sampling_design.records.declarations import Column
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import CurveRecord, Plain, Record, TableRecord, Variable, short
+from sampling_design.records.record import CurveRecord, Plain, TableRecord, Variable, short
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -60,67 +58,6 @@ class WindowProfile:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SigmaDeviations(Record):
-    """Proven sigma of a schedule that is not kept to the letter.
-
-    Attributes
-    ----------
-    tolerance : TimingTolerance
-        How early or late each sample may be.
-    late : float
-        Sigma over windows of the design's length for all such times.
-    late_wider : float
-        The same over windows that are early and late together longer: they hold every sample that was planned in the
-        shorter one.
-    lost : float
-        Sigma if any one sample is lost once.
-    lost_sample : int
-        Which loss leaves that, counted from 0.
-    time_unit : str
-    """
-
-    tolerance: TimingTolerance
-    late: float
-    late_wider: float
-    lost: float
-    lost_sample: int
-    time_unit: str
-
-    def to_dict(self) -> dict[str, Plain]:
-        """Plain data."""
-        return {
-            "tolerance": self.tolerance.plain,
-            "late": self.late,
-            "late_wider": self.late_wider,
-            "lost": self.lost,
-            "lost_sample": self.lost_sample,
-        }
-
-    def _rows(self) -> list[tuple[str, str]]:
-        wider = f"windows {short(2 * self.tolerance.radius)} {self.time_unit} longer"
-        return [
-            (
-                f"if {self.tolerance.describe(self.time_unit)}",
-                f"{short(self.late)}; {short(self.late_wider)} in {wider}",
-            ),
-            ("if one sample is lost", f"{short(self.lost)} (sample {self.lost_sample + 1})"),
-        ]
-
-    def explain(self) -> str:
-        """Say what is left of sigma."""
-        wider = f"{short(2 * self.tolerance.radius)} {self.time_unit}"
-        return (
-            f"If samples come {self.tolerance.describe(self.time_unit)}, sigma is at least {short(self.late)}, and "
-            f"over windows that are {wider} longer {short(self.late_wider)}; if one is lost, {short(self.lost)}."
-        )
-
-    @property
-    def lost_only(self) -> str:
-        """The sentence where the other says again what was asked for."""
-        return f"If one sample is lost, sigma is at least {short(self.lost)}."
-
-
-@dataclass(frozen=True, eq=False, repr=False)
 class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
     """Bounds on the least sigma over all real positions of a window along one schedule.
 
@@ -149,8 +86,6 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
         of samples at their centres, in windows as much shorter at both ends.
     rigorous : bool
         Whether `lower` is proven in ball arithmetic, a theorem about the stated doubles.
-    beside : callable, optional
-        What works out `deviations`.
     slack : float
         With `rigorous`: the windows of that theorem are [t - T - slack, t + slack]. Zero unless samples leave and
         arrive within rounding of each other, which count as one event.
@@ -163,7 +98,6 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
     time_unit: str = field(default="s", kw_only=True)
     slack: float = field(default=0.0, kw_only=True)
     late: TimingTolerance = field(default=ON_TIME, kw_only=True)
-    beside: Callable[[], SigmaDeviations | None] | None = field(default=None, kw_only=True)
 
     _plain = (
         "lower upper closed status window from_time rtol time_unit refers_to:_refers_to rigorous slack "
@@ -213,18 +147,6 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
         proven = profile.lower[np.searchsorted(np.unique(profile.piece), profile.piece)]
         return {"window_end": profile.t, "sigma": profile.sigma, "piece": profile.piece, "proven": proven}
 
-    @cached_property
-    def deviations(self) -> SigmaDeviations | None:
-        """What is left of `lower` if samples come early or late or one is lost, worked out when it is asked for.
-
-        None where sigma is nothing, where only ball arithmetic sees it, where too little of a budget is left, over a
-        box of plants and in varying time.
-        """
-        return self.beside() if self.beside is not None and 0 < self.lower < np.inf and not self.rigorous else None
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return [*super()._rows(), *([] if self.deviations is None else self.deviations._rows())]
-
     @property
     def timing_tolerance(self) -> Plain:
         """How early or late each sample may be, as it is written."""
@@ -256,9 +178,7 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
         later = f" from {short(self.from_time)} {self.time_unit} on" if self.from_time else ""
         later += f", for samples {self._late()}" if self.late else ""
         proven = f"Sigma is at least {short(self.lower)} over every window of {length}{later} ({self._grounds})"
-        told = self._concluded(proven, where, _REASONS)
-        left = self.deviations
-        return told if left is None else f"{told} {left.lost_only if self.late else left.explain()}"
+        return self._concluded(proven, where, _REASONS)
 
 
 def asked(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -10,7 +12,9 @@ from sampling_design.errors import ArgumentError
 from sampling_design.observability.count.functional import part_for
 from sampling_design.observability.sigma_bracket import (
     NO_STATES,
+    SHARE,
     SigmaBracket,
+    SigmaDeviations,
     coordinates_of,
     in_balls,
     rtol_and_seconds,
@@ -33,7 +37,7 @@ from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import counted, short
 from sampling_design.records.signatures import open_verb
-from sampling_design.schedules.jitter import Timing
+from sampling_design.schedules.jitter import Timing, TimingTolerance
 from sampling_design.schedules.spaced_windows import SpacedWindows
 
 MOST_MEMORY = 2.0  # GiB that a search over the times of all samples may take
@@ -104,7 +108,7 @@ class WorstCaseSigma(SigmaBracket):
 
     _plain = (
         "lower upper witness direction closed status method cells rtol rigorous family{window count spacing} time_unit "
-        "coordinates claim"
+        "deviations coordinates claim"
     )
     _table = {
         **SigmaBracket._table,
@@ -222,6 +226,8 @@ def worst_case_sigma(
     is closed by its corners, where the least y'Gz over all schedules is a least path and each sample's term lies
     above its chords minus (h^2/8) max of its second derivative. Cell, grid and the windows in which each
     sample can still matter shrink together. The state is taken at the first sample, which alone leaves it a thin slab.
+    *Deviations.* `deviations` of the record says what is left where samples come a hundredth of the spacing early or
+    late (or as was asked), and where one is lost, within what is left of a `budget`: a rule with one sample fewer.
     *Numerical aspects.* The coordinates are those in which a survey of the window and the worst schedule
     found see all directions alike. Remainders are suprema over the grid cells (fourth derivatives,
     bounded by norms), not samples: a dip narrower than the first grid is not missed. `lower` is reduced by
@@ -242,22 +248,53 @@ def worst_case_sigma(
     >>> bool(0.99 * sigma.upper <= sigma.lower <= sigma.upper)
     True
     """
-    family = family.loosened(timing_tolerance)
+    late, family = TimingTolerance.of(timing_tolerance), family.loosened(timing_tolerance)
     plant = part_for(plant, of, family.window)
     tolerance, seconds = asked(plant, family, RTOL if rtol is None else rtol, budget)
     generator = checks.generator(rng)
     require_moderate(plant)
     _require_memory(plant, family)
-    own = plant.scaled() if plant.has_scales else plant
+    own, limit = plant.scaled() if plant.has_scales else plant, Budget(seconds)
     result = _bracketed(own, within_periods(plant, family), tolerance, seconds, generator, progress)
+
+    def least(kept: SpacedWindows, left: float) -> float:
+        return _bracketed(own, within_periods(plant, kept), tolerance, left, checks.generator(0), None).lower
+
+    beside = partial(deviations_of_family, least, family, late, result.lower, limit.left, plant.time_unit)
     if rigorous:
         from sampling_design.observability.worst_case.balls import prove_worst_sigma
 
         proof = prove_worst_sigma(own, result.family, result.lower, result.witness, seconds)
         result = in_balls(result, proof)
-    return replace(
-        result, family=family, coordinates=coordinates_of(plant.has_scales, isinstance(plant, FunctionalPlant))
-    )
+    coordinates = coordinates_of(plant.has_scales, isinstance(plant, FunctionalPlant))
+    return replace(result, family=family, coordinates=coordinates, beside=beside)
+
+
+def deviations_of_family(
+    least: Callable[[SpacedWindows, float], float],
+    family: SpacedWindows,
+    asked: TimingTolerance,
+    sigma: float,
+    seconds: float,
+    time_unit: str,
+) -> SigmaDeviations | None:
+    """Prove what is left of a family's `sigma` if samples come early or late, or one is lost; None without `seconds`.
+
+    `least(family, seconds)` proves sigma of a rule. As early or late as was `asked`, which `family` is loosened by and
+    `sigma` proven for, else by a share of the spacing. Windows that are early and late together longer hold all that
+    was planned in the shorter ones, at a spacing that is as much less. In windows of the family's own length real
+    times hold what was planned in one that is as much shorter, less than the spacing: all samples but one. A rule with
+    one sample fewer and less spacing holds where one is lost, too.
+    """
+    limit = Budget(seconds)
+    late = asked or TimingTolerance.of(SHARE * family.spacing)
+    wider = sigma if asked else least(family.loosened(late.plain), limit.left)
+    nearer = family.spacing if asked else family.spacing - late.span
+    fewer = family.count - 1
+    if limit.over:
+        return None
+    lost = min(sigma, least(replace(family, count=fewer, spacing=nearer), limit.left)) if fewer else 0.0
+    return SigmaDeviations(late, sigma if asked else lost, min(sigma, wider), lost, None, time_unit, bool(asked))
 
 
 def asked(plant: OpenPlant, family: SpacedWindows, rtol: float, budget: float | None) -> tuple[float, float]:

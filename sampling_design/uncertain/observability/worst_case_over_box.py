@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from sampling_design.numerics.branch_and_bound import LeastOverCells, within
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
-from sampling_design.observability.worst_case.worst_case_sigma import LEAST_SEARCH, asked, worst_case_sigma
+from sampling_design.observability.worst_case.worst_case_sigma import (
+    LEAST_SEARCH,
+    asked,
+    deviations_of_family,
+    worst_case_sigma,
+)
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.budget import Budget
@@ -17,7 +23,7 @@ from sampling_design.records.checks import Seed
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
-from sampling_design.schedules.jitter import Timing
+from sampling_design.schedules.jitter import Timing, TimingTolerance
 from sampling_design.schedules.spaced_windows import SpacedWindows
 from sampling_design.uncertain.box.branching import BALL_ROOM
 from sampling_design.uncertain.box.expansion import UP, BoxCells
@@ -34,6 +40,7 @@ from sampling_design.uncertain.observability.worst_case_cells import (
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 RTOL = 0.1  # default width of the bracket, relative
+BESIDE = 4.0  # times what the bracket took: what late and lost samples leave may take that
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -73,7 +80,10 @@ class WorstCaseOverBox(SigmaBracket):
         "family": "{family.count} samples in {family.window} {_unit}, {family.spacing} {_unit} apart",
         "status": "{status}, {plants} plants",
     }
-    _plain = "lower upper worst witness status rtol plants rigorous coordinates family{window count spacing} claim"
+    _plain = (
+        "lower upper worst witness status rtol plants rigorous coordinates family{window count spacing} deviations "
+        "claim"
+    )
 
     def _unit(self) -> str:
         return self.plant.time_unit
@@ -109,7 +119,7 @@ def worst_case_over_box(
     timing_tolerance: Timing = 0.0,
 ) -> WorstCaseOverBox:
     """Bracket the worst case over the box: single plants, and what they say of all within a cell (`least_over`)."""
-    family = family.loosened(timing_tolerance)
+    late, family = TimingTolerance.of(timing_tolerance), family.loosened(timing_tolerance)
     tolerance, seconds = asked(plant, family, RTOL if rtol is None else rtol, budget)
     model = BoxModel.of(plant, "worst_case_sigma")
     if not model.n:
@@ -132,6 +142,15 @@ def worst_case_over_box(
 
     settled: list[BoxCells] = []
     found = _searched(model, family, tolerance, clock, one, settled)
+
+    def least(kept: SpacedWindows, left: float) -> float:
+        if worst_case_sigma(plant.nominal, replace(kept, time_unit=None), tolerance, left).lower == 0:
+            return 0.0  # a box about a zero is cut for as long as it may be
+        return worst_case_over_box(plant, kept, tolerance, left).lower
+
+    left = min(clock.left, BESIDE * max(clock.spent, LEAST_SEARCH))
+    beside = partial(deviations_of_family, least, family, late, found.lower, left, plant.time_unit)
+    found = replace(found, beside=beside)
     if not rigorous or found.status == "interrupted":
         return found
     from sampling_design.uncertain.observability.worst_case_balls import prove_worst_over_box

@@ -193,6 +193,21 @@ class Accuracy(AccuracyBracket, CurveRecord):
         value, excess = attains(witness, self.bounds, self.question.initial)
         return excess <= 1 + KEPT and value >= self.lower[k] * (1 - KEPT)
 
+    _answers = (
+        "the least error that an estimator can guarantee along a schedule, at the worst time",
+        "proven: `upper` by gains, `lower` by trajectories that no sample shows",
+        "{_within}",
+        "`.verify()`, `.verify(rigorous=True)`",
+    )
+
+    def _within(self) -> str:
+        """How far apart both sides are."""
+        known = np.isfinite(self.upper)
+        low, up = self.lower[known], self.upper[known]
+        widths = np.divide(up, low, out=np.where(up > 0, np.inf, 1.0), where=low > 0) - 1
+        width = float(np.max(widths, initial=0.0))
+        return f"brackets within {100 * width:.2g} %" if np.isfinite(width) else "0: nothing was attained"
+
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.plant.time_unit
         if self.schedule.endless:
@@ -254,11 +269,8 @@ class Accuracy(AccuracyBracket, CurveRecord):
         text = f"Of {', '.join(lost)} no bound holds at all times: {self._why()}. " if lost else ""
         if not parts:
             return text.strip()
-        low, up = self.lower[known], self.upper[known]
-        widths = np.divide(up, low, out=np.where(up > 0, np.inf, 1.0), where=low > 0) - 1
-        width = float(np.max(widths))
+        low = self.lower[known]
         late = [k for k in np.flatnonzero(known) if self.known_from[k] > self.question.nodes[0]]
-        within = f"brackets within {100 * width:.2g} %" if np.isfinite(width) else "0: nothing was attained"
         when = "At all times"
         if any(np.isinf(self.known_from[k]) for k in late):
             when = "Where the samples determine them"
@@ -270,7 +282,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
             when += f", with results {self._delays()} after their samples"
         return (
             f"{text}{when}, some estimator guarantees {', '.join(parts)}; none guarantees less than "
-            f"{short(low if low.size > 1 else low[0], 4)} ({within})."
+            f"{short(low if low.size > 1 else low[0], 4)} ({self._within()})."
             + (f" {self.notice}" if self.notice else "")
             + ("" if self.deviation is None else f" {self.deviation.explain()}")
         )

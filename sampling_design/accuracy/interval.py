@@ -283,9 +283,21 @@ class Interval(TableRecord, PlainRecord):
                     return False
         return True
 
+    _answers = (
+        "the values that data and bounds leave possible at {t} {plant.time_unit}",
+        "proven: gains for each end",
+        "{_half_widths}",
+        "`.verify()`",
+    )
+
+    def _half_widths(self) -> str:
+        if self.disproof is not None:
+            return "no value is left: the data contradict the bounds"
+        return f"half-widths {short((self.upper - self.lower) / 2)}"
+
     def _rows(self) -> list[tuple[str, str]]:
         count = int(np.sum(np.diff(self.readings.offsets) > 0))
-        lines = [("t", f"{short(self.t)} {self.plant.time_unit}"), ("samples", str(count))]
+        lines = [("samples", str(count))]
         if self.disproof is not None:
             return [*lines, *self.disproof._rows()]
         ends = zip(self.rows.labels(), self.lower, self.upper, strict=True)

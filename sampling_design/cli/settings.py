@@ -212,8 +212,8 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> 
 
 
 def record_table(record: Record) -> Table:
-    """Return the table of a record's rows."""
-    return rows_table(type(record).__name__, record._rows())
+    """Return the table of a record: of a result what it is, its evidence and how good it is, then the rows."""
+    return rows_table(type(record).__name__, [*record._answered(3), *record._rows()])
 
 
 def rows_table(title: str, rows: Sequence[tuple[str, str]]) -> Table:

@@ -70,6 +70,16 @@ class SampleLosses(TableRecord):
         """Index of the sample whose loss hurts most."""
         return int(np.argmin(self.lower))
 
+    _answers = (
+        "sigma of a design without each single sample",
+        "proven: over every window, and what no schedule with one sample fewer exceeds",
+        "at worst {_least} of {sigma} is left",
+        "`window_sigma` of the schedule without a sample",
+    )
+
+    def _least(self) -> float:
+        return float(self.lower.min())
+
     _frame = "time:times lower upper bound price"
 
     def to_dict(self) -> dict[str, Plain]:

@@ -72,6 +72,12 @@ class ParetoFront(ListRecord[ParetoPoint], PlainRecord):
                 kept.append(point)
         return tuple(kept)
 
+    _answers = (
+        "the sigma of designs with {points.__len__} counts of samples",
+        "proven: sigma of each, and what none exceeds",
+        "{efficient.__len__} of them exceed all smaller ones",
+        "`window_sigma` of the times of a point",
+    )
     _frame = "points{samples sigma upper_bound times obstacle}"
 
     def _entries(self) -> tuple[ParetoPoint, ...]:

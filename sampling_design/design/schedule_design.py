@@ -197,15 +197,24 @@ class ScheduleDesign(PlainRecord):
         complete = self.schedule.outputs is not None or bool(there.all())
         return complete and not bool(np.any(used & ~there)) and self.cost <= self.problem.cost_limit * (1 + 1e-9)
 
+    _answers = ("{_what}", "{claim.evidence}", "{_good}", "`.verify()`")
+
+    def _what(self) -> str:
+        if self.schedule is None:
+            return "no samples needed"
+        return f"{counted(len(self.schedule), 'sample')} every {short(self.schedule.period)} {self.plant.time_unit}"
+
+    def _good(self) -> str:
+        if self.schedule is None:
+            return "every mode decays by itself at the rate asked for"
+        least = f"sigma at least {short(self.sigma)}, of no schedule more than {short(self.upper_bound)}"
+        return f"{least}: gap {100 * self.gap:.2f} % ({self.coordinates} coordinates, state at the window's start)"
+
     def _rows(self) -> list[tuple[str, str]]:
         if self.schedule is None:
-            return [("schedule", "no samples needed"), *self._unobserved().items()]
+            return [*self._unobserved().items()]
         unit = self.plant.time_unit
         rows = [
-            ("samples per period", str(len(self.schedule))),
-            ("sigma", f"{short(self.sigma)} proven ({self.coordinates} coordinates, state at the window's start)"),
-            ("no schedule exceeds", short(self.upper_bound)),
-            ("gap", f"{100 * self.gap:.2f} %"),
             *([] if self.deviations is None else self.deviations._rows()),
             ("over every window", f"of {short(self.requirement.window)} {unit} (half-open, at every real position)"),
             ("period", f"{short(self.requirement.period)} {unit}"),
@@ -252,7 +261,7 @@ class ScheduleDesign(PlainRecord):
             told = ". ".join(f"{what[0].upper()}{what[1:]}: {value}" for what, value in self._unobserved().items())
             return f"No samples needed: every mode{entering} decays by itself at the rate asked for. {told}."
         asked, unit = self.late, self.plant.time_unit
-        many = f"{counted(len(self.schedule), 'sample')} every {short(self.schedule.period)} {self.plant.time_unit}"
+        many = self._what()
         if not self.sigma > 0:
             window = (
                 f"{rows or 'every state'} in every window of {short(self.requirement.window)} {self.plant.time_unit}"

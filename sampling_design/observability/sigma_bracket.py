@@ -109,10 +109,8 @@ class SigmaBracket(PlainRecord):
     rigorous: bool = field(default=False, kw_only=True)
     beside: Callable[[], SigmaDeviations | None] | None = field(default=None, kw_only=True)
 
-    _table = {
-        "sigma at least": "{_at_least} ({_grounds}; {coordinates} coordinates, state at the window's start)",
-        "sigma at most": "{upper} (attained)",
-    }
+    _good = "sigma at least {_at_least}, at most {upper} ({coordinates} coordinates, state at the window's start)"
+    _balls = "`rigorous=True` proves `lower` in ball arithmetic; {at} attains `upper`"
 
     @cached_property
     def deviations(self) -> SigmaDeviations | None:

@@ -89,6 +89,13 @@ class PlanComparison(ListRecord[tuple[str, tuple[str, str]]]):
         rows.append(both("rate of the certificate", lambda p: _rate(p)))
         return rows
 
+    _answers = (
+        "two plans for one plant: {names}",
+        "proven: what each plan keeps, and what none beats",
+        "{first.ratio:4} and {second.ratio:4} of the tolerances",
+        "`.first.verify()`, `.second.verify()`",
+    )
+
     def _rows(self) -> list[tuple[str, str]]:
         return [("", " | ".join(self.names)), *((label, " | ".join(said)) for label, said in self.lines())]
 

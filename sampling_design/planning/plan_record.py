@@ -171,9 +171,17 @@ class Plan(PlanFigures):
             **selected(self, "certificate robustness left_out start"),
         }
 
+    _answers = ("{_what}", "proven: accuracies by gains, what no plan beats by trajectories", "{_good}", "`.verify()`")
+
+    def _what(self) -> str:
+        cost = "" if self.problem.counts else f", at a cost of {short(self.cost)}"
+        return f"{counted(self.samples, 'sample')} in {spoken(self.schedule.period, self.plant.time_unit)}{cost}"
+
+    def _good(self) -> str:
+        return f"{short(self.ratio, 4)} of the tolerances; at most {100 * self.gap:.2g} % could be gained"
+
     def _rows(self) -> list[tuple[str, str]]:
-        rows = [("samples", f"{self.samples} in {spoken(self.schedule.period, self.plant.time_unit)}")]
-        rows += [] if self.problem.counts else [("cost", f"{short(self.cost)} a period")]
+        rows = list[tuple[str, str]]()
         if self.bound.cost is not None:
             rows.append(("no plan keeps it for less than", short(self.bound.cost.value)))
         rows += [("samples early or late", f"up to {self._late()}")] if self._late() else []

@@ -118,6 +118,18 @@ class NextSample(Record):
         same = date is not None and latest is not None and date.date() == latest.date()
         return f"{date:%H:%M}" if same else self.when(t, self.now)
 
+    _answers = ("{_what}", "{_evidence}", "{ratio:4} of the tolerance", "`next_sample` with `now` at `.latest`")
+
+    def _what(self) -> str:
+        return "when the next sample must be taken" if self.keeps else "which sample brings the tolerances back"
+
+    def _evidence(self) -> str:
+        return (
+            "proven: that share is not exceeded from then on"
+            if self.proven
+            else "nothing is proven: it may be exceeded"
+        )
+
     def _rows(self) -> list[tuple[str, str]]:
         goals = {goal.name: goal for goal in self.plan.goals}
         rows = [("now", self.when(self.now))]
@@ -138,7 +150,7 @@ class NextSample(Record):
         rows += [("not judged", f"closed days from {self.when(self.judged_until)} on")] * bool(
             np.isfinite(self.judged_until)
         )
-        return [*rows, ("of the tolerance", f"{short(self.ratio, 4)} {'proven' if self.proven else '(not proven)'}")]
+        return rows
 
     def _comes(self, one: AwaitedResult) -> str:
         """When a result comes, in words."""

@@ -50,6 +50,12 @@ _PICTURES = {
 }
 
 register("plot", object, f"{__name__}:draw")
+register("picture", object, f"{__name__}:picture_of")
+
+
+def picture_of(record: object) -> tuple[str, str] | None:
+    """Return which file of this room, and which function in it, draws a record; None where there is no picture."""
+    return next((_PICTURES[each.__name__] for each in type(record).__mro__ if each.__name__ in _PICTURES), None)
 
 
 def draw(record: object, ax: object = None, **beside: object) -> Any:
@@ -58,12 +64,12 @@ def draw(record: object, ax: object = None, **beside: object) -> Any:
     `beside` is what some pictures show beside the record, such as the measurements of estimates. Raises ArgumentError
     if there is no picture for this kind of record, or `ax` is no axes.
     """
-    kind = next((base.__name__ for base in type(record).__mro__ if base.__name__ in _PICTURES), None)
-    if kind is None:
+    picture = picture_of(record)
+    if picture is None:
         got = type(record).__name__
         raise ArgumentError(f"`record` has no picture: got {got}, expected one of {', '.join(sorted(_PICTURES))}.")
     _check_axes(ax)
-    room, function = _PICTURES[kind]
+    room, function = picture
     return getattr(import_module(f"sampling_design.plotting.{room}"), function)(record, ax, **beside)
 
 

@@ -31,6 +31,11 @@ class Claim:
         data["assumptions"] = list(self.assumptions)
         return data
 
+    @property
+    def evidence(self) -> str:
+        """How strong it is, and by which theorem."""
+        return f"{self.strength}: {self.theorem}" if self.theorem else self.strength
+
     def __str__(self) -> str:
         source = f" [{self.theorem}]" if self.theorem else ""
         given = f" given {'; '.join(self.assumptions)}" if self.assumptions else ""

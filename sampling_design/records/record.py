@@ -5,6 +5,9 @@ HTML and `to_dict` are made from that. A record that computes a line overrides `
 
     _table = {"eta": "{eta} 1/{plant.time_unit}", "margin": "{margin:3}", "critical length": "{critical_length:or -}"}
     _plain = "eta margin time_unit:plant.time_unit rows{names matrix} claim"
+
+What a verb of the front door returns says five things first, in one order and under one set of labels (`ANSWERS`):
+`_answers` holds the first four, the last is known from what draws it.
 """
 
 from __future__ import annotations
@@ -33,6 +36,8 @@ if TYPE_CHECKING:
 
 
 Listed = TypeVar("Listed")
+ANSWERS = ("what", "evidence", "how good", "how to check", "how to draw")
+"""What every result says, in this order; evidence is proven, attained or sampled (`Claim.strength`), or none."""
 
 
 class _RecordType(ABCMeta):
@@ -58,8 +63,24 @@ class _RecordType(ABCMeta):
 class Displayable:
     """What shows itself: `repr` in one line, `str` as a small table, `_repr_html_` for notebooks."""
 
+    _answers: ClassVar[tuple[str, ...]] = ()
+    """Of a result: the first four of `ANSWERS`, templates as `said` reads them."""
     _table: ClassVar[Mapping[str, str]] = {}
     """Label and value of each line, templates as `said` reads them."""
+
+    def _answered(self, most: int = len(ANSWERS)) -> list[tuple[str, str]]:
+        """The first so many of `ANSWERS` with what a result says; none of what is no result."""
+        if not self._answers:
+            return []
+        picture = offered("picture", self, object)
+        drawn = "`.plot()`" if picture is not None and picture(self) else "no picture of its own"
+        texts = (*(said(self, each) for each in self._answers), drawn)
+        return [(label, text) for label, text in zip(ANSWERS[:most], texts, strict=False) if text]
+
+    def _lines(self) -> list[tuple[str, str]]:
+        """What is shown: what it is, its evidence and how good it is; the rows; how to check and to draw it."""
+        first = self._answered()
+        return [*first[:3], *self._rows(), *first[3:]]
 
     def _rows(self) -> list[tuple[str, str]]:
         """Label and value of each line of the table, in order; a line about what is None is left out."""
@@ -72,18 +93,20 @@ class Displayable:
         return type(self).__name__
 
     def __repr__(self) -> str:
-        inside = ", ".join(f"{label.replace(' ', '_')}={value}" for label, value in self._rows()[:4])
+        first = [text for _, text in self._answered(3)[2:]]
+        rows = [f"{label.replace(' ', '_')}={value}" for label, value in self._rows()[: 4 - len(first)]]
+        inside = ", ".join([*first, *rows])
         return f"{self._title()}({inside})".replace("\n", " ")
 
     def __str__(self) -> str:
-        rows = self._rows()
+        rows = self._lines()
         width = max((len(label) for label, _ in rows), default=0)
         return "\n".join([self._title(), *(f"  {label:<{width}}  {value}" for label, value in rows)])
 
     def _repr_html_(self) -> str:
         body = "".join(
             f"<tr><th style='text-align:left'>{escape(label)}</th><td style='text-align:left'>{escape(value)}</td></tr>"
-            for label, value in self._rows()
+            for label, value in self._lines()
         )
         return f"<table><caption>{escape(self._title())}</caption>{body}</table>"
 

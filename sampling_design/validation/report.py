@@ -203,13 +203,20 @@ class ValidationReport(YesOrNo, ListRecord[Finding], PlainRecord):
         lines += [f"- {key}: {value}" for key, value in self.settings.items()]
         return "\n".join(lines) + "\n"
 
+    _answers = (
+        "{findings.__len__} promises of a plant, its schedule and its certificate, against simulations",
+        "sampled: what held in every run may fail in another; what was broken is refuted",
+        "{_held} of {findings.__len__} held",
+        "the same call with another `rng`",
+    )
+
+    def _held(self) -> int:
+        return sum(finding.passed for finding in self.findings)
+
     def _rows(self) -> list[tuple[str, str]]:
-        held = sum(f.passed for f in self.findings)
         bounded = [f for f in self.findings if f.sense == "at most" and f.checked]
         worst = min(bounded, key=lambda f: f.margin, default=None)
         return [
-            ("passed", "yes" if self.passed else "no"),
-            ("findings", f"{held} of {len(self.findings)} held"),
             ("least margin", "-" if worst is None else f"{short(worst.margin, 3)} ({worst.claim}, {worst.scenario})"),
             ("runs", str(self.settings.get("runs", "-"))),
             ("duration", f"{short(self.settings.get('duration', np.nan))} {self.plant.time_unit}"),

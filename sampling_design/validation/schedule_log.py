@@ -113,13 +113,21 @@ class ScheduleLog(TableRecord):
             "kept": self.kept,
         }
 
+    _answers = (
+        "{actual.__len__} samples that were taken, against {planned.__len__} that were planned",
+        "proven: sigma of both, over every window; the times are as they were measured",
+        "{_share}",
+        "`window_sigma` of `.actual`",
+    )
+
+    def _share(self) -> str:
+        return "no sigma is compared" if self.kept is None else f"{short(100 * self.kept, 3)} % of the planned sigma"
+
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.time_unit
         away = np.abs(self.deviations[self.match >= 0])
         typical = spoken(float(np.median(away)), unit) if away.size else "-"
         rows = [
-            ("planned samples", str(len(self.planned))),
-            ("actual samples", str(len(self.actual))),
             ("missed", f"{self.missed.size}" + (f" at {short(self.missed)} {unit}" if self.missed.size else "")),
             ("not planned", f"{self.extra.size}" + (f" at {short(self.extra)} {unit}" if self.extra.size else "")),
             ("lacking an output", str(int(self.lacking.sum()))),

@@ -110,7 +110,7 @@ def test_estimates_written_one_by_one_are_those_of_the_record(tmp_path, monkeypa
     file = sd.estimators.write_estimates(moved, tmp_path / "whole.csv", origin="2026-03-01")
     assert (tmp_path / "out/estimates.csv").read_bytes() == file.read_bytes()
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"estimates.csv", "estimates.json", "estimates.png"}
-    assert tally.rows() == moved._rows()
+    assert tally.rows()[2:] == moved._rows()
     assert json.loads(printed)["states"] == ["level", "rate"]
 
 

@@ -81,8 +81,10 @@ def test_a_sample_may_be_late_by_so_much_and_the_plan_goes_on(week):
         "exceeded": f"level since {found.when(-3.0)}",
         "soonest help": "never",
         "kept again": "not known",
-        "of the tolerance": "1.001 (not proven)",
     }
+    said = dict(none._answered())
+    assert said["evidence"] == "nothing is proven: it may be exceeded"
+    assert said["how good"] == "1.001 of the tolerance"
     late = replace(none, latest=day + 14, kept_from=2 * day)
     again = f"A sample at {found.when(day + 14)}, {', '.join(found.outputs)} helps soonest"
     assert late.explain() == f"{since}{again}. Every tolerance is kept from {found.when(2 * day)} on."

@@ -119,10 +119,14 @@ class RandomArrivals(PlainRecord):
         lost = f", each of which is lost with probability {short(p)}" if p else ""
         return f"samples come as a Poisson process, {short(self.arrival_rate)} per {unit}{lost}"
 
+    _answers = (
+        "windows of {length} {time_unit} where {process}",
+        "{claim.evidence}",
+        "a window contracts with probability {contracts[0]} to {contracts[1]}",
+        "draw arrivals and count the windows that contract",
+    )
     _table = {
-        "samples": "{process}",
-        "window": "{length} {time_unit}, {samples} samples",
-        "contracts": "with probability {contracts[0]} to {contracts[1]}",
+        "samples in a window": "{samples}",
         "squared error": "times {mean_factor[0]} to {mean_factor[1]} a window, on average",
     }
     _plain = "loss_probability arrival_rate length samples ends probability contracts factor mean_factor rate claim"

@@ -116,15 +116,23 @@ class Robustness(TableRecord, PlainRecord):
         leeways = [c.family.leeway for c in self.thinned]
         return tuple((leeway.most, leeway.of) for leeway in leeways if leeway is not None)
 
+    _answers = (
+        "how late samples may come, and how many may be lost, with the weights and the horizon of a certificate",
+        "proven: a certificate for each family of schedules that is named",
+        "samples up to {radius} {certificate.plant.time_unit} early or late, losses up to {_lost}",
+        "`.jittered.verify()`, `.thinned[0].verify()`",
+    )
+
+    def _lost(self, between: str = ", ") -> str:
+        return between.join(f"{d} of any {w}" for d, w in self.tolerated) or "none"
+
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.certificate.plant.time_unit
-        lost = ", ".join(f"{d} of any {w}" for d, w in self.tolerated) or "none"
         beyond = (
             f"not proven at {short(self.broken)} {unit}" if self.broken > self.radius else "all that keeps the order"
         )
         return [
-            ("timing error up to", f"{short(self.radius)} {unit} proven, {beyond}"),
-            ("losses up to", lost),
+            ("later samples", beyond),
             *((trial.family.kind, "survives" if trial.survives else "not proven") for trial in self.others),
             ("horizon kept", f"{short(self.length)} {unit}"),
             ("lambda, planned", short(self.certificate.lam)),
@@ -135,7 +143,7 @@ class Robustness(TableRecord, PlainRecord):
     def explain(self) -> str:
         """Say what may go wrong without harm."""
         unit = self.certificate.plant.time_unit
-        lost = " or ".join(f"{d} of any {w}" for d, w in self.tolerated)
+        lost = self._lost(" or ") if self.tolerated else ""
         late = f"every sample is up to {short(self.radius)} {unit} early or late" if self.radius else ""
         thin = f"samples are on time and up to {lost} are lost" if lost else ""
         other = [f"samples are those of the {trial.family.kind} family" for trial in self.others if trial.survives]

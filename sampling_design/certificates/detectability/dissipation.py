@@ -91,10 +91,13 @@ class DetectabilityCertificate(VerifiableRecord):
     _weights = ("P",)
     _inequality = r"""  |\Delta x(t)|_P^2 \le e^{-\eta t} |\Delta x(0)|_P^2
     + \int_0^t e^{-\eta (t-\tau)} \big( c_w |\Delta w(\tau)|^2 + c_y |\Delta y(\tau)|^2 \big) \,d\tau"""
+    _answers = (
+        "a plant is {claim.statement}",
+        "{claim.evidence}",
+        "errors decay at {eta} 1/{plant.time_unit}, with gains {c_w} of w and {c_y} of y",
+        "`.verify()`, `.verify(rigorous=True)`",
+    )
     _table = {
-        "eta": "{eta} 1/{plant.time_unit}",
-        "c_w": "{c_w}",
-        "c_y": "{c_y}",
         "cond P": "{overshoot}",
         "method": "{method}",
         "margin": "{margin:3}",

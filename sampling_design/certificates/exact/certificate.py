@@ -110,11 +110,16 @@ class SampledCertificate(VerifiableRecord, ABC):
     witness: Witness | None = field(default=None, kw_only=True)
     solver: SolverRecord = field(default_factory=lambda: SolverRecord("given"), kw_only=True)
 
+    _answers = (
+        "{claim.statement}",
+        "{claim.evidence}",
+        "windows longer than {horizon.minimum} {plant.time_unit} contract",
+        "`.verify()`, `.verify(rigorous=True)`",
+    )
     _table = {
         "eta": "{eta} 1/{plant.time_unit}",
         "lambda": "{lam}",
         "lambda, sample starts": "{lam_samples}",
-        "horizon, improved": "M > {horizon.minimum} {plant.time_unit}",
         "horizon, paper": "M > {_paper_horizon.minimum} {plant.time_unit}",
         "C_x, C_w, C_v": "{horizon.C_x:3}, {horizon.C_w:3}, {horizon.C_v:3}",
         "margin": "{margin:3}",

@@ -80,7 +80,13 @@ class Existence(ExistenceAnswer, PlainRecord):
     reason: str = "every mode that does not decay by itself is seen within a period"
 
     _plain = "exists margin period reason"
-    _table = {"exists": "{exists}", "margin": "{margin:3}", "period": "{period}", "reason": "{reason}"}
+    _answers = (
+        "whether some certificate of that rate exists on the schedule: {exists}",
+        "proven: the modes that do not decay at that rate decide it, up to rounding",
+        "{margin:3} from the answer no",
+        "`certify` finds one where it exists",
+    )
+    _table = {"period": "{period}", "reason": "{reason}"}
 
     def explain(self) -> str:
         """Say why."""

@@ -19,7 +19,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
 from sampling_design.records.declarations import Column
-from sampling_design.records.record import CurveRecord, ListRecord, PlainRecord, Variable
+from sampling_design.records.record import CurveRecord, ListRecord, PlainRecord, Variable, short
 
 
 class GuaranteeWarning(UserWarning):
@@ -170,8 +170,15 @@ class EstimateRecord(ListRecord[Estimate], CurveRecord, PlainRecord):
             found.take(*each)
         return found
 
+    _answers = ("{_counted.what}", "{_counted.evidence}", "{_last}", "`.estimates[-1].interval().verify()`")
+
+    def _last(self) -> str:
+        """How well the state is known at the end."""
+        radii = self.estimates[-1].radii if self.estimates else np.array([])
+        return f"at the end within {short(radii)}" if np.isfinite(radii).any() else "no radius at the end"
+
     def _rows(self) -> list[tuple[str, str]]:
-        return self._counted.rows()
+        return self._counted.rows()[2:]
 
     def explain(self) -> str:
         """Say how many estimates there are and what they promise."""

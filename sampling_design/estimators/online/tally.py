@@ -41,14 +41,25 @@ class EstimateCounts:
         if contradiction is not None:
             self.contradictions.setdefault(contradiction)
 
+    @property
+    def what(self) -> str:
+        """How many estimates there are, of which times, and where they lie."""
+        span = f" from {short(self.first)} to {short(self.last)} {self.time_unit}" if self.count else ""
+        where = ", in the middle of what data and bounds allow" if self.moved else ""
+        return f"{counted(self.count, 'estimate')} of the state{span}{where}"
+
+    @property
+    def evidence(self) -> str:
+        """Of how many a radius is proven."""
+        many = f"the radii of {self.certified} of {self.count}, where the bounds hold"
+        return f"proven: {many}" if self.certified else "nothing is proven"
+
     def rows(self) -> list[tuple[str, str]]:
         """Rows of a table."""
-        span = f"{short(self.first)} to {short(self.last)} {self.time_unit}" if self.count else "-"
         return [
-            ("estimates", str(self.count)),
-            ("time", span),
+            ("what", self.what),
+            ("evidence", self.evidence),
             ("status", ", ".join(f"{k}: {v}" for k, v in self.status.items()) or "-"),
-            ("certified", f"{self.certified} of {self.count}"),
             *([] if self.moved else [("on schedule", f"{self.on_schedule} of {self.count}")]),
             *(("contradiction", str(each)) for each in self.contradictions),
         ]

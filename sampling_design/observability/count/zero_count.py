@@ -87,16 +87,19 @@ class ZeroCountBound(SampleCount):
         """The critical length for a file, in which an infinite one (all eigenvalues real) is a word."""
         return "infinite" if self.critical_length == np.inf else self.critical_length
 
+    _answers = (
+        "how many samples in a window of {duration} determine the state, whatever their times",
+        "{claim.evidence}",
+        "{samples} do ({binding}), fewer than {samples_least} never do",
+        "`window_sigma` of any such schedule is positive",
+    )
     _table = {
         "k*": "{value}",
         "samples needed": "{samples_needed}",
         "order r": "{order}",
         "frequency spread": "{frequency_spread}",
-        "duration": "{duration}",
         "critical length": "{critical_length:or -}",
         "samples by critical length": "{samples_critical:or -}",
-        "samples at least": "{samples_least}",
-        "binding": "{binding}: {samples}",
     }
 
     @property

@@ -105,11 +105,15 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
     )
     _refers_to = "the state at the window's start"
 
+    _answers = (
+        "the least sigma over every window of {window} {time_unit} along a schedule, from {from_time} {time_unit} on",
+        "{_grounds}",
+        SigmaBracket._good,
+        SigmaBracket._balls.format(at="`.witness`"),
+    )
     _table = {
-        **SigmaBracket._table,
         "worst window ends": "{witness.position} {time_unit}",
         "samples in it": "{witness.samples.size}",
-        "window": "{window} {time_unit}, from {from_time} {time_unit} on",
         "samples come": "{_late}",
         "status": "{status}",
     }
@@ -128,6 +132,7 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
                 else "the plant's matrices and the sample times are exact",
                 f"{self.coordinates} coordinates",
             ),
+            strength="sampled" if self.status == "sampled" else "proven",
         )
 
     def _variables(self) -> dict[str, Variable]:

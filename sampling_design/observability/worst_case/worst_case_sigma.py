@@ -110,11 +110,16 @@ class WorstCaseSigma(SigmaBracket):
         "lower upper witness direction closed status method cells rtol rigorous family{window count spacing} time_unit "
         "deviations coordinates claim"
     )
+    _answers = (
+        "the least sigma over all schedules with {_counted} in {family.window} {time_unit}, {family.spacing} "
+        "{time_unit} apart",
+        "{_grounds}",
+        SigmaBracket._good,
+        SigmaBracket._balls.format(at="the schedule `.witness`"),
+    )
     _table = {
-        **SigmaBracket._table,
         "worst times": "{witness} {time_unit}",
         "worst state": "{direction}",
-        "family": "{_counted} in {family.window} {time_unit}, {family.spacing} {time_unit} apart",
         "status": "{status}",
         "method": "{_method}",
     }

@@ -83,6 +83,13 @@ class AccuracyOverBox(AccuracyBracket):
             ("constant parameters in their ranges, known to the estimator", "bounded disturbance and noise"),
         )
 
+    _answers = (
+        "the least error that an estimator can guarantee for every plant of a box, which it knows",
+        "{claim.evidence}",
+        "at most {upper}; for the worst plants no less than {lower}",
+        "`guaranteed_accuracy` of the plants `.worst`",
+    )
+
     def _rows(self) -> list[tuple[str, str]]:
         found = [
             (name, f"{short(low)} to {short(up)}, worst at {at_parameters(where)}")

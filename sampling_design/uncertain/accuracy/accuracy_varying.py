@@ -81,6 +81,7 @@ class AccuracyAlong(AccuracyBracket):
             f"at the times looked at, gains guarantee {short(self.largest[1])}",
             "optimal recovery, integrals by Simpson's rule",
             ("bounded disturbance, noise and first error", "the plant varies as stated"),
+            strength="sampled",
         )
 
     @property
@@ -89,6 +90,13 @@ class AccuracyAlong(AccuracyBracket):
         at = _worst(self.upper)
         index = np.arange(len(at))
         return self.lower[index, at], self.upper[index, at]
+
+    _answers = (
+        "the least error that an estimator can guarantee at {times.size} times of a plant that varies",
+        "{claim.evidence}",
+        "at most {largest[1]}, no less than {largest[0]}",
+        "the same call with a smaller `rtol`",
+    )
 
     def _rows(self) -> list[tuple[str, str]]:
         found, unit = [], self.plant.time_unit

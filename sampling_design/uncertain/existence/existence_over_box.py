@@ -60,13 +60,17 @@ class ExistenceOverBox(ExistenceAnswer):
     cells: int
     plant: UncertainPlant
 
+    _answers = (
+        "whether every plant of a box has a certificate of that rate on the schedule: {exists}",
+        "proven: gains in {cells} cells, or one plant that has none",
+        "{margin:3} from the answer no",
+        "`certificate_exists` of the plant `.worst`",
+    )
+
     def _rows(self) -> list[tuple[str, str]]:
         return [
-            ("exists", "yes, for every plant of the box" if self.exists else "no"),
-            ("least margin", short(self.margin, 3)),
             ("at", at_parameters(self.worst)),
             ("reason", self.reason),
-            ("cells", str(self.cells)),
         ]
 
     def explain(self) -> str:

@@ -65,12 +65,17 @@ class WindowSigmaOverBox(SigmaBracket):
     from_time: float = field(default=0.0, kw_only=True)
     slack: float = field(default=0.0, kw_only=True)
 
+    _answers = (
+        "the least sigma of every plant of a box, over every window of {window} {time_unit} along a schedule, from "
+        "{from_time} {time_unit} on",
+        "{_grounds}",
+        SigmaBracket._good,
+        SigmaBracket._balls.format(at="the plant `.worst`"),
+    )
     _table = {
-        **SigmaBracket._table,
         "worst plant": "{worst:or the nominal plant}",
         "worst window begins": "{window_start} {time_unit}",
         "samples in it": "{samples.size}",
-        "window": "{window} {time_unit}, from {from_time} {time_unit} on",
         "status": "{status}, {cells} cells",
     }
     _plain = (

@@ -73,11 +73,16 @@ class WorstCaseOverBox(SigmaBracket):
     plants: int
     plant: UncertainPlant
 
+    _answers = (
+        "the least sigma of every plant of a box, over all schedules with {family.count} samples in {family.window} "
+        "{_unit}, {family.spacing} {_unit} apart",
+        "{_grounds}",
+        SigmaBracket._good,
+        SigmaBracket._balls.format(at="the plant `.worst`"),
+    )
     _table = {
-        **SigmaBracket._table,
         "worst plant": "{worst:or the nominal plant}",
         "worst times": "{witness} {plant.time_unit}",
-        "family": "{family.count} samples in {family.window} {_unit}, {family.spacing} {_unit} apart",
         "status": "{status}, {plants} plants",
     }
     _plain = (

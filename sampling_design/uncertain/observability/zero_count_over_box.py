@@ -53,12 +53,16 @@ class ZeroCountOverBox(SampleCount):
     cells: int
     plant: UncertainPlant
 
+    _answers = (
+        "how many samples in a window of {duration} determine the state of every plant of a box",
+        "{claim.evidence}",
+        "{samples_needed} do, wherever they lie",
+        "`zero_count_bound` of the plant `.worst`",
+    )
     _table = {
         "k*, at most": "{value}",
-        "samples needed": "{samples_needed}",
         "frequency spread": "{attained} to {frequency_spread}",
         "fastest plant": "{worst:or the nominal plant}",
-        "duration": "{duration}",
     }
     _plain = "value samples_needed frequency_spread attained duration cells worst claim"
 

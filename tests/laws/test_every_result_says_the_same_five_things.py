@@ -1,0 +1,108 @@
+"""What a verb returns says what it is, its evidence, how good it is, how to check and how to draw it, in this order."""
+
+import functools
+import importlib
+import inspect
+import pkgutil
+import typing
+
+import numpy as np
+import pytest
+
+import sampling_design as sd
+from sampling_design import uncertain
+from sampling_design.accuracy.accuracy_record import AccuracyBracket
+from sampling_design.certificates.existence.periodic import ExistenceAnswer
+from sampling_design.certificates.rigorous.decide import VerifiableRecord
+from sampling_design.estimators.online.estimator import EstimateRecord
+from sampling_design.observability.count.zero_count import SampleCount
+from sampling_design.observability.sigma_bracket import SigmaBracket
+from sampling_design.planning.comparison import PlanComparison
+from sampling_design.records.declarations import PLACE, STEP
+from sampling_design.records.record import ANSWERS, Record
+
+READ_OR_MADE = ("read_", "named_", "simulate_")  # verbs that return what a user could have made
+PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], time_unit="s", states=["position", "speed"])
+SCHEDULE = sd.PeriodicSchedule([0.7, 1.6, 0.9], time_unit="s")
+BOUNDS = {"w_bound": 0.1, "v_bound": 0.1}
+BOX = sd.UncertainPlant(PLANT, [sd.UncertainParameter("stiffness", 0.0, 0.05, A=[[0.0, 0.0], [-1.0, 0.0]])])
+
+
+@functools.cache
+def certificate():
+    return sd.certify(PLANT, SCHEDULE, eta=0.4, P2=np.eye(2))
+
+
+def record():
+    return [(0.7, [0.8]), (2.3, [-0.7])]
+
+
+MADE = {
+    "design_schedule": lambda: sd.design_schedule(
+        PLANT, sd.Requirement(window=4.0, spacing=0.5, samples=2), starts=1, branches=0
+    ),
+    "certify": certificate,
+    "certify_detectability": lambda: sd.certificates.certify_detectability(PLANT),
+    "window_sigma": lambda: sd.window_sigma(PLANT, SCHEDULE, 4.0),
+    "worst_case_sigma": lambda: sd.worst_case_sigma(PLANT, sd.SpacedWindows(4.0, 3, 0.5)),
+    "zero_count_bound": lambda: sd.zero_count_bound(PLANT, 4.0),
+    "zero_count_bound of a box": lambda: sd.zero_count_bound(BOX, 4.0),
+    "certificate_exists": lambda: sd.certificate_exists(PLANT, SCHEDULE, 0.4),
+    "guaranteed_accuracy": lambda: sd.guaranteed_accuracy(PLANT, SCHEDULE, rtol=0.2, **BOUNDS),
+    "state_interval": lambda: sd.state_interval(PLANT, record(), initial_error=2.0, prior_time=0.0, **BOUNDS),
+    "state_interval that is empty": lambda: sd.state_interval(PLANT, [(0.1, [1.0]), (0.2, [9.0])], **BOUNDS),
+    "run": lambda: sd.MovingHorizonEstimator(PLANT, certificate(), initial_error=2.0, **BOUNDS).run(record()),
+    "run without bounds": lambda: sd.KalmanFilter(PLANT).run(record()),
+    "random_arrivals": lambda: sd.certificates.random_arrivals(certificate(), 0.1),
+    "compare_schedule": lambda: sd.compare_schedule(PLANT, SCHEDULE, [0.7, 2.4], 4.0),
+    "validate": lambda: sd.validate(PLANT, SCHEDULE, certificate(), runs=1, duration=2.0, scenarios=["random"]),
+}
+
+
+def results():
+    """Every class of record that a verb of the front door returns, and those that other plants are answered with."""
+    verbs = [
+        getattr(sd, name)
+        for names in sd._FRONT_DOOR.values()
+        for name in names
+        if not (inspect.isclass(getattr(sd, name)) or name.startswith(READ_OR_MADE))
+    ]
+    told = {typing.get_type_hints(inspect.unwrap(verb))["return"] for verb in verbs}
+    for module in pkgutil.walk_packages(uncertain.__path__, "sampling_design.uncertain."):  # its records are known then
+        importlib.import_module(module.name)
+    kinds = {EstimateRecord, PlanComparison, sd.certificates.RandomArrivals} | told
+    for base in (SigmaBracket, SampleCount, ExistenceAnswer, AccuracyBracket, VerifiableRecord):
+        kinds |= {kind for kind in derived(base) if kind.__module__.startswith("sampling_design.")}
+    return sorted((kind for kind in kinds if not kind.__subclasses__() or "_answers" in vars(kind)), key=repr)
+
+
+def derived(base):
+    for kind in base.__subclasses__():
+        yield kind
+        yield from derived(kind)
+
+
+@pytest.mark.parametrize("kind", results(), ids=lambda kind: kind.__name__)
+def test_no_result_is_forgotten(kind):
+    assert issubclass(kind, Record)
+    assert len(kind._answers) == 4
+    known = {name for base in kind.__mro__ for name in (*vars(base), *getattr(base, "__annotations__", {}))}
+    paths = [place[0] for text in kind._answers for place in PLACE.findall(text)]
+    assert {STEP.findall(path)[0] for path in paths} <= known
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_five_things_stand_in_one_order(name):
+    found = MADE[name]()
+    assert [label for label, _ in found._answered()] == list(ANSWERS)
+    said = dict(found._answered())
+    assert said["evidence"].split(":")[0].split()[0] in ("proven", "attained", "sampled", "nothing")
+    assert not {"nan", "None"} & set(" ".join(said.values()).replace("[", " ").split())
+    for shown, mark in ((str(found), "\n  {}  "), (found._repr_html_(), ">{}<")):
+        places = [shown.find(mark.format(label)) if mark[0] == ">" else shown.find(f"\n  {label}") for label in ANSWERS]
+        assert -1 not in places
+        assert places == sorted(places)
+    assert said["how good"] in repr(found)
+    assert found.explain()
+    if said["how to draw"] == "`.plot()`":
+        assert found.plot() is not None

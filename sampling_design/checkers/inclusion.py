@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from .cover import judge
-from .inclusion_file import INCLUSION, Box, Inclusion, Region, inclusion, moved
+from .inclusion_file import INCLUSION, Inclusion, inclusion, moved
 from .jumps import JUMP, prove_jumps, together
 from .members import Members, bounds, joint, least
 from .numbers import EPS, RESOLUTION, SAFE
@@ -104,7 +104,7 @@ def form_radii(P: Array, E: Array, EG: Array) -> Array:
 def flows(c: Inclusion, P: Array, Qw: Array, work: Work) -> float:
     """Prove 1; return the least slack."""
     both, slope, size, taus = pieces(c, P)
-    if isinstance(c.model, Region):
+    if c.model.kind == "nonlinear":
 
         def slacks(A: Array, EA: Array, G: Array, EG: Array) -> Parts:
             k, m = len(A), len(both)
@@ -155,7 +155,7 @@ def multiplied(c: Inclusion, both: Array, slope: Array, size: Array, taus: Array
 
     (x, w)'N(A0, G0)(x, w) - 2 x'P sum_k l_k p_k + sum_k m_k (p_k^2 - z_k^2) > 0, m_k >= 0, N at the middle of the box.
     """
-    assert isinstance(c.model, Box)
+    assert c.model.kind == "box"
     assert c.multipliers is not None
     n, q = c.plant.n, c.plant.G.shape[1]
     middle, rounding = np.hstack([c.plant.A, c.plant.G]), 0.0
@@ -200,7 +200,7 @@ def multiplied(c: Inclusion, both: Array, slope: Array, size: Array, taus: Array
 
 def broken(c: Inclusion, both: Array, slope: Array, size: Array, taus: Array, Qw: Array) -> None:
     """Refused at a corner of a box where 1 fails, sought by turns of the worst direction and the signs it asks for."""
-    assert isinstance(c.model, Box)
+    assert c.model.kind == "box"
     n, acting = c.plant.n, tuple(each for each in c.model.parameters if each.low < each.high)
     parts = np.array([np.hstack([each.A, each.G]) for each in acting])
     ends = np.array([[each.low - each.nominal, each.high - each.nominal] for each in acting])

@@ -8,6 +8,7 @@ its own. What comes before the first sample is the end of a longer gap of the gr
 """
 
 from dataclasses import dataclass
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -95,6 +96,7 @@ class Box:
     """A + sum (theta_k - nominal_k) A_k with every theta in its range, likewise C and G."""
 
     parameters: tuple[Parameter, ...]
+    kind: ClassVar[Literal["box"]] = "box"
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,7 @@ class Vertices:
     A: Array
     C: Array
     G: Array
+    kind: ClassVar[Literal["vertices"]] = "vertices"
 
 
 @dataclass(frozen=True)
@@ -116,6 +119,7 @@ class Region:
     high: dict[str, Array]
     rows: Array
     offsets: Array
+    kind: ClassVar[Literal["nonlinear"]] = "nonlinear"
 
 
 @dataclass(frozen=True)
@@ -227,7 +231,7 @@ def jumps_of(graph: Graph, nodes: Array, starts: Index) -> Jumps:
 
 def with_multipliers(c: Inclusion, read: list[list[list[float]]]) -> Inclusion:
     """The same with a diagonal per end of each piece: one number for each column that a parameter moves."""
-    if not isinstance(c.model, Box):
+    if c.model.kind != "box":
         raise refuse("multipliers", "must be null unless the model is a box of parameters")
     shape = (c.pieces.size, 2, sum(len(moved(each)) for each in c.model.parameters))
     fits = len(read) == shape[0] and all(len(ends) == 2 and all(len(d) == shape[2] for d in ends) for ends in read)

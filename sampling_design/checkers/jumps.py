@@ -60,7 +60,7 @@ def prove_jumps(c: Inclusion, P: Array, Rt: Array, work: Work) -> float:
         jump = Jump(later - base, np.abs(later) + np.abs(base), c.nodes[c.jumps.later[at]], of_some(Rt, seen))
         if not seen.any():
             slack = min(slack, least(f"{JUMP} without C'R~C", jump.gained, jump.sizes, jump.taus))
-        elif isinstance(c.model, Region):
+        elif c.model.kind == "nonlinear":
             slack = min(slack, over_region(c, c.model, P, jump, seen, work))
         else:
             found = outputs(c)

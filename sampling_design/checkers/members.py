@@ -75,7 +75,7 @@ class Members:
     def at(self, points: Array) -> Parts:
         """The matrices at some points, and the rounding of each entry."""
         size = np.abs(self.base) + np.tensordot(np.abs(points), np.abs(self.parts), 1)
-        exact = isinstance(self.model, Vertices) and np.all((points == 0) | (points == 1))
+        exact = self.model.kind == "vertices" and np.all((points == 0) | (points == 1))
         rounding = 0.0 if exact else (len(self.parts) + 4) * EPS
         return self.base + np.tensordot(points, self.parts, 1), rounding * size
 
@@ -88,14 +88,14 @@ class Members:
         if self.acting:
             values = (f"{each.name} = {each.nominal + x:.6g}" for each, x in zip(self.acting, point, strict=True))
             return f" where {', '.join(values)}"
-        if isinstance(self.model, Box):
+        if self.model.kind == "box":
             return ""
         shares = ", ".join(f"{x:.6g} of vertex {k}" for k, x in enumerate(point.tolist()) if x)
         return f" where the plant is {shares}"
 
     def halves(self, points: Array) -> Iterator[Array]:
         """Two hulls that together hold that of some points: a box is halved, or the longest side of a simplex."""
-        if isinstance(self.model, Box):
+        if self.model.kind == "box":
             low, high = points.min(axis=0), points.max(axis=0)
             k = int(np.argmax((high - low) * np.sqrt(np.square(self.parts).sum(axis=(1, 2)))))
             middle = low[k] / 2 + high[k] / 2
@@ -117,10 +117,10 @@ def members(
     c: Inclusion, base: Array, part: Callable[[Parameter], Array], stack: Callable[[Vertices], Array]
 ) -> Members:
     """The matrices of one kind in a model that is a box or a list."""
-    if isinstance(c.model, Vertices):
+    if c.model.kind == "vertices":
         found = stack(c.model)
         return Members(np.zeros_like(base), found, np.eye(len(found)), c.model, ())
-    assert isinstance(c.model, Box)
+    assert c.model.kind == "box"
     acting = tuple(each for each in c.model.parameters if part(each).any() and each.low < each.high)
     if len(acting) > MOST_PARAMETERS:
         raise Undecided("corners", f"{len(acting)} parameters have too many corners: the file has no multipliers")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sampling_design.certificates.files import graph_from, times_from_dict, values_of
-from sampling_design.checkers.inclusion_file import Inclusion, Region
+from sampling_design.checkers.inclusion_file import Inclusion
 from sampling_design.checkers.strict import Tree
 from sampling_design.plants.plant import Plant
 from sampling_design.schedules.family_files import family_from_dict
@@ -16,7 +16,7 @@ from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 def read_inclusion(data: Tree, plant: Plant, found: Inclusion) -> InclusionCertificate:
     """Return the certificate of an inclusion in plain data that the auditor read as `found`."""
     model = None
-    if not isinstance(found.model, Region):
+    if found.model.kind != "nonlinear":
         nominal, parameters, vertices, varying = parts_of_model(plant, data["model"])
         model = UncertainPlant(nominal, parameters, vertices=vertices, varying=varying)
     periodic = data["times"]["kind"] == "periodic"

@@ -17,7 +17,7 @@ from sampling_design.certificates.rigorous.ball_problem import dissipation, posi
 from sampling_design.certificates.rigorous.dissipation_balls import decided
 from sampling_design.checkers.cover import judge
 from sampling_design.checkers.inclusion import FLOW, SUBJECT, broken, pieces
-from sampling_design.checkers.inclusion_file import Box, Inclusion, Region, Vertices, moved
+from sampling_design.checkers.inclusion_file import Inclusion, moved
 from sampling_design.checkers.jumps import JUMP
 from sampling_design.checkers.outcome import Proven, Refused, Undecided, holds
 from sampling_design.numerics.balls import Ball, Matrix, ball, definite, flint, floats, matrix, symmetric
@@ -65,10 +65,10 @@ def diagonal(M: Matrix) -> list[Ball]:
 
 def members(c: Inclusion, keys: str) -> Iterator[list[Matrix]]:
     """The matrices of these keys at every vertex of the model that moves them."""
-    if isinstance(c.model, Vertices):
+    if c.model.kind == "vertices":
         yield from ([matrix(getattr(c.model, key)[k]) for key in keys] for k in range(len(c.model.A)))
         return
-    assert isinstance(c.model, Box)
+    assert c.model.kind == "box"
     acting = [each for each in c.model.parameters if any(getattr(each, key).any() for key in keys)]
     for ends in product(*(sorted({each.low, each.high}) for each in acting)):
         found = [matrix(getattr(c.plant, key)) for key in keys]
@@ -90,7 +90,7 @@ def ends_of(c: Inclusion, P: list[Matrix]) -> list[tuple[Matrix, Matrix, float]]
 def flows(c: Inclusion, P: list[Matrix], Qw: Matrix, clock: Budget) -> float:
     """The flow condition for every member."""
     eta, every = ball(c.weights.eta), ends_of(c, P)
-    if isinstance(c.model, Region):
+    if c.model.kind == "nonlinear":
 
         def slacks(A: Matrix, G: Matrix) -> Iterator[Matrix]:
             return (dissipation(p, slope, A, G, Qw, eta)[0] for p, slope, _ in every)
@@ -108,7 +108,7 @@ def flows(c: Inclusion, P: list[Matrix], Qw: Matrix, clock: Budget) -> float:
 
 def multiplied(c: Inclusion, every: list[tuple[Matrix, Matrix, float]], Qw: Matrix, clock: Budget) -> float:
     """The flow condition with multipliers; see `checkers/inclusion.py`."""
-    assert isinstance(c.model, Box)
+    assert c.model.kind == "box"
     assert c.multipliers is not None
     n, q = c.plant.n, Qw.nrows()
     middle, columns, chosen = matrix(np.hstack([c.plant.A, c.plant.G])), [], []
@@ -164,7 +164,7 @@ def jumps(c: Inclusion, P: list[Matrix], Rt: Matrix, clock: Budget) -> float:
         if not seen.any():
             for later, base, tau in every:
                 slack = min(slack, decided(JUMP, later - base, diagonal(later + base), tau))
-        elif isinstance(c.model, Region):
+        elif c.model.kind == "nonlinear":
             rows = np.flatnonzero(seen).tolist()
 
             def forms(
@@ -207,25 +207,23 @@ class OutputSets:
 
     def __init__(self, c: Inclusion, seen: Mask) -> None:
         self.c, self.seen = c, seen
-        self.box = isinstance(c.model, Box)
-        acting = [each for each in c.model.parameters if each.C.any()] if isinstance(c.model, Box) else []
-        self.acting = acting
-        if self.box:
-            corners = list(product(*(sorted({each.low, each.high}) for each in acting)))
-            self.points = np.array(corners).reshape(len(corners), len(acting))
-        else:
-            assert isinstance(c.model, Vertices)
-            self.points = np.eye(len(c.model.C))
+        assert c.model.kind != "nonlinear"
+        self.model = c.model
+        if c.model.kind == "vertices":
+            self.acting, self.points = [], np.eye(len(c.model.C))
+            return
+        self.acting = [each for each in c.model.parameters if each.C.any()]
+        corners = list(product(*(sorted({each.low, each.high}) for each in self.acting)))
+        self.points = np.array(corners).reshape(len(corners), len(self.acting))
 
     def at(self, point: Array) -> Matrix:
         """The rows of C that are seen."""
-        if self.box:
+        if self.model.kind == "box":
             found = matrix(self.c.plant.C[self.seen])
             for each, value in zip(self.acting, point.tolist(), strict=True):
                 found += matrix(each.C[self.seen]) * (ball(value) - ball(each.nominal))
             return found
-        assert isinstance(self.c.model, Vertices)
-        parts = (matrix(C[self.seen]) * ball(x) for C, x in zip(self.c.model.C, point.tolist(), strict=True))
+        parts = (matrix(C[self.seen]) * ball(x) for C, x in zip(self.model.C, point.tolist(), strict=True))
         first = next(parts)
         return sum(parts, first)
 
@@ -233,7 +231,7 @@ class OutputSets:
         """Two sets that together are one: along the side of a box, or of a simplex, that moves C most."""
         far = np.square(found[:, None] - found[None]).sum(axis=(2, 3))
         i, j = divmod(int(np.argmax(far)), len(points))
-        if not self.box:
+        if self.model.kind == "vertices":
             first, second = points.copy(), points.copy()
             first[i] = second[j] = points[i] / 2 + points[j] / 2
             return [first, second]

@@ -106,7 +106,7 @@ def plain(value: Mapping[str, object]) -> dict[str, object]:
     if not is_table(value):
         raise refuse("", f"must hold one table, got {type(value).__name__}")
     found = _plain(value, "", [], [0])
-    return found if isinstance(found, dict) else {}
+    return dict(found) if is_table(found) else {}
 
 
 def _plain(value: object, place: str, around: list[int], items: list[int]) -> object:

@@ -11,6 +11,7 @@ import typer
 from rich.table import Table as RichTable
 
 import sampling_design as sd
+from sampling_design.checkers.strict import is_table
 from sampling_design.cli import reading
 from sampling_design.cli.settings import (
     Settings,
@@ -161,7 +162,7 @@ def design(
         given = {} if branches is None else {"branches": branches}
         result = sd.design_schedule(plant, requirement, rng=rng, budget=settings.budget, progress=progress, **given)
     for name, value in result.defaults_used.items():
-        said = [f"{each.replace('_', ' ')} {of}" for each, of in value.items()] if isinstance(value, dict) else [value]
+        said = [f"{each.replace('_', ' ')} {of}" for each, of in value.items()] if is_table(value) else [value]
         settings.notice(str(value) if name == "notice" else f"--{name} not given: {said[0]} is used.")
     _write_design(settings, result, zero, zone)
     settings.show(result.to_dict(), record_table(result), *_samples(result), result.explain())

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.checkers.strict import is_list, is_table
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.functions import PlainFunction, PlantFunctions, TimedFunction, takes_time
@@ -45,7 +46,7 @@ class PlantEquations(Record):
     def __post_init__(self) -> None:
         check_time_unit(self.time_unit)
         for key in ("sizes", "signals", "bounds"):
-            if not isinstance(getattr(self, key), Mapping):
+            if not is_table(getattr(self, key)):
                 raise ArgumentError(
                     f"`{key}` must be a table of names and values, got {checks.described(getattr(self, key))}."
                 )
@@ -89,7 +90,7 @@ class PlantEquations(Record):
             timed = size is not None and takes_time(function)
             try:
                 value = function(*arguments, t) if timed else function(*arguments)
-                column = ca.vertcat(*value) if isinstance(value, list | tuple) else ca.SX(value)
+                column = ca.vertcat(*value) if is_list(value) else ca.SX(value)
             except Exception as error:  # whatever the function of a user raises
                 raise ArgumentError(
                     f"`{label}` fails for symbols: {type(error).__name__} ({' '.join(str(error).split()):.120})."

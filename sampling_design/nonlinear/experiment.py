@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sampling_design.checkers.strict import Tree
+from sampling_design.checkers.strict import Tree, is_text
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.nonlinear import thyroid as model
@@ -241,7 +241,7 @@ def _line(job: tuple[str, int, Tree]) -> Tree:
 
 
 def _known_case(case: str) -> None:
-    if not isinstance(case, str) or case not in CASES:
+    if not is_text(case) or case not in CASES:
         raise ArgumentError(f"`cases` must be among {', '.join(CASES)}, got {case!r}.")
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.checkers.half_spaces import holds_a_point
+from sampling_design.checkers.strict import is_text
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
@@ -116,7 +117,7 @@ def own_box(key: str, box: object, size: int) -> Box:
 
 
 def _pair(key: str, box: object) -> Sequence[object]:
-    if not isinstance(box, (Sequence, np.ndarray)) or isinstance(box, str) or len(box) != 2:
+    if not isinstance(box, (Sequence, np.ndarray)) or is_text(box) or len(box) != 2:
         raise ArgumentError(f"`bounds[{key!r}]` must be a pair (lower, upper), got {checks.described(box)}.")
     return box  # type: ignore[return-value]
 

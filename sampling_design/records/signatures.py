@@ -21,6 +21,7 @@ from typing import Any, Concatenate, Literal, ParamSpec, Protocol, TypeVar, Unio
 
 import numpy as np
 
+from sampling_design.checkers.strict import is_flag, is_list, is_text
 from sampling_design.errors import ArgumentError, CallError, SolverError
 from sampling_design.records.checks import described, meant
 from sampling_design.records.dispatch import OpenPlant, registered
@@ -255,7 +256,7 @@ def hints_of(function: Callable[..., Any]) -> dict[str, object]:
     found, known = {}, getattr(function, "__globals__", {})
     for name, hint in inspect.get_annotations(function).items():
         try:
-            found[name] = eval(hint, known) if isinstance(hint, str) else hint
+            found[name] = eval(hint, known) if is_text(hint) else hint
         except NameError:
             continue
     return found
@@ -321,7 +322,7 @@ def _unit_of(values: tuple[object, ...]) -> str:
     for value in values:
         for holder in (value, getattr(value, "plant", None)):
             unit = None if isinstance(holder, _Foreign) else getattr(holder, "time_unit", None)
-            if isinstance(unit, str):
+            if is_text(unit):
                 return unit
     return "s"
 
@@ -431,7 +432,7 @@ def _as_typed(value: object, kind: type) -> object:
     if kind in (list, tuple, collections.abc.Sequence) and isinstance(value, np.ndarray) and value.ndim == 1:
         return value.tolist()
     if kind in (list, tuple):
-        return value if isinstance(value, (list, tuple)) else _NO
+        return value if is_list(value) else _NO
     return value if isinstance(value, kind) else _NO
 
 
@@ -469,11 +470,11 @@ def _among(value: object, allowed: tuple[object, ...]) -> bool:
 
 
 def _path(value: object) -> bool:
-    return isinstance(value, os.PathLike) and isinstance(os.fspath(value), str)
+    return isinstance(value, os.PathLike) and is_text(os.fspath(value))
 
 
 def _truth(_: str, value: object) -> object:
-    return bool(value) if isinstance(value, (bool, np.bool_)) else _NO
+    return bool(value) if is_flag(value) else _NO
 
 
 def _number(name: str, value: object) -> Any:
@@ -481,7 +482,7 @@ def _number(name: str, value: object) -> Any:
         return value
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, numbers.Real):
+    if is_flag(value) or not isinstance(value, numbers.Real):
         return _NO
     try:
         result = float(value)

@@ -13,7 +13,20 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.checkers.strict import by_name, count, list_of, nonnegative, number, positive, refuse, table, text
+from sampling_design.checkers.strict import (
+    by_name,
+    count,
+    is_list,
+    is_table,
+    is_text,
+    list_of,
+    nonnegative,
+    number,
+    positive,
+    refuse,
+    table,
+    text,
+)
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -40,7 +53,7 @@ def duration(name: str, value: object, unit: str) -> float:
 
     Raises ArgumentError if it is neither, or not positive.
     """
-    if not isinstance(value, str):
+    if not is_text(value):
         return checks.positive(name, value)
     found = _DURATION.fullmatch(value.strip())
     if not found or found[2] not in SECONDS or float(found[1]) <= 0:
@@ -56,7 +69,7 @@ def delay_span(name: str, given: object) -> tuple[float, float]:
     ArgumentError
         If one is negative, or the least is more than the most.
     """
-    if not isinstance(given, (tuple, list)):
+    if not is_list(given):
         most = checks.nonnegative(name, given)
         return most, most
     if len(given) != 2:
@@ -72,9 +85,9 @@ def result_span(name: str, value: object, unit: str) -> tuple[float, float]:
 
     Raises ArgumentError if one is negative or no time, or the least is more than the most.
     """
-    pair = value if isinstance(value, (tuple, list)) else (value, value)
-    each = [duration(name, x, unit) if isinstance(x, str) else checks.nonnegative(name, x) for x in pair]
-    return delay_span(name, each if isinstance(value, (tuple, list)) else each[0])
+    pair = value if is_list(value) else (value, value)
+    each = [duration(name, x, unit) if is_text(x) else checks.nonnegative(name, x) for x in pair]
+    return delay_span(name, each if is_list(value) else each[0])
 
 
 @frozen
@@ -209,12 +222,10 @@ class Sensor(PlainRecord):
         rows = [("price", short(self.price))]
         for key in ("noise_bound", "noise_deviation", "longest_use", "spacing", "detection_limit", "lowest"):
             value = getattr(self, key)
-            rows += (
-                [] if value is None else [(key.replace("_", " "), value if isinstance(value, str) else short(value))]
-            )
+            rows += [] if value is None else [(key.replace("_", " "), value if is_text(value) else short(value))]
         if self.result_delay is not None:
             delay = self.result_delay
-            after = f"{delay[0]} to {delay[1]}" if isinstance(delay, (tuple, list)) else f"{delay}"
+            after = f"{delay[0]} to {delay[1]}" if is_list(delay) else f"{delay}"
             rows.append(("results after", after))
         if self.available is not None:
             rows.append(("available", spans_in_words(self.available, "never")))
@@ -285,13 +296,14 @@ def _windows(value: object) -> Array | Dates | None:
         return None
     if isinstance(value, (str, os.PathLike)):
         value = _from_file(os.fspath(value))
-    rows = list(value) if isinstance(value, (list, tuple)) else []
-    if rows and all(isinstance(row, (list, tuple)) and all(isinstance(x, str) for x in row) for row in rows):
-        for row in rows:
+    rows = [checks.texts(row) for row in value] if is_list(value) else []
+    dates = [row for row in rows if row is not None]
+    if dates and len(dates) == len(rows):
+        for row in dates:
             if len(row) != 2:
                 raise ArgumentError(f"`available` must hold pairs of dates, got {row!r:.60}.")
             parse_date("available", row[0], "UTC"), parse_date("available", row[1], "UTC")
-        return tuple((a, b) for a, b in rows)
+        return tuple((a, b) for a, b in dates)
     return intervals("available", value)
 
 
@@ -335,12 +347,12 @@ def from_files(sensors: object, where: str) -> object:
 
     Raises ArgumentError if one lies elsewhere: whoever reads a file from others reads nothing but what came with it.
     """
-    if not isinstance(sensors, Mapping):
+    if not is_table(sensors):
         return sensors
     place = Path(where).parent
     return {
-        name: {**terms, "available": _beside(place, f"sensors.{name}.available", terms["available"])}
-        if isinstance(terms, Mapping) and isinstance(terms.get("available"), str)
+        name: {**terms, "available": _beside(place, f"sensors.{name}.available", str(terms["available"]))}
+        if is_table(terms) and is_text(terms.get("available"))
         else terms
         for name, terms in sensors.items()
     }
@@ -363,7 +375,7 @@ _SPANS = by_name(list_of(list_of(text, 2)))
 
 def hours_in_file(value: object, place: str) -> object:
     """Spans of opening hours by weekday; hours in words are told how a file says them."""
-    if isinstance(value, str) or (isinstance(value, Mapping) and any(isinstance(item, str) for item in value.values())):
+    if is_text(value) or (is_table(value) and any(is_text(item) for item in value.values())):
         form = '{ "Mon-Fri" = [["08:00", "12:00"], ["13:00", "17:00"]] }'
         raise refuse(place, f"must be spans by weekday, as hours = {form}, got {value!r:.60}")
     return _SPANS(value, place)

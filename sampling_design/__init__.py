@@ -36,7 +36,6 @@ _FRONT_DOOR = {
     "estimators.records.measurements": ("Measurements", "read_measurements"),
     "nonlinear.model": ("NonlinearPlant",),
     "nonlinear.mhe": ("NonlinearMovingHorizonEstimator",),
-    "estimators.online.estimator": ("Sample",),
     "validation.comparison": ("validate",),
     "validation.scenario": ("simulate_record",),
     "validation.schedule_log": ("compare_schedule",),

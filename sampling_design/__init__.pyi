@@ -35,7 +35,6 @@ from sampling_design.estimators.constraints.constraints import Constraints as Co
 from sampling_design.estimators.gap_flows.cost_function import CostFunction as CostFunction
 from sampling_design.estimators.kalman import KalmanFilter as KalmanFilter
 from sampling_design.estimators.mhe import MovingHorizonEstimator as MovingHorizonEstimator
-from sampling_design.estimators.online.estimator import Sample as Sample
 from sampling_design.estimators.records.measurements import Measurements as Measurements
 from sampling_design.estimators.records.measurements import read_measurements as read_measurements
 from sampling_design.estimators.set_membership import SetMembershipEstimator as SetMembershipEstimator

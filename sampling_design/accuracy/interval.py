@@ -196,7 +196,7 @@ class Interval(TableRecord, PlainRecord):
         Parameters
         ----------
         path : path
-            Ends in .json. `Interval.load` reads it, `sampling-design verify` and the standalone checkers prove it.
+            Ends in .json. `Interval.read` reads it, `sampling-design verify` and the standalone checkers prove it.
 
         Returns
         -------
@@ -213,7 +213,7 @@ class Interval(TableRecord, PlainRecord):
         return interval_file.write_tree(self._sealed(), path)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Interval:
+    def read(cls, path: str | os.PathLike[str]) -> Interval:
         """Read an interval from the file that `save` wrote.
 
         Parameters

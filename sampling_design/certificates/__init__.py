@@ -16,7 +16,6 @@ _NAMES = {
     "exact.information": ("InformationCurve", "information_curve"),
     "existence.counterexample": ("Counterexample", "find_counterexample"),
     "existence.periodic": ("certificate_exists", "smallest_repair"),
-    "families.certify_family": ("certify_family",),
     "families.family_certificate": ("FamilyCertificate",),
     "files": ("read_certificate",),
     "form.constants": ("Constant", "ConstantList"),

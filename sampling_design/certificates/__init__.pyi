@@ -30,7 +30,6 @@ from sampling_design.certificates.existence.counterexample import Counterexample
 from sampling_design.certificates.existence.counterexample import find_counterexample as find_counterexample
 from sampling_design.certificates.existence.periodic import certificate_exists as certificate_exists
 from sampling_design.certificates.existence.periodic import smallest_repair as smallest_repair
-from sampling_design.certificates.families.certify_family import certify_family as certify_family
 from sampling_design.certificates.families.family_certificate import FamilyCertificate as FamilyCertificate
 from sampling_design.certificates.files import read_certificate as read_certificate
 from sampling_design.certificates.form.constants import Constant as Constant

@@ -161,7 +161,7 @@ def certify(
     plant : Plant, or an UncertainPlant or a NonlinearPlant with a region
         For the last two see `certify_inclusion`: they take a periodic schedule or a family, and no P2.
     schedule : PeriodicSchedule, Schedule or a family of schedules
-        A finite schedule is certified to its last time. For a family see `certify_family`. None, the schedule of a
+        A finite one is certified to its last time, a family for every schedule that it holds. None, the schedule of a
         design that needs no samples, is refused.
     eta : float, optional [1/time]
         Discount rate of the squared error. Default: chosen in [0.05, 3]/(mean gap) for the least horizon, below rates
@@ -185,7 +185,7 @@ def certify(
         result is the same on every machine. An interrupt (KeyboardInterrupt) ends the search of weights likewise, once
         it holds some; a second one ends the call.
     memory : int, optional
-        For a family alone: how much of the past its graph remembers; see `certify_family`.
+        For a family alone: how much of the past its graph remembers (0 the least). Default: as little as is enough.
     timing_tolerance : float, or pair (early, late) [plant.time_unit]
         Other than 0: of one schedule, how early or late each sample may be. All such times are a `Jitter` family, about
         the schedule itself or, where early and late differ, half of their difference after it: its certificate is

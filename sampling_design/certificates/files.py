@@ -87,7 +87,7 @@ def certificate_from_dict(data: Tree, where: str = "certificate") -> AnyCertific
         raise ArgumentError(sentence) from None
     if isinstance(found, OfInterval):
         raise FileFormatError(
-            f"{where}: holds an interval. Use Interval.load (sampling_design.accuracy.interval).", where
+            f"{where}: holds an interval. Use Interval.read (sampling_design.accuracy.interval).", where
         )
     read = READERS.get(type(found)) or offered("read_certificate", data["claim"], SampledCertificate)
     assert read is not None, "a claim that the auditor reads and nobody else"

@@ -123,7 +123,7 @@ def holds_interval(path: Path) -> bool:
 
 def interval(path: Path, about: Plant | None) -> tuple[Interval, Verdict]:
     """The interval of a file, and the checkers' verdict on it."""
-    found = _read("certificate", Interval.load, path)
+    found = _read("certificate", Interval.read, path)
     if about is not None and (other := first_difference(about, found.plant)):
         who = found.plant.name or "unnamed"
         raise CertificateError(f"{path}: is about another plant ({who}): {other}.", path=str(path))

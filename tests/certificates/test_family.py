@@ -127,7 +127,7 @@ def test_memory_is_grown_on_demand():
     assert which.d_max > np.pi
     assert len(set(found.graph.words)) > 2
     with pytest.raises(UndecidedError, match=r"undecided at rate 0\.1"):
-        sd.certificates.certify_family(OSCILLATOR, which, eta=0.1, memory=0)
+        sd.certify(OSCILLATOR, which, eta=0.1, memory=0)
 
 
 @pytest.mark.long
@@ -151,7 +151,7 @@ def test_the_margin_stops_growing():
 def test_the_undecided_say_how_far_both_sides_came():
     with pytest.raises(UndecidedError, match="Certified is: Every schedule whose gaps lie between") as caught:
         # gaps of pi - 1e-7: seen by every sample, but too little for the numbers of a certificate
-        sd.certificates.certify_family(OSCILLATOR, GapRange(2.0, np.pi - 1e-7), eta=0.1, memory=0)
+        sd.certify(OSCILLATOR, GapRange(2.0, np.pi - 1e-7), eta=0.1, memory=0)
     details = caught.value.details
     assert caught.value.exit_code == 3
     assert details["status"] == "undecided"
@@ -197,9 +197,9 @@ def test_records_say_what_they_prove():
 
 def test_what_does_not_fit_is_refused_at_the_door():
     with pytest.raises(ArgumentError, match="`family` must be a SamplingFamily, got list"):
-        sd.certificates.certify_family(OSCILLATOR, [1.0, 2.0])
+        family.certify_family(OSCILLATOR, [1.0, 2.0])
     with pytest.raises(ArgumentError, match="`plant` must be a Plant"):
-        sd.certificates.certify_family(np.eye(2), GapRange(0.5, 1.5))
+        family.certify_family(np.eye(2), GapRange(0.5, 1.5))
     with pytest.raises(ArgumentError, match="`family` is in h and the plant in s"):
         sd.certify(OSCILLATOR, GapRange(0.5, 1.5, time_unit="h"))
     with pytest.raises(ArgumentError, match="must be a PeriodicSchedule: a finite one has no long run"):
@@ -207,7 +207,7 @@ def test_what_does_not_fit_is_refused_at_the_door():
     with pytest.raises(ArgumentError, match=r"`noise_gain` must be above 1, got 1\.0"):
         sd.certify(OSCILLATOR, GapRange(0.5, 1.5), noise_gain=1.0)
     with pytest.raises(ArgumentError, match="`memory` must be a whole number from 0 to 4 for this family, got 9"):
-        sd.certificates.certify_family(OSCILLATOR, GapRange(0.5, 1.5), eta=0.1, memory=9)
+        sd.certify(OSCILLATOR, GapRange(0.5, 1.5), eta=0.1, memory=9)
     with pytest.raises(sd.errors.InfeasibleRequirementError, match="an endless schedule needs"):
         sd.certify(OSCILLATOR, SpacedWindows(2.0, 3, 0.9), eta=0.1)
     large = LostSamples(PeriodicSchedule(np.ones(60)), 2, 8)
@@ -283,6 +283,6 @@ def test_rows_of_a_long_schedule_are_kept_without_their_zeros(monkeypatch):
     plant = Plant(np.kron(np.diag([1.0, 2.0, 3.0]), [[0.0, 1.0], [-1.0, 0.0]]), [[1.0, 0.0, 1.0, 0.0, 1.0, 0.0]])
     late = sd.Jitter(PeriodicSchedule(np.linspace(0.1, 0.2, 60)), 0.001)
     with pytest.raises(UndecidedError, match="that is enough"):
-        sd.certificates.certify_family(plant, late, eta=0.1, P2=np.eye(6))
+        sd.certify(plant, late, eta=0.1, P2=np.eye(6))
     stored, whole = np.sum(held[0], axis=0)
     assert stored < 0.1 * whole

@@ -28,7 +28,7 @@ WHICH = {
 
 @cache
 def made(kind):
-    return sd.certificates.certify_family(OSCILLATOR, WHICH[kind], eta=0.3, memory=1)
+    return sd.certify(OSCILLATOR, WHICH[kind], eta=0.3, memory=1)
 
 
 def data_of(kind):

@@ -53,7 +53,7 @@ def sealed(data):
 def test_a_file_comes_back_and_is_proven(whole, tmp_path):
     found, _ = whole
     path = found.save(tmp_path / "interval.json")
-    again = Interval.load(path)
+    again = Interval.read(path)
     assert again.verify()
     assert again.verify(rigorous=True)
     assert np.all(again.lower <= found.lower)
@@ -88,10 +88,10 @@ def test_the_command_and_the_folder_alone_prove_it(whole, tmp_path):
     late = tmp_path / "late.json"
     late.write_text(json.dumps(data))
     with pytest.raises(FileFormatError, match="is no interval: `t` must be a number"):
-        Interval.load(late)
+        Interval.read(late)
     with pytest.raises(FileFormatError, match="Use read_certificate for a certificate"):
-        Interval.load(kind)
-    with pytest.raises(FileFormatError, match=r"holds an interval\. Use Interval\.load"):
+        Interval.read(kind)
+    with pytest.raises(FileFormatError, match=r"holds an interval\. Use Interval\.read"):
         sd.read_certificate(path)
     with pytest.raises(ArgumentError, match=r"`path` of an interval must end in \.json"):
         whole[0].save(tmp_path / "interval.txt")
@@ -196,7 +196,7 @@ def test_a_contradiction_is_proven_too(tmp_path):
     record = [(0.0, [1.0], None), (1.0, [AboveRange(2.0)], None)]
     found = state_interval(walk, record, w_bound=0.1, v_bound=0.05)
     path = found.save(tmp_path / "no.json")
-    again = Interval.load(path)
+    again = Interval.read(path)
     assert again.contradiction == pytest.approx(5.0, rel=1e-4)
     assert again.verify()
     assert again.verify(rigorous=True)

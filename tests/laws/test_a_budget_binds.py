@@ -100,7 +100,7 @@ VERBS = {
     "pareto_front": lambda b: sd.pareto_front(HARD, LARGE, range(16, 21), budget=b),
     "certify": lambda b: sd.certify(HARD, EASY, budget=b),
     "certify_inclusion": lambda b: sd.uncertain.certify_inclusion(MANY, sd.GapRange(0.4, 0.6), eta=0.1, budget=b),
-    "certify_family": lambda b: sd.certificates.certify_family(OSCILLATOR, sd.GapRange(0.05, 1.5), budget=b),
+    "certify of a family": lambda b: sd.certify(OSCILLATOR, sd.GapRange(0.05, 1.5), budget=b),
     "find_counterexample": lambda b: sd.certificates.find_counterexample(HARD, sd.GapRange(0.5, 40.0), 0.1, budget=b),
     "sample_losses": lambda b: sd.sample_losses(designed(), budget=b / 4),
     "guaranteed_accuracy": lambda b: sd.guaranteed_accuracy(

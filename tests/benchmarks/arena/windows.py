@@ -48,8 +48,8 @@ def ours(task: Problem, **options: Any) -> tuple[Callable[[], sd.estimators.Esti
     )
     state = mhe.initial_state(task.prior)
     for t, y in zip(task.times[:-1], task.y[:-1], strict=True):
-        state, _ = mhe.step(state, sd.Sample(t, y))
-    last = sd.Sample(task.times[-1], task.y[-1])
+        state, _ = mhe.step(state, sd.estimators.Sample(t, y))
+    last = sd.estimators.Sample(task.times[-1], task.y[-1])
 
     def work() -> sd.estimators.Estimate:
         return mhe.step(state, last)[1]

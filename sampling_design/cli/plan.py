@@ -163,7 +163,7 @@ def design(
         result = sd.design_schedule(plant, requirement, rng=rng, budget=settings.budget, progress=progress, **given)
     for name, value in result.defaults_used.items():
         said = [f"{each.replace('_', ' ')} {of}" for each, of in value.items()] if is_table(value) else [value]
-        settings.notice(str(value) if name == "notice" else f"--{name} not given: {said[0]} is used.")
+        settings.notice(str(value) if name == "notice" else f"--{name.replace('_', '-')} not given: {said[0]} is used.")
     _write_design(settings, result, zero, zone)
     settings.show(result.to_dict(), record_table(result), *_samples(result), result.explain())
     end_unseen(result)

@@ -291,7 +291,7 @@ def _rename(error: ArgumentError, parameters: Sequence[inspect.Parameter]) -> No
     text = str(error)
     for each in parameters:
         if flag := _as_typed(each):
-            text = text.replace(f"`{each.name}`", f"`{flag}`")
+            text = re.sub(rf"`{each.name}(?=[`\[.])", f"`{flag}", text)  # of one entry, too: `name[1]`, `name.key`
     error.args = (text, *error.args[1:])
 
 

@@ -198,7 +198,7 @@ class PlanRequirement(WrittenRecord):
         def time(name: str, value: object) -> float:
             return duration(name, value, unit) if is_text(value) else checks.nonnegative(name, value)
 
-        return TimingTolerance.of(0.0 if self.timing_tolerance is None else self.timing_tolerance, outputs, time)
+        return TimingTolerance.of(self.timing_tolerance, outputs, time)
 
     def replace(self, **changes: object) -> PlanRequirement:
         """Return a copy with some entries changed.

@@ -74,12 +74,14 @@ class TimingTolerance:
         outputs: Sequence[str] | None = None,
         time: Callable[[str, object], float] = checks.nonnegative,
     ) -> Self:
-        """Return the tolerance that a number, a pair, or a table of these says; an output without one is on time.
+        """Return the tolerance that a number, a pair, or a table of these says; what has none (None) is on time.
 
         `outputs` are the names of the plant's, where they are known yet; `time` reads a number. Raises ArgumentError if
         it is none of these, a number is negative, or an output is unknown.
         """
         name = "timing_tolerance"
+        if value is None:
+            return cls()
         if is_table(value):
             names = tuple(str(key) for key in value) if outputs is None else tuple(outputs)
             checks.known_keys(f"`{name}`", map(str, value), names)

@@ -113,6 +113,15 @@ def test_an_error_about_what_stands_in_a_file_names_the_key_of_the_file(shell, t
     assert ("`--" in result.err) == bool(typed)
 
 
+@pytest.mark.parametrize(
+    ("text", "name"), [("1:-1", "[1]"), ("position=-1", ".position"), ("position=1:-2", ".position[1]"), ("-1", "")]
+)
+def test_one_number_of_a_tolerance_is_named_by_its_flag(shell, text, name):
+    result = shell("design", OSCILLATOR, f"--timing-tolerance={text}", "--quiet")
+    assert result.code == 2
+    assert f"`--timing-tolerance{name}` must not be negative" in result.err
+
+
 @pytest.mark.parametrize("text", ["5:", ":5", "position=", "=1", "position=1,", "1:,2"])
 def test_a_half_written_tolerance_is_named_as_it_was_typed(shell, text):
     result = shell("design", OSCILLATOR, "--timing-tolerance", text, "--quiet")

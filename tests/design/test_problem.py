@@ -16,16 +16,31 @@ BASE = {"window": 4.0, "spacing": 0.5, "samples": 3}
 
 def test_defaults_come_from_the_modes_and_are_told():
     requirement, used, _ = resolve(split_modes(OSCILLATOR), Requirement())
-    assert requirement.window == pytest.approx(2 * np.pi)
-    assert requirement.period == requirement.window
+    assert requirement.period == pytest.approx(2 * np.pi)
+    assert requirement.timing_tolerance == pytest.approx(0.01 * requirement.spacing)
+    assert requirement.window == pytest.approx(requirement.period + 2 * requirement.timing_tolerance)
     assert requirement.samples == {"exactly": 4}  # k* = 1 + T delta/(2 pi) = 3, strictly more
     assert requirement.spacing == pytest.approx(2 * np.pi / 16)
-    assert set(used) == {"window", "period", "samples", "spacing"}
+    assert set(used) == {"window", "period", "samples", "spacing", "timing_tolerance"}
+    again, filled, _ = resolve(split_modes(OSCILLATOR), requirement)
+    assert (again.to_dict(), filled) == (requirement.to_dict(), {})
+
+
+def test_a_window_that_is_given_is_taken_as_it_is():
+    exact, used, _ = resolve(split_modes(OSCILLATOR), Requirement(window=4.0))
+    assert (exact.window, exact.timing_tolerance) == (4.0, 0.0)
+    assert "timing_tolerance" not in used
+    on_time = resolve(split_modes(OSCILLATOR), Requirement(timing_tolerance=0.0)).requirement
+    assert on_time.window == on_time.period
+    late, used, _ = resolve(split_modes(OSCILLATOR), Requirement(timing_tolerance=(0.0, 0.1)))
+    assert (late.window, used["window"]) == (pytest.approx(2 * np.pi + 0.1),) * 2
+    assert late.period == pytest.approx(2 * np.pi)
+    assert late.samples == {"exactly": 4}
 
 
 def test_without_oscillation_the_window_is_four_over_the_norm():
     plant = Plant([[0.0, 2.0], [0.0, 0.0]], [[1.0, 0.0]])
-    assert resolve(split_modes(plant), Requirement())[0].window == pytest.approx(2.0)
+    assert resolve(split_modes(plant), Requirement())[0].period == pytest.approx(2.0)
 
 
 def test_the_default_count_is_cut_with_a_notice():

@@ -13,6 +13,7 @@ from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.count.default_window import default_window
 from sampling_design.observability.count.functional import part_for
 from sampling_design.observability.count.zero_count import ZeroCountBound, zero_count_bound
+from sampling_design.observability.sigma_bracket import SHARE
 from sampling_design.plants.functional import split_needed, weighed_over
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
@@ -53,13 +54,16 @@ def resolve(split: ModalSplit, requirement: Requirement) -> ResolvedRequirement:
     """Fill in the defaults, in the plant's time unit; return them with what they rest on."""
     r = in_unit(requirement, split.plant.time_unit)
     used: dict[str, Any] = {}
-    retained, count = split.retained, None
-    if r.window is None:
+    retained, count, own = split.retained, None, r.window is None
+    if own:
         r = r.replace(window=default_window(split) or r.period or 1.0)
         used["window"] = r.window
     if r.period is None:
         r = r.replace(period=r.window)
         used["period"] = r.period
+    if own and r.timing_tolerance is not None:
+        r = _longer(r)
+        used["window"] = r.window
     longer, r = r.window, _in_windows(r)
     if r.window != longer:
         used["window"] = r.window
@@ -80,6 +84,10 @@ def resolve(split: ModalSplit, requirement: Requirement) -> ResolvedRequirement:
     if r.spacing is None:
         r = r.replace(spacing=_known(r.window) / (4 * max(r.samples.values())))
         used["spacing"] = r.spacing
+    if r.timing_tolerance is None and own:
+        r = _longer(r.replace(timing_tolerance=SHARE * _known(r.spacing)))
+        used.update(timing_tolerance=r.timing_tolerance, window=r.window)
+    r = r.replace(timing_tolerance=TimingTolerance.of(r.timing_tolerance).plain)
     r._check_within(_known(r.period))
     late = TimingTolerance.of(r.timing_tolerance, split.plant.outputs.names)
     if late and late.span >= _known(r.spacing):
@@ -88,6 +96,12 @@ def resolve(split: ModalSplit, requirement: Requirement) -> ResolvedRequirement:
             f"{short(r.spacing)}, got {short(late.span)}: they could change places. Ask for a wider `spacing`."
         )
     return ResolvedRequirement(r, used, count)
+
+
+def _longer(requirement: Requirement) -> Requirement:
+    """The requirement whose window holds what was planned in its own, whenever samples come."""
+    late = TimingTolerance.of(requirement.timing_tolerance)
+    return requirement.replace(window=_known(requirement.window) + 2 * late.radius)
 
 
 def _in_windows(requirement: Requirement) -> Requirement:
@@ -195,7 +209,8 @@ def in_unit(requirement: Requirement, unit: str) -> Requirement:
         return requirement.replace(time_unit=unit)
     c = time_factor(str(requirement.time_unit), unit)
     times = {k: v * c for k in TIMES if (v := getattr(requirement, k)) is not None}
-    times["timing_tolerance"] = TimingTolerance.of(requirement.timing_tolerance).scaled(c).plain
+    if requirement.timing_tolerance is not None:
+        times["timing_tolerance"] = TimingTolerance.of(requirement.timing_tolerance).scaled(c).plain
     return requirement.replace(
         **times,
         forbidden=requirement.forbidden * c,

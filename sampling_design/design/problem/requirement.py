@@ -34,9 +34,10 @@ class Requirement(WrittenRecord):
     Parameters
     ----------
     window : float, optional
-        Length T of the window from which the state must be seen. Default: from the plant's modes.
+        Length T of the window from which the state must be seen. Default: from the plant's modes, and early and late
+        together longer, so that it holds what was planned in the shorter one.
     period : float, optional
-        The schedule repeats after this time. Default: the window.
+        The schedule repeats after this time. Default: the window, before that is added.
     spacing : float, optional
         Least time between two samples, the last of a period and the first of the next included.
         Default window/(4 samples).
@@ -65,10 +66,11 @@ class Requirement(WrittenRecord):
         each sample measures, at least one.
     time_unit : str, optional
         Unit of all times here; None means the plant's.
-    timing_tolerance : float, pair (early, late), or dict of these by output
+    timing_tolerance : float, pair (early, late), or dict of these by output, optional
         How early or late each sample may come, together less than `spacing`: sigma is then the least over all such real
         times too, and the bound is one of that least sigma. A window that just holds a sample may lose it; one that is
-        early + late longer than a whole number of gaps does not.
+        early + late longer than a whole number of gaps does not. Default: a hundredth of `spacing` where no `window` is
+        given, else 0: a window that is given is taken as it is, and the design says what is left if samples are late.
 
     Raises
     ------
@@ -94,7 +96,7 @@ class Requirement(WrittenRecord):
     _format = FORMAT
     _plain = (
         "format:_format window? period? spacing? target_sigma? cost_limit? time_unit? of? samples? decay_rate "
-        "timing_tolerance forbidden? fixed? sensors? calendar?"
+        "timing_tolerance? forbidden? fixed? sensors? calendar?"
     )
     window: float | None = None
     period: float | None = None
@@ -108,14 +110,15 @@ class Requirement(WrittenRecord):
     cost_limit: float | None = None
     of: Converted[Wanted, tuple[str, ...] | Array | None] = field(default=None, kw_only=True)  # type: ignore[arg-type]
     time_unit: str | None = field(default=None, kw_only=True)
-    timing_tolerance: Converted[Timing, Plain] = field(default=0.0, kw_only=True)  # type: ignore[arg-type]
+    timing_tolerance: Converted[Timing | None, Plain] = field(default=None, kw_only=True)  # type: ignore[arg-type]
     calendar: Converted[Place, OpeningCalendar | None] = field(default=None, kw_only=True)  # type: ignore[arg-type]
 
     def __post_init__(self) -> None:
         own: dict[str, object] = {}
         lengths = ("window", "period", "spacing", "target_sigma", "cost_limit")
         self._check(**dict.fromkeys(lengths, checks.positive), decay_rate=checks.nonnegative)
-        own["timing_tolerance"] = TimingTolerance.of(self.timing_tolerance).plain
+        if self.timing_tolerance is not None:
+            own["timing_tolerance"] = TimingTolerance.of(self.timing_tolerance).plain
         own["samples"] = _counts(self.samples)
         own["forbidden"] = intervals("forbidden", () if self.forbidden is None else self.forbidden)
         own["fixed"] = checks.increasing("fixed", () if self.fixed is None else self.fixed)

@@ -27,6 +27,9 @@ _REGISTERED = {
     ("guaranteed_accuracy", _BOX): "accuracy.accuracy_over_box:accuracy_over_box",
     ("guaranteed_accuracy", _VARYING): "accuracy.accuracy_varying:accuracy_along",
     ("certify", f"{__name__}.plants.inclusion.LinearInclusion"): "inclusion.certify_inclusion:certify_plant",
+    ("constants_from_proof", f"{__name__}.plants.inclusion.LinearInclusion"): (
+        "inclusion.proof_constants:constants_over_inclusion"
+    ),
     ("read_certificate", "inclusion"): "inclusion.certificate_file:read_inclusion",
     ("read_plant", "sampling-design/uncertain-plant/1"): "plants.uncertain_plant:UncertainPlant",
     ("verify_rigorously", "inclusion"): "inclusion.inclusion_balls:inclusion",

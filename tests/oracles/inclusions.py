@@ -88,3 +88,44 @@ def holds(data, facts, draws=3):
         if largest_ratio(every, weights, data["eta"], P1, P2, gaps, switches) > room:
             return False
     return True
+
+
+def theorem_5(t, dx, dw, dy, sampled, c, W, Qw, Rt):
+    """Largest left over right side of each inequality that leads to Theorem 5, along one pair on an even grid.
+
+    `c` gives the constants by name; dw (K,) is constant on each step; sums by the least discount of each step.
+    """
+    h, size = t[1] - t[0], {}
+    size["x"], size["w"], size["y"] = (np.einsum("ti,ij,tj->t", d, M, d) for d, M in ((dx, W), (dw, Qw), (dy, Rt)))
+    at = np.isin(np.arange(t.size), sampled)
+
+    def past(rate, f):
+        """Integral or sum up to and without each time."""
+        total, found = 0.0, np.zeros(t.size)
+        for k in range(1, t.size):
+            total = (total + f[k - 1]) * np.exp(-rate * h)
+            found[k] = total
+        return found
+
+    def both(rate, f, g):
+        return past(rate, h * f) + past(rate, g * at)
+
+    eta, gone, late = c["eta"], np.exp(-c["eta"] * t), t >= c["t_star"]
+    fresh = c["gamma"] * size["x"][0]
+    first = past(eta, h * (size["w"] + c["gamma_2"] * size["y"]))
+    roots = {key: np.sqrt(value) for key, value in size.items()}
+    pushed = past(0.0, h * c["Lf"] * c["rho"] * roots["w"])
+    linear = both(eta / 2, c["linear_w"] * roots["w"], c["linear_y"] * roots["y"])
+    found = {
+        "definition 1": size["x"] / c["beta"] / (fresh * gone + first),
+        "backwards": roots["x"][0] * np.exp(-c["mu"] * t) / (roots["x"] + pushed),
+        "(5)": roots["x"] * np.exp(-c["Lf"] * t) / (roots["x"][0] + pushed),
+        "result": size["x"] / c["beta"] / (c["P2_scale"] * size["x"][0] * gone
+                                           + both(eta, c["Qw_scale"] * size["w"], c["R0"] * size["y"])),
+        "linear": roots["x"] / np.sqrt(c["beta"]) / (c["linear_x"] * roots["x"][0] * np.sqrt(gone) + linear),
+        "(4)": past(0.0, h * late * c["gamma_2"] * size["y"])[late]
+        / both(0.0, c["alpha_w"] * size["w"], c["alpha_y"] * size["y"])[late],
+        "linear (4)": past(0.0, h * late * c["gamma_2"] * roots["y"])[late]
+        / both(0.0, c["linear_alpha_w"] * roots["w"], c["linear_alpha_y"] * roots["y"])[late],
+    }  # fmt: skip
+    return {key: float(np.max(value)) for key, value in found.items()}

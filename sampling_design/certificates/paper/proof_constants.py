@@ -30,15 +30,69 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim, SolverRecord
 from sampling_design.records.record import PlainRecord, short
-from sampling_design.records.signatures import checked
+from sampling_design.records.signatures import checked, open_verb
+from sampling_design.schedules.family import AnySchedule, SamplingFamily
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 RESIDUAL_SHARE = 0.95
 """Part of the residual's slowest decay that the tightened chain claims; closer to 1 its Lyapunov matrix degenerates."""
 
 
+class PaperConstants(PlainRecord):
+    """Assumption 7 as the paper's proofs give it, of a plant of any kind: the weights, the rate, and every constant."""
+
+    plant: Plant
+    variant: str
+    P1: Array
+    P2: Array
+    Qw: Array
+    R: Array
+    Qv: Array
+    eta: float
+    constants: ConstantList
+
+    _plain = "variant P1 P2 Qw R Qv eta constants{name value formula source}"
+    _table = {
+        "variant": "{variant}",
+        "horizon": "M > {horizon} {plant.time_unit}",
+        "lambda": "{lam}",
+        "rate": "{eta} 1/{plant.time_unit}",
+    }
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return super()._rows() + self.constants.lines()
+
+    def __getitem__(self, name: str) -> Constant:
+        return self.constants.named(name)
+
+    @property
+    def lam(self) -> float:
+        """lambda_max(P2, P1)."""
+        return self["lam"].value
+
+    @property
+    def horizon(self) -> float:
+        """Theorem 9 asks for a horizon longer than this."""
+        return self["horizon"].value
+
+    def to_markdown(self) -> str:
+        """Return the constants as a markdown table."""
+        return self.constants.to_markdown()
+
+    def to_latex(self) -> str:
+        """Return the constants as a LaTeX tabular."""
+        return self.constants.to_latex()
+
+    def explain(self) -> str:
+        """Say what the proof's constants ask for."""
+        return (
+            f"With the constants of the proof ({self.variant}) the estimator needs a horizon of more than "
+            f"{short(self.horizon)} {self.plant.time_unit} (lambda = {short(self.lam)}, eta = {short(self.eta)})."
+        )
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class ProofConstants(PlainRecord):
+class ProofConstants(PaperConstants):
     """Assumption 7 with the constants that the paper's proofs give, each with its formula and source.
 
     Parameters
@@ -73,30 +127,6 @@ class ProofConstants(PlainRecord):
     detectability: DetectabilityCertificate | None
     split: ModalSplit
 
-    _plain = "variant P1 P2 Qw R Qv eta constants{name value formula source}"
-    _table = {
-        "variant": "{variant}",
-        "horizon": "M > {horizon} {plant.time_unit}",
-        "lambda": "{lam}",
-        "rate": "{eta} 1/{plant.time_unit}",
-    }
-
-    def _rows(self) -> list[tuple[str, str]]:
-        return super()._rows() + self.constants.lines()
-
-    def __getitem__(self, name: str) -> Constant:
-        return self.constants.named(name)
-
-    @property
-    def lam(self) -> float:
-        """lambda_max(P2, P1)."""
-        return self["lam"].value
-
-    @property
-    def horizon(self) -> float:
-        """Theorem 9 asks for a horizon longer than this."""
-        return self["horizon"].value
-
     @property
     def claim(self) -> Claim:
         """What is proven, and from which theorems."""
@@ -112,26 +142,11 @@ class ProofConstants(PlainRecord):
         made = Certificate.from_matrices(self.plant, self.schedule, **weights, eta=self.eta)
         return replace(made, solver=SolverRecord("constants of the proof", details={"variant": self.variant}))
 
-    def to_markdown(self) -> str:
-        """Return the constants as a markdown table."""
-        return self.constants.to_markdown()
 
-    def to_latex(self) -> str:
-        """Return the constants as a LaTeX tabular."""
-        return self.constants.to_latex()
-
-    def explain(self) -> str:
-        """Say what the proof's constants ask for."""
-        return (
-            f"With the constants of the proof ({self.variant}) the estimator needs a horizon of more than "
-            f"{short(self.horizon)} {self.plant.time_unit} (lambda = {short(self.lam)}, eta = {short(self.eta)})."
-        )
-
-
-@checked
+@open_verb(PaperConstants)
 def constants_from_proof(
     plant: Plant,
-    schedule: Schedule | PeriodicSchedule,
+    schedule: AnySchedule | SamplingFamily,
     window: float | None = None,
     variant: str = "paper",
     *,
@@ -145,8 +160,8 @@ def constants_from_proof(
 
     Parameters
     ----------
-    plant : Plant
-    schedule : Schedule or PeriodicSchedule
+    plant : Plant, UncertainPlant, or NonlinearPlant with a region
+    schedule : Schedule or PeriodicSchedule; of a plant that is not exactly known a GapRange
     window : float, optional [time_unit]
         The length T. Default: the shortest sum of consecutive gaps over which every real window sees the retained part.
     variant : {"paper", "tightened"}
@@ -162,7 +177,7 @@ def constants_from_proof(
 
     Returns
     -------
-    ProofConstants
+    ProofConstants; of a plant that is not exactly known InclusionConstants
 
     Raises
     ------
@@ -172,6 +187,8 @@ def constants_from_proof(
         If the retained part has a mode that no output sees.
     CertificateError
         If no window of the schedule sees the retained part, or a constant leaves the range of floating point.
+    UndecidedError
+        If the plant is not exactly known and no certificate decays faster than differences grow backwards in time.
 
     Notes
     -----
@@ -198,6 +215,8 @@ def constants_from_proof(
     checks.word("variant", variant, _CHAINS)
     if not plant.n_states:
         raise ArgumentError("`plant` must have at least one state: of none the paper's proof says nothing.")
+    if isinstance(schedule, SamplingFamily):
+        raise ArgumentError("`schedule` must be a Schedule or a PeriodicSchedule for a plant that is exactly known.")
     schedule = meet(plant, schedule)
     split = split_modes(plant)
     share = None if variant == "paper" else RESIDUAL_SHARE
@@ -330,13 +349,13 @@ def _record(
         R=R,
         Qv=R,
         eta=chain.eta,
-        constants=ConstantList((*chain.constants, *_gains(chain))),
+        constants=ConstantList((*chain.constants, *theorem_9(chain))),
         detectability=found,
         split=split,
     )
 
 
-def _gains(chain: ProofChain) -> tuple[Constant, ...]:
+def theorem_9(chain: ProofChain) -> tuple[Constant, ...]:
     """Noise weight, lambda, horizon and gains of Theorem 9."""
     lam = max(chain.lam, 1.0)
     horizon = 2 * float(np.log(2 * lam)) / chain.eta

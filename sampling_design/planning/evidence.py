@@ -55,6 +55,22 @@ def gathered(pool: HiddenTrajectories, ratio: CostProof | None, cost: CostProof 
     return PlanBound(tuple(pool.trajectories[a] for a in used), moved(ratio), moved(cost))
 
 
+def broken_below(bound: PlanBound, cover: CoveringRows) -> dict[int, list[int]]:
+    """Goals and steps of the trajectories by which the cost is proven: a choice for less leaves one of them hidden.
+
+    That goal is then beyond its tolerance at that step; of a plan that may be turned, turned as the proof has it.
+    """
+    found: dict[int, set[int]] = {}
+    if bound.cost is not None:
+        frame = int(cover.frame[0].shape[0])
+        for leaf in bound.cost.tree.leaves():
+            for row, multiplier in zip(leaf.rows, leaf.values, strict=True):
+                if row >= frame and multiplier > 0:
+                    a, end = bound.cost.keys[row - frame]
+                    found.setdefault(bound.trajectories[a].goal, set()).add(end % cover.problem.steps)
+    return {goal: sorted(found[goal]) for goal in sorted(found)}
+
+
 def reflown(problem: PlanProblem, motion: DiscretePlant, trajectory: HiddenTrajectory) -> HiddenTrajectory | None:
     """A trajectory as its flight, flown anew and made admissible, proves it; None if the flight is not one motion.
 

@@ -17,7 +17,7 @@ from sampling_design.planning.covering import CoveringRows
 from sampling_design.planning.dates import PlanDates, plan_dates
 from sampling_design.planning.discrete_plant import motion_of
 from sampling_design.planning.disturbed import bears
-from sampling_design.planning.evidence import holds, proof_to_dict, trajectory_to_dict
+from sampling_design.planning.evidence import broken_below, holds, proof_to_dict, trajectory_to_dict
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.filter_deviation import GridFilter
 from sampling_design.planning.plan_folder import write_plan
@@ -226,6 +226,7 @@ class Plan(PlanFigures):
         text += ", ".join(parts) + (f", for samples up to {self._late()} early or late." if self._late() else ".")
         if self.bound.cost is not None:
             text += f" No admissible plan keeps the tolerances for less than {short(self.bound.cost.value)}."
+            text += self._for_less(self.bound.cost.value)
         if self.bound.ratio is not None:
             share = 100 * self.bound.ratio.level
             text += f" No admissible plan of this cost is better than {share:.3g} % of every tolerance: this one"
@@ -233,6 +234,21 @@ class Plan(PlanFigures):
         text += UNSTARTED if self.start is None else f" {self.start.explain()}"
         text += "" if self.robustness is None else f" {self.robustness.explain()}"
         return f"{text} Left out: {self.unsaid()}." if self.left_out else text
+
+    def _for_less(self, least: float) -> str:
+        """What a cheaper plan breaks, and what of it is not decided, in words."""
+        cover = CoveringRows(without_limits(self.problem), fixed=self.problem.is_free)
+        broken = [
+            f"{self.goals[g].name}{' (standard deviation)' * self.goals[g].spread} at "
+            + (f"one of {len(steps)} times" if len(steps) > 1 else "one time")
+            for g, steps in broken_below(self.bound, cover).items()
+        ]
+        text = (
+            f" For less, what the samples do not show takes {' or '.join(broken)} of the period beyond the tolerance."
+        )
+        if self.cost > least * (1 + SAME):
+            text = f"{text if broken else ''} Whether one for less than {short(self.cost)} does is not decided."
+        return text if broken or self.cost > least * (1 + SAME) else ""
 
 
 def same_samples(one: Schedule | PeriodicSchedule | None, other: PeriodicSchedule) -> bool:

@@ -10,7 +10,10 @@ import pytest
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
-from sampling_design.planning.evidence import PlanBound
+from sampling_design.planning.covering import CoveringRows
+from sampling_design.planning.evidence import PlanBound, broken_below
+from sampling_design.planning.hidden_trajectories import HiddenTrajectories
+from sampling_design.planning.plan_record import without_limits
 from sampling_design.records.budget import Budget
 from tests.cases import few
 from tests.oracles import planning as oracle
@@ -49,6 +52,29 @@ def test_a_bound_that_says_more_than_its_attacks_is_refused(cheapest):
         PlanBound(tuple(replace(a, reach=a.reach * 1.01) for a in bound.trajectories), bound.ratio, bound.cost),
     ):
         assert not replace(cheapest, bound=more).verify()
+
+
+def test_a_plan_says_what_a_cheaper_one_would_have_to_break(cheapest):
+    """Each two samples, by brute force, leave a trajectory that is named hidden: `position` is then too far off."""
+    problem, bound = cheapest.problem, cheapest.bound
+    named = broken_below(bound, CoveringRows(without_limits(problem), fixed=True))
+    assert list(named) == [0]
+    count = "one time" if len(named[0]) == 1 else f"one of {len(named[0])} times"
+    assert (
+        f"For less, what the samples do not show takes position at {count} of the period beyond" in cheapest.explain()
+    )
+    pool = HiddenTrajectories(problem.steps, [problem.ends(0)])
+    for trajectory in bound.trajectories:
+        pool.add(trajectory)
+    keys = [(a, end % problem.steps) for a, end in bound.cost.keys]
+    for other in range(problem.steps // 2, problem.steps):  # the larger gap of two samples follows step 0
+        at, sensor = np.array([0, other]), np.zeros(2, dtype=int)
+        reached = [pool.proven(bound.trajectories[a], at, sensor)[end] for a, end in keys if end in named[0]]
+        assert max(reached) > 1
+    open_ = replace(cheapest, bound=replace(bound, cost=replace(bound.cost, value=2.0)))
+    assert "keeps the tolerances for less than 2. For less, what" in open_.explain()
+    assert "Whether one for less than 3 does is not decided." in open_.explain()
+    assert "For less" not in replace(cheapest, bound=PlanBound((), None, None)).explain()
 
 
 def test_a_plan_that_says_more_than_its_proof_is_refused(cheapest):

@@ -38,6 +38,7 @@ RESIDUAL_SHARE = 0.95
 """Part of the residual's slowest decay that the tightened chain claims; closer to 1 its Lyapunov matrix degenerates."""
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class PaperConstants(PlainRecord):
     """Assumption 7 as the paper's proofs give it, of a plant of any kind: the weights, the rate, and every constant."""
 
@@ -98,7 +99,6 @@ class ProofConstants(PaperConstants):
     Parameters
     ----------
     plant : Plant
-    schedule : Schedule or PeriodicSchedule
     variant : str
         "paper" (its chain, misprints corrected) or "tightened" (the same proof without its avoidable losses).
     P1, P2 : (n, n) arrays
@@ -108,22 +108,14 @@ class ProofConstants(PaperConstants):
     eta : float [1/time_unit]
     constants : ConstantList
         In the order of the proof; `record["mu_bar"]` is one of them.
+    schedule : Schedule or PeriodicSchedule
     detectability : DetectabilityCertificate or None
         Of the retained part; None where nothing is retained.
     split : ModalSplit
         What was retained.
     """
 
-    plant: Plant
     schedule: Schedule | PeriodicSchedule
-    variant: str
-    P1: Array
-    P2: Array
-    Qw: Array
-    R: Array
-    Qv: Array
-    eta: float
-    constants: ConstantList
     detectability: DetectabilityCertificate | None
     split: ModalSplit
 

@@ -48,7 +48,6 @@ class InclusionConstants(PaperConstants):
     ----------
     plant : Plant
         The linear plant at the model's centre.
-    family : GapRange
     variant : str
         "inclusion": the paper's chain, with norms and (4) of the differential inclusion.
     P1, P2, Qw, R, Qv : arrays
@@ -56,22 +55,14 @@ class InclusionConstants(PaperConstants):
     eta : float [1/time]
     constants : ConstantList
         In the order of the proof.
+    family : GapRange
     metric : (n, n) array
         W: the constants are of the norm |x|_W.
     inclusion : InclusionCertificate
         The certificate they were made from, whose own horizon is far shorter.
     """
 
-    plant: Plant
     family: GapRange
-    variant: str
-    P1: Array
-    P2: Array
-    Qw: Array
-    R: Array
-    Qv: Array
-    eta: float
-    constants: ConstantList
     metric: Array
     inclusion: InclusionCertificate
 

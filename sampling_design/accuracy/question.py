@@ -31,13 +31,16 @@ def terms_of_sensors(plant: Plant, v_bound: NoiseBound) -> tuple[Bound, Array | 
     """
     if not isinstance(v_bound, Mapping):
         return v_bound, None
-    if any(isinstance(term, Sensor) for term in v_bound.values()):
+    bounds, delays = dict[str, float | tuple[float, float]](), np.zeros(plant.n_outputs)
+    for name, term in v_bound.items():
+        if not isinstance(term, Sensor):
+            bounds[name] = term
+            continue
         checks.known_keys("`v_bound`", v_bound, plant.outputs.names)
-    bounds = {name: term.sure_bound if isinstance(term, Sensor) else term for name, term in v_bound.items()}
-    terms = [v_bound.get(name) for name in plant.outputs.names]
-    out = [term.result_delay if isinstance(term, Sensor) else None for term in terms]
-    unit = plant.time_unit
-    delays = np.array([0.0 if each is None else result_span("result_delay", each, unit)[1] for each in out])
+        bounds[name] = term.sure_bound
+        if term.result_delay is not None:
+            at = plant.outputs.names.index(name)
+            delays[at] = result_span("result_delay", term.result_delay, plant.time_unit)[1]
     return bounds, freeze(delays) if delays.any() else None
 
 

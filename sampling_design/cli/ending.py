@@ -75,10 +75,11 @@ def _run() -> int:
 
         app.app(standalone_mode=True)
     except SystemExit as stop:
-        if isinstance(stop.__context__, KeyboardInterrupt):
-            raise KeyboardInterrupt from None
-        if isinstance(stop.__context__, OSError):
-            raise stop.__context__ from None
+        match stop.__context__:
+            case KeyboardInterrupt():
+                raise KeyboardInterrupt from None
+            case OSError() as error:
+                raise error from None
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     return 0
 
@@ -87,19 +88,20 @@ def _ending(error: BaseException) -> int:
     """Say what went wrong, and return the exit code."""
     from sampling_design.errors import SamplingDesignError
 
-    if isinstance(error, SamplingDesignError):
-        _say(str(error))
-        return error.exit_code
-    if isinstance(error, BrokenPipeError):  # whoever read us has seen enough
-        _drop(sys.stdout)
-        return 0
-    if isinstance(error, OSError) and error.filename is None:
-        _drop(sys.stdout)
-        _say(f"the output cannot be written ({error.strerror or error}).")
-        return 2
-    if isinstance(error, MemoryError):
-        _say(f"this needs more memory than there is ({str(error) or 'none left'}).")
-        return 3
+    match error:
+        case SamplingDesignError():
+            _say(str(error))
+            return error.exit_code
+        case BrokenPipeError():  # whoever read us has seen enough
+            _drop(sys.stdout)
+            return 0
+        case OSError(filename=None):
+            _drop(sys.stdout)
+            _say(f"the output cannot be written ({error.strerror or error}).")
+            return 2
+        case MemoryError():
+            _say(f"this needs more memory than there is ({str(error) or 'none left'}).")
+            return 3
     import traceback
 
     traceback.print_exception(error)

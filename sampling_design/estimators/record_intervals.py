@@ -72,8 +72,7 @@ def estimates_despite_outliers(
     progress : callable, optional
     """
     rows, read = list(record), np.cumsum(record.measured.any(axis=1))
-    left_out(outliers, int(read[-1]))
-    most = outliers if isinstance(outliers, int) else outliers[0]
+    most = len(left_out(outliers, int(read[-1]))[0])
     start, found = estimator.state.last, list[Estimate]()
     x = start.x
     for k, t in enumerate(record.times.tolist()):

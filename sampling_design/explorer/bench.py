@@ -14,7 +14,7 @@ from sampling_design.accuracy.start import InitialError
 from sampling_design.certificates.certification import certify
 from sampling_design.certificates.compare.four_horizons import four_horizons
 from sampling_design.certificates.existence.periodic import certificate_exists, judged
-from sampling_design.checkers.strict import is_table, is_text
+from sampling_design.checkers.strict import is_text
 from sampling_design.design.design import design_schedule
 from sampling_design.design.problem.posing import in_unit, split_for
 from sampling_design.design.problem.requirement import Requirement
@@ -200,7 +200,7 @@ class Bench:
                 raise ArgumentError(f"`ask` must be one of {', '.join(verbs)}, got {verb!r:.40}.")
             marks = question.get("marks")
             if marks is not None:
-                if not isinstance(marks, list) or not all(is_table(mark) for mark in marks):
+                if not checks.holds(marks, dict):
                     raise ArgumentError("`marks` must be a list of samples, each with t and on.")
                 self.schedule = self._scheduled(marks)
             return {"ask": verb, **{key: plain(value) for key, value in verbs[verb]().items()}}

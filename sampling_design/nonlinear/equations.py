@@ -15,7 +15,7 @@ from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.functions import PlainFunction, PlantFunctions, TimedFunction, takes_time
 from sampling_design.nonlinear.region import StateRegion, own_box
-from sampling_design.plants.plant import Plant, Signals
+from sampling_design.plants.plant import Plant, Signals, signals_of
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.record import Record, counted, short
@@ -60,7 +60,9 @@ class PlantEquations(Record):
         sizes = {
             key: checks.whole(f"sizes[{key!r}]", sizes[key], int(key in ("states", "outputs"))) for key in _VECTORS
         }
-        signals = {key: _own_signals(key, self.signals.get(key), sizes[key]) for key in _VECTORS}
+        signals = {
+            key: signals_of(f"signals[{key!r}]", self.signals.get(key), sizes[key], _PREFIX[key]) for key in _VECTORS
+        }
         bounds = {key: own_box(key, self.bounds.get(key), sizes[key]) for key in _VECTORS}
         for key, value in {"sizes": sizes, "signals": signals, "bounds": bounds}.items():
             object.__setattr__(self, key, value)
@@ -361,11 +363,3 @@ _NEWTON_TOLERANCE = 1e-13  # relative, in scaled states
 def _input_or_zero(u: object, size: int) -> object:
     """The input as it was given; nothing at all stands for zero."""
     return np.zeros(size) if u is None or (isinstance(u, Sized) and not len(u)) else u
-
-
-def _own_signals(key: str, value: Signals | Sequence[str] | None, size: int) -> Signals:
-    if isinstance(value, Signals):
-        if len(value) != size:
-            raise ArgumentError(f"`signals[{key!r}]` must have {size} entries, got {len(value)}.")
-        return value
-    return Signals(checks.names(f"signals[{key!r}]", value, size, _PREFIX[key]))

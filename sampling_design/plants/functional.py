@@ -143,7 +143,7 @@ class FunctionalPlant(Plant):
 def is_about(theirs: Plant, plant: Plant) -> bool:
     """Whether what is said of `theirs` is said of a plant, or of chosen rows of it."""
     part = isinstance(theirs, FunctionalPlant) and not isinstance(plant, FunctionalPlant)
-    return plant.same_dynamics(theirs.whole if part and isinstance(theirs, FunctionalPlant) else theirs)
+    return plant.same_dynamics(getattr(theirs, "whole", theirs) if part else theirs)
 
 
 def split_needed(plant: Plant, decay_rate: float) -> ModalSplit:

@@ -187,7 +187,7 @@ class Plant(Record):
             checks.of_kind(key, getattr(self, key), str, "a string")
         sizes = {"states": n, "outputs": p, "inputs": B.shape[1], "disturbances": G.shape[1]}
         for key, size in sizes.items():
-            owned[key] = _signals(key, getattr(self, key), size)
+            owned[key] = signals_of(key, getattr(self, key), size, _PREFIX[key])
         self._hold(**owned)
 
     def _take_system(self) -> None:
@@ -467,12 +467,16 @@ def _same_bits(a: Array, b: Array) -> bool:
     return np.ascontiguousarray(a).tobytes() == np.ascontiguousarray(b).tobytes()
 
 
-def _signals(key: str, value: Signals | Sequence[str] | None, size: int) -> Signals:
+def signals_of(key: str, value: Signals | Sequence[str] | None, size: int, prefix: str) -> Signals:
+    """Return the signals of a vector of that size, given as such or by their names; by default prefix1, prefix2, ...
+
+    Raises ArgumentError if their number differs, or as in `checks.names`.
+    """
     if isinstance(value, Signals):
         if len(value) != size:
             raise ArgumentError(f"`{key}` must have {size} entries, got {len(value)}.")
         return value
-    return Signals(checks.names(key, value, size, _PREFIX[key]))
+    return Signals(checks.names(key, value, size, prefix))
 
 
 def replace_matrices(plant: Plant, A: Array, C: Array, onto: Array, states: Signals) -> Plant:

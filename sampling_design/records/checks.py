@@ -8,7 +8,7 @@ from __future__ import annotations
 import numbers
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, fields
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeGuard, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -252,8 +252,12 @@ def definite(name: str, value: object, size: int, slip: str = "") -> Array:
 
 def texts(value: object) -> tuple[str, ...] | None:
     """Return the texts of a list as a tuple; None where it is no list, or holds anything else."""
-    listed = value if isinstance(value, Sequence) and not is_text(value) else [None]
-    return tuple(str(each) for each in listed) if all(map(is_text, listed)) else None
+    return None if is_text(value) or not holds(value, str) else tuple(str(each) for each in value)
+
+
+def holds(value: object, kind: type[Instance]) -> TypeGuard[Sequence[Instance]]:
+    """Whether this is a list of things of one kind alone, or an empty one."""
+    return isinstance(value, Sequence) and all(isinstance(each, kind) for each in value)
 
 
 def entries(name: str, value: object, counts: Collection[int], expected: str) -> Sequence[object]:

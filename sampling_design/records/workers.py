@@ -116,18 +116,19 @@ def numbered(
     """
     check_workers(workers)
     todo = dict(enumerate(items))
-    if workers is None:
-        return ((k, function(item)) for k, item in todo.items())
-    if isinstance(workers, (Executor, Client)):
-        given = workers if isinstance(workers, Executor) else workers.get_executor()
-        client = getattr(given, "_client", None) if isinstance(workers, Executor) else workers
-        if isinstance(client, Client):
-            return _on_a_cluster(function, todo, given, client)
-        if isinstance(given, ProcessPoolExecutor):
-            _check_can_travel(function, todo)
-        return _surviving(function, todo, given, None)
-    if isinstance(workers, int):
-        return _surviving(function, todo, None, partial(_processes, workers))
+    match workers:
+        case None:
+            return ((k, function(item)) for k, item in todo.items())
+        case Executor():
+            if (client := getattr(workers, "_client", None)) is not None:  # that of Dask
+                return _on_a_cluster(function, todo, workers, client)
+            if isinstance(workers, ProcessPoolExecutor):
+                _check_can_travel(function, todo)
+            return _surviving(function, todo, workers, None)
+        case int():
+            return _surviving(function, todo, None, partial(_processes, workers))
+        case Client():
+            return _on_a_cluster(function, todo, workers.get_executor(), workers)
     from joblib import Parallel, delayed
 
     chosen = Parallel(n_jobs=-1, backend=workers, return_as="generator_unordered")

@@ -96,7 +96,7 @@ class ConvexSet(Record):
             )
         for key, value in {"lower": lower, "upper": upper, "rows": rows, "offsets": offsets}.items():
             object.__setattr__(self, key, value)
-        if not isinstance(self.balls, tuple) or not all(isinstance(ball, NormBall) for ball in self.balls):
+        if not checks.holds(self.balls, NormBall):
             raise ArgumentError(f"`balls` must be a tuple of balls, got {checks.described(self.balls)}.")
         if rows.shape[0] + len(self.balls) > 0:
             self._refuse_empty()

@@ -78,7 +78,7 @@ class EstimateRecord(ListRecord[Estimate], CurveRecord, PlainRecord):
     def collect(cls, plant: Plant | MeasuredPlant, estimates: Iterable[Estimate], origin: str = "") -> EstimateRecord:
         """Return the record of some estimates of one plant, linear or not."""
         found: Sequence[Estimate] = list(estimates)
-        if not all(isinstance(e, Estimate) for e in found):
+        if not checks.holds(found, Estimate):
             raise ArgumentError(f"`estimates` must be a list of estimates, got {checks.described(found)}.")
         n = plant.n_states
         if any(e.x.shape != (n,) for e in found):

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from sampling_design.accuracy.readings import CensoredReading, as_typed, at_some_time, time_or_span
+from sampling_design.checkers.strict import is_list
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.records.frames import DataFrame, Series, lines_of
 from sampling_design.estimators.records.measurement_table import (
@@ -94,10 +95,9 @@ class Measurements(TableRecord):
             owned[key] = array
         for key, array in owned.items():
             object.__setattr__(self, key, array)
-        held, outputs = (tuple, list), range(self.plant.n_outputs)
-        if not isinstance(self.told, held) or not all(
-            isinstance(row, held) and all(isinstance(each, CensoredReading) and each.output in outputs for each in row)
-            for row in self.told
+        outputs = range(self.plant.n_outputs)
+        if not is_list(self.told) or not all(
+            checks.holds(row, CensoredReading) and all(each.output in outputs for each in row) for row in self.told
         ):
             raise ArgumentError(f"`told` must be a tuple of what each row says, got {checks.described(self.told)}.")
         rows = tuple(tuple(row) for row in self.told) or ((),) * times.size

@@ -77,7 +77,7 @@ class UncertainPlant(LinearInclusion, PlainRecord):
         checks.of_kind("nominal", self.nominal, Plant)
         for key, kind in (("parameters", UncertainParameter), ("vertices", Plant)):
             value = getattr(self, key)
-            if not isinstance(value, Sequence) or not all(isinstance(each, kind) for each in value):
+            if not checks.holds(value, kind):
                 raise ArgumentError(f"`{key}` must be a list of {kind.__name__}, got {checks.described(value)}.")
             object.__setattr__(self, key, tuple(value))
         if bool(self.parameters) == bool(self.vertices):

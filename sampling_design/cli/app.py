@@ -29,7 +29,7 @@ PANELS = {
             "Write a first plant and requirement, with comments, from flags; at a terminal, what is missing is asked.",
         ),
         "info": Command(
-            "plan.info", "Show a plant: its modes, which of them must be seen, and how many samples that takes."
+            "plan.info", "Show a plant: its modes, which of them must be observable, and how many samples that takes."
         ),
         "design": Command(
             "plan.design", "Design an endless periodic schedule, with its proven sigma and a bound that none can beat."
@@ -54,7 +54,8 @@ PANELS = {
     },
     "What does it prove": {
         "sigma": Command(
-            "plan.sigma", "Prove how well a schedule sees the plant: the least sigma over every real window position."
+            "plan.sigma",
+            "Prove how observable a plant is along a schedule: the least sigma over every real window position.",
         ),
         "worst-case": Command(
             "what_if.worst_case",

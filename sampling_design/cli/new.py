@@ -30,7 +30,7 @@ PLANT = {
 }
 REQUIREMENT = {
     "format": "What a schedule must keep. All times are in the plant's unit; time zero is midnight, of a Monday.",
-    "window": "From every stretch of this length the state must be seen.",
+    "window": "The samples of every stretch of this length must determine the state.",
     "period": "The schedule repeats after this time.",
     "spacing": "Least time between two samples.",
     "samples": "How many in a period: exactly, at_least, at_most. Without it, as many as the count asks for.",

@@ -44,7 +44,7 @@ def info(
     plant_file: PlantFile,
     window: Annotated[float | None, typer.Option(help="Window length for the counts [plant's time unit].")] = None,
 ) -> None:
-    """Show a plant: its modes, which of them must be seen, and how many samples that takes.
+    """Show a plant: its modes, which of them must be observable, and how many samples that takes.
 
     With -o DIR: info.json.
 
@@ -200,7 +200,7 @@ def sigma(
     rigorous: Annotated[bool, typer.Option("--rigorous", help="Prove the lower bound in ball arithmetic.")] = False,
     timing_tolerance: TimingOption = None,
 ) -> None:
-    """Prove how well a schedule sees the plant: the least sigma over every real window position.
+    """Prove how observable a plant is along a schedule: the least sigma over every real window position.
 
     Example: sampling-design sigma examples/plants/oscillator.toml out/schedule.csv --window 6.28
     """

@@ -84,6 +84,11 @@ def plan(
     if comparison is not None:
         lines = [[label, *said] for label, said in comparison.lines()]
         tables += [table("Comparison", ["", *comparison.names], lines), comparison.explain()]
+    if folder is not None:
+        tables += [
+            f"Next: sampling-design next {folder / 'plan.json'}",
+            f"Next: sampling-design estimate {folder / 'plan.json'} MEASUREMENTS.csv -o {folder}",
+        ]
     settings.show(result.to_dict(), *tables)
     if not result.keeps and requirement.aim == "cheapest":
         raise typer.Exit(3)

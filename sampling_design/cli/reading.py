@@ -41,6 +41,7 @@ _MIXED = {
         'A schedule begins with the line "# sampling-design schedule; time_unit=h; period=24".'
     ),
     ("schedule", "measurement"): "Its ones say what is to be measured, not what was read.",
+    ("plan", "certificate"): "The certificate of a plan is in certificate.json, written beside it.",
     ("design", "schedule"): "The schedule of a design is in schedule.csv, written beside it.",
     ("requirement", "plan requirement"): (
         "`design` takes it; a plan requirement says how well what must be known, and `sampling-design new --within` "
@@ -60,13 +61,21 @@ _WRITTEN = {
 
 
 def plant(path: Path) -> Plant:
-    """The plant of a file."""
-    return _read("plant", sd.read_plant, path)
+    """The plant of a file, or of a plan."""
+    held = plan_in(path)
+    return _read("plant", sd.read_plant, path) if held is None else held.plant
 
 
 def schedule(path: Path) -> AnySchedule:
-    """The schedule of a file."""
-    return _read("schedule", sd.read_schedule, path)
+    """The schedule of a file, or of a plan."""
+    held = plan_in(path)
+    return _read("schedule", sd.read_schedule, path) if held is None else held.schedule
+
+
+def plan_in(path: Path | None) -> Plan | None:
+    """The plan of a file, which holds its plant and its schedule; None where the file is another one."""
+    is_plan = path is not None and path.suffix == ".json" and kind_of(path) == "plan"
+    return plan(path) if path is not None and is_plan else None
 
 
 def requirement(path: Path | None) -> Requirement:

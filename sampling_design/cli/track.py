@@ -24,6 +24,7 @@ from sampling_design.cli.settings import (
     workforce,
 )
 from sampling_design.errors import ArgumentError
+from sampling_design.planning.plan_record import Plan
 from sampling_design.plants.functional import split_needed, weighed_over
 from sampling_design.records.file_io import write_text
 from sampling_design.records.record import short
@@ -50,8 +51,9 @@ def estimate(
 ) -> None:
     """Estimate the state from measurements, with a radius that holds the truth if noise keeps its bounds.
 
-    Without certificate and schedule the gaps seen in the file are certified where that is possible. With -o DIR:
-    estimates.csv, estimates.json and estimates.png; --no-picture leaves the picture out, --tube shows more in it.
+    A plan (plan.json) may stand for PLANT or for the schedule: it brings its bounds, too. Without certificate and
+    schedule the gaps seen in the file are certified where that is possible. With -o DIR: estimates.csv, estimates.json
+    and estimates.png; --no-picture leaves the picture out, --tube shows more in it.
 
     Example: sampling-design estimate examples/plants/oscillator.toml examples/data/oscillator.csv -o out
     """
@@ -59,9 +61,15 @@ def estimate(
         raise ArgumentError("`--tube` is for the picture: give a folder for it (-o DIR), and leave out --no-picture.")
     if how.tube and (how.wild or how.smooth):
         raise ArgumentError("`--tube` is of estimates as they came: leave it out with --outliers and --smooth.")
-    plant = settings.part(reading.plant(plant_file))
-    bounds = typed.of(plant)
-    schedule = None if schedule_file is None else schedule_for(settings, plant, schedule_file)
+    whole, planned = reading.plan_in(plant_file), reading.plan_in(schedule_file)
+    plant = settings.part(reading.plant(plant_file) if whole is None else whole.plant)
+    schedule = None
+    if schedule_file is not None and planned is None:
+        schedule = schedule_for(settings, plant, schedule_file)
+    elif whole is not None and certificate_file is None and planned is None:
+        planned = whole
+    schedule = schedule if planned is None else planned.schedule
+    bounds = _bounds(settings, typed.of(plant), planned if whole is None else whole)
     record = reading.measurements(settings, measurement_file, plant, None if schedule is None else schedule.origin)
     if schedule is not None:
         _check_origins(record, schedule)
@@ -81,7 +89,28 @@ def estimate(
     settings.notice(words)
     tally = followed(settings, chosen.estimator, record, how, words, _used(plant, bounds))
     if tally.contradictions or tally.status["bounds disproved"]:
+        if None in bounds.values():
+            settings.notice(
+                "Bounds that were not given are the plant's scales, typical sizes that data may well exceed: give "
+                "--w-bound, --v-bound and --initial-error before more is made of the contradiction."
+            )
         raise typer.Exit(1)
+
+
+def _bounds(settings: Settings, typed: ErrorBoundArguments, planned: Plan | None) -> ErrorBoundArguments:
+    """The bounds as they were typed, else those that a plan was made with."""
+    if planned is None or settings.of is not None:
+        return typed
+    own = planned.error_bounds
+    found = ErrorBoundArguments(
+        w_bound=own["w_bound"] if typed["w_bound"] is None else typed["w_bound"],
+        v_bound=own["v_bound"] if typed["v_bound"] is None else typed["v_bound"],
+        initial_error=own["initial_error"] if typed["initial_error"] is None else typed["initial_error"],
+    )
+    for (name, used), said in zip(found.items(), typed.values(), strict=True):
+        if said is None and used is not None:
+            settings.notice(f"--{name.replace('_', '-')} not given: that of the plan, {short(used)}, is used.")
+    return found
 
 
 def _used(plant: sd.Plant, bounds: ErrorBoundArguments) -> ErrorBoundArguments:
@@ -132,7 +161,8 @@ def validate(
             certificate = sd.certify(plant, schedule, eta=eta, progress=progress, **weighed)
     for name, bound in bounds.items():
         if bound is None:
-            settings.notice(f"--{name.replace('_', '-')} not given: the plant's scales are used.")
+            flag = name.replace("_", "-")
+            settings.notice(f"--{flag} not given: the plant's scales are used, typical sizes, and trials stay in them.")
     if eta is None and certificate_file is None:
         rate = f"{short(certificate.eta)} per {plant.time_unit}"
         settings.notice(f"--eta not given: {rate}, one over the longest gap, is used.")

@@ -111,7 +111,8 @@ def estimator_for(
     given = {"w_bound": w_bound, "v_bound": v_bound, "initial_error": initial_error}
     for name, signals in scales.items():
         if given[name] is None:
-            given[name], used[name] = signals.scales, f"the plant's scales {short(signals.scales)} are used"
+            given[name] = signals.scales
+            used[name] = f"the plant's scales {short(signals.scales)} are used, typical sizes in place of bounds"
     bounds = ErrorBoundArguments(
         w_bound=given["w_bound"], v_bound=given["v_bound"], initial_error=given["initial_error"]
     )

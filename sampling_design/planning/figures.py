@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,6 +11,7 @@ import numpy as np
 from sampling_design.accuracy.accuracy import guaranteed_accuracy
 from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.deviation import StandardDeviation
+from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.certificates.exact.certificate import Certificate
 from sampling_design.errors import NotDetectableError
 from sampling_design.planning.accuracy_oracle import AccuracyOracle
@@ -119,6 +121,16 @@ class PlanFigures(TableRecord, PlainRecord):
     def problem(self) -> PlanProblem:
         """The numbers of the requirement, posed anew."""
         return pose_plan(self.plant, self.requirement)
+
+    @property
+    def error_bounds(self) -> ErrorBoundArguments:
+        """The bounds that it was made with, as estimators take them; None where the requirement has none."""
+        wanted, noise = self.requirement, self.problem.v_bound
+        return ErrorBoundArguments(
+            w_bound=wanted.w_bound,
+            v_bound=noise if np.isfinite(noise).all() else None,
+            initial_error=None if isinstance(wanted.initial_error, Mapping) else wanted.initial_error,
+        )
 
     @property
     def goals(self) -> tuple[RowGoal, ...]:

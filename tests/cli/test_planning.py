@@ -1,12 +1,14 @@
 """plan: from one file to a plan, its files and its picture."""
 
 import json
+import math
 import signal
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+import sampling_design as sd
 from sampling_design.cli.planning import _now, plan
 from sampling_design.cli.planning import next_sample as next_command
 from sampling_design.cli.settings import Settings
@@ -36,6 +38,8 @@ def test_a_plan_becomes_files_that_other_commands_take(shell, tmp_path):
     data = json.loads((out / "plan.json").read_text())
     assert data["format"] == "sampling-design/plan/1"
     assert data["reached"][0] <= 0.5
+    assert f"Next: sampling-design next {out / 'plan.json'}" in result.out
+    assert f"Next: sampling-design estimate {out / 'plan.json'} MEASUREMENTS.csv -o {out}" in result.out
     assert (out / "plan.png").read_bytes().startswith(b"\x89PNG")
     assert shell("accuracy", out / "plant.toml", out / "schedule.csv", "--w", "0.02", "--v", "0.2").code == 0
     plan_file = tmp_path / "out" / "plan.json"
@@ -89,3 +93,52 @@ def test_a_plan_without_dates_takes_no_date():
     undated = SimpleNamespace(requirement=SimpleNamespace(calendar=None), plant=SimpleNamespace(time_unit="s"))
     with pytest.raises(ArgumentError, match="`--now` must be a number of s, got 'tomorrow'"):
         _now(Settings("next"), undated, "tomorrow")
+
+
+@pytest.fixture(scope="module")
+def small_plan(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plan")
+    plant = sd.read_plant(EXAMPLES / "plants" / "oscillator.toml")
+    terms = {"position": {"noise_bound": 0.2}}
+    wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, grid=0.8, w_bound=0.02, sensors=terms, initial_error=1.5)
+    plan = sd.plan_samples(plant, wanted, search_seconds=2.0, certificate=False, robustness=False)
+    rows = "".join(f"{t!r},{math.cos(t)!r},0\n" for t in plan.schedule.times.tolist() if t > 0)
+    (folder / "measured.csv").write_text(f"time,position,force_per_mass\n{rows}")
+    return plan, plan.save(folder / "plan.json"), folder / "measured.csv"
+
+
+@pytest.mark.parametrize("place", ["plant", "schedule", "both"])
+def test_a_plan_stands_for_plant_schedule_and_bounds(shell, small_plan, place):
+    plan, file, measured = small_plan
+    first = EXAMPLES / "plants" / "oscillator.toml" if place == "schedule" else file
+    beside = () if place == "plant" else ("--schedule", file)
+    found = shell("estimate", first, measured, *beside, "--initial-error", "1", "--json")
+    assert found.code == 0
+    heard = " ".join(found.err.split())
+    assert "--w-bound not given: that of the plan, 0.02, is used." in heard
+    assert "--v-bound not given: that of the plan, [0.2], is used." in heard
+    assert "--initial-error not given" not in heard
+    assert json.loads(found.out)["guarantee"] == "Guarantee for the schedule given."
+    bounds = {**plan.error_bounds, "initial_error": 1.0}
+    certificate = sd.certify(plan.plant, plan.schedule, eta=1 / plan.schedule.d_max, **bounds)
+    own = sd.MovingHorizonEstimator(plan.plant, certificate, **bounds)
+    assert json.loads(found.out)["x"] == own.run(sd.read_measurements(measured, plan.plant)).to_dict()["x"]
+
+
+def test_a_plan_is_a_schedule_for_other_commands(shell, small_plan):
+    plan, file, _ = small_plan
+    found = shell("sigma", file, file, "--window", "6.4", "--json")
+    assert json.loads(found.out)["lower"] == sd.window_sigma(plan.plant, plan.schedule, 6.4).lower
+    wrong = shell("robustness", file, file)
+    assert wrong.code == 2
+    assert "The certificate of a plan is in certificate.json, written beside it." in " ".join(wrong.err.split())
+
+
+def test_scales_in_place_of_bounds_are_called_so(shell, tmp_path):
+    """Readings of 90 contradict a noise of typical size 1: no bound was given, and nothing is made of it."""
+    (tmp_path / "y.csv").write_text("time,position,force_per_mass\n0.5,90,0\n1.0,-90,0\n1.7,90,0\n")
+    found = shell("estimate", EXAMPLES / "plants" / "oscillator.toml", tmp_path / "y.csv")
+    heard = " ".join(found.err.split())
+    assert found.code == 1
+    assert "--v-bound not given: the plant's scales [1] are used, typical sizes in place of bounds." in heard
+    assert "Bounds that were not given are the plant's scales, typical sizes that data may well exceed" in heard

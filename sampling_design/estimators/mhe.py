@@ -50,7 +50,7 @@ from sampling_design.records.arrays import Array
 from sampling_design.schedules.jitter import Timing
 
 if TYPE_CHECKING:
-    from sampling_design.numerics.conic_programs import Problem
+    from sampling_design.estimators.constraints.reference import Problem
 
 
 CLOSED_FORM = ("banded", "square root")  # engines that say that no constraint was active
@@ -221,6 +221,8 @@ class MovingHorizonEstimator(WindowedEstimator):
         ------
         ArgumentError
             If there is no sample at t, or it lies more than a horizon before the latest.
+        MissingExtraError
+            If cvxpy is not installed (extra `modelling`).
 
         Examples
         --------

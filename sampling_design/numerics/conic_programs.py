@@ -1,13 +1,12 @@
-"""The only door to cvxpy and Clarabel for linear matrix inequalities.
+"""The only door to Clarabel for linear matrix inequalities and second-order cones.
 
 A solver's word is provenance, never evidence: whoever calls this re-checks the numbers it brings back
 (a passed `verify`, weak duality with projected multipliers, ...). Strict inequalities are asked with a
-stated margin. Nothing here loads before the first problem is posed, for cvxpy alone takes a second.
+stated margin. The solver is not loaded before the first problem is posed.
 """
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -24,9 +23,6 @@ from sampling_design.records.evidence import SolverRecord
 
 if TYPE_CHECKING:
     from clarabel import DefaultSettings, DefaultSolver
-    from cvxpy import Constraint as Constraint
-    from cvxpy import Expression as Expression
-    from cvxpy import Problem as Problem
     from scipy.sparse import csc_matrix
 
 
@@ -51,11 +47,6 @@ USABLE = (SOLVED, INACCURATE, BUDGET)
 """Statuses after which there may be a point worth checking."""
 
 
-def cvxpy() -> ModuleType:
-    """Return the modelling library, loaded on first use."""
-    return import_module("cvxpy")
-
-
 def clarabel() -> ModuleType:
     """Return the solver, loaded on first use."""
     return import_module("clarabel")
@@ -67,46 +58,6 @@ def quiet_settings() -> DefaultSettings:
     settings.verbose = False
     settings.max_threads = THREADS
     return settings
-
-
-def solve(
-    problem: Problem, *, tolerance: float = TOLERANCE, budget: float | None = None, iterations: int = 200
-) -> SolverRecord:
-    """Solve a cvxpy problem with Clarabel and say how it ended; never raises for an unhappy status.
-
-    The record's status is one of "solved", "inaccurate", "infeasible", "unbounded", "budget", "failed".
-    After "infeasible", "unbounded" and "failed" the variables hold nothing to use. `budget` in seconds.
-    """
-    cp = cvxpy()
-    limits: dict[str, float] = {} if budget is None else {"time_limit": float(budget)}
-    settings = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas", "tol_ktratio"), tolerance)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # an inaccurate solution is a status here, not a warning
-            solve: Callable[..., object] = problem.solve
-            solve(solver=cp.CLARABEL, max_iter=iterations, max_threads=THREADS, **settings, **limits)
-        raw = str(problem.status)
-    except cp.error.SolverError as error:
-        raw = f"solver error: {error}"
-    stats = problem.solver_stats
-    return SolverRecord(
-        name="Clarabel",
-        version=str(clarabel().__version__),
-        status=_CVXPY_STATUS.get(raw, FAILED),
-        iterations=int(getattr(stats, "num_iters", 0) or 0),
-        details={"raw_status": raw, "tolerance": tolerance},
-    )
-
-
-_CVXPY_STATUS = {
-    "optimal": SOLVED,
-    "optimal_inaccurate": INACCURATE,
-    "infeasible": INFEASIBLE,
-    "infeasible_inaccurate": INFEASIBLE,
-    "unbounded": UNBOUNDED,
-    "unbounded_inaccurate": UNBOUNDED,
-    "user_limit": BUDGET,
-}
 
 
 def usable(record: SolverRecord) -> bool:
@@ -135,6 +86,11 @@ class ConeSolution:
     x: Array
     z: tuple[Array, ...]  # one per cone; psd ones as symmetric matrices
     record: SolverRecord = field(repr=False)
+
+
+def _cones() -> dict[str, Callable[[int], object]]:
+    cl = clarabel()
+    return {"zero": cl.ZeroConeT, "nonnegative": cl.NonnegativeConeT, "second order": cl.SecondOrderConeT}
 
 
 def svec(matrices: Array) -> Array:
@@ -172,17 +128,18 @@ def solve_cone_program(
     iterations: int = 200,
     refined: bool = True,
 ) -> ConeSolution:
-    """Minimise cost'x subject to b - A x in a cone, for every block ("zero" | "nonnegative" | "psd", A, b).
+    """Minimise cost'x subject to b - A x in a cone, for every block (kind, A, b).
 
-    A is dense or scipy-sparse with len(cost) columns; the rows of a psd block are `svec` of its matrices.
-    The multipliers z satisfy cost + sum A'z = 0 up to the solver's tolerance. For problems that are
-    posed many times this is ten times cheaper than the modelling library. Where the tolerance is coarse, steps need not
-    be `refined` to the last digit, which saves a third; what does not end as solved is solved again with that.
+    Kinds are "zero", "nonnegative", "second order" (the first entry is the bound) and "psd", whose rows are `svec` of
+    its matrices. A is dense or scipy-sparse with len(cost) columns.
+    The multipliers z satisfy cost + sum A'z = 0 up to the solver's tolerance. Where the tolerance is coarse,
+    steps need not be `refined` to the last digit, which saves a third; what does not end as solved is solved again
+    with that.
     """
     from scipy import sparse
 
     cl = clarabel()
-    kinds = {"zero": cl.ZeroConeT, "nonnegative": cl.NonnegativeConeT, "psd": cl.PSDTriangleConeT}
+    kinds = _cones() | {"psd": cl.PSDTriangleConeT}
     sizes = [np.asarray(b).size for _, _, b in blocks]
     cones = [kinds[kind](_order(m) if kind == "psd" else m) for (kind, _, _), m in zip(blocks, sizes, strict=True)]
     if any(sparse.issparse(A) for _, A, _ in blocks):
@@ -261,8 +218,7 @@ class ConeSolver:
     ) -> None:
         from scipy import sparse
 
-        cl = clarabel()
-        kinds = {"zero": cl.ZeroConeT, "nonnegative": cl.NonnegativeConeT, "second order": cl.SecondOrderConeT}
+        kinds = _cones()
         settings = quiet_settings()
         settings.presolve_enable = False  # what is solved again must keep its rows
         settings.max_iter = iterations

@@ -1,14 +1,16 @@
 """The door to the conic solvers: statuses are words, multipliers are checked by their own equation."""
 
+import cvxpy as cp
 import numpy as np
 import pytest
 from scipy import sparse
 
 from sampling_design.errors import SolverError
-from sampling_design.estimators.constraints import least_distance
+from sampling_design.estimators.constraints import least_distance, reference
 from sampling_design.estimators.constraints.least_distance_problem import LeastDistance
 from sampling_design.numerics import conic_programs
 from sampling_design.numerics.conic_programs import ConeSolver
+from tests.oracles.estimators import least_slacks
 
 RNG = np.random.default_rng(7)
 
@@ -68,24 +70,60 @@ def test_unrefined_steps_find_the_same_point_and_what_they_do_not_solve_is_solve
 
 
 def test_modelled_problems_say_how_they_ended():
-    cp = conic_programs.cvxpy()
     x = cp.Variable()
-    good = cp.Problem(cp.Minimize(x), [x >= 2])
-    record = conic_programs.require(conic_programs.solve(good), "a bounded line")
+    record = reference.solve(cp.Problem(cp.Minimize(x), [x >= 2]))
     assert record.status == "solved"
     assert record.version
     assert np.isclose(x.value, 2.0, atol=1e-7)
-    assert conic_programs.solve(cp.Problem(cp.Minimize(x))).status == "unbounded"
+    assert reference.solve(cp.Problem(cp.Minimize(x))).status == "unbounded"
+    assert reference.solve(cp.Problem(cp.Minimize(x), [x >= 2, x <= 1])).status == "infeasible"
 
 
 def test_a_problem_without_a_point_is_an_error_that_carries_the_status():
-    cp = conic_programs.cvxpy()
-    x = cp.Variable()
-    record = conic_programs.solve(cp.Problem(cp.Minimize(x), [x >= 2, x <= 1]))
+    rows, b = np.array([[-1.0], [1.0]]), np.array([-2.0, 1.0])  # x >= 2 and x <= 1
+    record = conic_programs.require(
+        conic_programs.solve_cone_program(np.ones(1), [("nonnegative", rows[:1], b[:1])]).record, "a line"
+    )
+    assert record.status == "solved"
+    record = conic_programs.solve_cone_program(np.ones(1), [("nonnegative", rows, b)]).record
     with pytest.raises(SolverError, match="The solver found no point for two lines") as caught:
         conic_programs.require(record, "two lines")
     assert caught.value.status == "infeasible"
     assert caught.value.exit_code == 3
+
+
+def test_a_second_order_cone_beside_others():
+    """The point of a disc of radius 2 about (1, 0) that is furthest along (3, 4)."""
+    disc = np.array([[0.0, 0.0], [-1.0, 0.0], [0.0, -1.0]]), np.array([2.0, -1.0, 0.0])
+    line = np.array([[1.0, 0.0]]), np.array([10.0])
+    found = conic_programs.solve_cone_program(np.array([-3.0, -4.0]), [("nonnegative", *line), ("second order", *disc)])
+    assert found.x == pytest.approx([1 + 2 * 0.6, 2 * 0.8], abs=1e-6)
+
+
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_the_obstacle_is_what_the_modelling_library_finds(size):
+    rng, named = np.random.default_rng(4), set()
+    for _ in range(6):
+        A = rng.normal(size=(7, 2))
+        A /= np.linalg.norm(A, axis=1)[:, None]
+        centres = size * A @ rng.normal(size=2) + size * rng.normal(size=7)
+        upper, lower = centres + 0.1 * size, np.where(rng.uniform(size=7) < 0.3, -np.inf, centres)
+        cones = [(rng.normal(size=(2, 2)), size * rng.normal(size=2), 0.3 * size) for _ in range(2)]
+        problem = LeastDistance(2, A, lower, upper, cones, np.full(7, 2.0), [], [])
+        rows, balls = least_slacks(A, lower, upper, cones)
+        labels = "row_label", "cone_label"
+        with pytest.MonkeyPatch.context() as patch:
+            for label in labels:
+                patch.setattr(LeastDistance, label, lambda _, index, *__, label=label: f"{label} {index}")
+            text = least_distance.find_obstacle(problem)
+        amounts = [*2 * rows, *balls]
+        worst = int(np.argmax(amounts))
+        assert text.startswith(f"row_label {worst} " if worst < 7 else f"cone_label {worst - 7} ")
+        assert float(text.split("(needs ")[1].split()[0]) == pytest.approx(amounts[worst], rel=6e-3)
+        named.add(worst)
+    assert len(named) > 2
+    wide = LeastDistance(2, A, -np.full(7, np.inf), np.full(7, 1e3 * size), [], np.ones(7), [], [])
+    assert least_distance.find_obstacle(wide) == ""
 
 
 def test_a_budget_that_ran_out_is_a_status():
@@ -118,7 +156,7 @@ def test_what_a_scaled_program_does_not_solve_is_solved_with_care():
 
 def test_every_problem_is_solved_in_one_thread(monkeypatch):
     """Threads of a solver that wait busily for each other would take the time of other workers."""
-    cl, cp, made, given = conic_programs.clarabel(), conic_programs.cvxpy(), [], []
+    cl, made, given = conic_programs.clarabel(), [], []
     solver, solve = cl.DefaultSolver, cp.Problem.solve
     monkeypatch.setattr(cl, "DefaultSolver", lambda *parts: made.append(parts[-1].max_threads) or solver(*parts))
     monkeypatch.setattr(cp.Problem, "solve", lambda self, **how: given.append(how["max_threads"]) or solve(self, **how))
@@ -129,6 +167,6 @@ def test_every_problem_is_solved_in_one_thread(monkeypatch):
     assert nearest.z == pytest.approx(1.0)
     assert made == [1, 1, 1]
     x = cp.Variable()
-    assert conic_programs.solve(cp.Problem(cp.Minimize(x), [x >= 2])).status == "solved"
+    assert reference.solve(cp.Problem(cp.Minimize(x), [x >= 2])).status == "solved"
     assert given == [1]
     assert set(made) == {1}

@@ -122,3 +122,15 @@ def fine_grid(A, C, G, P2, Qw, R, Qv, eta, prior, start, times, ys, steps, twice
     problem = cp.Problem(cp.Minimize(cost), equal + extra)
     problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-9, tol_gap_rel=1e-9, tol_feas=1e-9)
     return states[-1].value, float(problem.value)
+
+
+def least_slacks(A, lower, upper, cones):
+    """Slacks of least sum for lower - s <= Az <= upper + s and |Mz + c| <= r + s: of the rows, of the cones."""
+    import cvxpy as cp
+
+    z, rows, balls = cp.Variable(A.shape[1]), cp.Variable(len(A), nonneg=True), cp.Variable(len(cones), nonneg=True)
+    parts = [A[i] @ z <= upper[i] + rows[i] for i in range(len(A)) if np.isfinite(upper[i])]
+    parts += [A[i] @ z >= lower[i] - rows[i] for i in range(len(A)) if np.isfinite(lower[i])]
+    parts += [cp.norm(M @ z + c) <= r + balls[i] for i, (M, c, r) in enumerate(cones)]
+    cp.Problem(cp.Minimize(cp.sum(rows) + cp.sum(balls)), parts).solve(solver=cp.CLARABEL)
+    return rows.value, balls.value

@@ -254,7 +254,7 @@ def _least_overshoot(found: DetectabilityCertificate, margin: float) -> Detectab
     Posed in coordinates where the Riccati P is the identity and time is 1/eta, each direction of the inequality scaled
     by the size of its terms, so that all data are of order one.
     """
-    cp, plant, n = conic_programs.cvxpy(), found.plant, found.plant.n_states
+    plant, n = found.plant, found.plant.n_states
     L = np.linalg.cholesky(found.P)
     eta = found.eta * (1 + margin / 2)
     A = np.linalg.solve(L, (plant.A / eta).T @ L).T
@@ -262,14 +262,25 @@ def _least_overshoot(found: DetectabilityCertificate, margin: float) -> Detectab
     G = L.T @ plant.G / np.sqrt(eta * found.c_w)
     unit = np.linalg.solve(L, np.eye(n)) * np.sqrt(np.linalg.eigvalsh(found.P)[0])
     floor = unit @ unit.T  # the identity of the plant's coordinates, as large as the Riccati P allows
-    Z, top = cp.Variable((n, n), symmetric=True), cp.Variable()
     _, modes = np.linalg.eigh(A.T + A + np.eye(n) - K @ K.T)
     scale = modes / np.sqrt(1 + np.linalg.norm(modes.T @ K, axis=1) ** 2 + 2 * np.linalg.norm(A @ modes, axis=0))
-    corner, off = scale.T @ (A.T @ Z + Z @ A + Z - K @ K.T) @ scale, scale.T @ Z @ G
-    matrix = cp.bmat([[corner, off], [off.T, -np.eye(plant.n_disturbances)]]) if plant.n_disturbances else corner
-    problem = cp.Problem(cp.Minimize(top), [Z >> floor, Z << top * floor, (matrix + matrix.T) / 2 << 0])
-    record = conic_programs.require(conic_programs.solve(problem), "the least overshoot")
-    P_lmi = L @ Z.value @ L.T
+
+    def inequality(Z: Array, constant: float) -> Array:
+        corner = scale.T @ (A.T @ Z + Z @ A + Z - constant * K @ K.T) @ scale
+        off, last = scale.T @ Z @ G, -constant * np.eye(plant.n_disturbances)
+        return symmetrise(np.block([[corner, off], [off.T, last]]))
+
+    each = np.eye(n * (n + 1) // 2)
+    linear = np.array([conic_programs.svec(inequality(Z, 0.0)) for Z in conic_programs.smat(each)]).T
+    low, still = conic_programs.svec(floor), conic_programs.svec(inequality(np.zeros((n, n)), 1.0))
+    blocks = [  # Z - floor, top floor - Z and the negative of the inequality
+        ("psd", np.column_stack([-each, 0 * low]), -low),
+        ("psd", np.column_stack([each, -low]), 0 * low),
+        ("psd", np.column_stack([linear, 0 * still]), -still),
+    ]
+    solved = conic_programs.solve_cone_program(np.eye(len(each) + 1)[-1], blocks)
+    record = conic_programs.require(solved.record, "the least overshoot")
+    P_lmi = L @ conic_programs.smat(solved.x[:-1]) @ L.T
     for shift in _SHIFTS:
         shifted = symmetrise((1 - shift) * P_lmi + shift * found.P)
         if np.linalg.eigvalsh(shifted)[0] > 0:

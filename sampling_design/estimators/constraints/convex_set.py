@@ -245,17 +245,18 @@ class ConvexSet(Record):
             return
         from sampling_design.numerics import conic_programs
 
-        cp = conic_programs.cvxpy()
-        z, excess = cp.Variable(self.dimension), cp.Variable()
-        low, high = np.flatnonzero(np.isfinite(self.lower)), np.flatnonzero(np.isfinite(self.upper))
-        parts = [self.lower[low] - z[low] <= excess] if low.size else []
-        parts += [z[high] - self.upper[high] <= excess] if high.size else []
-        parts += [self.rows @ z - self.offsets <= excess] if self.rows.shape[0] else []
-        parts += [cp.norm(ball.shape @ (z - ball.centre)) - ball.radius <= excess for ball in self.balls]
-        record = conic_programs.solve(cp.Problem(cp.Minimize(excess), [*parts, excess >= -1]))
-        size = max([1.0, *np.abs(self.offsets), *(b.radius for b in self.balls)])
-        if conic_programs.usable(record) and float(excess.value) > EMPTY_MARGIN * size:
-            raise ArgumentError(f"the set is empty: every point violates it by {float(excess.value):.3g} or more.")
+        n, low, high = self.dimension, np.isfinite(self.lower), np.isfinite(self.upper)
+        rows = np.vstack([-np.eye(n)[low], np.eye(n)[high], self.rows, np.zeros((1, n))])
+        offsets = np.concatenate([-self.lower[low], self.upper[high], self.offsets, [1.0]])
+        blocks = [("nonnegative", np.column_stack([rows, -np.ones(len(rows))]), offsets)]  # the last: excess >= -1
+        for ball in self.balls:
+            matrix = np.vstack([np.zeros(n), -ball.shape])
+            bound = np.concatenate([[ball.radius], -ball.shape @ ball.centre])
+            blocks.append(("second order", np.column_stack([matrix, -np.eye(len(matrix))[0]]), bound))
+        found = conic_programs.solve_cone_program(np.eye(n + 1)[n], blocks)
+        size, excess = max([1.0, *np.abs(self.offsets), *(b.radius for b in self.balls)]), found.x[n]
+        if conic_programs.usable(found.record) and excess > EMPTY_MARGIN * size:
+            raise ArgumentError(f"the set is empty: every point violates it by {excess:.3g} or more.")
 
     def explain(self) -> str:
         """Say what bounds the set."""

@@ -22,6 +22,9 @@ EXACT = 1e-13  # a relative duality gap and an infeasibility that may be roundin
 STILL = 1e-9
 """A Newton step, relative to |z|, after which the next one would be rounding: it is about the square of this one."""
 
+NEEDED = 1e-7
+"""A sum of slacks (in posterior standard deviations) above this means that the constraints cannot all be met."""
+
 NEWTON_STEPS = 10
 """Steps that polish an answer: each doubles the digits, so that four are enough but for degenerate cones."""
 
@@ -184,3 +187,34 @@ def _newton(problem: LeastDistance, z: Array, cones: Array) -> tuple[NearestPoin
 def _limits(A: Array) -> dict[str, object]:
     """Settings of the active-set method."""
     return {"primal_tol": 1e-11, "dual_tol": 1e-12, "iter_limit": 20 * sum(A.shape)}
+
+
+def find_obstacle(problem: LeastDistance) -> str:
+    """Name the constraint that needs the largest slack when the sum of slacks is least ("" if none is needed)."""
+    size, rows, balls = problem.size, problem.A.shape[0], len(problem.cones)
+    up, low = np.flatnonzero(np.isfinite(problem.upper)), np.flatnonzero(np.isfinite(problem.lower))
+    slack, wide = np.eye(rows, rows + balls), np.eye(balls, rows + balls, rows)
+    blocks = [
+        ("nonnegative", np.hstack([problem.A[up], -slack[up]]), problem.upper[up]),
+        ("nonnegative", np.hstack([-problem.A[low], -slack[low]]), -problem.lower[low]),
+        ("nonnegative", np.hstack([np.zeros((rows + balls, size)), -np.eye(rows + balls)]), np.zeros(rows + balls)),
+    ]
+    for (M, c, radius), own in zip(problem.cones, wide, strict=True):
+        bound = np.hstack([np.zeros(size), -own])
+        matrix = np.hstack([-M, np.zeros((len(M), rows + balls))])
+        blocks.append(("second order", np.vstack([bound, matrix]), np.concatenate([[radius], c])))
+    cost = np.concatenate([np.zeros(size), np.ones(rows + balls)])
+    found = conic_programs.solve_cone_program(cost, [block for block in blocks if block[2].size])
+    if not conic_programs.usable(found.record):
+        return ""
+    z, slacks = found.x[:size], found.x[size:]
+    lost = np.finfo(float).eps * float((np.abs(problem.A) @ np.abs(z)).sum())
+    if not slacks.sum() > NEEDED + lost:  # rows of a state that has grown are cancelled to no more digits than that
+        return ""
+    amounts = slacks * np.concatenate([problem.scales, np.ones(balls)])
+    index = int(np.argmax(amounts))
+    if index < rows:
+        label = problem.row_label(index, bool(problem.A[index] @ z < problem.lower[index]))
+    else:
+        label = problem.cone_label(index - rows)
+    return f"{label} (needs {amounts[index]:.3g} more)"

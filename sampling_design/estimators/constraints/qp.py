@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sampling_design.estimators.constraints.least_distance import NearestPoint, active_set, conic
+from sampling_design.estimators.constraints.least_distance import NearestPoint, active_set, conic, find_obstacle
 from sampling_design.estimators.constraints.least_distance_problem import ConstraintDemands
-from sampling_design.estimators.constraints.reference import find_obstacle, solve_reference
+from sampling_design.estimators.constraints.reference import solve_reference
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.window_problem import EstimationWindow

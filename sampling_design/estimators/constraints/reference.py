@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sampling_design.errors import MissingExtraError
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.least_distance import ACCEPTED, SOLVER_TOLERANCE
-from sampling_design.estimators.constraints.least_distance_problem import LeastDistance
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.gap_flows.cost_weights import marginal_root
 from sampling_design.estimators.window.solution import Solution
@@ -21,13 +23,58 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import SolverRecord
 
 if TYPE_CHECKING:
-    from sampling_design.numerics.conic_programs import Constraint, Expression, Problem
+    from cvxpy import Constraint, Expression
+    from cvxpy import Problem as Problem
 
 
 SCALES = (1.0, 1e-3, 1e-6)  # units of the steps in which the reference is solved and then refined around its own answer
 
-NEEDED = 1e-7
-"""A sum of slacks (in posterior standard deviations) above this means that the constraints cannot all be met."""
+
+def cvxpy() -> ModuleType:
+    """Return the modelling library, loaded on first use: it takes a second.
+
+    Raises MissingExtraError if it is not installed; the message names the extra.
+    """
+    try:
+        return import_module("cvxpy")
+    except ImportError:
+        raise MissingExtraError("cvxpy", "modelling") from None
+
+
+def solve(problem: Problem, tolerance: float = conic_programs.TOLERANCE) -> SolverRecord:
+    """Solve a cvxpy problem with Clarabel and say how it ended; never raises for an unhappy status.
+
+    The record's status is one of those of `conic_programs`. After "infeasible", "unbounded" and "failed" the variables
+    hold nothing to use.
+    """
+    cp = cvxpy()
+    settings = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas", "tol_ktratio"), tolerance)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # an inaccurate solution is a status here, not a warning
+            solved: Callable[..., object] = problem.solve
+            solved(solver=cp.CLARABEL, max_iter=200, max_threads=conic_programs.THREADS, **settings)
+        raw = str(problem.status)
+    except cp.error.SolverError as error:
+        raw = f"solver error: {error}"
+    return SolverRecord(
+        name="Clarabel",
+        version=str(conic_programs.clarabel().__version__),
+        status=_STATUS.get(raw, conic_programs.FAILED),
+        iterations=int(getattr(problem.solver_stats, "num_iters", 0) or 0),
+        details={"raw_status": raw, "tolerance": tolerance},
+    )
+
+
+_STATUS = {
+    "optimal": conic_programs.SOLVED,
+    "optimal_inaccurate": conic_programs.INACCURATE,
+    "infeasible": conic_programs.INFEASIBLE,
+    "infeasible_inaccurate": conic_programs.INFEASIBLE,
+    "unbounded": conic_programs.UNBOUNDED,
+    "unbounded_inaccurate": conic_programs.UNBOUNDED,
+    "user_limit": conic_programs.BUDGET,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +126,7 @@ def _improved(
     """Minimise over the steps (x, omega, v) = point + scale step; None if the solver brings nothing to use."""
     program, x, omega, v = _window_program(window, constraints, point, scale, window.reference[0], window.y)
     problem = program.problem()
-    record = conic_programs.solve(problem, tolerance=SOLVER_TOLERANCE)
+    record = solve(problem, SOLVER_TOLERANCE)
     if not conic_programs.usable(record) or problem.value is None or any(step.value is None for step in x):
         return record, None
     return record, _Point(
@@ -92,7 +139,7 @@ def _improved(
 
 def problem_as_written(window: EstimationWindow, constraints: WindowConstraints) -> Problem:
     """Return the window problem for the modelling library: variables x0, omega1, v0, ..., parameters prior, y0, ..."""
-    cp = conic_programs.cvxpy()
+    cp = cvxpy()
     prior, y = cp.Parameter(window.reference.shape[1], name="prior", value=window.reference[0]), {}
     for j in window.samples:
         y[j] = cp.Parameter(window.y.shape[1], name=f"y{j}", value=window.y[j])
@@ -109,7 +156,7 @@ def _window_program(
     y: Array | Mapping[int, Expression],
 ) -> tuple[_Program, list[Expression], list[Expression], dict[int, Expression]]:
     """The program over the steps (x, omega, v) = point + scale step; with parameters for prior and y the scale is 1."""
-    cp = conic_programs.cvxpy()
+    cp = cvxpy()
     weights, plant, root = window.weights, window.weights.plant, np.sqrt(window.discount)
     x = [cp.Variable(plant.n_states, name=f"x{j}") for j in range(window.times.size)]
     omega = [cp.Variable(flow.root.shape[1], name=f"omega{j + 1}") for j, flow in enumerate(window.flows)]
@@ -189,31 +236,3 @@ class _Program:
                 continue
             a, b = ball.shape @ (value - ball.centre) / ball.radius, ball.shape @ step / ball.radius
             self.parts.append(2 * a @ b + self.scale * self.cp.sum_squares(b) <= (1 - a @ a) / self.scale)
-
-
-def find_obstacle(problem: LeastDistance) -> str:
-    """Name the constraint that needs the largest slack when the sum of slacks is least ("" if none is needed)."""
-    cp = conic_programs.cvxpy()
-    z = cp.Variable(problem.size)
-    slack, wide = cp.Variable(problem.A.shape[0], nonneg=True), cp.Variable(len(problem.cones), nonneg=True)
-    has_up, has_low = np.isfinite(problem.upper), np.isfinite(problem.lower)
-    parts = []
-    if problem.A.shape[0]:
-        value = problem.A @ z
-        parts += [value[has_up] <= problem.upper[has_up] + slack[has_up]]
-        parts += [value[has_low] >= problem.lower[has_low] - slack[has_low]]
-    parts += [cp.norm(M @ z + c) <= r + wide[i] for i, (M, c, r) in enumerate(problem.cones)]
-    record = conic_programs.solve(cp.Problem(cp.Minimize(cp.sum(slack) + cp.sum(wide)), parts))
-    if not conic_programs.usable(record):
-        return ""
-    needs = [(float(s) * scale, i, True) for i, (s, scale) in enumerate(zip(slack.value, problem.scales, strict=True))]
-    needs += [(float(s), i, False) for i, s in enumerate(wide.value)]
-    amount, index, is_row = max(needs, default=(0.0, 0, True))
-    total = float(slack.value.sum() + wide.value.sum())
-    lost = np.finfo(float).eps * float((np.abs(problem.A) @ np.abs(z.value)).sum())
-    if not total > NEEDED + lost:  # rows of a state that has grown are cancelled to no more digits than that
-        return ""
-    if not is_row:
-        return f"{problem.cone_label(index)} (needs {amount:.3g} more)"
-    below = problem.A[index] @ z.value < problem.lower[index]
-    return f"{problem.row_label(index, bool(below))} (needs {amount:.3g} more)"

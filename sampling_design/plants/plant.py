@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.checkers.strict import is_text
-from sampling_design.errors import ArgumentError
+from sampling_design.errors import ArgumentError, MissingExtraError
 from sampling_design.numerics.modal_flow import exponential
 from sampling_design.plants.systems import CARRIED, StateSpace, check_system, driven, is_system, parts_of
 from sampling_design.records import checks
@@ -394,8 +394,13 @@ class Plant(Record):
         ------
         ArgumentError
             If nothing at all drives it.
+        MissingExtraError
+            If `control` is not installed (extra `control`).
         """
-        import control
+        try:
+            import control
+        except ImportError:
+            raise MissingExtraError("control", "control") from None
 
         both = not self.n_inputs if disturbances is None else disturbances
         B, D = driven(self, both)

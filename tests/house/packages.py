@@ -18,6 +18,14 @@ def wanted(package: Path) -> set[str]:
     return {f"{package.name}/{p.relative_to(package).as_posix()}" for p in files}
 
 
+def beside(root: Path) -> set[str]:
+    """What a source distribution holds beside the package, so that the README's commands and all tests run in it."""
+    files = (p.relative_to(root) for folder in (".ci", "docs", "examples", "tests") for p in (root / folder).rglob("*"))
+    built = {"__pycache__", "_build"}
+    kept = {p.as_posix() for p in files if (root / p).is_file() and not built & set(p.parts)}
+    return kept | {"pyproject.toml", "setup.py", "LICENSE", "README.md", "CITATION.cff"}
+
+
 def faults(names: set[str], package: Path) -> list[str]:
     """What is missing in a list of files, and what of it is neither the package nor about it."""
     own = wanted(package)
@@ -31,11 +39,7 @@ def main(folder: Path) -> int:
     found = [f"{wheel.name} {fault}" for fault in faults(set(zipfile.ZipFile(wheel).namelist()), PACKAGE)]
     with tarfile.open(sdist) as archive:
         inside = {name.split("/", 1)[1] for name in archive.getnames() if "/" in name}
-    found += [
-        f"{sdist.name} lacks {name}"
-        for name in sorted(wanted(PACKAGE) | {"pyproject.toml", "LICENSE"} - inside)
-        if name not in inside
-    ]
+    found += [f"{sdist.name} lacks {name}" for name in sorted((wanted(PACKAGE) | beside(PACKAGE.parent)) - inside)]
     print("\n".join(found) or f"{wheel.name} and {sdist.name} hold what they should")
     return len(found)
 

@@ -85,9 +85,11 @@ def plan(
         lines = [[label, *said] for label, said in comparison.lines()]
         tables += [table("Comparison", ["", *comparison.names], lines), comparison.explain()]
     if folder is not None:
+        file = folder / "plan.json"
+        first = " --initial-error ERROR" if result.error_bounds["initial_error"] is None else ""
         tables += [
-            f"Next: sampling-design next {folder / 'plan.json'}",
-            f"Next: sampling-design estimate {folder / 'plan.json'} MEASUREMENTS.csv -o {folder}",
+            f"Next: sampling-design next {file}",
+            f"Next: sampling-design estimate {file} MEASUREMENTS.csv{first} -o {folder}",
         ]
     settings.show(result.to_dict(), *tables)
     if not result.keeps and requirement.aim == "cheapest":

@@ -89,7 +89,7 @@ def estimate(
     settings.notice(words)
     tally = followed(settings, chosen.estimator, record, how, words, _used(plant, bounds))
     if tally.contradictions or tally.status["bounds disproved"]:
-        if None in bounds.values():
+        if any(bound is None for bound in bounds.values()):
             settings.notice(
                 "Bounds that were not given are the plant's scales, typical sizes that data may well exceed: give "
                 "--w-bound, --v-bound and --initial-error before more is made of the contradiction."
@@ -145,14 +145,14 @@ def validate(
 ) -> None:
     """Certify a schedule, then try to break the promise: random and worst noise, constraints, inequality (16).
 
-    Exit code 1 if a promise is broken. With -o DIR: report.md, report.json and validation.png; an interrupted one is
-    taken up again where it was.
+    Exit code 1 if a promise is broken. A plan (plan.json) for SCHEDULE brings its bounds. With -o DIR: report.md,
+    report.json and validation.png; an interrupted one is taken up again where it was.
 
     Example: sampling-design validate examples/plants/oscillator.toml out/schedule.csv -o out
     """
     plant = settings.part(reading.plant(plant_file))
     schedule = schedule_for(settings, plant, schedule_file)
-    bounds = typed.of(plant)
+    bounds = _bounds(settings, typed.of(plant), reading.plan_in(schedule_file))
     if certificate_file is not None:
         certificate = sampling_certificate(certificate_file, plant)
     else:

@@ -6,6 +6,7 @@ import signal
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import sampling_design as sd
@@ -98,31 +99,45 @@ def test_a_plan_without_dates_takes_no_date():
 @pytest.fixture(scope="module")
 def small_plan(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plan")
-    plant = sd.read_plant(EXAMPLES / "plants" / "oscillator.toml")
-    terms = {"position": {"noise_bound": 0.2}}
+    outputs = ["position", "speed"]
+    plant = sd.Plant([[0, 1], [-1, 0]], np.eye(2), time_unit="s", states=outputs, outputs=outputs)
+    sd.plants.write_plant(plant, folder / "plant.toml")
+    terms = {name: {"noise_bound": 0.2} for name in outputs}
     wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, grid=0.8, w_bound=0.02, sensors=terms, initial_error=1.5)
     plan = sd.plan_samples(plant, wanted, search_seconds=2.0, certificate=False, robustness=False)
-    rows = "".join(f"{t!r},{math.cos(t)!r},0\n" for t in plan.schedule.times.tolist() if t > 0)
-    (folder / "measured.csv").write_text(f"time,position,force_per_mass\n{rows}")
+    rows = "".join(f"{t!r},{math.cos(t)!r},{-math.sin(t)!r}\n" for t in plan.schedule.between(0.1, 14.0).times.tolist())
+    (folder / "measured.csv").write_text(f"time,position,speed\n{rows}")
     return plan, plan.save(folder / "plan.json"), folder / "measured.csv"
 
 
 @pytest.mark.parametrize("place", ["plant", "schedule", "both"])
 def test_a_plan_stands_for_plant_schedule_and_bounds(shell, small_plan, place):
     plan, file, measured = small_plan
-    first = EXAMPLES / "plants" / "oscillator.toml" if place == "schedule" else file
+    first = file.with_name("plant.toml") if place == "schedule" else file
     beside = () if place == "plant" else ("--schedule", file)
     found = shell("estimate", first, measured, *beside, "--initial-error", "1", "--json")
     assert found.code == 0
     heard = " ".join(found.err.split())
     assert "--w-bound not given: that of the plan, 0.02, is used." in heard
-    assert "--v-bound not given: that of the plan, [0.2], is used." in heard
+    assert "--v-bound not given: that of the plan, [0.2, 0.2], is used." in heard
     assert "--initial-error not given" not in heard
     assert json.loads(found.out)["guarantee"] == "Guarantee for the schedule given."
     bounds = {**plan.error_bounds, "initial_error": 1.0}
     certificate = sd.certify(plan.plant, plan.schedule, eta=1 / plan.schedule.d_max, **bounds)
     own = sd.MovingHorizonEstimator(plan.plant, certificate, **bounds)
     assert json.loads(found.out)["x"] == own.run(sd.read_measurements(measured, plan.plant)).to_dict()["x"]
+
+
+def test_what_contradicts_a_plan_says_which_bound_was_not_given(shell, small_plan):
+    _, file, measured = small_plan
+    far = measured.with_name("far.csv")
+    far.write_text("time,position,speed\n0.5,90,0\n1.0,-90,0\n")
+    found = shell("estimate", file, far)
+    assert found.code == 1
+    assert "Bounds that were not given" not in found.err
+    again = shell("estimate", file.with_name("plant.toml"), far, "--v", "0.2,0.2")
+    assert again.code == 1
+    assert "Bounds that were not given" in again.err
 
 
 def test_a_plan_is_a_schedule_for_other_commands(shell, small_plan):

@@ -17,7 +17,7 @@ from sampling_design.plants.plant import Plant, Signals, replace_matrices
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Complex
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import PlainRecord, TableRecord, short
+from sampling_design.records.record import PlainRecord, TableRecord, counted, short
 from sampling_design.records.signatures import checked
 
 __all__ = ["EigenvalueCluster", "ModalSplit", "eigenvalue_clusters", "split_modes"]
@@ -109,11 +109,15 @@ class ModalSplit(TableRecord, PlainRecord):
                 "Nothing is retained: every mode decays at the rate asked for, so no samples are needed. "
                 "Ask for a faster decay with `decay_rate` to have slow modes observed."
             )
-        doubt = f" {self.near_line.size} eigenvalues lie too near the line to be sure." if self.near_line.size else ""
-        return (
+        said = (
             f"{self.retained.n_states} of {self.plant.n_states} states must be observed; the others decay by "
-            f"themselves at the rate asked for.{doubt}"
+            "themselves at the rate asked for."
         )
+        if not self.near_line.size:
+            return said
+        kept = np.isin(self.near_line, np.concatenate([cluster.members for cluster in self.retained_clusters])).all()
+        told = "observed, which is the safe side" if kept else "left to decay, some of them"
+        return f"{said} For {counted(self.near_line.size, 'eigenvalue')} rounding does not tell: {told}."
 
 
 def _listed(clusters: object) -> str:

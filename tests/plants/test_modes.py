@@ -143,7 +143,7 @@ def test_a_cluster_with_members_on_both_sides_is_retained_whole_and_reported():
 def test_table_and_words_name_the_eigenvalues():
     split = split_modes(library.cart_pendulum())
     assert "5.56796, 0" in str(split)
-    assert "1 eigenvalues lie too near" in split.explain()
+    assert "For 1 eigenvalue rounding does not tell" in split.explain()
     assert repr(split).startswith("ModalSplit(retained=2 of 4 states, line=Re >= 0 1/s")
     assert "(x2, index 2)" in str(split_modes(library.double_integrator()))
 
@@ -191,3 +191,17 @@ def test_a_stiff_mode_hides_no_slow_one():
     assert len(unobservable_modes(Plant(np.diag([0.1, 0.2, -1e9]), np.ones((1, 3))))) == 0
     for coupling in (0.0, 1e-16, 1e-9):
         assert len(unobservable_modes(Plant([[0.1, 1.0], [0.0, coupling]], [[1.0, 1.0]]))) == 0
+
+
+@pytest.mark.parametrize(
+    ("offset", "words"),
+    [
+        (None, "For 1 eigenvalue rounding does not tell: observed, which is the safe side."),
+        (0.0, "For 1 eigenvalue rounding does not tell: left to decay, some of them."),
+    ],
+)
+def test_what_lies_at_the_line_is_said_in_words(offset, words):
+    plant = Plant(np.diag([0.0 if offset is None else -1e-17, 1.0, -1.0]), np.ones((1, 3)))
+    found = split_modes(plant, offset=offset, rounding=1e-13)
+    assert found.near_line.size == 1
+    assert found.explain().endswith(words)

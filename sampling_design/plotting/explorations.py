@@ -124,8 +124,8 @@ def draw_losses(losses: SampleLosses, ax: Axes | None = None) -> Axes:
     ax.margins(x=0.08)
     style.time_axis(ax, losses.time_unit, "time of the lost sample")
     ax.set_ylabel("sigma (state at window's start)")
-    worst = short(losses.times[int(np.argmin(losses.lower))], 4)
+    worst = style.moment(ax, losses.times[int(np.argmin(losses.lower))], losses.time_unit, 4)
     missed = "missing in every period" if losses.every_period else "missed once"
-    ax.set_title(f"{missed}: the sample at {worst} {losses.time_unit} costs most", loc="left")
+    ax.set_title(f"{missed}: the sample at {worst} costs most", loc="left")
     style.legend(ax, 2)
     return ax

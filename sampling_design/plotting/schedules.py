@@ -30,8 +30,9 @@ def draw_schedule(schedule: Schedule | PeriodicSchedule, ax: Axes | None = None)
     style.time_axis(ax, schedule.time_unit, origin=schedule.origin)
     gaps = schedule.gaps
     if gaps.size:
-        span = f"{short(gaps.min(), 4)} to {short(gaps.max(), 4)} {schedule.time_unit or ''}".rstrip()
-        ax.set_title(f"{counted(len(schedule), 'sample')}, gaps {span}", loc="left")
+        least, most = short(gaps.min(), 4), short(gaps.max(), 4)
+        span = f"every {most}" if least == most else f"gaps {least} to {most}"
+        ax.set_title(f"{counted(len(schedule), 'sample')}, {span} {schedule.time_unit or ''}".rstrip(), loc="left")
     return ax
 
 

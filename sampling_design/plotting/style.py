@@ -110,19 +110,30 @@ class _InUnit(MaxNLocator):
         return [float(mark) / self.factor for mark in super().tick_values(vmin * self.factor, vmax * self.factor)]
 
 
-def time_axis(ax: matplotlib.axes.Axes, unit: str | None, what: str = "time", origin: str | None = None) -> None:
-    """Name a time axis: dates where that of its zero is known, else minutes, hours or days where these are short.
-
-    To be called when everything is drawn.
-    """
+def _shown_unit(ax: matplotlib.axes.Axes, unit: str | None) -> tuple[str | None, float]:
+    """The unit in which the time axis of what is drawn counts, and how much of it `unit` is."""
     low, high = ax.get_xlim()
     own, shown = SECONDS.get(unit or "", np.inf), unit
     if high - low > MANY:
         longer = [u for u in ("s", "min", "h", "d") if own < SECONDS[u] <= (high - low) * own / FEW]
         shown = longer[-1] if longer else unit
+    return shown, 1.0 if shown is None or shown == unit else own / SECONDS[shown]
+
+
+def moment(ax: matplotlib.axes.Axes, t: float, unit: str | None, digits: int = 5) -> str:
+    """Return a time in the unit that its axis shows; to be called when everything is drawn."""
+    shown, factor = _shown_unit(ax, unit)
+    return f"{short(t * factor, digits)} {shown or ''}".rstrip()
+
+
+def time_axis(ax: matplotlib.axes.Axes, unit: str | None, what: str = "time", origin: str | None = None) -> None:
+    """Name a time axis: dates where that of its zero is known, else minutes, hours or days where these are short.
+
+    To be called when everything is drawn.
+    """
+    shown, factor = _shown_unit(ax, unit)
     ax.set_xlabel(time_label(shown, what))
-    if shown is not None and shown != unit:
-        factor = own / SECONDS[shown]
+    if shown != unit:
         ax.xaxis.set_major_locator(_InUnit(factor))
         ax.xaxis.set_major_formatter(FuncFormatter(lambda t, _: f"{t * factor:.6g}"))
     dates(ax, unit, origin)

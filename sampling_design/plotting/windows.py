@@ -41,8 +41,9 @@ def draw_window_sigma(result: WindowSigma, ax: Axes | None = None, *, columns: i
     )
     # an open ring where sigma is only a one-sided limit, a full one where it is reached
     face = style.ATTAINED if result.witness.side == "at" else "none"
-    worst = f"attained: {short(result.upper, 4)}, window ends {result.witness.position} {result.time_unit}"
-    ax.plot([result.witness.t], [result.upper], "o", color=style.ATTAINED, markerfacecolor=face, label=worst)
+    (worst,) = ax.plot([result.witness.t], [result.upper], "o", color=style.ATTAINED, markerfacecolor=face)
+    side, end = result.witness.side, style.moment(ax, result.witness.t, result.time_unit)
+    worst.set_label(f"attained: {short(result.upper, 4)}, window ends {'' if side == 'at' else f'just {side} '}{end}")
     least = min(result.lower, draw_deviations(result.deviations, ax) if beside else np.inf)
     style.from_below(ax, min(least, float(profile.sigma.min())), float(profile.sigma.max()))
     style.time_axis(ax, result.time_unit, f"end of the window of {spoken(result.window, result.time_unit)}")

@@ -64,3 +64,29 @@ def test_panels_below_each_other_show_the_same_time():
     assert early.get_xlim() == late.get_xlim()
     assert early.get_xlim()[0] <= 0.0
     assert early.get_xlim()[1] >= 9.0
+
+
+def test_a_moment_is_told_in_the_unit_of_its_axis():
+    plant = sd.named_plant("satellite")
+    schedule = sd.PeriodicSchedule.from_times(np.arange(12) * 5554.0 / 12, 5554.0, time_unit="s")
+    found = sd.window_sigma(plant, schedule, 5554.0)
+    ax = found.plot()
+    (worst,) = (text.get_text() for text in ax.get_legend().get_texts() if "attained" in text.get_text())
+    assert ax.get_xlabel().endswith("[h]")
+    assert worst.endswith(" h")
+    told = float(worst.split()[-2])
+    assert told == pytest.approx(found.witness.t / 3600, rel=1e-4)
+    low, high = np.array(ax.get_xlim()) / 3600
+    assert low <= told <= high
+    assert schedule.plot().get_title(loc="left") == "12 samples, every 462.8 s"
+    uneven = sd.PeriodicSchedule.from_times([0.0, 60.0, 180.0], 300.0, time_unit="s")
+    assert uneven.plot().get_title(loc="left") == "3 samples, gaps 60 to 120 s"
+
+
+@pytest.mark.parametrize(
+    ("unit", "length", "said"), [("s", 7200.0, "0.5 h"), ("h", 100.0, "1800 h"), (None, 1e5, "1800")]
+)
+def test_moments_with_and_without_a_longer_unit(unit, length, said):
+    ax = style.new_axes()
+    ax.set_xlim(0.0, length)
+    assert style.moment(ax, 1800.0, unit) == said

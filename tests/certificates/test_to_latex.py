@@ -76,6 +76,12 @@ def test_no_name_is_read_as_a_command(what):
     assert not balanced(text + r"\begin{array}")
 
 
+def test_the_family_is_named_once():
+    lines = dict(re.findall(r"textbf\{(.*?)\.\} (.*?)\.\\par", MADE["a family"]().to_latex()))
+    assert lines["Assumptions"] == "linear plant"
+    assert lines["Sample times"] == "Every schedule whose gaps lie between 0.8 and 1.2"
+
+
 def test_what_does_not_hold_is_printed_as_refuted():
     weights = {"P1": 2 * np.eye(2), "P2": np.eye(2), "Qw": np.eye(2), "R": [[1.0]], "Qv": [[1.0]]}
     assert r"\textbf{Verdict.} refuted." in Certificate.from_matrices(OSCILLATOR, EVERY, **weights, eta=0.4).to_latex()

@@ -124,10 +124,10 @@ class VerifiableRecord(Record):
         -----
         Matrices of more than WIDEST columns are left to the file.
         """
-        claim, plant = self.claim, self.plant
+        claim, plant, times = self.claim, self.plant, self._sample_times()
         said = [
             ("Claim", claim.statement), ("Verdict", self.verify().verdict), ("Source", claim.theorem),
-            ("Assumptions", "; ".join(claim.assumptions)), ("Sample times", self._sample_times()),
+            ("Assumptions", "; ".join(each for each in claim.assumptions if each != times)), ("Sample times", times),
             ("Plant", f"{plant.name or 'no name'}; states {', '.join(plant.states.names)}; time in {plant.time_unit}"),
             ("File", f"digest {self.to_dict()['digest']}"),
         ]  # fmt: skip

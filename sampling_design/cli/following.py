@@ -64,7 +64,7 @@ class EstimateOptions:
         str | None,
         typer.Option(
             metavar="Q[:M]",
-            help="At most Q samples (of the last M) are wild, nobody knows which: radii that hold whichever they are.",
+            help="At most Q samples (of the last M) are outliers, nobody knows which: radii that hold for any such.",
         ),
     ] = None
     smooth: Annotated[
@@ -126,7 +126,7 @@ def followed(
     wild, tube = options.wild, options.tube
     if wild:
         most, among = (wild, "") if isinstance(wild, int) else (wild[0], f"last {wild[1]} ")
-        guarantee = f"Radii hold if at most {most} of the {among}samples are wild."
+        guarantee = f"Radii hold if at most {most} of the {among}samples are outliers."
     asked = options.radii or ("centred" if wild else _usual(settings, estimator, record))
     kind, plant, folder = check_radii(asked), estimator.plant, settings.folder()
     drawn = folder is not None and not settings.no_picture

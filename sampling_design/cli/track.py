@@ -52,7 +52,7 @@ def estimate(
     """Estimate the state from measurements, with a radius that holds the truth if noise keeps its bounds.
 
     A plan (plan.json) may stand for PLANT or for the schedule: it brings its bounds, too. Without certificate and
-    schedule the gaps seen in the file are certified where that is possible. With -o DIR: estimates.csv, estimates.json
+    schedule the gaps in the file are certified where that is possible. With -o DIR: estimates.csv, estimates.json
     and estimates.png; --no-picture leaves the picture out, --tube shows more in it.
 
     Example: sampling-design estimate examples/plants/oscillator.toml examples/data/oscillator.csv -o out

@@ -193,7 +193,7 @@ PAGE = MeasuredPage(
     [
         Table(("plant and rate", "proven", "known limit", "search, s", "proof, s"), list(ROWS), proven,
               clocked=frozenset({"search, s", "proof, s"})),
-        Table(("plant", "stayed, of pairs flown", "largest ratio"), [*pairs.PLANTS, *PATIENTS, *SWITCHED], cells,
+        Table(("plant", "stayed, of pairs simulated", "largest ratio"), [*pairs.PLANTS, *PATIENTS, *SWITCHED], cells,
               ADVERSARIES),
     ],
 )  # fmt: skip

@@ -45,7 +45,7 @@ def table(shell, files, *flags):
 def test_each_row_holds_whichever_sample_is_wild(shell, files, smooth):
     found, rows = table(shell, files, "--outliers", "1", *(["--smooth"] if smooth else []))
     assert found.code == 0
-    assert "Radii hold if at most 1 of the samples are wild." in found.out
+    assert "Radii hold if at most 1 of the samples are outliers." in found.out
     assert len(rows) == len(TIMES)
     for k, (row, t) in enumerate(zip(rows, TIMES.tolist(), strict=True)):
         if k == 0 and not smooth:

@@ -7,7 +7,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 REPLACED = re.compile(
     r"\b(push\w*|rasters?|motions?|go(?:es)? round|shadows?|bears|readings? of w|seal(?:s|ed)?|tall(?:y|ies)|"
-    r"largest box|noise budgets?|sharp(?:er)? (?:horizons?|theorems?)|prototyp\w+)\b",
+    r"largest box|noise budgets?|sharp(?:er)? (?:horizons?|theorems?)|prototyp\w+|"
+    r"unseen|blind|wild|flown|flights?|atoms?|told)\b",
     re.IGNORECASE,
 )
 PAGES = [

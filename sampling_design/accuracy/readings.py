@@ -177,13 +177,11 @@ def with_censored(y: object, p: int) -> tuple[object, tuple[CensoredReading, ...
 
     Raises ArgumentError if a limit or the mean is not a finite number.
     """
-    y = [y] if isinstance(y, PartialReading) else y
-    if not is_list(y):
-        return y, ()
-    found = {k: value.censored(k) for k, value in enumerate(y) if isinstance(value, PartialReading)}
+    listed = y if is_list(y) else [y]
+    found = {k: value.censored(k) for k, value in enumerate(listed) if isinstance(value, PartialReading)}
     if not found:
         return y, ()
-    return [np.nan if k in found else value for k, value in enumerate(y)], tuple(found.values())
+    return [np.nan if k in found else value for k, value in enumerate(listed)], tuple(found.values())
 
 
 def time_or_span(t: object) -> tuple[float, tuple[float, float] | None]:

@@ -58,11 +58,7 @@ def main() -> None:
         if interrupt.rung:
             raise KeyboardInterrupt
     except BaseException as error:
-        if interrupt.rung or isinstance(error, KeyboardInterrupt):
-            code = INTERRUPTED
-            _say("interrupted.")
-        else:
-            code = _ending(error)
+        code = _ending(KeyboardInterrupt() if interrupt.rung else error)
     finally:
         interrupt.close()
     sys.exit(code)
@@ -89,6 +85,9 @@ def _ending(error: BaseException) -> int:
     from sampling_design.errors import SamplingDesignError
 
     match error:
+        case KeyboardInterrupt():
+            _say("interrupted.")
+            return INTERRUPTED
         case SamplingDesignError():
             _say(str(error))
             return error.exit_code

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.checkers.parts import PLANT
-from sampling_design.checkers.strict import MOST_BYTES, Tree, is_table, is_text
+from sampling_design.checkers.strict import MOST_BYTES, Tree, is_list, is_table, is_text
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.plant import FORMAT, GROUPS, MATRICES, Plant, Signals
@@ -172,7 +172,7 @@ def _table(data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
 
 def _rows(value: npt.ArrayLike, columns: Sized | None) -> npt.ArrayLike:
     """An empty list of rows does not say how many columns it has; the names of the signals do."""
-    return np.zeros((0, len(columns or ()))) if isinstance(value, list) and not value else value
+    return np.zeros((0, len(columns or ()))) if is_list(value) and not value else value
 
 
 def _signals_from_dict(group: str, table: Mapping[str, Any]) -> Signals | None:

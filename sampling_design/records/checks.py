@@ -13,7 +13,7 @@ from typing import Any, TypeAlias, TypeGuard, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.checkers.strict import is_list, is_text, likely
+from sampling_design.checkers.strict import is_flag, is_list, is_number, is_text, is_whole, likely
 from sampling_design.errors import ArgumentError
 from sampling_design.records.arrays import Array, Mask
 
@@ -142,13 +142,13 @@ def vector(name: str, value: object, length: int | None = None) -> Array:
 
 def number(name: str, value: object) -> float:
     """Return `value` as a finite float. Raises ArgumentError if it is not a finite real number."""
-    if isinstance(value, numbers.Rational) and not isinstance(value, (bool, int)):
-        value = float(value)
-    if isinstance(value, (np.number, np.ndarray)) and value.ndim == 0:
+    if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
-    if isinstance(value, bool) or not isinstance(value, (int, float, complex)):
+    if isinstance(value, numbers.Rational) and not is_whole(value) and not is_flag(value):
+        value = float(value)
+    if not is_number(value) and not isinstance(value, (complex, np.complexfloating)):
         raise ArgumentError(f"`{name}` must be a number, got {described(value)}.")
-    if isinstance(value, float) and not np.isfinite(value):
+    if is_number(value) and not is_whole(value) and not np.isfinite(value):
         raise ArgumentError(f"`{name}` must be finite, got {value}.")
     return float(real_array(name, [value], 1)[0])
 

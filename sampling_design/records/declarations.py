@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar, cast, dataclass_t
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.checkers.strict import is_text
+from sampling_design.checkers.strict import is_list, is_text
 from sampling_design.records.arrays import Array
 
 Plain: TypeAlias = "str | float | bool | Sequence[Plain] | Mapping[str, Plain] | None"
@@ -121,7 +121,7 @@ def _selection(record: object, what: str) -> Iterator[tuple[str, Plain]]:
         if not inner or value is None:
             if not (optional and _empty(value)):
                 yield key, plain(value)
-        elif isinstance(value, tuple):
+        elif is_list(value):
             yield key, [selected(each, inner) for each in value]
         else:
             yield key, selected(value, inner)

@@ -79,10 +79,11 @@ def text_lines(path: str | os.PathLike[str]) -> Iterator[str]:
 
 
 def _unreadable(where: str, error: OSError) -> FileFormatError:
-    if isinstance(error, FileNotFoundError):
-        return FileFormatError(f"{where}: no such file.{_nearby(where)}", where)
-    if isinstance(error, IsADirectoryError):
-        return FileFormatError(f"{where}: is a folder, expected a file.", where)
+    match error:
+        case FileNotFoundError():
+            return FileFormatError(f"{where}: no such file.{_nearby(where)}", where)
+        case IsADirectoryError():
+            return FileFormatError(f"{where}: is a folder, expected a file.", where)
     return FileFormatError(f"{where}: cannot be read ({error.strerror}).", where)
 
 

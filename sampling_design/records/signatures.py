@@ -17,7 +17,7 @@ import threading
 import types
 import typing
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Concatenate, Literal, ParamSpec, Protocol, TypeVar, Union, overload
+from typing import Any, Concatenate, Literal, NamedTuple, ParamSpec, Protocol, TypeVar, Union, overload
 
 import numpy as np
 
@@ -142,8 +142,8 @@ def _arguments(
             foreign = foreign or any(type(value) is _Foreign for value in named.values())
         if foreign:
             unit = _unit_of((*given, *named.values()))
-            given = [value.taken(unit) if isinstance(value, _Foreign) else value for value in given]
-            named = {k: value.taken(unit) if isinstance(value, _Foreign) else value for k, value in named.items()}
+            given = [_taken(value, unit) for value in given]
+            named = {key: _taken(value, unit) for key, value in named.items()}
         return given, named
 
     return enter
@@ -307,21 +307,22 @@ def _exchanged(
     return ""
 
 
-class _Foreign:
+class _Foreign(NamedTuple):
     """A system of another library on its way to being what the annotation says, once the unit of time is known."""
 
-    def __init__(self, take: Callable[[object, str], object], value: object) -> None:
-        self.take, self.value = take, value
+    take: Callable[[object, str], object]
+    value: object
 
-    def taken(self, unit: str) -> object:
-        return self.take(self.value, unit)
+
+def _taken(value: object, unit: str) -> object:
+    return value.take(value.value, unit) if isinstance(value, _Foreign) else value
 
 
 def _unit_of(values: tuple[object, ...]) -> str:
     """The unit of time that the other arguments state, else seconds."""
     for value in values:
         for holder in (value, getattr(value, "plant", None)):
-            unit = None if isinstance(holder, _Foreign) else getattr(holder, "time_unit", None)
+            unit = getattr(holder, "time_unit", None)
             if is_text(unit):
                 return unit
     return "s"
@@ -426,11 +427,13 @@ _HELD: dict[object, str] = {
 
 
 def _as_typed(value: object, kind: type) -> object:
-    number = isinstance(value, np.ndarray) and not value.ndim
-    if isinstance(value, (str, bytes)) or (kind is collections.abc.Iterable and number):
+    if isinstance(value, (str, bytes)):
         return _NO
-    if kind in (list, tuple, collections.abc.Sequence) and isinstance(value, np.ndarray) and value.ndim == 1:
-        return value.tolist()
+    if isinstance(value, np.ndarray):
+        if value.ndim == 1 and kind in (list, tuple, collections.abc.Sequence):
+            return value.tolist()
+        if not value.ndim:
+            return _NO
     if kind in (list, tuple):
         return value if is_list(value) else _NO
     return value if isinstance(value, kind) else _NO

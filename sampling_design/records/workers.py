@@ -22,6 +22,7 @@ from functools import partial
 from multiprocessing import resource_tracker
 from typing import Protocol, TypeVar, runtime_checkable
 
+from sampling_design.checkers.strict import is_whole
 from sampling_design.errors import ArgumentError, MissingExtraError, SolverError
 from sampling_design.records.budget import now
 
@@ -67,7 +68,7 @@ def check_workers(workers: Workers) -> None:
     """
     if workers is None or isinstance(workers, (Executor, Client)):
         return
-    if isinstance(workers, int) and not isinstance(workers, bool):
+    if is_whole(workers):
         if workers < 1 and workers != -1:
             raise ArgumentError(
                 f"`workers` must be a number of processes of at least 1 (or -1: one per core), got {workers}."

@@ -75,8 +75,7 @@ def lines_of(source: str | os.PathLike[str] | DataFrame | Series, plant: Measure
     header = [str(name) for name in frame.columns]
     dates = [k for k, name in enumerate(frame.columns) if _kind(frame[name]) == "M"]
     stamps = [k for k, name in enumerate(header) if name.lower() in STAMPS]
-    stamp = "" if stamps or isinstance(frame, _PolarsFrame) else _stamp_of(frame.index, alone=not dates)
-    if stamp and isinstance(frame, _PandasFrame):
+    if isinstance(frame, _PandasFrame) and not stamps and (stamp := _stamp_of(frame.index, alone=not dates)):
         frame, header, stamps = frame.rename_axis(stamp).reset_index(), [stamp, *header], [-1]
     for k in dates if stamps or len(dates) == 1 else ():
         header[k] = "date" if k in stamps or not stamps else header[k]
@@ -109,10 +108,13 @@ def _text(frame: _PandasFrame | _PolarsFrame) -> str:
 
 
 def _written(frame: object) -> str:
-    if isinstance(frame, _PandasFrame):
-        hours = "%Y-%m-%dT%H:%M:%S.%f%z"  # of days alone, too: a column of pandas has times
-        return frame.to_csv(index=False, date_format=hours, lineterminator="\n")
-    return frame.fill_nan(None).write_csv() if isinstance(frame, _PolarsFrame) else ""
+    match frame:
+        case _PandasFrame():
+            hours = "%Y-%m-%dT%H:%M:%S.%f%z"  # of days alone, too: a column of pandas has times
+            return frame.to_csv(index=False, date_format=hours, lineterminator="\n")
+        case _PolarsFrame():
+            return frame.fill_nan(None).write_csv()
+    return ""
 
 
 def _lines(text: str) -> Iterator[str]:

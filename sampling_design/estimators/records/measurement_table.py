@@ -137,7 +137,7 @@ class MeasurementTable:
         self.told: list[tuple[CensoredReading, ...]] = []
         self._blocks: list[tuple[Array, Array, Array, Index]] = []
         self._latest, self._held = -np.inf, np.full(plant.n_inputs, np.nan)
-        self._rows = _Rows()
+        self._rows: list[tuple[float, list[float], list[float], int]] = []  # that were read one by one
         self._seen: dict[float, tuple[int, tuple[float, ...]]] | None = None
 
     @property
@@ -252,7 +252,7 @@ class MeasurementTable:
                 return
             self._seen[t] = (line, content)
         self._latest, self._held = max(t, self._latest), self._held if span is not None else np.array(inputs)
-        self._rows.add(t, outputs, inputs, line)
+        self._rows.append((t, outputs, inputs, line))
         self.told.append(tuple(told))
 
     def _refuse_input(self, line: int, inputs: list[float], told: list[CensoredReading]) -> None:
@@ -278,9 +278,11 @@ class MeasurementTable:
 
     def _close(self) -> None:
         """Put the rows that were read one by one among the others, as numbers."""
-        if self._rows.times:
-            self._blocks.append(self._rows.arrays(self.plant.n_outputs, self.plant.n_inputs))
-            self._rows = _Rows()
+        if self._rows:
+            times, y, u, lines = zip(*self._rows, strict=True)
+            shapes = (len(times), self.plant.n_outputs), (len(times), self.plant.n_inputs)
+            self._blocks.append((np.array(times), np.reshape(y, shapes[0]), np.reshape(u, shapes[1]), np.array(lines)))
+            self._rows = []
 
     def _all_seen(self) -> dict[float, tuple[int, tuple[float, ...]]]:
         """Every row so far by its time, for a file whose rows are not in order of time."""
@@ -301,27 +303,6 @@ class MeasurementTable:
                 self.where,
             )
         return since
-
-
-class _Rows:
-    """Rows that were read one by one."""
-
-    def __init__(self) -> None:
-        self.times: list[float] = []
-        self.y: list[list[float]] = []
-        self.u: list[list[float]] = []
-        self.lines: list[int] = []
-
-    def add(self, t: float, outputs: list[float], inputs: list[float], line: int) -> None:
-        self.times.append(t)
-        self.y.append(outputs)
-        self.u.append(inputs)
-        self.lines.append(line)
-
-    def arrays(self, p: int, m: int) -> tuple[Array, Array, Array, Index]:
-        count = len(self.times)
-        y, u = np.reshape(self.y, (count, p)), np.reshape(self.u, (count, m))
-        return np.array(self.times), y, u, np.array(self.lines)
 
 
 def _content(outputs: list[float], inputs: list[float], told: list[CensoredReading]) -> tuple[float, ...]:

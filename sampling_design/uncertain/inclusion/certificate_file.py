@@ -6,8 +6,8 @@ from sampling_design.certificates.files import graph_from, times_from_dict, valu
 from sampling_design.checkers.inclusion_file import Inclusion
 from sampling_design.checkers.strict import Tree
 from sampling_design.plants.plant import Plant
+from sampling_design.schedules.family import period_of
 from sampling_design.schedules.family_files import family_from_dict
-from sampling_design.schedules.schedule import Schedule
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.uncertain.plants.plant_files import parts_of_model
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
@@ -20,8 +20,7 @@ def read_inclusion(data: Tree, plant: Plant, found: Inclusion) -> InclusionCerti
         nominal, parameters, vertices, varying = parts_of_model(plant, data["model"])
         model = UncertainPlant(nominal, parameters, vertices=vertices, varying=varying)
     periodic = data["times"]["kind"] == "periodic"
-    times = times_from_dict(data["times"]) if periodic else family_from_dict(data["times"])
-    assert not isinstance(times, Schedule)
+    times = period_of(times_from_dict(data["times"])) if periodic else family_from_dict(data["times"])
     return InclusionCertificate(
         plant,
         times,

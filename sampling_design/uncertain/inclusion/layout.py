@@ -39,10 +39,14 @@ class WordLayout(NamedTuple):
         return np.flatnonzero(self.nodes[1:] != 0)
 
 
+def family_of(schedules: Schedules) -> SamplingFamily:
+    """The family; a periodic schedule is one of deviations 0."""
+    return Jitter(schedules, 0.0) if isinstance(schedules, PeriodicSchedule) else schedules
+
+
 def graph_for(schedules: Schedules, memory: int, outputs: int) -> PathCompleteGraph:
     """The graph of a family, or of a periodic schedule: all deviations 0 from it."""
-    family = Jitter(schedules, 0.0) if isinstance(schedules, PeriodicSchedule) else schedules
-    return graph_of(family, memory, outputs)
+    return graph_of(family_of(schedules), memory, outputs)
 
 
 def longer(graph: PathCompleteGraph, first: Edge) -> bool:

@@ -17,8 +17,7 @@ from sampling_design.numerics.balancing import balance
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.schedules.family import SamplingFamily
-from sampling_design.schedules.jitter import Jitter
-from sampling_design.uncertain.inclusion.layout import Schedules, WordLayout, layout_of
+from sampling_design.uncertain.inclusion.layout import Schedules, WordLayout, family_of, layout_of
 from sampling_design.uncertain.inclusion.program import PosedProgram
 from sampling_design.uncertain.plants.inclusion import InclusionMembers, LinearInclusion, MemberHull
 
@@ -98,7 +97,7 @@ class PosedMembers:
     @property
     def family(self) -> SamplingFamily:
         """The family; a periodic schedule is one of deviations 0."""
-        return self.schedules if isinstance(self.schedules, SamplingFamily) else Jitter(self.schedules, 0.0)
+        return family_of(self.schedules)
 
     def layout(self, pieces: int) -> WordLayout:
         """Nodes and jumps with so many pieces."""

@@ -355,10 +355,12 @@ class UncertainPlant(LinearInclusion, PlainRecord):
 
 def _lower_and_upper(key: str, value: object) -> tuple[Array, Array]:
     """Lower and upper matrix; one matrix stands for both."""
-    pair = isinstance(value, tuple) and len(value) == 2
-    low, high = value if isinstance(value, tuple) and pair else (value, value)
-    a = checks.matrix(f"{key} lower" if pair else key, low)
-    b = checks.matrix(f"{key} upper" if pair else key, high, *a.shape)
+    match value:
+        case tuple((low, high)):
+            a = checks.matrix(f"{key} lower", low)
+            b = checks.matrix(f"{key} upper", high, *a.shape)
+        case _:
+            return (only := checks.matrix(key, value)), only
     if np.any(a > b):
         i, j = (int(k) for k in np.argwhere(a > b)[0])
         raise ArgumentError(

@@ -45,7 +45,8 @@ def estimate(
     Returns
     -------
     EstimateRecord
-        Of an estimator that returns states alone nothing is certified, and every radius is infinite.
+        As `update` returned them: `run` of a moving horizon estimator, which this does not call, centres them. Of an
+        estimator that returns states alone nothing is certified, and every radius is infinite.
 
     Raises
     ------

@@ -109,7 +109,7 @@ class SigmaBracket(PlainRecord):
     rigorous: bool = field(default=False, kw_only=True)
     beside: Callable[[], SigmaDeviations | None] | None = field(default=None, kw_only=True)
 
-    _good = "sigma at least {_at_least}, at most {upper} ({coordinates} coordinates, state at the window's start)"
+    _good = "sigma at least {_at_least}, {upper} is attained ({coordinates} coordinates, state at the window's start)"
     _balls = "`rigorous=True` proves `lower` in ball arithmetic; {at} attains `upper`"
 
     @cached_property
@@ -135,7 +135,7 @@ class SigmaBracket(PlainRecord):
         return self.lower == 0 and not self.closed
 
     def _at_least(self) -> str:
-        return "undecided" if self._is_undecided else short(self.lower)
+        return "0, undecided" if self._is_undecided else short(self.lower)
 
     @property
     def _grounds(self) -> str:

@@ -171,14 +171,19 @@ class Plan(PlanFigures):
             **selected(self, "certificate robustness left_out start"),
         }
 
-    _answers = ("{_what}", "proven: accuracies by gains, what no plan beats by trajectories", "{_good}", "`.verify()`")
+    _answers = ("{_what}", "{_evidence}", "{_good}", "`.verify()`")
+
+    def _evidence(self) -> str:
+        beaten = self.bound.ratio is not None or self.bound.cost is not None
+        return "proven: what the plan keeps" + (", and what none beats, by trajectories" if beaten else "")
 
     def _what(self) -> str:
         cost = "" if self.problem.counts else f", at a cost of {short(self.cost)}"
         return f"{counted(self.samples, 'sample')} in {spoken(self.schedule.period, self.plant.time_unit)}{cost}"
 
     def _good(self) -> str:
-        return f"{short(self.ratio, 4)} of the tolerances; at most {100 * self.gap:.2g} % could be gained"
+        more = f"at most {100 * self.gap:.2g} %" if self.bound.ratio is not None else "nobody has bounded how much"
+        return f"{short(self.ratio, 4)} of the tolerances; {more} could be gained"
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = list[tuple[str, str]]()

@@ -3,6 +3,7 @@
 import json
 import math
 import signal
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -157,3 +158,12 @@ def test_scales_in_place_of_bounds_are_called_so(shell, tmp_path):
     assert found.code == 1
     assert "--v-bound not given: the plant's scales [1] are used, typical sizes in place of bounds." in heard
     assert "Bounds that were not given are the plant's scales, typical sizes that data may well exceed" in heard
+
+
+def test_a_plan_without_a_bound_says_so(small_plan):
+    plan, *_ = small_plan
+    bare = replace(plan, bound=replace(plan.bound, ratio=None, cost=None))
+    assert str(plan).count("could be gained") == 1
+    assert "proven: what the plan keeps, and what none beats, by trajectories" in str(plan)
+    assert "proven: what the plan keeps\n" in str(bare)
+    assert "of the tolerances; nobody has bounded how much could be gained" in str(bare)

@@ -203,9 +203,10 @@ class Accuracy(AccuracyBracket, CurveRecord):
     def _within(self) -> str:
         """How far apart both sides are."""
         known = np.isfinite(self.upper)
+        if not known.any():
+            return "no bound holds at all times"
         low, up = self.lower[known], self.upper[known]
-        widths = np.divide(up, low, out=np.where(up > 0, np.inf, 1.0), where=low > 0) - 1
-        width = float(np.max(widths, initial=0.0))
+        width = float(np.max(np.divide(up, low, out=np.where(up > 0, np.inf, 1.0), where=low > 0))) - 1
         return f"brackets within {100 * width:.2g} %" if np.isfinite(width) else "0: nothing was attained"
 
     def _rows(self) -> list[tuple[str, str]]:

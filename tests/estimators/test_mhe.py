@@ -309,7 +309,7 @@ def test_run_reports_progress_and_collects():
     assert record.status == ("ok",) * 5
     assert "5 estimates" in record.explain()
     assert record.to_dict()["radii"][4][0] == record.radii[4, 0]
-    assert "certified" in str(record)
+    assert "proven: the radii of" in str(record)
     assert "ok: 5" in repr(record)
 
 

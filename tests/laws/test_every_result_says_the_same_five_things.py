@@ -49,6 +49,9 @@ MADE = {
     "zero_count_bound of a box": lambda: sd.zero_count_bound(BOX, 4.0),
     "certificate_exists": lambda: sd.certificate_exists(PLANT, SCHEDULE, 0.4),
     "guaranteed_accuracy": lambda: sd.guaranteed_accuracy(PLANT, SCHEDULE, rtol=0.2, **BOUNDS),
+    "guaranteed_accuracy of nothing": lambda: sd.guaranteed_accuracy(
+        sd.Plant(np.diag([0.0, -1.0]), [[0.0, 1.0]]), SCHEDULE, of=[[1.0, 0.0]], **BOUNDS
+    ),
     "state_interval": lambda: sd.state_interval(PLANT, record(), initial_error=2.0, prior_time=0.0, **BOUNDS),
     "state_interval that is empty": lambda: sd.state_interval(PLANT, [(0.1, [1.0]), (0.2, [9.0])], **BOUNDS),
     "run": lambda: sd.MovingHorizonEstimator(PLANT, certificate(), initial_error=2.0, **BOUNDS).run(record()),

@@ -99,12 +99,24 @@ def test_a_search_that_has_used_its_work_looks_at_no_further_rate(monkeypatch):
 
     monkeypatch.setattr(precise, "_proven", fails)
     weights, inner = weights_of(OSCILLATOR, None, None, None), inside(OSCILLATOR, UNEVEN)
-    for work, rates in ((1.0, 1), (1e6, 3)):
+    for work, whole, rates in ((1.0, 1e7, 1), (1e6, 1e7, 3), (1e6, 0.0, 0)):
         monkeypatch.setattr(precise, "PRECISE_WORK", work)
         tried.clear()
         with pytest.raises(UndecidedError, match="no proof closes in more digits than doubles have either"):
-            precisely_chosen((OSCILLATOR, UNEVEN, weights), inner, (0.1, 0.3), None, 3.0, Work(1e7))
-        assert len(tried) == rates
+            precisely_chosen((OSCILLATOR, UNEVEN, weights), inner, (0.1, 0.3), None, 3.0, Work(whole))
+        assert len(tried) == rates + 1  # and a fast one, whose work is its own
+        assert tried[-1] * inner.time == pytest.approx((0.1 * 0.3**3) ** 0.25)
+
+
+@pytest.mark.long
+def test_a_fast_rate_is_proven_where_the_proofs_before_it_have_used_all_work():
+    """Two integrators, three nearly equal slow modes, units 1e22 apart: at slower rates no window settles soon."""
+    plant, schedule = drawn(739)
+    made = precisely_chosen(
+        (plant, schedule, weights_of(plant, None, None, None)), inside(plant, schedule), (0.06, 2.9), None, 3.0, Work(0)
+    )
+    assert made.verify().passed
+    assert made.horizon().minimum < 10 * schedule.gaps[0]
 
 
 @pytest.mark.parametrize("without", ["the extra", "work for a proof"])

@@ -16,7 +16,7 @@ import numpy as np
 from sampling_design import __version__
 from sampling_design.certificates.exact.canonical import ScaledProblem
 from sampling_design.certificates.exact.certificate import Certificate, times_to_dict
-from sampling_design.certificates.exact.efforts import BALL_PRICE, PRECISE_PROOF, PRECISE_WORK, ROOM
+from sampling_design.certificates.exact.efforts import BALL_PRICE, PRECISE_PROOF, PRECISE_WORK, ROOM, SPARE_WORK
 from sampling_design.certificates.exact.given_weights import NoiseWeights
 from sampling_design.certificates.exact.proof import as_proven
 from sampling_design.certificates.exact.weight_choice import ROUNDNESS, ChosenWeights, WeightSearch
@@ -173,26 +173,31 @@ def precisely_chosen(
 ) -> Certificate:
     """A certificate at the first rate, of few within `bounds` and below (internal units), at which balls prove one.
 
+    The last one is fast and has work of its own: what settles soon is proven though all that went before it failed.
     P2 is the best of the first guesses; lambda is stated with `ROOM` above the largest that was met. Raises
     UndecidedError if balls prove none, or are not installed.
     """
     rates = [(bounds[0] * bounds[1]) ** 0.5, bounds[0], bounds[0] / 10] if eta is None else [bounds[0]]
-    dear = Work(whole.left / BALL_PRICE, whole, BALL_PRICE)
-    search, proofs = PreciseSearch(canon, SHARE, dear.share(PRECISE_WORK)), dear.share(2 * PRECISE_PROOF)
-    for rate in rates if find_spec("flint") else ():
-        choice = None if search.late or proofs.over else search.best_guess(rate, budget)
-        if choice is None:
-            continue
-        windows = search.setting(rate).windows
-        assert isinstance(windows, PreciseWindows)
-        met = windows.peaks(choice.P2)
-        stated = replace(choice, eta=rate / canon.time if eta is None else eta, P2=symmetrise(canon.outside(choice.P2)))
-        how = {"weights": f"a first guess with noise gain {budget:g}, followed in {BITS} binary digits"}
-        solver = SolverRecord("sampling_design", __version__, choice.status, choice.iterations, how)
-        try:
-            return _proven(problem, stated, met, solver, proofs)
-        except UndecidedError:
-            continue
+    fast = [] if eta is not None else [(bounds[0] * bounds[1] ** 3) ** 0.25]  # settles soon, whatever work is left
+    for some, left in (
+        ((rates, whole), (fast, Work(max(whole.left, SPARE_WORK), stop=whole.stop))) if find_spec("flint") else ()
+    ):
+        dear = Work(left.left / BALL_PRICE, left, BALL_PRICE)
+        search, proofs = PreciseSearch(canon, SHARE, dear.share(PRECISE_WORK)), dear.share(2 * PRECISE_PROOF)
+        for rate in some:
+            choice = None if search.late or proofs.over else search.best_guess(rate, budget)
+            if choice is None:
+                continue
+            windows = search.setting(rate).windows
+            assert isinstance(windows, PreciseWindows)
+            met, stated_rate = windows.peaks(choice.P2), rate / canon.time if eta is None else eta
+            stated = replace(choice, eta=stated_rate, P2=symmetrise(canon.outside(choice.P2)))
+            how = {"weights": f"a first guess with noise gain {budget:g}, followed in {BITS} binary digits"}
+            solver = SolverRecord("sampling_design", __version__, choice.status, choice.iterations, how)
+            try:
+                return _proven(problem, stated, met, solver, proofs)
+            except UndecidedError:
+                continue
     raise UndecidedError("undecided: no proof closes in more digits than doubles have either.")
 
 

@@ -10,6 +10,8 @@ from sampling_design import read_certificate
 from sampling_design.certificates.rigorous.decide import judged
 from sampling_design.checkers.parts import digest
 from sampling_design.errors import ArgumentError
+from sampling_design.nonlinear.collocation import Collocation
+from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.simulation import simulate
 from sampling_design.nonlinear.thyroid import PRIOR_START, PROCESS_BOUND, TRUE_START, thyroid
 from sampling_design.nonlinear.thyroid_logs import (
@@ -68,12 +70,37 @@ def test_the_region_under_therapy_holds_its_course(start):
 
 
 @pytest.mark.long
-def test_the_patient_under_therapy_is_certified_with_windows_below_5_days():
+def test_the_patient_under_therapy_is_certified_with_windows_below_3_days():
     found = read_certificate(THERAPY)
     assert found.verify().verdict == "proven"
     assert (found.family.shortest, found.family.longest) == (0.5, 1.5)
-    assert found.horizon("arrival").minimum < found.horizon().minimum < 5.0  # with P(tau), and with P2 alone
+    assert found.horizon("arrival").minimum < 3.0 < found.horizon().minimum < 5.0  # with P(tau), and with P2 alone
     assert found.model_data == patient_under_therapy().model_to_dict()
+
+
+def test_the_region_under_therapy_holds_the_untreated_one_so_that_one_figure_serves_both():
+    one, other = patient_in_tube(), patient_under_therapy()
+    for key in ("inputs", "disturbances"):
+        (low, high), (lower, upper) = one.bounds[key], other.bounds[key]
+        assert np.all(lower <= low)
+        assert np.all(high <= upper)
+    assert np.all(other.region.lower <= one.region.lower)
+    assert np.all(one.region.upper <= other.region.upper)
+    assert {key: value for key, value in one.model_to_dict().items() if key in "fh"} == {
+        key: value for key, value in other.model_to_dict().items() if key in "fh"
+    }
+
+
+@pytest.mark.long
+def test_estimates_with_windows_below_3_days_stay_within_their_radius():
+    plant, prior = patient_under_therapy(), logarithms(PRIOR_START)
+    pieces = Collocation(patients.STEP, 3, 35, accuracy=None)
+    scheme = NonlinearMovingHorizonEstimator(
+        plant, read_certificate(THERAPY), horizon=2.9, prior=prior, collocation=pieces
+    )
+    shares, errors = patients.estimated(scheme, plant, np.random.default_rng([20261126, 0]), days=6.0)
+    assert shares.max() < 1
+    assert errors[-1] < errors[0] / 10
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,8 @@ from itertools import combinations
 import numpy as np
 
 from sampling_design.nonlinear.simulation import simulate
-from sampling_design.nonlinear.thyroid import PROCESS_BOUND
+from sampling_design.nonlinear.thyroid import NOISE_BOUND, PROCESS_BOUND, SCALING, TRUE_START
+from sampling_design.nonlinear.thyroid_logs import REST, TUBE, logarithms
 
 PARTS = 3
 """Instants in each gap at which pairs are compared."""
@@ -57,3 +58,37 @@ def largest_ratio(certificate, plant, starts, gaps, rng, dose=0.0):
             dy = shown[one][k] - shown[two][k]
             allowed += float(dy @ certificate.Rtilde @ dy)
     return worst, len(stay) * (len(stay) - 1) // 2
+
+
+STEP, SHORTEST, LONGEST = 2 / 24, 6, 18
+"""The paper's grid of 2 h [d], and gaps of 12 to 36 h in its steps."""
+
+
+def estimated(scheme, plant, rng, days=20.0, dose=0.0):
+    """One patient as the paper draws one: the error of each estimate over its radius, and in scaled states.
+
+    `dose` is absorbed or not, day by day. The error over the radius is infinite where an estimate has none.
+    """
+    steps = round(days / STEP)
+    times = STEP * np.arange(steps + 1)
+    w = rng.uniform(-1.0, 1.0, (times.size, 2)) * PROCESS_BOUND
+    v = rng.uniform(-1.0, 1.0, (times.size, 3)) * NOISE_BOUND
+    u = np.zeros((times.size, 2))
+    if dose:
+        u[:, 0] = dose * np.repeat(rng.integers(0, 2, steps // 12 + 1), 12)[: times.size]
+    sampled = np.zeros(times.size, dtype=bool)
+    at = 0
+    while at < times.size:
+        sampled[at] = True
+        at += int(rng.integers(SHORTEST, LONGEST + 1))
+    truth = simulate(plant, logarithms(TRUE_START), times, u=u, w=w)
+    shares, errors = [], []
+    for k, t in enumerate(times.tolist()):
+        y = plant.h(truth[k]) + v[k] if sampled[k] else None
+        found = scheme.update(t, y, u=u[k]) if dose or sampled[k] else scheme.predict(t)
+        off = truth[k] - found.x
+        bound = found.radius if found.certified else 0.0
+        shares.append(np.sqrt(off @ np.linalg.solve(found.covariance, off)) / bound if bound else np.inf)
+        apart = [REST * np.exp(np.linalg.solve(TUBE, state)) for state in (truth[k], found.x)]
+        errors.append(np.linalg.norm(SCALING * (apart[0] - apart[1])))
+    return np.array(shares), np.array(errors)

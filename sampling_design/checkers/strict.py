@@ -173,7 +173,7 @@ def shallow(text: str) -> None:
             raise refuse("", f"is nested more than {MOST_DEPTH} levels deep")
 
 
-def unique(pairs: list[tuple[str, object]]) -> Tree:
+def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
     """A table whose keys occur once."""
     result = dict(pairs)
     if len(result) < len(pairs):

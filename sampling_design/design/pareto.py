@@ -235,12 +235,11 @@ def _load(path: str | os.PathLike[str], key: str) -> dict[int, ParetoPoint]:
         raise FileFormatError(
             f"{where}: belongs to another plant, requirement or option. Name another file to resume from.", where
         )
-    points = [ParetoPoint(**_read(entry)) for entry in data["points"]]
+    points = [_read(entry) for entry in data["points"]]
     return {point.samples: point for point in points}
 
 
-def _read(entry: Tree) -> Tree:
-    """The fields of a point."""
+def _read(entry: Tree) -> ParetoPoint:
     left = entry.get("deviations")
     told = None if left is None else SigmaDeviations(**{**left, "tolerance": TimingTolerance.of(left["tolerance"])})
-    return {**entry, "times": tuple(entry["times"]), "deviations": told}
+    return ParetoPoint(**{**entry, "times": tuple(entry["times"]), "deviations": told})

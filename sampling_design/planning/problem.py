@@ -197,9 +197,7 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
     """
     unit = requirement.time_unit or plant.time_unit
     steps, step = _grid(plant, requirement, unit)
-    for name in requirement.sensors:
-        if name not in plant.outputs.names:
-            checks.known_keys("`sensors`", [name], plant.outputs.names)
+    checks.known_keys("`sensors`", requirement.sensors, plant.outputs.names)
     terms = [requirement.sensors.get(name, Sensor()) for name in plant.outputs.names]
     allowed = _allowed(plant, requirement, terms, steps, step)
     if not allowed.any():

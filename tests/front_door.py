@@ -67,7 +67,7 @@ def things() -> dict[str, Any]:
     certificate = sd.certify(plant, schedule, **weights)
     gaps = sd.GapRange(0.9, 1.1, time_unit="s")
     family = sd.certify(plant, gaps, eta=0.2, P2=np.eye(2))
-    design = sd.design_schedule(plant, requirement, starts=2, branches=1)
+    design = sd.design_schedule(plant, requirement, starts=1, branches=0)
     bounds = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 2.0}
     record = sd.simulate_record(plant, schedule, 6.0)
     nonlinear = sd.nonlinear.from_linear(plant)
@@ -77,7 +77,7 @@ def things() -> dict[str, Any]:
         nonlinear, schedule, box, cost=cost, P1=np.eye(2) / 40, duration=3.0, dt=0.1, pairs=2
     )
     terms = {"position": {"noise_bound": 0.2}}
-    wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, grid=0.8, w_bound=0.02, sensors=terms)
+    wanted = sd.PlanRequirement({"position": 0.6}, period=6.4, grid=1.6, w_bound=0.02, sensors=terms)
     return {
         "wanted": wanted,
         "plant": plant,
@@ -99,11 +99,11 @@ def things() -> dict[str, Any]:
         "split": sd.plants.split_modes(plant),
         "part": sd.observability.functional_plant(plant, plant.states.names[0]),
         "losses": sd.sample_losses(design),
-        "pareto": sd.pareto_front(plant, requirement, [2, 3], starts=1, branches=0),
+        "pareto": sd.pareto_front(plant, requirement, [2], starts=1, branches=0),
         "sigma": sd.window_sigma(plant, schedule, 4.0),
         "worst": sd.worst_case_sigma(plant, sd.SpacedWindows(4.0, 3, 0.5)),
         "count": sd.zero_count_bound(plant, 4.0),
-        "robustness": sd.robustness(plant, certificate, longest=2, budget=2.0),
+        "robustness": sd.robustness(plant, certificate, longest=2, budget=0.2),
         "horizons": sd.certificates.four_horizons(plant, schedule, certificate),
         "proof": sd.certificates.constants_from_proof(plant, schedule),
         "tradeoff": sd.certificates.tradeoff_curve(plant, schedule, 0.4, [2.0]),

@@ -214,6 +214,7 @@ def test_what_is_unseen_and_decays_is_known():
     assert found.verify()
 
 
+@pytest.mark.long
 def test_a_drift_that_nothing_drives_is_known_the_better_the_longer_the_past():
     """Where it is, noise hides; how fast it goes is known exactly in the end, which no finite window proves."""
     plant = sd.Plant([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]])

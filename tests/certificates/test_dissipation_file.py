@@ -183,10 +183,11 @@ def mutated(data, rng):
     return field
 
 
-def test_checker_agrees_with_eigenvalues_at_50_digits_on_200_mutations():
+@pytest.mark.parametrize("count", few([80, 200], 0))
+def test_checker_agrees_with_eigenvalues_at_50_digits_on_mutations(count):
     rng = np.random.default_rng(4)
     counts, touched = {True: 0, False: 0}, set()
-    while sum(counts.values()) < 200:
+    while sum(counts.values()) < count:
         data = stated(rng.integers(6))
         field = mutated(data, rng)
         expected = oracle.holds(data)
@@ -197,7 +198,7 @@ def test_checker_agrees_with_eigenvalues_at_50_digits_on_200_mutations():
         assert (found["amount"] > 0) is expected, (field, found)
         counts[expected] += 1
         touched.add(field)
-    assert min(counts.values()) >= 50
+    assert min(counts.values()) >= count // 4
     assert len(touched) == 9
 
 

@@ -71,6 +71,7 @@ def test_a_range_of_one_gap_is_nearly_the_exact_certificate():
     assert found.lam <= exact.lam * 1.01
 
 
+@pytest.mark.long
 def test_rate_and_weights_are_chosen_within_the_noise_gain():
     found = sd.certify(INTEGRATOR, GapRange(0.8, 1.2))
     assert found.verify().passed

@@ -139,6 +139,7 @@ def test_composed_certificates_of_random_plants_are_valid(seed):
         assert margin(proof, np.roll(gaps, first), start=0.5 * np.roll(gaps, first)[0]) > 1
 
 
+@pytest.mark.long
 def test_partial_outputs_are_valid_too():
     plant = Plant(sla.block_diag([[0.0, 1.0], [-1.0, 0.0]], [[0.1]]), [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     masks = np.array([[True, False], [False, True], [True, True]])

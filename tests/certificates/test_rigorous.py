@@ -425,6 +425,7 @@ def test_the_search_for_a_counterexample_walks_in_doubles(made):
         assert propagate(balls.floats(Y), *search.over_gaps[0]) == pytest.approx(exact, rel=1e-12)
 
 
+@pytest.mark.long
 def test_a_long_run_that_settles_over_thousands_of_periods_is_found():
     plant, eta = Plant([[0.0]], [[1.0]], G=[[1e-4]]), 0.005
     made = certify(plant, PeriodicSchedule([1.0]), eta=eta, P2=[[1e9]])  # Y begins so low that no gain holds it

@@ -74,6 +74,7 @@ def test_losses_agree_with_brute_force(planned, found):
         assert loss.survives == (top < found.limit)
 
 
+@pytest.mark.long
 def test_a_longer_horizon_survives_more(planned, found):
     longer = sd.robustness(OSCILLATOR, planned, horizon=2 * found.length, longest=2)
     assert longer.limit > found.limit
@@ -97,6 +98,7 @@ def test_it_says_what_may_go_wrong(found):
     assert "losses up to" in str(found)
 
 
+@pytest.mark.long
 def test_a_design_is_certified_first():
     design = sd.design_schedule(OSCILLATOR, sd.Requirement(window=4.0, samples=3), starts=1, branches=0)
     found = sd.robustness(OSCILLATOR, design, longest=2, budget=0.3)

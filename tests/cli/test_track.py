@@ -258,6 +258,7 @@ def dated(path):
     return path
 
 
+@pytest.mark.long
 def test_dates_are_laid_over_a_schedule_by_its_origin(shell, tmp_path):
     asked = ["--samples", 3, "--period", 6, "--window", 6, "--branches", 0, "--start", "2026-01-05", "--zone", "UTC"]
     made = shell("design", OSCILLATOR, *asked, "-o", tmp_path)

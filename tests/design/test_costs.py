@@ -118,6 +118,7 @@ def test_the_limit_is_kept_in_files_and_words(tmp_path):
     assert "cost limit" in str(again)
 
 
+@pytest.mark.long
 def test_losses_of_a_design_that_chooses_outputs():
     design = design_schedule(SMALL, asked(samples=4, cost_limit=9.0), starts=1, branches=0)
     losses = sample_losses(design, every_period=True)

@@ -49,6 +49,7 @@ def test_no_schedule_with_one_sample_fewer_exceeds_the_bound(every_period):
         assert fewer.sigma <= losses.bound[0] <= fewer.upper_bound * 1.2
 
 
+@pytest.mark.long
 def test_a_lost_fixed_sample_has_a_bound_of_its_own():
     free = sample_losses(designed(samples=3), every_period=True).bound
     design = designed(samples=3, fixed=[0.0, 0.5])
@@ -84,6 +85,7 @@ def test_what_sees_nothing_has_nothing_to_lose():
         sample_losses(unseen)
 
 
+@pytest.mark.long
 def test_a_design_and_its_losses_share_a_budget():
     asked = Requirement(window=4.0, spacing=0.4, samples=3)
     design, losses = design_and_losses(Plant(A, C), asked, every_period=True, rng=1, budget=20.0)

@@ -78,6 +78,7 @@ def lost(text: str, words: set[str]) -> list[str]:
     return sorted(compound - words - OURS | {name for name in files if not (ROOT / name).exists()} | gone)
 
 
+@pytest.mark.long
 def test_what_a_page_names_is_there():
     tree = [p for room in ("sampling_design", "tests", "examples", "docs") for p in (ROOT / room).rglob("*.py")]
     words = {word for path in tree for word in re.findall(r"\w+", path.read_text())} | {path.stem for path in tree}

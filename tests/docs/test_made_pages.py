@@ -98,6 +98,7 @@ def test_every_page_is_in_a_table_of_contents():
     assert sorted(by_people - set(listed) - {"index"}) == []
 
 
+@pytest.mark.long
 def test_the_rooms_inside_are_drawn_without_a_circle(pages):
     package = ROOT / "sampling_design"
     below = pages.arrows_inside(package, "certificates")

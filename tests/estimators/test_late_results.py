@@ -5,6 +5,8 @@ import pytest
 
 from tests.estimators.pages import check_same, defined_on
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def said():

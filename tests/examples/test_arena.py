@@ -127,6 +127,7 @@ def test_loops_agree_with_the_rooms():
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("search", [evolve, homology])
 def test_a_search_stops_on_time_and_keeps_its_best(search):
     found = search(lambda x: float((x - 0.3) @ (x - 0.3)), 2, 0.3)
@@ -143,6 +144,7 @@ def test_points_of_the_cube_are_admissible_schedules(name):
     assert max(values) <= 0
 
 
+@pytest.mark.long
 def test_horizons_are_ordered_as_the_theorems_say():
     (found,) = proving.run(quick=True)
     paper, exact, sharp, true = (float(row[2].split()[0]) for row in found.rows)

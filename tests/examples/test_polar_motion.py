@@ -52,6 +52,7 @@ def test_fixed_dates_are_blind_by_sigma_too():
         assert sd.observability.sigma_min(p.plant(), schedule.gap * np.arange(schedule.kept)) < 1e-9
 
 
+@pytest.mark.long
 def test_bounds_too_small_are_disproved_and_those_that_are_used_are_not(pole):
     days = 48_020 - 10 * np.arange(110)[::-1]
     small = p.proven(pole, days, 0.05, days[-1])

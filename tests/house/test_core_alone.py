@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 from tests.benchmarks.installation import EXTRAS
 from tests.house.sources import ROOT
 from tests.house.test_floors import RINGS
@@ -52,6 +54,7 @@ assert not [name for name in sys.modules if name.split(".")[1:2] and name.starts
 """
 
 
+@pytest.mark.long
 def test_the_core_is_used_with_no_ring_to_import(tmp_path):
     extras = {module.split(".")[0] for _, module, _ in EXTRAS.values()}
     given = f"RINGS, EXTRAS = {RINGS!r}, {extras!r}"

@@ -91,6 +91,7 @@ def test_every_room_opens_at_the_door():
     assert ast.literal_eval(found) == [f"sampling_design.{room}" for room in sampling_design._ROOMS]
 
 
+@pytest.mark.long
 def test_what_lives_in_a_room_is_reached_and_completed_through_it():
     """After `import sampling_design as sd` alone: names, sub-rooms and files; an unknown name says the nearest."""
     listed = {room: [*module.__all__] for room, module in lazy_rooms().items()}

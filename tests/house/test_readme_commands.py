@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 
@@ -30,6 +32,7 @@ def test_ci_stops_at_the_first_failure():
     assert "set -euo pipefail" in (ROOT / ".ci" / "run").read_text()
 
 
+@pytest.mark.long
 def test_the_eight_lines_run(monkeypatch, capsys):
     code = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL).group(1)
     monkeypatch.chdir(ROOT)
@@ -39,6 +42,7 @@ def test_the_eight_lines_run(monkeypatch, capsys):
     assert "sigma" in printed
 
 
+@pytest.mark.long
 def test_a_plant_becomes_a_calendar_and_visits_become_estimates_in_fifteen_lines(monkeypatch, tmp_path, capsys):
     code = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)[1]
     assert len([line for line in code.splitlines() if line]) <= 15

@@ -184,7 +184,7 @@ def test_lying(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "workers", [(), pytest.param(("-n", "1"), marks=pytest.mark.long)], ids=["alone", "on a worker"]
+    "workers", [pytest.param(each, marks=pytest.mark.long) for each in ((), ("-n", "1"))], ids=["alone", "on a worker"]
 )
 def test_a_run_whose_maker_lies_fails(workers, tmp_path):
     (tmp_path / "test_lie.py").write_text(LIE)

@@ -118,6 +118,7 @@ def test_what_leaves_a_window_as_something_else_enters_it_does_so_to_the_last_bi
     assert design.gap < 0.01
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("A", "window"), few([([[20.0, 2 * np.pi], [-2 * np.pi, 20.0]], 1.0), ([[10.0, 1.0], [0.0, 10.0]], 1.0)], 1)
 )

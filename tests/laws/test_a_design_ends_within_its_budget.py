@@ -43,7 +43,7 @@ def spent(function):
 
 
 @pytest.mark.parametrize("budget", few([0.0, 1.0], 0))
-@pytest.mark.parametrize("name", few(LARGE, 1, 3))
+@pytest.mark.parametrize("name", few(LARGE, 3))
 def test_a_design_ends_in_time_with_what_it_has(name, budget):
     plant, asked = LARGE[name]
     design, seconds = spent(
@@ -54,6 +54,7 @@ def test_a_design_ends_in_time_with_what_it_has(name, budget):
     assert design.status in ("budget", "complete")
 
 
+@pytest.mark.long
 def test_a_front_shares_its_budget_among_the_counts():
     front, seconds = spent(
         lambda: pareto_front(

@@ -51,6 +51,7 @@ def test_it_is_proven_within_the_noise_gain(slow, n, schedule, monkeypatch):
     assert 1 / np.linalg.eigvalsh(made.P1)[0] <= GAIN * (1 + 5e-3) * WindowSet.of(problem).least_floor(np.ones(n))
 
 
+@pytest.mark.long
 def test_units_change_nothing_of_that(monkeypatch):
     monkeypatch.setattr(room, "choose_weights", None)
     plain = plant_of(SLOW["growing"], 16)

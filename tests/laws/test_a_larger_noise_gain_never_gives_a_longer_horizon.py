@@ -51,6 +51,7 @@ def left_by_lasting_noise(plant, certificate):
     return 1 / np.linalg.eigvalsh(P1)[0] / certificate.eta
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", few(range(3), 0))
 def test_no_horizon_is_bought_with_powers_of_ten_of_noise(case):
     """At the rate that `certify` chooses by itself lasting noise leaves at most LASTING times the least at any rate."""

@@ -286,7 +286,7 @@ def test_an_input_that_jumps_at_either_end_or_in_the_middle_is_held_on_both_side
     """y = x + u, read at any time from 1 to 2, both included, where u jumps: there u is that of the stated side."""
     plant = sd.Plant([[0.0]], [[1.0]], B=[[0.0]], D=[[1.0]])
     given, inputs = {"w_bound": 1e-3, "v_bound": 1e-2, "initial_error": 20.0}, [(0.0, None, [0.0]), (jump, None, [3.0])]
-    for real in (1.0, 1.2, 1.5, 1.8, 2.0):
+    for real in (1.0, 1.5, 2.0):
         read = ((1.0, 2.0), [5.0 + 3.0 * (real > jump or (real == jump and side == "right"))], None)
         rows = [inputs[0], *sorted([inputs[1], read], key=lambda row: np.mean(row[0]))]
         said = [sd.state_interval(plant, rows, 2.0, prior_time=0.0, **given)] if side == "right" else []

@@ -35,6 +35,7 @@ def test_satellite():
     assert_agrees(design_schedule(plant, requirement, starts=2, branches=0), own.A, own.C)
 
 
+@pytest.mark.long
 def test_outputs_that_are_available_at_different_times():
     A = np.array([[0.0, 1.0], [-1.0, 0.0]])
     plant = Plant(A, np.eye(2), outputs=["position", "speed"])

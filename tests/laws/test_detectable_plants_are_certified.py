@@ -21,13 +21,14 @@ from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.form.verdict import verdict_of
 from sampling_design.errors import UndecidedError
 from tests.benchmarks.bench_certify_random import drawn
+from tests.cases import few
 from tests.oracles.riccati import settled
 
 QUICK = (3, 5, 6, 7)
 """One to three states in mixed units; 5: two gauges, 1e12 apart, of one state."""
 
 
-@pytest.mark.parametrize("seed", QUICK)
+@pytest.mark.parametrize("seed", few(QUICK, 0, 2))
 def test_a_drawn_plant_is_certified(seed):
     plant, schedule = drawn(seed)
     made = certify(plant, schedule)

@@ -82,6 +82,7 @@ def test_of_equal_costs_only_what_may_be_better_is_proven():
     assert asked == [first.tobytes(), better.tobytes()]
 
 
+@pytest.mark.long
 def test_a_proof_that_fails_late_gives_back_what_was_held_before(monkeypatch):
     keep, proof, held = PlanSearch.keep, room._Planning._ratios, []
 

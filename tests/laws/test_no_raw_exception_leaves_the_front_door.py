@@ -16,7 +16,7 @@ from sampling_design.records.record import Record
 from tests import front_door
 from tests.cases import few
 
-DRAWN = [(0, 20), (0, 40), *((seed, 200) for seed in range(4))]
+DRAWN = [(0, 8), (0, 40), *((seed, 200) for seed in range(4))]
 
 
 FOUND = (

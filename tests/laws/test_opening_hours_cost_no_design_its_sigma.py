@@ -100,6 +100,7 @@ def test_no_sample_at_the_ends_of_hours_beats_the_bound(seed):
     assert tried > 3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("seed", "shift"), few([(7, 9.0), (12, 3.7)], 0))
 def test_a_shift_of_all_hours_shifts_the_schedule(seed, shift):
     problem = random_hours(np.random.default_rng(seed))
@@ -140,6 +141,7 @@ def assert_never_worse(problem, seed):
         sigma, problem = design.sigma, loosened(rng, problem)
 
 
+@pytest.mark.long
 def test_smaller_spacing_costs_the_first_hour_nothing():
     wide, narrow = (designed(replace(BLOOD, spacing=spacing)) for spacing in (2.0, 1.0))
     assert narrow.sigma >= wide.sigma * (1 - AS_GOOD)

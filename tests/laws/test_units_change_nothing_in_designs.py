@@ -80,6 +80,7 @@ def test_a_design_is_the_same_in_all_units(name):
         assert other.verify()
 
 
+@pytest.mark.long
 def test_a_front_and_its_losses_are_the_same_in_all_units():
     plant, asked = CASES["oscillator"]
     units = Units.drawn(np.random.default_rng(3), plant)

@@ -394,6 +394,7 @@ def test_a_sum_of_states_is_called_by_its_terms():
         functional_plant(gauge, "mean")
 
 
+@pytest.mark.long
 def test_a_plan_for_rows_is_certified_for_them(tmp_path):
     wanted = PlanRequirement(
         {"x1": 0.5}, period=8.0, grid=1.0, w_bound=0.05, sensors={"y1": {"price": 1, "noise_bound": 0.1}}

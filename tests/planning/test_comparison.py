@@ -30,6 +30,7 @@ def test_figures_of_both_are_side_by_side(pair):
     assert found.to_dict()["close"]["cost"] == pair[1].cost
 
 
+@pytest.mark.long
 def test_the_picture_shows_both(pair):
     axes = pair[0].compare(pair[1]).plot()
     assert len(axes) == 3

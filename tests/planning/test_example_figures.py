@@ -24,6 +24,7 @@ def test_the_passes_of_a_satellite_cost_as_little_as_can_be_and_say_what_they_be
     assert found.robustness.least_late >= 300.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", few(["cart_pendulum", "satellite"], 0))
 def test_four_samples_with_every_sensor_are_as_good_as_the_best_within_a_hundredth(name):
     found = sd.plan_samples(*plan_gaps.posed(name, 4), search_seconds=6.0, certificate=False, robustness=False)

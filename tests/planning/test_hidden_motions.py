@@ -135,6 +135,7 @@ def test_the_mask_is_where_the_hidden_motion_shows():
     assert hidden_at(motion, problem.allowed, rows, np.array([True])) is None
 
 
+@pytest.mark.long
 def test_no_sensor_is_paid_for_what_no_goal_asks():
     """A second sensor would show the zero of the first; the tide can be told without it, so no reading is bought."""
     turn = 2 * np.pi / 12.42

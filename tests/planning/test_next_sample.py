@@ -122,6 +122,7 @@ def test_no_promise_rests_on_a_sample_on_a_day_that_is_known_to_be_closed(holida
         assert np.diff(taken).max() <= 125
 
 
+@pytest.mark.long
 def test_a_closed_day_that_no_sample_makes_good_is_told_before_it_comes():
     found = sd.next_sample(drifting(0.85, ["2026-06-08"]), now=9.0)
     assert not found.keeps

@@ -45,6 +45,7 @@ def test_no_real_times_break_a_tolerance(plan):
         assert attained.lower[0] <= plan.reached[0] <= 0.54
 
 
+@pytest.mark.long
 def test_samples_on_time_alone_would_not_be_enough(plan):
     exact = made()
     assert exact.samples < plan.samples
@@ -82,6 +83,7 @@ def real_times(schedule, rng, late, stop):
     return np.where(times == 0, rng.uniform(0.01, 1.0) * late, moved)
 
 
+@pytest.mark.long
 def test_the_start_and_a_lost_sample_hold_at_all_real_times(plan):
     rng = np.random.default_rng(5)
     gaps = {}

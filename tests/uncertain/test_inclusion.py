@@ -344,6 +344,7 @@ def test_multipliers_that_prove_nothing_refute_nothing():
     assert broken["reason"].endswith("where theta = 1")
 
 
+@pytest.mark.long
 def test_the_largest_rate_serves_the_arrival_weight():
     made = certify_inclusion(UNCERTAIN, GapRange(0.6, 1.4), arrival=True, pieces=8)
     other = certify_inclusion(UNCERTAIN, GapRange(0.6, 1.4), pieces=8)
@@ -364,12 +365,12 @@ def lambda_of_the_chain(noise_gain):
     return certify_inclusion(chain, GapRange(0.005, 0.25), eta=0.3, pieces=8, noise_gain=noise_gain).lam
 
 
-@pytest.mark.parametrize(("budget", "most"), [(3.0, 2.65), (1e12, 2.0)])
+@pytest.mark.parametrize(("budget", "most"), few([(3.0, 2.65), (1e12, 2.0)], 0))
 def test_coordinates_and_matrices_are_chosen_at_once(budget, most):
     assert lambda_of_the_chain(budget) < most
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", few(range(2), 1))
 def test_the_last_digit_of_the_coordinates_decides_nothing(seed, monkeypatch):
     """The solver failed at one step or the next, and lambda was 1.946 or 2.014."""
     solution, rng = coordinates.periodic_riccati_solution, np.random.default_rng(seed)
@@ -382,13 +383,14 @@ def test_the_last_digit_of_the_coordinates_decides_nothing(seed, monkeypatch):
     assert lambda_of_the_chain(1e12) < 1.95
 
 
+@pytest.mark.long
 def test_more_pieces_prove_longer_gaps():
     found = [longest_gap(UNCERTAIN, eta=0.02, most=2.9, pieces=count).family.longest for count in (4, 8)]
     assert found[0] < found[1]
     assert found[1] > 2.05
 
 
-@pytest.mark.parametrize(("state", "per_second"), few(product([1e-9, 1.0, 1e9], [1.0, 3600.0]), 1, 4))
+@pytest.mark.parametrize(("state", "per_second"), few(product([1e-9, 1.0, 1e9], [1.0, 3600.0]), 1))
 def test_units_change_nothing(state, per_second, certificate):
     unit = np.array([state, 1.0])
     turned = UncertainPlant(

@@ -31,7 +31,7 @@ def test_without_discount_and_noise_it_is_least_squares():
 
 
 def test_certificate_weights_are_used_and_both_estimators_keep_the_protocol():
-    certificate = certify(PLANT, PeriodicSchedule([1.0]))
+    certificate = certify(PLANT, PeriodicSchedule([1.0]), eta=0.4, P2=np.eye(2))
     kalman = KalmanFilter(PLANT, certificate)
     assert np.array_equal(kalman.weights.prior, certificate.P2)
     assert isinstance(kalman, Estimator)

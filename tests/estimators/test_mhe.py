@@ -47,7 +47,7 @@ def stand_in(plant=PLANT, times=EVERY, **changes):
 
 
 def test_a_certificate_brings_weights_horizon_and_claim():
-    certificate = certify(PLANT, PeriodicSchedule([1.0]))
+    certificate = certify(PLANT, PeriodicSchedule([1.0]), eta=0.4, P2=np.eye(2))
     mhe = MovingHorizonEstimator(PLANT, certificate, **BOUNDS)
     expected = max(1.0, math.log(4 * certificate.lam_proven) / certificate.eta)
     assert mhe.horizon == pytest.approx(expected, rel=1e-12)
@@ -62,7 +62,7 @@ def test_a_certificate_brings_weights_horizon_and_claim():
 
 
 def test_online_radius_contracts_to_its_limit_and_obeys_the_window_recursion():
-    certificate = certify(PLANT, PeriodicSchedule([1.0]))
+    certificate = certify(PLANT, PeriodicSchedule([1.0]), eta=0.4, P2=np.eye(2))
     mhe = MovingHorizonEstimator(PLANT, certificate, **BOUNDS)
     for t in range(1, 80):
         estimate = mhe.update(float(t), [0.0])

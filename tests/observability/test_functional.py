@@ -215,7 +215,7 @@ def test_a_rate_is_asked_of_the_rows_in_its_own_name():
 
 
 def test_a_certificate_of_rows_keeps_the_whole_plant_and_refuses_another(tmp_path):
-    found = certify(THREE, EVERY_SECOND, of="x1")
+    found = certify(THREE, EVERY_SECOND, of="x1", eta=0.7, P2=np.eye(2))
     again = read_certificate(found.save(tmp_path / "certificate.json"))
     assert isinstance(again.plant, FunctionalPlant)
     assert again.plant.whole.same_dynamics(THREE)
@@ -230,7 +230,7 @@ def test_a_certificate_of_rows_keeps_the_whole_plant_and_refuses_another(tmp_pat
 @cache
 def of_one_row():
     """The text of a certificate of one row of a plant of three states."""
-    return json.dumps(certify(THREE, EVERY_SECOND, of="x1").to_dict())
+    return json.dumps(certify(THREE, EVERY_SECOND, of="x1", eta=0.7, P2=np.eye(2)).to_dict())
 
 
 @pytest.mark.parametrize(
@@ -337,7 +337,7 @@ def test_rows_of_a_part_have_names_of_their_own():
 
 
 def test_a_map_of_another_shape_is_no_part():
-    data = certify(THREE, EVERY_SECOND, of="x1").to_dict()
+    data = certify(THREE, EVERY_SECOND, of="x1", eta=0.7, P2=np.eye(2)).to_dict()
     part = {**data["plant"]["part_of"], "map": [[1.0, 0.0, 0.0]]}
     with pytest.raises(ArgumentError, match=r"must have a map of shape \(2, 3\), and 1 to 2 rows"):
         certificate_from_dict(redigested(data | {"plant": data["plant"] | {"part_of": part}}))

@@ -76,7 +76,7 @@ def test_a_design_has_two_rows_and_its_bounds(tmp_path):
 
 
 def test_a_certificate_is_drawn_above_its_promise():
-    certificate = sd.certify(OSCILLATOR, SCHEDULE)
+    certificate = sd.certify(OSCILLATOR, SCHEDULE, eta=0.4, P2=np.eye(2))
     ax = certificate.plot()
     assert ax.get_yscale() == "log"
     assert ax.lines[0].get_ydata().min() >= 1.0

@@ -101,6 +101,7 @@ def test_rate_alone_is_chosen_for_a_given_prior():
         assert made.horizon().minimum <= given(DOUBLE, P2=0.01 * np.eye(2), eta=eta).horizon().minimum * 1.01
 
 
+@pytest.mark.long
 def test_scales_of_the_states_leave_the_horizon_alone():
     s = np.array([1e3, 1e-2])
     scaled = Plant(OSCILLATOR.A * s[:, None] / s, OSCILLATOR.C / s, G=np.diag(s), states=Signals(("a", "b"), scales=s))

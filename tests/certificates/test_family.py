@@ -162,6 +162,7 @@ def test_the_undecided_say_how_far_both_sides_came():
     assert GapRange(2.0, np.pi - 1e-7).contains(details["word"])
 
 
+@pytest.mark.long
 def test_a_badly_scaled_plant_keeps_its_lambda():
     scale = np.array([1e6, 1e-3])
     plant = Plant(np.diag(scale) @ OSCILLATOR.A @ np.diag(1 / scale), OSCILLATOR.C / scale, G=np.diag(scale),

@@ -91,6 +91,7 @@ def test_lambda_of_the_paper_chain_is_its_formula():
     assert proof["alpha_y"].value == pytest.approx(24 * proof["c_2"].value * proof["mu_bar"].value ** 2, rel=1e-8)
 
 
+@pytest.mark.long
 def test_longer_window_gives_the_second_row_of_the_reference():
     proof = constants_from_proof(FOUR, EACH_SECOND, window=4.0)
     assert proof["kappa"].value == 5

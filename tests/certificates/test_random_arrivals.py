@@ -302,6 +302,7 @@ def test_the_mean_of_one_over_the_arrivals(x):
     assert module._mean_inverse(x) == pytest.approx(float(exact), rel=1e-9)
 
 
+@pytest.mark.long
 def test_a_poisson_process_is_the_limit_of_losses_on_a_fine_grid(spiral, monkeypatch):
     monkeypatch.setattr(module, "MOST_CLASSES", 24)
     c, rate, count = spiral, 1.0, 12

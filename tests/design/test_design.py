@@ -150,6 +150,7 @@ def test_scaled_coordinates_are_designed_for_wherever_the_plant_has_scales():
     assert plain.verify()
 
 
+@pytest.mark.long
 def test_sigma_of_a_design_is_that_of_the_window_that_its_table_names():
     plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], states=Signals(("x", "v"), scales=[1.0, 10.0]))
     design = design_schedule(plant, Requirement(window=4.0, period=5.0, spacing=0.5, samples=4), starts=1, branches=0)

@@ -77,6 +77,7 @@ def test_texts_files_and_losses_say_for_which_times(designs, tmp_path):
     assert design.to_dict()["requirement"]["timing_tolerance"] == LATE
 
 
+@pytest.mark.long
 def test_early_apart_from_late_is_the_same_design_about_other_times(designs, tmp_path):
     asked = WIDER.replace(timing_tolerance=(0.0, 2 * LATE))
     design = sd.design_schedule(OSCILLATOR, asked)
@@ -104,6 +105,7 @@ def test_outputs_with_tolerances_of_their_own(tmp_path):
         sd.design_schedule(plant, asked.replace(timing_tolerance={"c": LATE}))
 
 
+@pytest.mark.long
 def test_another_unit_of_time_changes_nothing(designs):
     minutes = sd.Plant(np.array(A) * 60, C, time_unit="min")
     design = sd.design_schedule(minutes, WIDER.replace(time_unit="s"))

@@ -150,7 +150,7 @@ def makers(case):
     yield sd.MovingHorizonEstimator(case.plant(), horizon=50 * case.t, cost=cost, **given, **prior)
 
 
-@pytest.mark.parametrize("seed", few(range(200), 0, 5))
+@pytest.mark.parametrize("seed", few(range(200), 5))
 def test_no_real_times_and_no_noise_lead_out_of_what_is_said(seed):
     case = Case(seed)
     low, high = case.worst(-1), case.worst(1)

@@ -170,6 +170,7 @@ def test_weights_from_bounds(seed):
         assert two[key] == pytest.approx(units.output_weight(one[key]), rel=EXACT, abs=0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", few(SEEDS, 0))
 def test_families_with_weights_of_their_own(seed):
     plant, units, other = changed(seed)

@@ -77,6 +77,7 @@ def test_the_sets_are_taken_in_turn_and_the_worst_is_kept():
     assert seen[-1] == 1.0
 
 
+@pytest.mark.long
 def test_the_same_generator_gives_the_same_evidence():
     twice = [
         check_detectability(

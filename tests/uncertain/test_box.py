@@ -74,6 +74,7 @@ def test_an_hour_is_not_spent_where_the_budget_is_none():
     assert found.lower <= found.upper
 
 
+@pytest.mark.long
 def test_units_change_no_bound_over_a_box():
     plant, schedule = oscillator(), PeriodicSchedule([1.0, 0.7])
     plain = window_sigma(plant, schedule, 3.0)
@@ -286,6 +287,7 @@ def test_accuracy_over_a_box_holds_between_its_worst_plant_and_all_of_them():
     assert "Whichever plant" in found.explain()
 
 
+@pytest.mark.long
 def test_a_parameter_that_is_known_changes_no_accuracy_in_whatever_unit():
     leak = UncertainParameter("leak", 0.8, 1.2, A=[[-1.0]], nominal=1.0)
     known = UncertainParameter("known", 1e9, 1e9, A=[[1e-3]], nominal=1e9)

@@ -102,6 +102,7 @@ def test_the_best_of_all_arrangements_is_found(plant):
     assert float(worst_sigma2(case, start[None])[0]) < 0.5 * best
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("repeats", "samples", "spacing"), few([(3, 7, 0.32), (9, 4, 0.6), (6, 12, 0.3), (5, 5, 0.9)], 1)
 )

@@ -168,6 +168,7 @@ def test_times_are_repaired_to_the_nearest_allowed_ones_either_way(wished, moved
     assert np.abs(found - wished).sum() <= np.abs(np.array(moved) - wished).sum() + 1e-7
 
 
+@pytest.mark.long
 def test_repairs_are_near_the_least_that_all_choices_of_a_grid_move():
     rng, grid = np.random.default_rng(2), np.arange(0.0, 6.0, 0.1)
     for fixed in (np.zeros(0), np.array([2.5])):

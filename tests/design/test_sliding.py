@@ -87,6 +87,7 @@ def test_a_sample_that_enters_as_another_leaves_is_not_counted_on():
     assert worst_sigma2(problem, later[None])[0] == pytest.approx(found[0], rel=0.05)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("period", few([3.0, 3.5], 0))
 def test_even_spacing_is_proven_where_its_times_are_exact(period):
     plant = Plant(np.kron(np.diag([1.0, 2.0]), [[0.0, 1.0], [-1.0, 0.0]]), [[1.0, 0.0, 1.0, 0.0]])

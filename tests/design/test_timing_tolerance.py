@@ -114,6 +114,7 @@ def test_another_unit_of_time_changes_nothing(designs):
     assert design.upper_bound == pytest.approx(designs[1].upper_bound, rel=1e-6)
 
 
+@pytest.mark.long
 def test_opening_hours_and_counts_that_are_left_open():
     asked = sd.Requirement(
         window=TURN + 2 * LATE, period=TURN, spacing=0.2, samples={"at_most": 4}, forbidden=[[1.0, 2.5]]

@@ -105,6 +105,7 @@ def test_the_smooth_function_lies_just_below_and_its_slope_is_its_own(period):
         np.testing.assert_allclose(slope, [(a - b) / 2e-6 for a, b in either], atol=1e-5 * np.abs(slope).max())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "changes",
     few(

@@ -103,6 +103,7 @@ def worst_miss(seed, steps, moving=True):
     return max(misses), engines
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", few(SEEDS, 0))
 def test_radii_of_the_carried_arrival_cost(seed):
     miss, engines = worst_miss(seed, 30)

@@ -140,6 +140,7 @@ def test_the_next_sample_is_as_late_as_the_hours_that_pass_allow(year, clocks):
     assert (V + W * (found.latest - taken[-1].time)) / (V + W * GAP) <= found.ratio * (1 + 1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("clocks", few(["forward", "back"], 1))
 def test_now_as_a_local_date_is_the_time_that_passed(year, clocks, tmp_path):
     plan, dates = year

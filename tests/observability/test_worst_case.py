@@ -300,6 +300,7 @@ def test_a_plant_without_states_is_plain_data_without_infinities():
     assert (data["lower"], data["upper"], data["status"]) == (None, None, "no states")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("count", "scale", "best"),
     few([(3, 1.0, np.sqrt(0.5)), (4, 1.0, 1.0), (4, 1e3, 1.0), pytest.param(6, 1.0, 2.0, marks=pytest.mark.long)], 0),

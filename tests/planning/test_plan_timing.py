@@ -113,6 +113,7 @@ def test_the_noise_of_a_sequence_is_counted_as_work(plan, monkeypatch):
         sequence_chain.sequence_chain(plan, sequence_chain.plan_chain(plan), without(plan, 1, 1))
 
 
+@pytest.mark.long
 def test_what_is_said_of_the_next_sample_holds_at_all_real_times(plan):
     rng = np.random.default_rng(6)
     taken = real_times(plan.schedule, rng, 0.1, 3.0)

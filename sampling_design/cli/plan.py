@@ -165,7 +165,10 @@ def design(
         said = [f"{each.replace('_', ' ')} {of}" for each, of in value.items()] if is_table(value) else [value]
         settings.notice(str(value) if name == "notice" else f"--{name.replace('_', '-')} not given: {said[0]} is used.")
     _write_design(settings, result, zero, zone)
-    settings.show(result.to_dict(), record_table(result), *_samples(result), result.explain())
+    folder, told = settings.folder(), list[str]()
+    if folder is not None and result.schedule is not None and result.sigma > 0:
+        told = [f"Next: sampling-design certify {plant_file} {folder / 'schedule.csv'} -o {folder}"]
+    settings.show(result.to_dict(), record_table(result), *_samples(result), result.explain(), *told)
     end_unseen(result)
 
 

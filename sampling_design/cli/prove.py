@@ -144,11 +144,15 @@ def certify(
         compared = sd.certificates.four_horizons(plant, certificate.schedule, certificate, budget=left)
     if certificate_file is not None:
         settings.wrote(certificate.save(certificate_file))
-    if settings.folder() is not None:
-        _files(settings, certificate, compared)
     notes: list[RichTable | str] = [] if compared is None else [_horizons(compared)]
     notes += [] if compared is None else [f"{r.name}: {r.note}" for r in compared.rows if r.note]
-    settings.show(certificate.to_dict(), record_table(certificate), *notes, certificate.explain())
+    notes.append(certificate.explain())
+    if (folder := settings.folder()) is not None:
+        _files(settings, certificate, compared)
+        made = folder / "certificate.json"
+        notes.append(f"Next: sampling-design verify {made}")
+        notes.append(f"Next: sampling-design estimate {plant_file} MEASUREMENTS.csv --certificate {made} -o {folder}")
+    settings.show(certificate.to_dict(), record_table(certificate), *notes)
 
 
 def _refuse_samples(schedule: Path | None, families: Mapping[str, object]) -> None:

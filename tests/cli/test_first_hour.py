@@ -23,5 +23,7 @@ def test_every_command_of_the_first_hour_runs(monkeypatch, tmp_path, shell):
             (tmp_path / "hormone" / "blood.csv").write_text(measured)
         done = shell(*words, *(["--idle", "0.3", "--no-browser"] if words[0] == "explore" else []))
         assert done.code == 0, f"{line}: {done.err or done.out}"
+        if words[0] in ("new", "design", "certify"):
+            assert "Next: sampling-design " in done.out, line
     written = {path.name for path in (tmp_path / "hormone").iterdir()}
     assert {"plant.toml", "schedule.csv", "design.png", "schedule.ics", "certificate.json", "estimates.csv"} <= written

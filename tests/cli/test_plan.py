@@ -114,7 +114,10 @@ def test_design_twice_is_the_same_to_the_last_byte(shell, tmp_path):
             "--seed",
             3,
         )
-        assert shell(*arguments).code == 0
+        done = shell(*arguments)
+        assert done.code == 0
+        made = tmp_path / folder / "schedule.csv"
+        assert f"Next: sampling-design certify {plant('oscillator')} {made} -o {tmp_path / folder}" in done.out
     for name in ("schedule.csv", "design.png"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,7 +49,7 @@ def followed_back(
     nodes: list[int],
     mu: Array,
     gains_at: Callable[[int, Array], Array],
-    known: Sequence[Array | None] = (),
+    known: Callable[[int], Array | None] | None = None,
 ) -> tuple[Array, Array, Array, Array | None]:
     """Columns mu (n, m) at the last node, followed back through the gains that are given there.
 
@@ -68,10 +68,10 @@ def followed_back(
             gap = chain.gap(nodes[k - 1])
             flown.setdefault(id(gap), (gap, []))[1].append(g)
             g = gap.F.T @ g
-            reach = known[k - 1] if known else None
-            if reach is not None and np.abs(g).sum(axis=0).max() <= LEFT:
-                break
-            reach = None
+            if known is not None and np.abs(g).sum(axis=0).max(initial=0.0) <= LEFT:
+                reach = known(k - 1)
+                if reach is not None:
+                    break
     for gap, columns in flown.values():
         every = gap.panels.integral(np.hstack(columns), chain.bounds.w_ball)
         total = total + every.reshape(len(columns), -1).sum(axis=0)
@@ -94,11 +94,11 @@ def filtered_bounds(chain: SampleChain, j: int, start: StartSet, known: list[Arr
 
     `known` are bounds on |z| after the samples before: one serves as a start where little is left of the columns.
     """
-    return path_bounds(chain, chain.nodes(j, len(chain)), start, known, mu)
+    return path_bounds(chain, chain.nodes(j, len(chain)), start, known.__getitem__, mu)
 
 
 def path_bounds(
-    chain: SampleChain, nodes: list[int], start: StartSet, known: Sequence[Array | None], mu: Array
+    chain: SampleChain, nodes: list[int], start: StartSet, known: Callable[[int], Array | None], mu: Array
 ) -> Array:
     """Return the same of mu'z at the last of some nodes that begin at the start."""
     total, g, scale, reach = followed_back(chain, nodes, mu, lambda k, g: chain.samples[nodes[k]].K.T @ g, known)

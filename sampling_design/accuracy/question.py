@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -204,7 +204,9 @@ class AccuracyQuestion:
             chain = endless_chain(plant, np.diff(self.nodes, append=self.end), self.bounds, moving)
         return with_results_out(chain, self.comes_after) if self.is_late else chain
 
-    def filter_bounds(self, plant: Plant, moving: Array | None = None) -> tuple[SampleChain, list[BoundedDirections]]:
+    def filter_bounds(
+        self, plant: Plant, moving: Array | None = None
+    ) -> tuple[SampleChain, Sequence[BoundedDirections]]:
         """The chain, and what its filter bounds."""
         chain = self.sample_chain(plant, moving)
         if chain.start is not None:

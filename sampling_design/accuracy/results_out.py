@@ -6,9 +6,9 @@ then the quick ones: a branch of the chain, whose nodes are samples again withou
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
 import numpy as np
 
@@ -68,22 +68,52 @@ def with_results_out(chain: SampleChain, delays: Array) -> SampleChain:
     )
 
 
-def with_branches(chain: SampleChain, atoms: list[BoundedDirections]) -> list[BoundedDirections]:
-    """Return what bounds the nodes of a chain, of those too of which some results are out; `atoms` are its samples'."""
-    found = list(atoms)
-    for node in range(len(chain), len(chain.samples)):
-        path = chain.nodes(node, 1)
+class NodeBounds(Sequence[BoundedDirections]):
+    """What bounds the nodes of a chain, of those too of which some results are out: these when they are asked for."""
+
+    def __init__(self, chain: SampleChain, atoms: Sequence[BoundedDirections]):
+        self._chain, self._found = chain, dict(enumerate(atoms))
+
+    def __len__(self) -> int:
+        return len(self._chain.samples)
+
+    @overload
+    def __getitem__(self, at: int) -> BoundedDirections: ...
+    @overload
+    def __getitem__(self, at: slice) -> list[BoundedDirections]: ...
+    def __getitem__(self, at: int | slice) -> BoundedDirections | list[BoundedDirections]:
+        if isinstance(at, slice):
+            return [self[k] for k in range(len(self))[at]]
+        if at not in self._found:
+            if not 0 <= at < len(self):
+                raise IndexError(at)
+            self._found[at] = self._branch(at)
+        return self._found[at]
+
+    def _branch(self, node: int) -> BoundedDirections:
+        chain, path = self._chain, self._chain.nodes(node, 1)
         if chain.start is None:
             r = chain.determined
-            basis, known = np.eye(chain.D.size)[:, :r], atoms[path[0]].reach
+            basis, reach = np.eye(chain.D.size)[:, :r], self[path[0]].reach
             cost, g, _, _ = followed_back(chain, path, basis, _filter_of(chain, path))
-            found.append(BoundedDirections(basis, (cost + known @ np.abs(g[:r])) * (1 + 1e-11)))
-            continue
+            return BoundedDirections(basis, (cost + reach @ np.abs(g[:r])) * (1 + 1e-11))
         path = chain.nodes(node, len(chain))
         basis = determined_at(chain, path)
-        whole = [a.reach if a.whole and k else None for k, a in enumerate(found[j] for j in path[:-1])]
-        found.append(BoundedDirections(basis, path_bounds(chain, path, chain.start, whole, basis)))
-    return found
+
+        def known(k: int) -> Array | None:
+            return self[path[k]].reach if k and self[path[k]].whole else None
+
+        return BoundedDirections(basis, path_bounds(chain, path, chain.start, known, basis))
+
+
+def with_branches(chain: SampleChain, atoms: list[BoundedDirections]) -> Sequence[BoundedDirections]:
+    """Return what bounds the nodes of a chain; `atoms` are its samples'.
+
+    Raises UndecidedError where something free has decayed so far that doubles cannot tell what is left.
+    """
+    found = NodeBounds(chain, atoms)
+    free = chain.start is not None and chain.start.free(chain.D.size).shape[1]
+    return found[:] if free else found
 
 
 def _filter_of(chain: SampleChain, path: list[int]) -> Callable[[int, Array], Array]:
@@ -115,7 +145,7 @@ def _endless(times: Array, period: float, delays: Array) -> list[ResultsIn]:
     )
     marks = marks[marks < marks[0] + period - tiny]
     ends = np.append(marks[1:], marks[0] + period)
-    return [_results_in(a, b, every, index, comes, measured[index], tiny) for a, b in zip(marks, ends, strict=True)]
+    return _each(marks, ends, every, index, comes, measured[index], tiny)
 
 
 def _finite(times: Array, end: float, delays: Array) -> list[ResultsIn]:
@@ -125,21 +155,26 @@ def _finite(times: Array, end: float, delays: Array) -> list[ResultsIn]:
     marks = _clusters(comes[np.isfinite(comes) & (comes <= end + tiny)], tiny)
     first = float(marks[0]) if marks.size else end
     ends = np.append(marks[1:], max(end, float(marks[-1]))) if marks.size else marks
-    found = [_results_in(a, b, times, index, comes, measured, tiny) for a, b in zip(marks, ends, strict=True)]
+    found = _each(marks, ends, times, index, comes, measured, tiny)
     if marks.size and first <= tiny:
         return found
     return [ResultsIn(0.0, first, index[:1], times[:1], np.zeros((1, delays.shape[1]), dtype=bool)), *found]
 
 
-def _results_in(
-    begin: float, end: float, times: Array, index: Index, comes: Array, measured: Mask, tiny: float
-) -> ResultsIn:
-    seen = measured & (comes <= begin + tiny)
-    last = int(np.flatnonzero(seen.any(axis=1))[-1])
-    out = np.flatnonzero(np.any(measured & ~seen, axis=1))
-    first = min(int(out[0]) if out.size else last, last)
-    part = slice(first, last + 1)
-    return ResultsIn(begin, end, index[part], times[part], seen[part])
+def _each(
+    marks: Array, ends: Array, times: Array, index: Index, comes: Array, measured: Mask, tiny: float
+) -> list[ResultsIn]:
+    """What is in from each of some times on: all before the first sample of which something is out."""
+    tops = np.maximum.accumulate(np.max(comes, axis=1, where=measured, initial=-np.inf))
+    lows = np.minimum.accumulate(np.min(comes, axis=1, where=measured, initial=np.inf)[::-1])[::-1]
+    lasts = np.searchsorted(lows, marks + tiny, side="right") - 1
+    firsts = np.minimum(np.searchsorted(tops, marks + tiny, side="right"), lasts)
+    found = list[ResultsIn]()
+    for begin, end, first, last in zip(marks.tolist(), ends.tolist(), firsts.tolist(), lasts.tolist(), strict=True):
+        part = slice(first, last + 1)
+        seen = measured[part] & (comes[part] <= begin + tiny)
+        found.append(ResultsIn(begin, end, index[part], times[part], seen))
+    return found
 
 
 def _clusters(marks: Array, tiny: float) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -97,7 +97,7 @@ class ChainSearch:
     def __init__(
         self,
         chain: SampleChain,
-        atoms: list[BoundedDirections],
+        atoms: Sequence[BoundedDirections],
         solved: Callable[[], None] = lambda: None,
         budget: Budget = ENDLESS,
     ):

@@ -9,6 +9,7 @@ import numpy as np
 
 from sampling_design.accuracy.finite import NO_ERROR
 from sampling_design.accuracy.results_out import ResultsIn, results_in
+from sampling_design.accuracy.sample_chain import ChainGap
 from sampling_design.accuracy.start import StartSet
 from sampling_design.planning.adversary_program import DisturbedTrajectory, GridWindow, in_stages, opened
 from sampling_design.planning.discrete_plant import DiscretePlant, UndetectedModes, hidden_at
@@ -26,6 +27,7 @@ FAR = 0.5  # what is below this share of a level at every quarter of a gap is no
 MOST_KNOTS = 400  # samples of the past that one program looks at: its size grows with them
 FEW = 60  # measurements that may be taken, up to which each of them can be looked at by itself
 REMEMBERED = 8  # choices of which it is remembered what they came to
+WINDOWS = 256  # windows of sequences that are kept with what was solved in them
 SHALLOW = (16, 4)  # shares of the past that refute a choice first, where all of it makes a large program
 FARTHEST = 200  # periods beyond which the past is not followed
 SCALED = 1 + 1e-9  # a trajectory is divided by the largest ratio of its w to the bound times this
@@ -54,6 +56,10 @@ class AccuracyOracle:
         self.spread = GridFilter(problem, motion, self.work) if spread else None
         self._kept: dict[object, tuple[float, list[HiddenTrajectory]]] = {}
         """What the last choices that were judged came to."""
+        self.windows: dict[object, GridWindow] = {}
+        """Windows of sequences: most are those of another, later."""
+        self.gaps: dict[object, ChainGap] = {}
+        """Gaps of sequences, by their length and the coordinates at both ends."""
         self.looks: dict[object, float] = {}
         """The ratio in each stretch of a sequence that was looked at."""
         self._broken_last = 0
@@ -254,12 +260,14 @@ class AccuracyOracle:
         *,
         begin: int = 0,
         closely: bool = True,
+        known: float = -np.inf,
     ) -> dict[int, float]:
         """How far a goal can be driven in the gap after a sample, by offsets: the worst is found among them, as a rule.
 
         Where it holds at all times: at every quarter, then wherever the flights found so far, each of which can end at
         any offset, go farthest, until that is an offset that was looked at; not if all is far below `above`. Unless
-        `closely`, only at the end. Offsets below `begin` are left out.
+        `closely`, only at the end. Offsets below `begin` are left out, and those of which it is clear that they are no
+        worse than what is `known`.
         """
         goal, length = self.problem.goals[g], min(length, self.motion.longest)
         begin = min(begin, length)
@@ -270,17 +278,18 @@ class AccuracyOracle:
             first = begin + (goal.steps - last - begin) % steps
             within = {int(o) for each in first for o in np.arange(each, length + 1, steps)}
             return {offset: self.reach(window, offset, g) for offset in sorted(within)}
-        if not closely:
-            return {length: self.reach(window, length, g)}
-        found = {
-            offset: self.reach(window, offset, g)
-            for offset in {begin + round((length - begin) * i / QUARTERS) for i in range(QUARTERS + 1)}
-        }
-        while len(found) < LOOKS and not (above < np.inf and max(found.values()) < FAR * above):
+        ends = [length, begin] if closely else [length]
+        within = {begin + round((length - begin) * i / QUARTERS) for i in range(1, QUARTERS)} if closely else set()
+        found = dict[int, float]()
+        for offset in [*dict.fromkeys(ends), *sorted(within - {*ends})]:
+            if known == -np.inf or self._at_most(window, offset, g) > known:
+                found[offset] = self.reach(window, offset, g)
+        while closely and found and len(found) < LOOKS and not (above < np.inf and max(found.values()) < FAR * above):
             rows = np.array([self._opened(offset, g)[0] for offset in range(begin, length + 1)])
             added = np.array([more for _, more in self._open[g][begin : length + 1]])
-            farthest = begin + int(np.argmax(np.abs(rows @ window.ends().T).max(axis=1, initial=0.0) + added))
-            if farthest in found:
+            attained = np.abs(rows @ window.ends().T).max(axis=1, initial=0.0) + added
+            farthest = begin + int(np.argmax(attained))
+            if farthest in found or attained[farthest - begin] <= known * goal.tolerance:
                 break
             found[farthest] = self.reach(window, farthest, g)
         return found
@@ -339,6 +348,11 @@ class AccuracyOracle:
         row, added = self._opened(offset, g)
         value = window.reach(row) + added
         return value / self.problem.goals[g].tolerance
+
+    def _at_most(self, window: GridWindow, offset: int, g: int) -> float:
+        """A bound on the same, by what was solved in that window before."""
+        row, added = self._opened(offset, g)
+        return float(window.at_most(row[None])[0] + added) / self.problem.goals[g].tolerance
 
     def _trajectory(self, window: GridWindow, last: int, offset: int, g: int) -> HiddenTrajectory | None:
         """The strongest trajectory against a goal, so many steps after the last sample of a window."""

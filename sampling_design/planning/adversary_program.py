@@ -9,6 +9,7 @@ and scaled until it is admissible: what comes of it never depends on the solver.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -25,6 +26,10 @@ TOLERANCE = 1e-7  # asked of the solver: trajectories are scaled until they are 
 STAGED, STALLED, MANY = 1e-4, 2e-3, 2000
 """Share within which the two sides of a program over stages meet, beyond which it is left to the general solver, and
 entries of w from which on stages are quicker."""
+
+SPANNED, INDEPENDENT = 3, 1e-6
+"""States up to which what was solved bounds other rows, by each of so few; directions whose determinant is less are
+taken for dependent."""
 
 SAME = 1 - 1e-12  # two directions are one if their cosine is beyond this
 BEYOND = 1 + 1e-4  # a least_observable motion reaches this much more than asked, so that scaling leaves it above
@@ -76,6 +81,7 @@ class GridWindow:
         self._columns = self._slack_at + sum(soft)
         self._soft, self._built = soft, False
         self._known: list[tuple[Array, tuple[Array, Array, str]]] = []
+        self._spanned: tuple[int, Array, Array] | None = None
         self._stages: StageProgram | None = None
         if excess is None and start is None and in_stages(motion, knots):
             seen_rows = [motion.H[chosen] for chosen in seen]
@@ -163,6 +169,24 @@ class GridWindow:
         usable = [x for _, (x, _, status) in self._known if status not in (INFEASIBLE, UNBOUNDED)]
         ends = np.array([x[(K - 1) * n : K * n] for x in usable]).reshape(-1, n)
         return np.asarray(ends[np.isfinite(ends).all(axis=1)], dtype=np.float64)
+
+    def at_most(self, rows: Array) -> Array:
+        """What rows (m, n) of z reach at most at the last knot, by those solved so far; infinite where none tells.
+
+        The largest mu'z is sublinear in mu: at most sum |a_i| times those of mu_i, if mu = sum a_i mu_i.
+        """
+        n, count = self.motion.n, len(self._known)
+        if n > SPANNED or count < n:
+            return np.full(len(rows), np.inf)
+        if self._spanned is None or self._spanned[0] != count:
+            mu = np.array([known for known, _ in self._known])
+            reached = np.array([self.reach(row) for row in mu])
+            sets = np.array(list(combinations(range(count), n)))
+            sets = sets[np.isfinite(reached[sets]).all(axis=1)]
+            sets = sets[np.abs(np.linalg.det(mu[sets])) > INDEPENDENT]
+            self._spanned = count, np.linalg.solve(np.swapaxes(mu[sets], 1, 2), np.eye(n)), reached[sets]
+        _, shares, sizes = self._spanned
+        return np.asarray(np.min(np.einsum("sim,si->sm", np.abs(shares @ rows.T), sizes), axis=0, initial=np.inf))
 
     def strongest(self, mu: Array) -> DisturbedTrajectory | None:
         """The motion with the largest mu'z at the last knot."""

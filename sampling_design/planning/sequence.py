@@ -17,7 +17,7 @@ from sampling_design.accuracy.results_out import results_in
 from sampling_design.accuracy.sample_chain import SampleChain
 from sampling_design.accuracy.search import ChainSearch
 from sampling_design.errors import UndecidedError
-from sampling_design.planning.accuracy_oracle import AccuracyOracle
+from sampling_design.planning.accuracy_oracle import WINDOWS, AccuracyOracle
 from sampling_design.planning.adversary_program import GridWindow
 from sampling_design.planning.figures import PlanFigures
 from sampling_design.planning.problem import WHOLE, RowGoal
@@ -124,7 +124,7 @@ def _bounded_worst(plan: PlanFigures, sequence: SampleSequence, above: float, un
         window, last = window_after(oracle, sequence, span)
         for g in goals:
             far = min(above, max(worst, 1.0))  # what is far below neither breaks anything nor is the worst
-            looks = oracle.looked(window, g, last, span.length, far, begin=span.begin, closely=closely)
+            looks = oracle.looked(window, g, last, span.length, far, begin=span.begin, closely=closely, known=here)
             found = max(looks.values(), default=0.0)
             where = (window, g, last, span.length, span.begin) if found > max(worst, here) else where
             here = max(here, found)
@@ -189,8 +189,13 @@ def _knots(oracle: AccuracyOracle, sequence: SampleSequence) -> Index:
 def window_after(oracle: AccuracyOracle, sequence: SampleSequence, span: JudgedSpan) -> tuple[GridWindow, int]:
     """The window of what is in during a stretch, and the step of its last sample."""
     knots, seen, begins = _read_by(oracle, sequence, span)
-    start = oracle.initial_set if begins else None
-    return GridWindow(oracle.motion, knots, seen, start=start), int(knots[-1])
+    start, last = oracle.initial_set if begins else None, int(knots[-1])
+    key = (knots - last).tobytes(), seen.tobytes(), begins
+    if key not in oracle.windows:
+        while len(oracle.windows) >= WINDOWS:
+            del oracle.windows[next(iter(oracle.windows))]
+        oracle.windows[key] = GridWindow(oracle.motion, knots, seen, start=start)
+    return oracle.windows[key], last
 
 
 def _read_by(oracle: AccuracyOracle, sequence: SampleSequence, span: JudgedSpan) -> tuple[Index, Mask, bool]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
@@ -80,7 +81,7 @@ def sequence_chain(
     *,
     limited: bool = True,
     until: float = -np.inf,
-) -> tuple[SampleChain, list[BoundedDirections]]:
+) -> tuple[SampleChain, Sequence[BoundedDirections]]:
     """The chain of a sequence (up to its last sample, or `until` a time) and what its filter bounds.
 
     `own` is the plan's chain. Results count once they are in.
@@ -309,7 +310,10 @@ def _noisier_chain(
         if same[k] and phase is not None:
             made.append(own.gaps[phase])
         else:
-            made.append(make_gap(table, h, L[k], L[k + 1], flows[k][0]))
+            key = h, L[k].tobytes(), L[k + 1].tobytes()
+            if key not in plan.oracle.gaps:
+                plan.oracle.gaps[key] = make_gap(table, h, L[k], L[k + 1], flows[k][0])
+            made.append(plan.oracle.gaps[key])
     if sequence.begins:
         initial = plan.problem.initial
         start = initial.scaled(own.D[:, None] * L[0], own.D, NO_ERROR)

@@ -95,3 +95,30 @@ def test_a_short_past_refutes_and_what_held_is_not_judged_twice(monkeypatch):
     assert not solved
     assert oracle.judge(chosen, above=0.9 * worst)[0] > 0.9 * worst  # another question: judged anew
     assert solved
+
+
+@pytest.mark.parametrize("plant", [BODY, DRIFT])
+def test_what_a_window_solved_bounds_other_rows_and_leaves_out_no_worst_time(plant):
+    problem, chosen = posed(plant, 6.4, 0.2, [0, 26])
+    oracle = AccuracyOracle(problem, motion_of(problem))
+    rows = np.random.default_rng(1).normal(size=(40, 2))
+
+    def window():
+        return oracle._window(chosen, GridSpan(0, 0, 26), 128)
+
+    solved = window()
+    assert np.isinf(solved.at_most(rows)).all()
+    assert np.isfinite(solved.reach(rows[0]))
+    assert np.isinf(solved.at_most(rows)).all()  # one direction of two states
+    reached = [solved.reach(row) for row in rows[:3]]
+    bound = solved.at_most(rows)
+    assert bound[:3] == pytest.approx(reached, rel=1e-6)
+    fresh = window()
+    assert all(fresh.reach(row) <= most * (1 + 1e-6) for row, most in zip(rows, bound, strict=True))
+    full = oracle.looked(window(), 0, 0, 26)
+    worst = max(full.values())
+    for share in (0.5, 0.9, 1.0):
+        again = oracle.looked(solved, 0, 0, 26, known=share * worst)
+        assert max(again.values(), default=0.0) == pytest.approx(worst, rel=1e-5) or share == 1.0
+        assert all(full[offset] == pytest.approx(value, rel=1e-5) for offset, value in again.items() if offset in full)
+    assert len(oracle.looked(solved, 0, 0, 26, known=worst * 1.01)) < len(full)

@@ -54,7 +54,7 @@ class _Reading(NamedTuple):
 
 def start_of_dated(
     plant: Plant,
-    push: DisturbanceSet,
+    disturbance: DisturbanceSet,
     inputs: Inputs,
     samples: Sequence[RecordRow],
     noise: tuple[Array, Array],
@@ -65,16 +65,16 @@ def start_of_dated(
 
     `noise`: the sizes (N, p) and the middles of what is added to each reading; `before` as in `resolved`.
     """
-    flows = _flows(plant, push, inputs, start, [come.t for come in samples])
+    flows = _flows(plant, disturbance, inputs, start, [item.t for item in samples])
     x = _fitted(plant, inputs, samples, flows, noise, before)
-    still = DisturbanceSet(freeze(np.zeros(plant.n_disturbances)), push.root, push.ball)
-    here = DisturbanceSet(push.centre, freeze(np.zeros_like(push.root)), push.ball)
-    told: list[_Reading] = []
-    for come, M, size, middle in zip(samples, flows, *noise, strict=True):
+    still = DisturbanceSet(freeze(np.zeros(plant.n_disturbances)), disturbance.root, disturbance.ball)
+    here = DisturbanceSet(disturbance.centre, freeze(np.zeros_like(disturbance.root)), disturbance.ball)
+    censored: list[_Reading] = []
+    for item, M, size, middle in zip(samples, flows, *noise, strict=True):
         xi = M @ np.append(x, 1.0)
-        for i in np.flatnonzero(np.isfinite(come.y) & np.isfinite(size)).tolist():
-            told.append(_Reading(come.t, i, abs(come.y[i] - middle[i] - plant.C[i] @ xi) + size[i], ()))
-        for each in come.told:
+        for i in np.flatnonzero(np.isfinite(item.y) & np.isfinite(size)).tolist():
+            censored.append(_Reading(item.t, i, abs(item.y[i] - middle[i] - plant.C[i] @ xi) + size[i], ()))
+        for each in item.censored:
             if (
                 each.stamp is None
                 or each.since is not None
@@ -82,22 +82,22 @@ def start_of_dated(
             ):
                 continue
             i, (first, last, low, high) = each.output, each.stamp
-            known = [TimeShift(plant, here, inputs, come.t, i, end, before) for end in (first, last)]
+            known = [TimeShift(plant, here, inputs, item.t, i, end, before) for end in (first, last)]
             least, most = _ends(known, partial(_at, xi), np.abs(xi))
-            off = middle[i] + float(plant.D[i] @ input_at(inputs, come.t, plant.n_inputs, before)) + plant.C[i] @ xi
-            moves = tuple(TimeShift(plant, still, (), come.t, i, end, before) for end in (first, last))
-            told.append(_Reading(come.t, i, max(abs(low - off - most), abs(high - off - least)) + size[i], moves))
-    found = _bounded(plant, still, told, start)
+            off = middle[i] + float(plant.D[i] @ input_at(inputs, item.t, plant.n_inputs, before)) + plant.C[i] @ xi
+            moves = tuple(TimeShift(plant, still, (), item.t, i, end, before) for end in (first, last))
+            censored.append(_Reading(item.t, i, max(abs(low - off - most), abs(high - off - least)) + size[i], moves))
+    found = _bounded(plant, still, censored, start)
     return None if found is None else (freeze(x), freeze(found))
 
 
-def _bounded(plant: Plant, push: DisturbanceSet, told: Sequence[_Reading], start: float) -> Array | None:
+def _bounded(plant: Plant, disturbance: DisturbanceSet, censored: Sequence[_Reading], start: float) -> Array | None:
     """How large each entry of d may be at the start; None where nothing bounds it."""
-    before, tried = np.zeros(len(told)), np.zeros(len(told))
+    before, tried = np.zeros(len(censored)), np.zeros(len(censored))
     for _ in range(TURNS):
-        program = _program(plant, push, told, tried, start)
-        boxes = {t: _box(program, t) for t in {each.t for each in told}}
-        found = np.array([_adds(each, boxes[each.t]) for each in told])
+        program = _program(plant, disturbance, censored, tried, start)
+        boxes = {t: _box(program, t) for t in {each.t for each in censored}}
+        found = np.array([_adds(each, boxes[each.t]) for each in censored])
         if not np.isfinite(found).all():
             return None
         if np.all((tried >= found * (1 + MORE / 2)) | (found == 0)):
@@ -107,18 +107,20 @@ def _bounded(plant: Plant, push: DisturbanceSet, told: Sequence[_Reading], start
         ratio = float(np.max(np.divide(step, last, out=np.zeros_like(step), where=last > 0), initial=0.0))
         more = 1 / (1 - ratio) if 0 < ratio < 1 else 2.0
         before, tried = tried, np.maximum(tried, tried + step * more) * (1 + MORE)
-        if np.any(tried > FARTHEST * (np.max([each.size for each in told]) + 1e-300)):
+        if np.any(tried > FARTHEST * (np.max([each.size for each in censored]) + 1e-300)):
             return None
     return None
 
 
-def _program(plant: Plant, push: DisturbanceSet, told: Sequence[_Reading], added: Array, start: float) -> RecordProgram:
+def _program(
+    plant: Plant, disturbance: DisturbanceSet, censored: Sequence[_Reading], added: Array, start: float
+) -> RecordProgram:
     """The program of trajectories that read zero within the sizes and what is added to them."""
     rows: dict[float, tuple[RowReading, ...]] = {start: ()}
-    for each, more in zip(told, added.tolist(), strict=True):
+    for each, more in zip(censored, added.tolist(), strict=True):
         rows[each.t] = (*rows.get(each.t, ()), RowReading(plant.C[each.output], 0.0, each.size + more))
     nothing = freeze(np.zeros(plant.n_states))
-    return RecordProgram(gathered(plant, push, StartError(), nothing, start, sorted(rows.items()), ball=False))
+    return RecordProgram(gathered(plant, disturbance, StartError(), nothing, start, sorted(rows.items()), ball=False))
 
 
 def _at(x: Array, rows: Array) -> tuple[Array, Array]:
@@ -144,7 +146,9 @@ def _ends(sides: Sequence[TimeShift], known: Callable[[Array], tuple[Array, Arra
     return (least, most) if np.isfinite([least, most]).all() else (-np.inf, np.inf)
 
 
-def _flows(plant: Plant, push: DisturbanceSet, inputs: Inputs, start: float, times: Sequence[float]) -> list[Array]:
+def _flows(
+    plant: Plant, disturbance: DisturbanceSet, inputs: Inputs, start: float, times: Sequence[float]
+) -> list[Array]:
     """M (n, n + 1) for each time: x(t) = M (x(start), 1) with the inputs and the disturbance's middle."""
     n, now, flow, found = plant.n_states, start, np.eye(plant.n_states + 1), list[Array]()
     for t in times:
@@ -152,7 +156,7 @@ def _flows(plant: Plant, push: DisturbanceSet, inputs: Inputs, start: float, tim
         for a, b in pairwise(marks):
             longer = np.zeros((n + 1, n + 1))
             u = input_at(inputs, (a + b) / 2, plant.n_inputs)
-            longer[:n, :n], longer[:n, n] = plant.A, plant.B @ u + plant.G @ push.centre
+            longer[:n, :n], longer[:n, n] = plant.A, plant.B @ u + plant.G @ disturbance.centre
             flow = expm_batch(longer, b - a)[0] @ flow
         now = t
         found.append(flow[:n])
@@ -169,11 +173,11 @@ def _fitted(
 ) -> Array:
     """The start of the trajectory that fits the readings best, those of uncertain times in the middle of these."""
     rows, ends = [], []
-    for come, M, middle in zip(samples, flows, noise[1], strict=True):
-        fed = plant.D @ input_at(inputs, come.t, plant.n_inputs, before)
-        read = {i: come.y[i] for i in np.flatnonzero(np.isfinite(come.y)).tolist()}
+    for item, M, middle in zip(samples, flows, noise[1], strict=True):
+        fed = plant.D @ input_at(inputs, item.t, plant.n_inputs, before)
+        read = {i: item.y[i] for i in np.flatnonzero(np.isfinite(item.y)).tolist()}
         read |= {
-            e.output: (e.stamp.lower + e.stamp.upper) / 2 - fed[e.output] for e in come.told if e.stamp is not None
+            e.output: (e.stamp.lower + e.stamp.upper) / 2 - fed[e.output] for e in item.censored if e.stamp is not None
         }
         for i, y in read.items():
             if np.isfinite(y):

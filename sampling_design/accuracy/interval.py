@@ -414,7 +414,7 @@ def state_interval(
         return prove(RecordProgram(readings), at, rows)
     came = arrived(items, plant.n_outputs)
     begun = beginning(came) if prior_time is None else prior_time
-    samples = [k for k, row in enumerate(came) if row.told or (row.y is not None and np.isfinite(row.y).any())]
+    samples = [k for k, row in enumerate(came) if row.censored or (row.y is not None and np.isfinite(row.y).any())]
     cases = []
     for out in left_out(outliers, len(samples)):
         gone = {samples[k] for k in out}

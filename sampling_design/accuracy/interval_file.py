@@ -56,9 +56,9 @@ def tree_of(
             "ball": bool(readings.start.ball),
         },
         "w": {
-            "centre": readings.push.centre.tolist(),
-            "root": readings.push.root.tolist(),
-            "ball": bool(readings.push.ball),
+            "centre": readings.disturbance.centre.tolist(),
+            "root": readings.disturbance.root.tolist(),
+            "ball": bool(readings.disturbance.ball),
         },
         "noise_together": bool(readings.ball),
         "inputs": [{"t": float(at), "u": u.tolist()} for at, u in readings.inputs] if readings.plant.n_inputs else [],
@@ -117,7 +117,7 @@ def readings_of(found: OfInterval, plant: Plant) -> tuple[Readings, WantedRows]:
     """Return readings and rows of a file that was read."""
     readings = Readings(
         plant=plant,
-        push=DisturbanceSet(freeze(found.push_centre), freeze(found.push_root), found.push_ball),
+        disturbance=DisturbanceSet(freeze(found.w_centre), freeze(found.w_root), found.w_ball),
         start=StartError(None if found.root is None else freeze(found.root), found.start_ball),
         centre=freeze(found.centre),
         times=freeze(found.times),

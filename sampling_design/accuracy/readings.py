@@ -219,7 +219,7 @@ def as_typed(found: CensoredReading) -> PartialReading | float:
     return CompositeReading(limit if np.isinf(found.upper - found.lower) else found.lower, found.since)
 
 
-def rows_told(
+def censored_rows(
     plant: Plant,
     t: float,
     found: CensoredReading,
@@ -271,7 +271,7 @@ class Readings:
     """All that is known of a plant up to some time."""
 
     plant: Plant
-    push: DisturbanceSet
+    disturbance: DisturbanceSet
     start: StartError  # of x(times[0]) - centre
     centre: Array  # (n,)
     times: Array  # (K,): increasing; at each some rows (or none) were read
@@ -298,7 +298,7 @@ class Readings:
     @cached_property
     def G(self) -> Array:
         """Effect of a where w = centre + root a."""
-        G = self.plant.G @ self.push.root
+        G = self.plant.G @ self.disturbance.root
         return np.asarray(np.vstack([G, np.zeros((len(self.means), G.shape[1]))]))
 
     @cached_property
@@ -357,7 +357,7 @@ class Readings:
         """(K, n) the state that flows from the centre with the inputs and the centre of w, integrals reset."""
         x, pieces = np.zeros(len(self.A)), []
         x[: self.plant.n_states] = self.centre
-        if not (self.inputs or np.any(self.centre) or np.any(self.push.centre)):
+        if not (self.inputs or np.any(self.centre) or np.any(self.disturbance.centre)):
             return np.zeros((len(self.times), len(x)))
         marks = self.times.tolist()
         for a, b in pairwise(marks):
@@ -387,12 +387,12 @@ class Readings:
 
     def _pieces(self, a: float, b: float) -> list[tuple[float, Array]]:
         """Lengths and B u + G centre of the pieces of [a, b] on which u is constant."""
-        plant, push = self.plant, self.plant.G @ self.push.centre
+        plant, disturbance = self.plant, self.plant.G @ self.disturbance.centre
         first = bisect_right(self.inputs, a, key=itemgetter(0))
         last = bisect_left(self.inputs, b, key=itemgetter(0))
         edges = [a, *(t for t, _ in self.inputs[first:last]), b]
         held = [self.inputs[k - 1][1] if k else np.zeros(plant.n_inputs) for k in range(first, max(first, last) + 1)]
-        return [(d - c, plant.B @ u + push) for (c, d), u in zip(pairwise(edges), held, strict=True) if d > c]
+        return [(d - c, plant.B @ u + disturbance) for (c, d), u in zip(pairwise(edges), held, strict=True) if d > c]
 
     def _flows(self, lengths: Sequence[float]) -> Array:
         """(N, n, n + n_states) transitions, and what a constant force on the state does meanwhile."""
@@ -416,7 +416,7 @@ class Readings:
 
 def gathered(
     plant: Plant,
-    push: DisturbanceSet,
+    disturbance: DisturbanceSet,
     start: StartError,
     centre: Array,
     begin: float,
@@ -444,7 +444,7 @@ def gathered(
     if start.root is not None or not at:  # nothing is known of a state: neither of what it was before the first row
         at.setdefault(begin, ())
     times = sorted(at)
-    return Readings(plant, push, start, centre, freeze(times), tuple(at[t] for t in times), ball, inputs)
+    return Readings(plant, disturbance, start, centre, freeze(times), tuple(at[t] for t in times), ball, inputs)
 
 
 class RecordRow(NamedTuple):
@@ -453,7 +453,7 @@ class RecordRow(NamedTuple):
     t: float
     y: Any = None
     u: Any = None
-    told: tuple[CensoredReading, ...] = ()
+    censored: tuple[CensoredReading, ...] = ()
 
 
 def arrived(items: Iterable[object], p: int) -> list[RecordRow]:

@@ -92,7 +92,7 @@ class RecordCones:
         self._below_at = table.block(self._below, columns, H, y + size)
         for at, rows in ((self._up, self._boxed), (self._down, self._boxed), (self._below_at, self._below)):
             self._grown.append((at, size[rows], "v"))
-        if not read.push.ball:
+        if not read.disturbance.ball:
             count = self._q * self._cells
             self._grown.append((table.unit_box(self._w_at, count), np.ones(2 * count), "w"))
         table.end("nonnegative")
@@ -102,7 +102,7 @@ class RecordCones:
             self._grown.append((self._rounds[-1][0], np.ones(1), "v"))
         if self._starts and read.start.ball:
             self._grown.append((table.unit_balls(0, self._starts, 1), np.ones(1), "start"))
-        if read.push.ball and self._q:
+        if read.disturbance.ball and self._q:
             heads = np.tile(np.eye(self._q + 1)[0], self._cells)
             self._grown.append((table.unit_balls(self._w_at, self._q, self._cells), heads, "w"))
 

@@ -20,7 +20,7 @@ from sampling_design.accuracy.gap_table import DisturbanceQuadrature, GapTable
 from sampling_design.accuracy.readings import Readings
 from sampling_design.accuracy.record_cones import RecordCones
 from sampling_design.accuracy.sample_chain import EXACT
-from sampling_design.accuracy.undetectable import told_of_start
+from sampling_design.accuracy.undetectable import rows_of_start
 from sampling_design.accuracy.unknown_start import FreeStart
 from sampling_design.numerics.conic_programs import INFEASIBLE, UNBOUNDED
 from sampling_design.numerics.filtering import propagate, update_with_gain
@@ -92,8 +92,8 @@ class RecordProgram:
         lengths = np.diff(readings.times)
         unit = np.where((readings.size > 0) & ~readings.below, readings.size, 1.0)
         if table is None:
-            told = np.where(readings.below[:, None], 0.0, readings.H / unit[:, None])
-            rows = np.split(told, readings.offsets[1:-1])[:-1]
+            H = np.where(readings.below[:, None], 0.0, readings.H / unit[:, None])
+            rows = np.split(H, readings.offsets[1:-1])[:-1]
             table = GapTable.suited(readings.A, readings.G, lengths, rows)
         self.table = table
         self.gaps = table.get(lengths.tolist())
@@ -250,7 +250,9 @@ class RecordProgram:
             return c, 0.0
         with np.errstate(over="ignore", invalid="ignore"):
             gap = self.table.open(t - last)
-            return np.asarray(gap.F.T @ c), DisturbanceQuadrature([gap]).integral(c[None], self.readings.push.ball)
+            return np.asarray(gap.F.T @ c), DisturbanceQuadrature([gap]).integral(
+                c[None], self.readings.disturbance.ball
+            )
 
     def _solved(self, c: Array, level: int) -> tuple[float, Array, Array]:
         """What the adversary attains, and multipliers of rows and gaps, for a target at the last time, unchecked."""
@@ -352,8 +354,8 @@ class RecordProgram:
     @cached_property
     def _free(self) -> FreeStart:
         read = self.readings
-        told = told_of_start(self.H, self.F, read.offsets, np.eye(len(self.table.D)))
-        return FreeStart(told, read.below, self.unit)
+        H = rows_of_start(self.H, self.F, read.offsets, np.eye(len(self.table.D)))
+        return FreeStart(H, read.below, self.unit)
 
     def _closed(self, c: Array, gains: Array, rest: Array) -> bool:
         """Whether what gains leave of a free start is rounding."""
@@ -432,7 +434,7 @@ class RecordProgram:
         """Return what gains cost for a target (n,) in D coordinates at the last time."""
         read = self.readings
         costates, rest = self._costates(c, gains)
-        w = self._quadrature.integral(costates, read.push.ball) if len(costates) else 0.0
+        w = self._quadrature.integral(costates, read.disturbance.ball) if len(costates) else 0.0
         if np.any(gains[read.below] < 0):
             return GainCost(0.0, np.inf, w, 0.0)
         if read.start.root is not None:

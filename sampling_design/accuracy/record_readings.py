@@ -20,9 +20,9 @@ from sampling_design.accuracy.readings import (
     RowReading,
     StartError,
     arrived,
+    censored_rows,
     gathered,
     input_at,
-    rows_told,
 )
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.accuracy.uncertain_times import resolved
@@ -51,7 +51,7 @@ def read_record(
     """
     centre = checks.vector("prior", np.zeros(plant.n_states) if prior is None else prior, plant.n_states)
     items = arrived(record, plant.n_outputs)
-    spans, begun = any(each.stamp for come in items for each in come.told), beginning(items)
+    spans, begun = any(each.stamp for item in items for each in item.censored), beginning(items)
     start = begun if prior_time is None else checks.number("prior_time", prior_time)
     samples, inputs = _in_order(plant, items, start)
     if spans and begun < start:
@@ -60,32 +60,32 @@ def read_record(
         raise ArgumentError("`v_bound` must not depend on time where the time of a reading is uncertain.")
     if not samples:
         raise ArgumentError("`record` must hold at least one measurement, got none.")
-    y, times = np.array([come.y for come in samples]), np.array([come.t for come in samples])
+    y, times = np.array([item.y for item in samples]), np.array([item.t for item in samples])
     measured = np.isfinite(y)
-    for k, come in enumerate(samples):
-        measured[k, [each.output for each in come.told]] = True
+    for k, item in enumerate(samples):
+        measured[k, [each.output for each in item.censored]] = True
     bounds = SignalBounds.of(plant, len(y), measured, w_bound, v_bound, times)
     centre_w = np.zeros(plant.n_disturbances) if bounds.w_centre is None else bounds.w_centre
-    push = DisturbanceSet(freeze(centre_w), freeze(np.diag(bounds.w)), bounds.w_ball)
+    disturbance = DisturbanceSet(freeze(centre_w), freeze(np.diag(bounds.w)), bounds.w_ball)
     centre_v = np.zeros(y.shape) if bounds.v_centre is None else bounds.v_centre
     error = StartError.of(plant, initial_error)
     if spans and error.root is None:
-        proven = start_of_dated(plant, push, inputs, samples, (bounds.v, centre_v), start)
+        proven = start_of_dated(plant, disturbance, inputs, samples, (bounds.v, centre_v), start)
         centre, error = (centre, error) if proven is None else (proven[0], StartError.of(plant, proven[1]))
 
     def read(rows: Rows) -> Readings:
-        return gathered(plant, push, error, centre, start, rows, ball=bounds.v_ball, inputs=inputs)
+        return gathered(plant, disturbance, error, centre, start, rows, ball=bounds.v_ball, inputs=inputs)
 
-    said = _one_by_one(plant, push, inputs, samples, (bounds.v, centre_v), read)
-    rows = [(come.t, own) for come, (_, own) in zip(samples, said, strict=True)]
+    said = _one_by_one(plant, disturbance, inputs, samples, (bounds.v, centre_v), read)
+    rows = [(item.t, own) for item, (_, own) in zip(samples, said, strict=True)]
     if also is not None and also < start:
         raise ArgumentError(f"`t` must not lie before the start {start!r}, got {also!r}.")
     return read(rows if also is None or also >= rows[-1][0] or also in dict(rows) else [*rows, (also, ())])
 
 
-def told_together(
+def censored_together(
     plant: Plant,
-    push: DisturbanceSet,
+    disturbance: DisturbanceSet,
     inputs: Sequence[tuple[float, Array]],
     samples: Sequence[RecordRow],
     noise: tuple[Array, Array, bool],
@@ -99,20 +99,22 @@ def told_together(
     """
     size, middle, ball = noise
     every = np.tile(size, (len(samples), 1)), np.tile(middle, (len(samples), 1))
-    proven = start_of_dated(plant, push, inputs, samples, every, start, before)
+    proven = start_of_dated(plant, disturbance, inputs, samples, every, start, before)
     if proven is None:
         return None
     centre, error = proven[0], StartError.of(plant, proven[1])
 
     def read(rows: Rows) -> Readings:
-        return gathered(plant, push, error, centre, start, rows, ball=ball, inputs=tuple(inputs))
+        return gathered(plant, disturbance, error, centre, start, rows, ball=ball, inputs=tuple(inputs))
 
-    return proven, [told for told, _ in _one_by_one(plant, push, inputs, samples, every, read, before, waiting=True)]
+    return proven, [
+        row for row, _ in _one_by_one(plant, disturbance, inputs, samples, every, read, before, waiting=True)
+    ]
 
 
 def _one_by_one(
     plant: Plant,
-    push: DisturbanceSet,
+    disturbance: DisturbanceSet,
     inputs: Sequence[tuple[float, Array]],
     samples: Sequence[RecordRow],
     noise: tuple[Array, Array],
@@ -122,23 +124,23 @@ def _one_by_one(
 ) -> Iterator[tuple[tuple[CensoredReading, ...], tuple[RowReading, ...]]]:
     """What each sample says of its time, by those before it, and as rows of the state."""
     rows: Rows = []
-    for come, size, middle in zip(samples, *noise, strict=True):
-        values = come.y - middle
+    for item, size, middle in zip(samples, *noise, strict=True):
+        values = item.y - middle
         seen = np.flatnonzero(np.isfinite(size) & np.isfinite(values))
         own = [RowReading(plant.C[i], values[i], size[i]) for i in seen]
-        known = partial(_known, read, rows, come.t)
-        told = resolved(plant, push, inputs, come.t, come.told, known, before, waiting)
-        u = input_at(inputs, come.t, plant.n_inputs, before)
-        for each in told:
+        known = partial(_known, read, rows, item.t)
+        censored = resolved(plant, disturbance, inputs, item.t, item.censored, known, before, waiting)
+        u = input_at(inputs, item.t, plant.n_inputs, before)
+        for each in censored:
             i = each.output
-            own += rows_told(plant, come.t, each, float(size[i]), float(middle[i]), inputs, float(plant.D[i] @ u))
-        rows.append((come.t, tuple(row for row in own if np.isfinite(row.size))))
-        yield told, rows[-1][1]
+            own += censored_rows(plant, item.t, each, float(size[i]), float(middle[i]), inputs, float(plant.D[i] @ u))
+        rows.append((item.t, tuple(row for row in own if np.isfinite(row.size))))
+        yield censored, rows[-1][1]
 
 
 def beginning(items: Sequence[RecordRow]) -> float:
     """The earliest time at which a row may have come; 0 without rows."""
-    spans = [each.stamp for come in items for each in come.told if each.stamp is not None]
+    spans = [each.stamp for item in items for each in item.censored if each.stamp is not None]
     return min([items[0].t, *(span.first for span in spans)]) if items else 0.0
 
 
@@ -157,21 +159,21 @@ def _in_order(
     now, u = start, np.zeros(plant.n_inputs)
     samples: list[RecordRow] = []
     inputs: list[tuple[float, Array]] = []
-    for come in items:
-        t = come.t
+    for item in items:
+        t = item.t
         if t < now:
             raise ArgumentError(
                 f"`record` must be in order of time and not begin before `prior_time`, got {t!r} after {now!r}."
             )
         now = t
-        if come.u is not None and plant.n_inputs:
-            u = np.array(checks.vector("u", come.u, plant.n_inputs))
+        if item.u is not None and plant.n_inputs:
+            u = np.array(checks.vector("u", item.u, plant.n_inputs))
             if inputs and inputs[-1][0] == t:
                 inputs.pop()
             inputs.append((t, u))
-        if come.y is None or not (come.told or np.isfinite(come.y).any()):
+        if item.y is None or not (item.censored or np.isfinite(item.y).any()):
             continue
         if samples and t == samples[-1].t:
             raise ArgumentError(f"`record` measures twice at {t!r}. Put both into one row.")
-        samples.append(come._replace(y=come.y - plant.D @ u))
+        samples.append(item._replace(y=item.y - plant.D @ u))
     return samples, tuple(inputs)

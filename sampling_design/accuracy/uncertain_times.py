@@ -33,10 +33,10 @@ Known = Callable[[Array], tuple[Array, Array]]  # lower and upper ends (r,) of r
 
 def resolved(
     plant: Plant,
-    push: DisturbanceSet,
+    disturbance: DisturbanceSet,
     inputs: Sequence[tuple[float, Array]],
     t: float,
-    told: tuple[CensoredReading, ...],
+    censored: tuple[CensoredReading, ...],
     known: Known,
     before: bool = False,
     waiting: bool = False,
@@ -47,12 +47,14 @@ def resolved(
     readings may tell what one says of which nothing is known yet. Else raises ArgumentError if nothing that is known
     bounds how far an output may move meanwhile.
     """
-    stamped = [each for each in told if each.stamp is not None]
+    stamped = [each for each in censored if each.stamp is not None]
     if not stamped:
-        return told
+        return censored
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not finite, and bounds nothing
         spans = [(each.output, each.span) for each in stamped if each.span is not None]
-        sides = [TimeShift(plant, push, inputs, t, output, end, before) for output, span in spans for end in span]
+        sides = [
+            TimeShift(plant, disturbance, inputs, t, output, end, before) for output, span in spans for end in span
+        ]
     rows = np.concatenate([side.rows[:, :-1] for side in sides])
     asked = np.flatnonzero(rows.any(axis=1))
     low, high = np.zeros(len(rows)), np.zeros(len(rows))
@@ -62,7 +64,7 @@ def resolved(
     if asked.size:
         found = known(np.concatenate([rows[asked], np.eye(plant.n_states)]))
         if any(np.isnan(ends).any() for ends in found):  # the data contradict the bounds: no reading says any more
-            return nothing_said(told)
+            return nothing_said(censored)
         low[asked], high[asked] = (ends[: asked.size] for ends in found)
         box = np.maximum(np.abs(found[0]), np.abs(found[1]))[asked.size :]
     ends, at = [], 0
@@ -73,13 +75,13 @@ def resolved(
     least = {id(each): min(ends[2 * k][0], ends[2 * k + 1][0]) for k, each in enumerate(stamped)}
     most = {id(each): max(ends[2 * k][1], ends[2 * k + 1][1]) for k, each in enumerate(stamped)}
     return tuple(
-        _between(plant, each, least[id(each)], most[id(each)], waiting) if each.stamp else each for each in told
+        _between(plant, each, least[id(each)], most[id(each)], waiting) if each.stamp else each for each in censored
     )
 
 
-def nothing_said(told: tuple[CensoredReading, ...]) -> tuple[CensoredReading, ...]:
+def nothing_said(censored: tuple[CensoredReading, ...]) -> tuple[CensoredReading, ...]:
     """Readings of uncertain times as saying nothing, as where what is known contradicts itself; others as they are."""
-    return tuple(each if each.stamp is None else each._replace(lower=-np.inf, upper=np.inf) for each in told)
+    return tuple(each if each.stamp is None else each._replace(lower=-np.inf, upper=np.inf) for each in censored)
 
 
 def _between(plant: Plant, read: CensoredReading, least: float, most: float, waiting: bool) -> CensoredReading:
@@ -99,7 +101,7 @@ class TimeShift:
     def __init__(
         self,
         plant: Plant,
-        push: DisturbanceSet,
+        disturbance: DisturbanceSet,
         inputs: Sequence[tuple[float, Array]],
         t: float,
         output: int,
@@ -116,7 +118,7 @@ class TimeShift:
         for a, b in pairwise(edges):
             u = input_at(inputs, (a + b) / 2, plant.n_inputs)
             longer = np.zeros((n + 1, n + 1))
-            longer[:n, :n], longer[:n, n] = plant.A, plant.B @ u + plant.G @ push.centre
+            longer[:n, :n], longer[:n, n] = plant.A, plant.B @ u + plant.G @ disturbance.centre
             count = int(np.clip(np.ceil(FINENESS * np.sqrt(rate * abs(b - a))), *PANELS))
             step, row = abs(b - a) / count, np.append(C, float(D @ u))
             d = balance(longer).d
@@ -139,16 +141,16 @@ class TimeShift:
             self._bends.append(np.zeros(n + 1))
         self.rows, self._sizes = np.array(rows), np.array(sizes)
         self.rows = self.rows if np.isfinite(self._sizes).all() else np.full_like(self.rows, np.inf)
-        self._moved = self._driven(plant, push, C, abs(end - t), sign)
+        self._moved = self._driven(plant, disturbance, C, abs(end - t), sign)
 
     @staticmethod
-    def _driven(plant: Plant, push: DisturbanceSet, C: Array, length: float, sign: float) -> float:
+    def _driven(plant: Plant, disturbance: DisturbanceSet, C: Array, length: float, sign: float) -> float:
         """What w adds over the whole side at most: int h_W(G'e^{A's}C') ds."""
-        G = plant.G @ push.root
+        G = plant.G @ disturbance.root
         if length == 0 or not G.any():
             return 0.0
         table = GapTable.suited(sign * plant.A, G, np.zeros(0), [])
-        return DisturbanceQuadrature([table.open(length)]).integral((C * table.D)[None], push.ball)
+        return DisturbanceQuadrature([table.open(length)]).integral((C * table.D)[None], disturbance.ball)
 
     def between(self, low: Array, high: Array, box: Array) -> tuple[float, float]:
         """Return bounds on F, given those of its rows at the nodes and the size of each state."""

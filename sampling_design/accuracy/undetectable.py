@@ -179,20 +179,20 @@ def _hidden(
     return np.asarray(right.conj().T[:, sizes < UNSEEN * max(1.0, float(sizes[0]))], dtype=np.complex128)
 
 
-def told_of_start(H: Array, F: Array, offsets: Index, flow: Array) -> Array:
+def rows_of_start(H: Array, F: Array, offsets: Index, flow: Array) -> Array:
     """What rows H (R, n), read at the ends of gaps F (K-1, n, n), say of the start, in the columns of `flow`."""
-    told = []
+    found = []
     with np.errstate(over="ignore", invalid="ignore"):  # who asks looks whether it is finite
         for k, (a, b) in enumerate(pairwise(offsets.tolist())):
             flow = F[k - 1] @ flow if k else flow
-            told.append(H[a:b] @ flow)
-    return np.vstack(told) if told else np.zeros((0, flow.shape[1]))
+            found.append(H[a:b] @ flow)
+    return np.vstack(found) if found else np.zeros((0, flow.shape[1]))
 
 
-def unobservable_directions(told: Array) -> Array:
+def unobservable_directions(H: Array) -> Array:
     """Directions (n, m) of the start that no row (R, n) shows; none where they grow beyond all numbers."""
-    size = np.linalg.norm(told, axis=1)
+    size = np.linalg.norm(H, axis=1)
     if not np.isfinite(size).all():
-        return np.zeros((told.shape[1], 0))
-    values, right = np.linalg.svd(told[size > 0] / size[size > 0, None])[1:]
+        return np.zeros((H.shape[1], 0))
+    values, right = np.linalg.svd(H[size > 0] / size[size > 0, None])[1:]
     return np.asarray(right[np.count_nonzero(values > HIDDEN) :].T)

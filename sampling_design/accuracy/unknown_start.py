@@ -35,7 +35,7 @@ class FreeStart:
 
     Parameters
     ----------
-    told : (R, n) array
+    H : (R, n) array
         The rows, run back to the start.
     below : (R,) bool array
         One-sided rows: their gains are not negative, and only where one is positive may it shrink.
@@ -49,15 +49,15 @@ class FreeStart:
     and a start may be as large in it as in any other.
     """
 
-    def __init__(self, told: Array, below: Mask, unit: Array):
-        self._told, self._below, self._unit = told, below, unit
+    def __init__(self, H: Array, below: Mask, unit: Array):
+        self._H, self._below, self._unit = H, below, unit
         self._backs: dict[bytes, tuple[Array, Array]] = {}
 
     @cached_property
     def _sizes(self) -> Array:
         """(n,) what all rows show of each entry of the start."""
         with np.errstate(over="ignore", invalid="ignore"):
-            sizes = np.linalg.norm(self._told / self._unit[:, None], axis=0)
+            sizes = np.linalg.norm(self._H / self._unit[:, None], axis=0)
         return np.asarray(np.where(sizes > 0, sizes, 1.0))
 
     def _change(self, gains: Array, rest: Array, play: float) -> Array:
@@ -74,8 +74,8 @@ class FreeStart:
         return np.asarray(back @ (rest / sizes) / self._unit)
 
     def _back(self, usable: Mask) -> tuple[Array, Array]:
-        """What takes a rest away, and the sizes (n,) in which the start's entries are told alike."""
-        rows = np.where(usable[:, None], self._told, 0.0) / self._unit[:, None]
+        """What takes a rest away, and the sizes (n,) in which the start's entries count alike."""
+        rows = np.where(usable[:, None], self._H, 0.0) / self._unit[:, None]
         with np.errstate(over="ignore", invalid="ignore"):
             sizes = np.linalg.norm(rows, axis=0)
         if not np.isfinite(sizes).all():
@@ -105,13 +105,13 @@ class FreeStart:
     def closes(self, gains: Array, begun: Array, rest: Array) -> bool:
         """Whether what gains leave is rounding: a change of them as small takes it away, and no one-sided row turns."""
         with np.errstate(over="ignore", invalid="ignore"):
-            terms = (np.abs(begun) + np.abs(gains) @ np.abs(self._told)) / self._sizes
+            terms = (np.abs(begun) + np.abs(gains) @ np.abs(self._H)) / self._sizes
         most = LEFT * np.linalg.norm(terms)
         for play in PLAYS:
             change = self._change(gains, rest, play)
             if self._small(change, gains, CHANGED) and np.all((gains + change)[self._below] >= 0):
                 with np.errstate(over="ignore", invalid="ignore"):
-                    left = np.linalg.norm((rest - change @ self._told) / self._sizes)
+                    left = np.linalg.norm((rest - change @ self._H) / self._sizes)
                 if not left > most:  # where rows have grown beyond all numbers, nobody can say
                     return True
         return False
@@ -122,7 +122,7 @@ class FreeStart:
         Only in the directions in which it must, to come within `NEAR` of them: where little is seen of one, noise alone
         would make it large.
         """
-        rows = np.where(self._below[:, None], 0.0, self._told) / self._unit[:, None]
+        rows = np.where(self._below[:, None], 0.0, self._H) / self._unit[:, None]
         size = np.linalg.norm(rows, axis=0)
         if not np.isfinite(size).all():
             return np.zeros(len(size))
@@ -135,7 +135,7 @@ class FreeStart:
     @cached_property
     def _unobservable(self) -> Array:
         """(n, m) directions of the start that no row shows."""
-        return unobservable_directions(self._told)
+        return unobservable_directions(self._H)
 
     def hides(self, begun: Array) -> bool:
         """Whether a target, run back to the start (n,), holds something that no gains can take away."""

@@ -412,8 +412,8 @@ def _without_gain(
         made = _first_proven(problem, canon, [choice], eta, gain, SearchEffort())
     except UndecidedError:
         raise error from None
-    told = [f"{WITHOUT_GAIN} {asked:g}: {gain:.3g}, for none was proven with {asked:g}" for asked in gains]
-    return [replace(made, solver=replace(made.solver, details={"weights": how})) for how in told]
+    notes = [f"{WITHOUT_GAIN} {asked:g}: {gain:.3g}, for none was proven with {asked:g}" for asked in gains]
+    return [replace(made, solver=replace(made.solver, details={"weights": how})) for how in notes]
 
 
 def _best_proven(

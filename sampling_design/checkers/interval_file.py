@@ -57,7 +57,7 @@ class Timed:
 class OfInterval:
     """Rows of x(t) with their ends (None: not bounded) and gains (r, 2, R), or a contradiction's factors and gains.
 
-    x(times[0]) = centre + root a (anything without a root) and w = push_centre + push_root a, where |a| <= 1 in the
+    x(times[0]) = centre + root a (anything without a root) and w = w_centre + w_root a, where |a| <= 1 in the
     Euclidean norm (`ball`) or entry by entry; u from `inputs`, each from its time on.
     """
 
@@ -73,9 +73,9 @@ class OfInterval:
     centre: Array
     root: Array | None
     start_ball: bool
-    push_centre: Array
-    push_root: Array
-    push_ball: bool
+    w_centre: Array
+    w_root: Array
+    w_ball: bool
     together: bool
     inputs: list[tuple[float, Array]]
     times: list[float]
@@ -132,9 +132,9 @@ def of_interval(read: Tree, plant: Plant) -> OfInterval:
         centre=np.array(start["centre"]),
         root=start["root"],
         start_ball=start["ball"],
-        push_centre=np.array(w["centre"], dtype=np.float64),
-        push_root=w["root"],
-        push_ball=w["ball"],
+        w_centre=np.array(w["centre"], dtype=np.float64),
+        w_root=w["root"],
+        w_ball=w["ball"],
         together=read["noise_together"],
         inputs=given,
         times=times,

@@ -2,9 +2,9 @@
 
 For gains lambda let g be c at t, run back by g' = -A'g, less row'lambda at each reading. Then for every trajectory
     c'x(t) = sum lambda row x + g(s)'x(s) + int g'(Bu + Gw),
-so that with |row x - y| <= size, x(s) = centre + root a and w = push_centre + push_root a
-    c'x(t) <= sum lambda y + g(s)'centre + int g'(Bu + G push_centre)
-              + |root'g(s)| + int |push_root'G'g| + sum |lambda| size.
+so that with |row x - y| <= size, x(s) = centre + root a and w = w_centre + w_root a
+    c'x(t) <= sum lambda y + g(s)'centre + int g'(Bu + G w_centre)
+              + |root'g(s)| + int |w_root'G'g| + sum |lambda| size.
 Costates at readings are integers (`long_numbers`): over many gaps doubles would lose them, or the bound of their error.
 Every other number is kept with a bound of its error, and integrals of norms lie between panels' chords: |p| is below
 its chord plus (s - a)(b - s)/2 sup|p''|.
@@ -49,7 +49,7 @@ class Columns:
     off: Array
     exact: Array  # sum lambda y + g'centre + int g'(Bu + G centre)
     doubt: Array  # of it
-    pushed: Array  # int |push_root'G'g| at most
+    pushed: Array  # int |w_root'G'g| at most
     least: Array  # and at least
     noise: Array
 
@@ -144,10 +144,10 @@ class Backward:
         for k, key in enumerate(self.means):
             A[n + k, :n] = np.frombuffer(key)
         self.A = A * self.d / self.d[:, None]
-        G = c.plant.G @ c.push_root
+        G = c.plant.G @ c.w_root
         self.G = np.zeros((size, G.shape[1]))
         self.G[:n] = G / self.d[:n, None]
-        lost = (c.plant.G.shape[1] + 2) * EPS * (np.abs(c.plant.G) @ np.abs(c.push_root))
+        lost = (c.plant.G.shape[1] + 2) * EPS * (np.abs(c.plant.G) @ np.abs(c.w_root))
         self.wrong_G = np.zeros_like(self.G)
         self.wrong_G[:n] = lost / self.d[:n, None]
         self.known: dict[Fraction, tuple[Array, Array, Array, Array, Array, float]] = {}
@@ -252,13 +252,13 @@ class Backward:
         columns.long, columns.off = product(whole, columns.long), (carried + UNIT * some) * LOOSE
         self.integrate(columns, path, doubts, d)
         force = np.zeros(len(self.A))
-        force[:n] = (c.B @ u + c.plant.G @ c.push_centre) / self.d[:n]
+        force[:n] = (c.B @ u + c.plant.G @ c.w_centre) / self.d[:n]
         if not np.any(force):
             return
         sizes = np.zeros(len(self.A))
-        sizes[:n] = (np.abs(c.B) @ np.abs(u) + np.abs(c.plant.G) @ np.abs(c.push_centre)) / self.d[:n]
+        sizes[:n] = (np.abs(c.B) @ np.abs(u) + np.abs(c.plant.G) @ np.abs(c.w_centre)) / self.d[:n]
         total, around = path[:-1].sum(axis=0), np.abs(path[:-1]).sum(axis=0)
-        loss = (panels + 4 * len(mean) + len(u) + len(c.push_centre)) * EPS
+        loss = (panels + 4 * len(mean) + len(u) + len(c.w_centre)) * EPS
         columns.exact += force @ (mean @ total)
         columns.doubt += LOOSE * (
             np.abs(force) @ (wrong_mean @ around + np.abs(mean) @ doubts[:-1].sum(axis=0))
@@ -277,8 +277,8 @@ class Backward:
         rough = np.abs(G) @ np.abs(a) @ np.abs(a)
         off_bend = rough @ doubts + 16 * len(a) * EPS * (rough @ size) + self.wrong_G.T @ np.abs(a) @ np.abs(a) @ size
         cubed = float(np.linalg.norm(rough @ np.abs(a)))
-        steep = cubed * math.exp(self.size * d) * np.linalg.norm(size[:-1], axis=1) * (1 if self.c.push_ball else 2)
-        if self.c.push_ball:
+        steep = cubed * math.exp(self.size * d) * np.linalg.norm(size[:-1], axis=1) * (1 if self.c.w_ball else 2)
+        if self.c.w_ball:
             value, curve = np.linalg.norm(p, axis=1), np.linalg.norm(bend, axis=1)
             off, off_bend = np.linalg.norm(off, axis=1), np.linalg.norm(off_bend, axis=1)
             chord = np.linalg.norm(p[1:] + p[:-1], axis=1)

@@ -124,13 +124,13 @@ def new(
         raise ArgumentError(f"`DIR` {target} cannot be made a folder ({error.strerror}).") from None
     settings.wrote(_commented(sd.plants.write_plant(plant, paths[0]), PLANT))
     settings.wrote(_commented(sd.design.write_requirement(wanted, paths[1]), _dated(asked.start)))
-    told = f"Next: sampling-design design {paths[0]} {paths[1]} -o {target}"
+    words = f"Next: sampling-design design {paths[0]} {paths[1]} -o {target}"
     data = {"plant": plant.to_dict(), "requirement": wanted.to_dict()}
     if planned is not None:
         settings.wrote(_commented(write_plan_requirement(planned, paths[2]), PLAN))
-        told = f"Next: sampling-design plan {paths[0]} {paths[2]} -o {target / 'out'}"
+        words = f"Next: sampling-design plan {paths[0]} {paths[2]} -o {target / 'out'}"
         data["plan"] = planned.to_dict()
-    settings.show(data, told)
+    settings.show(data, words)
 
 
 def _dated(start: str) -> dict[str, str]:
@@ -140,7 +140,7 @@ def _dated(start: str) -> dict[str, str]:
 
 
 def _asked(modes: PlantModes, asked: AskedFor) -> tuple[PlantModes, AskedFor]:
-    """Ask at the terminal for what was not said; a slip is told at once, and asked again."""
+    """Ask at the terminal for what was not said; a slip is named at once, and asked again."""
     unit = modes.unit
     oscillation = _ask(f"Periods of undamped oscillations [{unit}], commas between", "24", _numbers("--oscillation"))
     modes = replace(modes, oscillation=oscillation)
@@ -150,8 +150,8 @@ def _asked(modes: PlantModes, asked: AskedFor) -> tuple[PlantModes, AskedFor]:
     )  # fmt: skip
     modes = replace(modes, decay=decay)
     if modes.sensors == "sensor":
-        told = _ask("Names of the sensors", "sensor", lambda text: replace(modes, sensors=text).plant())
-        modes = replace(modes, sensors=told)
+        words = _ask("Names of the sensors", "sensor", lambda text: replace(modes, sensors=text).plant())
+        modes = replace(modes, sensors=words)
     plant = modes.plant()
     states, outputs = plant.states.names, plant.outputs.names
     if not asked.open_hours:
@@ -166,8 +166,8 @@ def _asked(modes: PlantModes, asked: AskedFor) -> tuple[PlantModes, AskedFor]:
     if not asked.within.strip():
         return modes, asked
 
-    def named(key: str, told: str, question: str, default: str, names: Sequence[str]) -> str:
-        return told or _ask(question, default, lambda text: by_name(f"--{key}", text, names, names))
+    def named(key: str, words: str, question: str, default: str, names: Sequence[str]) -> str:
+        return words or _ask(question, default, lambda text: by_name(f"--{key}", text, names, names))
 
     one, state = outputs[0], states[0]
     asked = replace(

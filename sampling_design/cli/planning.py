@@ -142,7 +142,7 @@ def _record(settings: Settings, result: Plan, path: Path) -> list[tuple[float, l
         y = found.setdefault(float(rows.times[k]), [np.nan] * rows.y.shape[1])
         for j in np.flatnonzero(np.isfinite(rows.y[k])).tolist():
             y[j] = 0.0  # whatever was read
-        for each in rows.told[k] if rows.told else ():
+        for each in rows.censored[k] if rows.censored else ():
             y[each.output] = as_typed(each)
     return [(t, found[t], None) for t in sorted(found)]
 

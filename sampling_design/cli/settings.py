@@ -194,8 +194,8 @@ class Settings:
         if self.quiet:
             yield lambda fraction, message: None
             return
-        with progress_bar(label) as told:
-            yield told
+        with progress_bar(label) as report:
+            yield report
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:

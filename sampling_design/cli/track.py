@@ -235,7 +235,7 @@ def compare(
     length = 1.0 if window is None and not split.retained.n_states else window_length(settings, split, window, schedule)
     split = weighed_over(split, length)
     times, taken = record.samples()
-    if any(record.told):
+    if any(record.censored):
         settings.notice("Limits and means count as taken, and sigma counts them like numbers.")
     del record  # its numbers are not held beside those of the comparison
     with settings.progress("sigma") as progress:

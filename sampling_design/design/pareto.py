@@ -219,8 +219,8 @@ def _point(job: tuple[Plant, Requirement, int, Tree, Budget, float]) -> ParetoPo
 def _key(plant: Plant, requirement: Requirement, options: Tree) -> str:
     """Digest of everything that a point depends on but its count."""
     asked = requirement.replace(samples=None, target_sigma=None).to_dict()
-    told = {k: v.bit_generator.state if isinstance(v, np.random.Generator) else v for k, v in sorted(options.items())}
-    text = json.dumps([plant.to_dict(), asked, {k: repr(v) for k, v in told.items()}], sort_keys=True)
+    given = {k: v.bit_generator.state if isinstance(v, np.random.Generator) else v for k, v in sorted(options.items())}
+    text = json.dumps([plant.to_dict(), asked, {k: repr(v) for k, v in given.items()}], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -241,5 +241,6 @@ def _load(path: str | os.PathLike[str], key: str) -> dict[int, ParetoPoint]:
 
 def _read(entry: Tree) -> ParetoPoint:
     left = entry.get("deviations")
-    told = None if left is None else SigmaDeviations(**{**left, "tolerance": TimingTolerance.of(left["tolerance"])})
-    return ParetoPoint(**{**entry, "times": tuple(entry["times"]), "deviations": told})
+    if left is not None:
+        left = SigmaDeviations(**{**left, "tolerance": TimingTolerance.of(left["tolerance"])})
+    return ParetoPoint(**{**entry, "times": tuple(entry["times"]), "deviations": left})

@@ -258,8 +258,8 @@ class ScheduleDesign(PlainRecord):
         rows = "" if self.requirement.of is None else rows_in_words(self.requirement.of)
         if self.schedule is None:
             entering = rows and f" that enters {rows}"
-            told = ". ".join(f"{what[0].upper()}{what[1:]}: {value}" for what, value in self._unobserved().items())
-            return f"No samples needed: every mode{entering} decays by itself at the rate asked for. {told}."
+            rates = ". ".join(f"{what[0].upper()}{what[1:]}: {value}" for what, value in self._unobserved().items())
+            return f"No samples needed: every mode{entering} decays by itself at the rate asked for. {rates}."
         asked, unit = self.late, self.plant.time_unit
         many = self._what()
         if not self.sigma > 0:

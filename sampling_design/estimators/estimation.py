@@ -67,5 +67,5 @@ def estimate(
     samples = [triple(item) for item in taken]
     begin = checks.vector("prior", np.zeros(n) if prior is None else prior, n)
     estimator.start(begin, checks.number("prior_time", prior_time))
-    told = [(estimator.update(s.t, s.y, s.u), s.t) for s in samples]  # type: ignore[arg-type]  # as it came
-    return EstimateRecord.collect(plant, [estimate_from(found, time_or_span(t)[0], n) for found, t in told], origin)
+    results = [(estimator.update(s.t, s.y, s.u), s.t) for s in samples]  # type: ignore[arg-type]  # as it came
+    return EstimateRecord.collect(plant, [estimate_from(found, time_or_span(t)[0], n) for found, t in results], origin)

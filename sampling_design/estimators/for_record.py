@@ -162,7 +162,7 @@ def _from_gaps(
     gaps = np.diff(times)
     shortest, longest = float(gaps.min()), float(gaps.max())
     seen = f"gaps from {short(shortest)} to {short(longest)} {plant.time_unit}"
-    seen += " between numbers, limits and means left out" if any(record.told) else ""
+    seen += " between numbers, limits and means left out" if any(record.censored) else ""
     rate = _rate(plant, eta, longest, used)
     asked = plant.n_states <= FAMILY_STATES
     if asked and taken.all():

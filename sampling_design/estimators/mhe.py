@@ -260,7 +260,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         limits = self._limited(sample, feedthrough)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             start = self._start(state, t)
-            free = not sample.told and not (start.inside and state.nodes[-1].limited >= start.inside[0].t)
+            free = not sample.censored and not (start.inside and state.nodes[-1].limited >= start.inside[0].t)
             solved = self._slid_window(state, start, t, measured, last_gap) if free else None
         if solved is None:
             solved = self._solved(state, start, sample, measured, last_gap, limits)

@@ -112,8 +112,8 @@ class _DespiteOutliers:
         )
         if found.disproof is not None and self.contradiction is None:
             at = int(found.disproof.strongest[0])
-            told = found.disproof.readings.rows[at]
-            output = int(np.argmax(np.abs(self.plant.C @ told[0].H))) if told else 0
+            rows = found.disproof.readings.rows[at]
+            output = int(np.argmax(np.abs(self.plant.C @ rows[0].H))) if rows else 0
             when, name = float(found.disproof.readings.times[at]), self.plant.outputs.names[output]
             self.contradiction = Contradiction(self.samples, when, name, found.contradiction, alone=False)
         return found

@@ -213,11 +213,11 @@ class WindowedEstimator(LinearPlantEstimator):
 
     def _limited(self, sample: RecordRow, feedthrough: Array) -> Array | None:
         """Return what C x lies between (2, p), as limits of detection say: y = C x + D u + v, |v| within its bound."""
-        if not sample.told or self.bounds.v is None or all(each.since is not None for each in sample.told):
+        if not sample.censored or self.bounds.v is None or all(each.since is not None for each in sample.censored):
             return None
         noise = np.broadcast_to(self.bounds.v, feedthrough.shape)
         found = np.array([np.full(feedthrough.size, -np.inf), np.full(feedthrough.size, np.inf)])
-        for each in sample.told:
+        for each in sample.censored:
             if each.since is None:
                 i = each.output
                 found[0, i] = max(found[0, i], each.lower - feedthrough[i] - noise[i])
@@ -259,8 +259,8 @@ class WindowedEstimator(LinearPlantEstimator):
         if checked or begun:
             times, rows, flows, drift, reference = self._refined(state, times, rows, reference, begun, checked)
         y, masks, feedthrough = (np.array(column) for column in zip(*rows, strict=True))
-        told = {node.t: node.limits for node in start.inside if node.limits is not None}
-        told |= {} if limits is None else {t: limits}
+        censored = {node.t: node.limits for node in start.inside if node.limits is not None}
+        censored |= {} if limits is None else {t: limits}
         free = np.array([np.full(self.plant.n_outputs, -np.inf), np.full(self.plant.n_outputs, np.inf)])
         window = build_window(
             weights=self.weights,
@@ -272,7 +272,7 @@ class WindowedEstimator(LinearPlantEstimator):
             masks=masks,
             feedthrough=feedthrough,
             prior_root=start.root,
-            limits=np.array([told.get(at, free) for at in times]) if told else None,
+            limits=np.array([censored.get(at, free) for at in times]) if censored else None,
         )
         if not read:
             return window

@@ -119,8 +119,9 @@ class NonlinearLoop:
         kept = x
         if out.size:
             names = self.plant.signals["states"].names
-            told = ", ".join(f"{names[i]} = {x[i]:.6g}" for i in out.tolist())
-            words, kept = f"The open loop leaves X ({told}) and was brought back to its edge.", np.clip(x, lower, upper)
+            values = ", ".join(f"{names[i]} = {x[i]:.6g}" for i in out.tolist())
+            words = f"The open loop leaves X ({values}) and was brought back to its edge."
+            kept = np.clip(x, lower, upper)
         over = np.array(self.plant.limits_casadi(kept, u)).ravel()
         if np.any(over > 0):
             k = int(np.argmax(over))

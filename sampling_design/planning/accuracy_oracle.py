@@ -337,8 +337,8 @@ class AccuracyOracle:
         known = self._open[g]
         while len(known) <= offset:
             row, total = known[-1]
-            push = row @ self.motion.Gamma
-            size = float(np.linalg.norm(push) if self.motion.ball else np.abs(push).sum())
+            along = row @ self.motion.Gamma
+            size = float(np.linalg.norm(along) if self.motion.ball else np.abs(along).sum())
             known.append((row @ self.motion.F, total + size))
         return known[offset]
 

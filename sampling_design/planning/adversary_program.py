@@ -245,8 +245,8 @@ def opened(motion: DiscretePlant, flight: DisturbedTrajectory, mu: Array, steps:
     q = motion.G.shape[1]
     w, row = np.zeros((steps, q)), mu
     for i in range(steps - 1, -1, -1):
-        push = row @ motion.Gamma
-        size = float(np.linalg.norm(push))
-        w[i] = (push / size if size > 0 else 0.0) if motion.ball else np.sign(push)
+        along = row @ motion.Gamma
+        size = float(np.linalg.norm(along))
+        w[i] = (along / size if size > 0 else 0.0) if motion.ball else np.sign(along)
         row = row @ motion.F
     return fly(motion, flight.knots, flight.states, np.concatenate([flight.w, w]))

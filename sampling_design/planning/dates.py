@@ -145,12 +145,12 @@ class PlanDates(ListRecord[PlannedDate], PlainRecord):
     def _across(self, samples: str) -> str:
         if not self.exceptions:
             return f"{samples} as planned; no change of the clocks and no holiday among them."
-        told = f"{samples} with {counted(len(self.exceptions), 'exception')}"
+        text = f"{samples} with {counted(len(self.exceptions), 'exception')}"
         bad = [e.date for e in self.exceptions if e.ratio > 1]
         doubtful = [e.date for e in self.exceptions if e.ratio <= 1 and not e.proven]
         for words, dates in (("not kept", bad), ("not proven", doubtful)):
-            told += f"; {words}: {', '.join(dates)}" if dates else ""
-        return f"{told}." if bad or doubtful else f"{told}; every tolerance is kept across them."
+            text += f"; {words}: {', '.join(dates)}" if dates else ""
+        return f"{text}." if bad or doubtful else f"{text}; every tolerance is kept across them."
 
 
 @checked

@@ -72,11 +72,11 @@ def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy | None:
     rows = [goal.row for goal in problem.goals if not goal.spread]
     if not rows:
         return None
-    told = chosen & np.isfinite(problem.v_bound)
-    if not told.any():
+    bounded = chosen & np.isfinite(problem.v_bound)
+    if not bounded.any():
         raise NotDetectableError("`schedule` reads no sensor that has a `noise_bound`.")
-    schedule = problem.schedule(told)
-    delays = [None] * told.shape[1] if problem.result_delay is None else problem.result_delay.tolist()
+    schedule = problem.schedule(bounded)
+    delays = [None] * bounded.shape[1] if problem.result_delay is None else problem.result_delay.tolist()
     v = {
         name: Sensor(noise_bound=size if np.isfinite(size) else None, result_delay=delay)
         for name, size, delay in zip(problem.plant.outputs.names, problem.v_bound.tolist(), delays, strict=True)

@@ -36,7 +36,7 @@ class HittingSet:
 
     chosen: Mask | None = None  # (M, p): what sees every motion
     none: bool = False  # whether there is no such choice; neither if the search was given up
-    proof: CostProof | None = None  # that there is none; None also where it takes what a proof is not told of
+    proof: CostProof | None = None  # that there is none; None also where it takes what no proof counts
 
 
 def smallest_hitting_set(
@@ -50,7 +50,7 @@ def smallest_hitting_set(
     """A choice below a cost, within the limits, that sees every motion at a level, or that there is none.
 
     None where more than the number of samples counts, nothing limits it, or the program is too large to be written
-    out: then a solver is asked. `undetected_at`: masks that a choice must meet, too, of which a proof is not told.
+    out: then a solver is asked. `undetected_at`: masks that a choice must meet, too, which no proof counts.
     """
     most = _most(cover, below)
     reaching = [a for a, trajectory in enumerate(pool.trajectories) if trajectory.reach >= level]
@@ -170,8 +170,8 @@ class _Search:
         place = {row: self.frame + i for i, row in enumerate(row for row in used if 0 <= row < len(self.keys))}
         place[len(self.keys)] = self.frame - 1
 
-        told = tree.numbered(lambda row: place.get(row, self.frame + row))
-        proof = CostProof(self.level, self.below, tuple(self.keys[row] for row in sorted(place)[:-1]), told)
+        numbered = tree.numbered(lambda row: place.get(row, self.frame + row))
+        proof = CostProof(self.level, self.below, tuple(self.keys[row] for row in sorted(place)[:-1]), numbered)
         return replace(proof, value=min(self.below, proven_cost(self.cover, self.pool, proof)))
 
 

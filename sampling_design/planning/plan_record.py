@@ -283,12 +283,12 @@ def deviation_of(problem: PlanProblem, chosen: Mask) -> StandardDeviation | None
     goals = [goal for goal in problem.goals if goal.spread]
     if not goals:
         return None
-    told = chosen & np.isfinite(problem.v_deviation)
-    if not told.any():
+    bounded = chosen & np.isfinite(problem.v_deviation)
+    if not bounded.any():
         raise NotDetectableError("`schedule` reads no sensor that has a `noise_deviation`.")
     return standard_deviation(
         problem.plant,
-        problem.schedule(told),
+        problem.schedule(bounded),
         w_intensity=np.array(problem.w_intensity),
         v_deviation=np.where(np.isfinite(problem.v_deviation), problem.v_deviation, 1.0),
         of=np.array([goal.row for goal in goals]),

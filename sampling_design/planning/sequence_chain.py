@@ -360,8 +360,8 @@ def _planned(plan: PlanFigures, own: SampleChain, sequence: SampleSequence, k: i
     schedule, t = plan.schedule, float(sequence.shown[k])
     phase = phase_of(schedule, t)
     off = (t - float(schedule.times[phase])) / schedule.period
-    told = np.flatnonzero(sequence.seen[k] & np.isfinite(plan.problem.v_bound))
-    same = abs(off - round(off)) <= GRAIN and np.array_equal(told, own.samples[phase].outputs)
+    sensors = np.flatnonzero(sequence.seen[k] & np.isfinite(plan.problem.v_bound))
+    same = abs(off - round(off)) <= GRAIN and np.array_equal(sensors, own.samples[phase].outputs)
     return phase if same else None
 
 

@@ -65,7 +65,7 @@ class SampleSequence:
         """How early or late each sample may be (K,)."""
         return np.append(self.sure, np.full(max(0, len(self.times) - self.sure.size), self.late))[: len(self.times)]
 
-    def comes_after(self, told: Mask | np.bool_, *, late: bool) -> Array:
+    def comes_after(self, readable: Mask | np.bool_, *, late: bool) -> Array:
         """How long after its sample each result that tells something (p,) is in (K, p); infinite where none is read.
 
         Where samples may be early or late (`late`), after its planned time, at the latest.
@@ -78,7 +78,7 @@ class SampleSequence:
         if count:
             known = self.came[:count] - self.times[:count, None]
             found[:count] = np.where(np.isnan(known), found[:count], known)
-        return np.where(self.seen & told, found, np.inf)
+        return np.where(self.seen & readable, found, np.inf)
 
     def until(self, count: int) -> SampleSequence:
         """The first so many samples."""

@@ -35,8 +35,8 @@ def draw_worst_case(result: WorstCaseSigma, ax: Axes | None = None) -> Axes:
     ax.set_title(f"sigma {short(result.lower, 4)} proven, {short(result.upper, 4)} attained", loc="left")
     if (left := result.deviations) is not None:  # these are sigmas, the curve is of one state
         wider = f"{short(left.late, 4)}, {short(left.late_wider, 4)} in longer windows"
-        told = "" if left.asked else f"if late or early: {wider}; "
-        ax.set_title(f"{told}if one is lost: {short(left.lost, 4)}", loc="right", fontsize="small")
+        late = "" if left.asked else f"if late or early: {wider}; "
+        ax.set_title(f"{late}if one is lost: {short(left.lost, 4)}", loc="right", fontsize="small")
     style.legend(ax)
     return ax
 
@@ -90,9 +90,9 @@ def _front(points: Sequence[ParetoPoint], ax: Axes) -> Axes:
         counts, bound, "_--", color=style.TRUTH, linewidth=1.0, markersize=14, label="no schedule exceeds", zorder=3
     )
     ax.plot(counts, sigma, "o-", color=style.PROVEN, linewidth=2.5, alpha=0.8, label="proven sigma of the design")
-    told = [p.deviations for p in points]
+    deviations = [p.deviations for p in points]
     for key, words, line, colour in _LEFT:
-        left = [np.nan if one is None or (one.asked and key == "late") else getattr(one, key) for one in told]
+        left = [np.nan if one is None or (one.asked and key == "late") else getattr(one, key) for one in deviations]
         if np.isfinite(left).any():
             ax.plot(counts, left, line, color=colour, linewidth=1.2, markersize=4, label=words)
             least.append(float(np.nanmin(left)))

@@ -41,7 +41,7 @@ _LIMITS = {"v": "below this limit", "^": "above this limit", "_": "in an interva
 def _panel(ax: Axes, record: Measurements, i: int, label: str) -> Axes:
     marks: dict[str, list[tuple[float, float]]] = {"v": [], "^": [], "_": []}
     means: list[tuple[float, float, float]] = []
-    for time, row in zip(record.times.tolist(), record.told, strict=True):
+    for time, row in zip(record.times.tolist(), record.censored, strict=True):
         for each in (each for each in row if each.output == i):
             at = each.lower if np.isfinite(each.lower) else each.upper
             mark = "_" if np.isfinite([each.lower, each.upper]).all() else "^" if np.isfinite(each.lower) else "v"

@@ -315,8 +315,8 @@ def word(name: str, value: object, known: Iterable[str]) -> str:
     if is_text(value) and value in words:
         return value
     shown = [f'"{each}"' if len(words) == 2 or " " in each else each for each in words]
-    told = " or ".join(shown) if len(words) == 2 else f"one of {', '.join(shown)}"
-    raise ArgumentError(f"`{name}` must be {told}, got {repr(value) if is_text(value) else described(value)}.")
+    expected = " or ".join(shown) if len(words) == 2 else f"one of {', '.join(shown)}"
+    raise ArgumentError(f"`{name}` must be {expected}, got {repr(value) if is_text(value) else described(value)}.")
 
 
 def known_keys(where: str, found: Iterable[str], known: Iterable[str]) -> None:

@@ -56,10 +56,10 @@ def read_text(path: str | os.PathLike[str]) -> str:
 def _no_text(where: str, content: bytes) -> FileFormatError:
     """What a file that is no text seems to be, and what to do about it."""
     if content.startswith(b"PK"):
-        told = "is a workbook (Excel) or another zip file. Save the table as csv (UTF-8)"
+        words = "is a workbook (Excel) or another zip file. Save the table as csv (UTF-8)"
     else:
-        told = "is not a text file (not UTF-8). Save it as UTF-8"
-    return FileFormatError(f"{where}: {told}.", where)
+        words = "is not a text file (not UTF-8). Save it as UTF-8"
+    return FileFormatError(f"{where}: {words}.", where)
 
 
 def text_lines(path: str | os.PathLike[str]) -> Iterator[str]:

@@ -233,8 +233,8 @@ def misfit(
             return CallError(f"`{name}` has no argument `{key}`. {meant(key, known) if known else 'It takes none.'}")
     if len(given) > len(placed):
         count = f"{len(placed)} argument{'s' * (len(placed) != 1)}"
-        told = f" ({', '.join(placed)})" if placed else ""
-        return CallError(f"`{name}` takes {count} by place{told}, got {len(given)}: the others have names.{order}")
+        places = f" ({', '.join(placed)})" if placed else ""
+        return CallError(f"`{name}` takes {count} by place{places}, got {len(given)}: the others have names.{order}")
     for key in placed[: len(given)]:
         if key in named:
             return CallError(f"`{name}` got `{key}` twice, by place and by name.{order}")

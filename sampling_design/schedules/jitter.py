@@ -177,8 +177,8 @@ ON_TIME = TimingTolerance()  # samples come when they are planned
 def _in_words(early: float, late: float, unit: str) -> str:
     if early == late:
         return f"up to {short(early)}{unit} early or late" if early else "on time"
-    told = [f"up to {short(t)}{unit} {side}" for t, side in ((early, "early"), (late, "late")) if t]
-    return " or ".join(told)
+    words = [f"up to {short(t)}{unit} {side}" for t, side in ((early, "early"), (late, "late")) if t]
+    return " or ".join(words)
 
 
 def _shown(tolerance: TimingTolerance) -> str:

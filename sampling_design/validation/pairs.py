@@ -50,8 +50,8 @@ def sides(line: Timeline, certificate: SampledCertificate, start: int, stop: int
     best = (0.0, start)
     for c in range(start, stop):
         h, w = line.lengths[c], pairs.w[:, c]
-        push = np.einsum("ri,ij,rj->r", w, certificate.Qw, w)
-        total = total * np.exp(-eta * h) + push * discounted_length(eta, h)
+        energy = np.einsum("ri,ij,rj->r", w, certificate.Qw, w)
+        total = total * np.exp(-eta * h) + energy * discounted_length(eta, h)
         x = x @ line.F[c].T + w @ line.gamma[c].T
         left = np.sum((x @ root.T) ** 2, axis=1)
         best = max(best, (float(np.max(left / total)), c + 1))

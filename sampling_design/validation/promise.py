@@ -35,14 +35,14 @@ class Promise:
         """Return the right side at every row, for every run: (r, R)."""
         samples = {int(b): j for j, b in enumerate(line.samples)}
         total = quadratic(inputs.e0, self.prior)
-        push = np.einsum("rci,ij,rcj->rc", inputs.w, self.w, inputs.w) * discounted_length(self.rate, line.lengths)
+        energy = np.einsum("rci,ij,rcj->rc", inputs.w, self.w, inputs.w) * discounted_length(self.rate, line.lengths)
         noise = np.einsum("rji,jik,rjk->rj", inputs.v, self.sample_weights(line.masks), inputs.v)
         decay = np.exp(-self.rate * line.lengths)
         found = np.empty((rows.at.size, total.size))
         last = 0
         for row, (b, after) in enumerate(zip(rows.at, rows.after, strict=True)):
             for c in range(last, b):
-                total = total * decay[c] + push[:, c]
+                total = total * decay[c] + energy[:, c]
             last = b
             if after and int(b) in samples:
                 total = total + noise[:, samples[int(b)]]

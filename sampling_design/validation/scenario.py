@@ -166,15 +166,15 @@ def resonant_inputs(line: Timeline, bounds: ScenarioBounds) -> tuple[ErrorSource
     for value, row in zip(values, left.T, strict=True):
         if value.imag < 0:
             continue
-        push = np.conj(row @ plant.G)
+        along = np.conj(row @ plant.G)
         for phase in (0.0, np.pi / 2) if value.imag > 0 else (0.0,):
-            raw = np.real(np.exp(1j * (value.imag * middles + phase))[:, None] * push)
+            raw = np.real(np.exp(1j * (value.imag * middles + phase))[:, None] * along)
             if bounds.w.ndim == 0:
                 wave = np.where(np.abs(raw) > UNMOVED * np.abs(raw).max(initial=0.0), raw, 0.0)
             else:  # boxes: each entry swings up to its own bound, if it moves the mode at all
-                moves = np.abs(push) * bounds.w
+                moves = np.abs(along) * bounds.w
                 live = moves > UNMOVED * moves.max(initial=0.0)
-                wave = np.where(live, raw / np.where(live, np.abs(push), 1.0), 0.0) * bounds.w
+                wave = np.where(live, raw / np.where(live, np.abs(along), 1.0), 0.0) * bounds.w
             waves.append(scaled_to(bounds.w, wave))
             names.append(f"{short(value.imag, 4)} rad per {plant.time_unit}, phase {short(phase, 3)}")
     runs = len(waves)

@@ -27,7 +27,7 @@ def test_the_command_answers_the_same_for_a_file_and_its_shift(shell, tmp_path, 
     """Also where only the file's own times can be certified, and where a sample contradicts the bounds."""
     rows = sd.Measurements(STILL, TIMES, RECORDS["numbers"].y)
     if kind in RECORDS:
-        rows = sd.Measurements(STILL, TIMES, RECORDS[kind].y, told=RECORDS[kind].told)
+        rows = sd.Measurements(STILL, TIMES, RECORDS[kind].y, censored=RECORDS[kind].censored)
     elif kind == "its own times":
         y = np.array(rows.y)
         y[1::2, 1] = np.nan
@@ -62,7 +62,7 @@ def test_radii_from_means_hold_the_truth_wherever_the_file_begins(shell, tmp_pat
     for t, since in zip(rows[1:], (0.6, 2.1, 3.6), strict=True):
         level, rate = (np.sin(t) - np.sin(since)) / (t - since), (np.cos(t) - np.cos(since)) / (t - since)
         told.append((CensoredReading(0, level, level, since), CensoredReading(1, rate, rate, since)))
-    _, found = asked(shell, tmp_path, sd.Measurements(STILL, rows, y, told=tuple(told)))
+    _, found = asked(shell, tmp_path, sd.Measurements(STILL, rows, y, censored=tuple(told)))
     assert found["certified"] == [True] * 4
     truth = np.stack([np.cos(rows), -np.sin(rows)], axis=1)
     assert np.all(np.abs(np.array(found["x"]) - truth) <= np.array(found["radii"]))
@@ -71,7 +71,7 @@ def test_radii_from_means_hold_the_truth_wherever_the_file_begins(shell, tmp_pat
 def test_a_file_may_begin_with_a_mean(shell, tmp_path):
     rows = RECORDS["means"].between(1.9, 9.0)
     assert rows.start == 2.0
-    early = sd.Measurements(STILL, [2.0], [[np.nan, -0.9]], told=((CensoredReading(0, 0.4, 0.4, 0.75),),))
+    early = sd.Measurements(STILL, [2.0], [[np.nan, -0.9]], censored=((CensoredReading(0, 0.4, 0.4, 0.75),),))
     assert early.start == 0.75
     assert asked(shell, tmp_path, early)[1]["times"] == [2.0]
 

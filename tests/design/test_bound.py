@@ -229,7 +229,7 @@ def test_windows_that_follow_their_samples_bound_every_schedule_of_the_box(name,
         drawn = [rng.uniform(*box.T) for _ in range(6)]
         reached = max(window_sigma_scan(A, C, times, 4.0, window, places=0) for times in drawn)
         good = relax_local(case, box, reached)
-        assert reached <= local_bound(case, box, good.windows, good.roots, good.push) * (1 + 1e-9)
+        assert reached <= local_bound(case, box, good.windows, good.roots, good.nu) * (1 + 1e-9)
         every = tied_windows(case, box)
         for _ in range(3):
             chosen = every[rng.choice(len(every), 3, replace=False)]
@@ -249,7 +249,7 @@ def test_windows_that_follow_their_samples_are_exact_in_a_box_that_shrinks(name)
         zones = times[:, None] + np.array([-width, width]) / 2 * (np.arange(4) > 0)[:, None]
         best = max(window_sigma_scan(A, C, t, 4.0, 4.0, places=0) for t in (times, zones[:, 0], zones[:, 1]))
         found = relax_local(case, zones, sigma)
-        excess.append(local_bound(case, zones, found.windows, found.roots, found.push) / best - 1)
+        excess.append(local_bound(case, zones, found.windows, found.roots, found.nu) / best - 1)
     assert excess[1] <= 0.02  # at an arbitrary schedule the first order is left, and nothing else
 
 

@@ -19,12 +19,12 @@ def test_a_file_with_limits_and_means_comes_back_exactly(tmp_path):
     path = tmp_path / "readings.csv"
     path.write_text(TEXT)
     record = sd.read_measurements(path, TANK)
-    assert [len(row) for row in record.told] == [0, 2, 2, 0]
+    assert [len(row) for row in record.censored] == [0, 2, 2, 0]
     rows = list(record)
     assert rows[1][1] == [BelowDetection(0.5), CompositeReading(3.1, 0.0)]
     assert rows[2][1] == [AboveRange(8.0), CompositeReading(BelowDetection(0.2), 24.0)]
     again = sd.read_measurements(sd.estimators.write_measurements(record, tmp_path / "again.csv"), TANK)
-    assert again.told == record.told
+    assert again.censored == record.censored
     assert np.array_equal(again.y, record.y, equal_nan=True)
     assert record.measured.sum() == 5
     assert "blood: 3" in record.explain()
@@ -36,8 +36,8 @@ def test_semicolons_and_dates(tmp_path):
         "date;blood;urine;urine_since;dose\n2026-01-05T08:00;<0,5;;;0\n2026-01-06T08:00;;3,1;2026-01-05T08:00;\n"
     )
     record = sd.read_measurements(path, TANK)
-    assert record.told[0][0].upper == 0.5
-    assert record.told[1][0] == CensoredReading(1, 3.1, 3.1, 0.0)
+    assert record.censored[0][0].upper == 0.5
+    assert record.censored[1][0] == CensoredReading(1, 3.1, 3.1, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -59,12 +59,12 @@ def test_bad_cells_are_refused(tmp_path, cells, match):
 
 
 def test_told_belongs_to_rows():
-    with pytest.raises(ArgumentError, match="`told` must have an entry for each row"):
-        sd.Measurements(TANK, [0.0], [[1.0, np.nan]], told=((), ()))
+    with pytest.raises(ArgumentError, match="`censored` must have an entry for each row"):
+        sd.Measurements(TANK, [0.0], [[1.0, np.nan]], censored=((), ()))
     beyond = CensoredReading(2, 0.0, 1.0, None)
     for told in (np.nan, "<0.5", ((3,),), (3,), ((beyond,),)):
-        with pytest.raises(ArgumentError, match="`told` must be a tuple of what each row says, got "):
-            sd.Measurements(TANK, [0.0], [[1.0, np.nan]], told=told)
+        with pytest.raises(ArgumentError, match="`censored` must be a tuple of what each row says, got "):
+            sd.Measurements(TANK, [0.0], [[1.0, np.nan]], censored=told)
 
 
 WALK = sd.Plant([[0.0]], [[1.0]], states=["level"])

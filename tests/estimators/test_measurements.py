@@ -238,7 +238,7 @@ def test_samples_are_left_out_by_the_numbers_that_a_contradiction_names(tmp_path
     assert rest.times.tolist() == [0.0, 1.0, 2.0, 3.0]
     assert rest.measured.any(axis=1).tolist() == [False, False, True, False]
     assert rest.u.tolist() == [[1.0], [1.0], [2.0], [2.0]]
-    assert rest.told == ((), (), (), ())
+    assert rest.censored == ((), (), (), ())
     assert len(found.without()) == 4
     blind = Measurements(BLIND, [1.0, 2.0], [[1.0], [2.0]])
     assert blind.without(2).times.tolist() == [1.0]
@@ -266,7 +266,7 @@ def test_a_date_without_an_hour_and_a_row_until_are_times_that_are_not_known(tmp
     assert found.between(24.0, 90.0).times.tolist() == [24.0, 36.0]  # the last reading may lie outside
     assert found.between(24.0, 90.0).u.tolist()[0] == [0.0]
     both = found.merged(found.shifted(0.0))
-    assert both.told == found.told
+    assert both.censored == found.censored
 
 
 def test_a_summer_day_of_the_clocks_has_twenty_three_hours(tmp_path):

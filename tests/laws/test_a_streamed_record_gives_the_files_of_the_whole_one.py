@@ -67,7 +67,7 @@ def read(path, monkeypatch, block, plain):
             found = sd.read_measurements(path, PLANT)
         except FileFormatError as error:
             return str(error)
-    return [found.times.tobytes(), found.y.tobytes(), found.u.tobytes(), found.told, found.origin]
+    return [found.times.tobytes(), found.y.tobytes(), found.u.tobytes(), found.censored, found.origin]
 
 
 @pytest.mark.parametrize("seed", range(12))

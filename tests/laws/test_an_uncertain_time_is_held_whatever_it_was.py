@@ -352,7 +352,7 @@ def test_what_is_said_once_more_beside_another_output_is_held_once():
     estimator = sd.SetMembershipEstimator(swing, w_bound=0.1, v_bound=0.1, initial_error=1.0, maximum_delay=5.0)
     estimator.update((1.0, 2.0), [0.3, np.nan])
     estimator.update((1.0, 2.0), [0.3, 0.1])
-    assert [each.output for each in estimator.state.last.sample.told] == [0, 1]
+    assert [each.output for each in estimator.state.last.sample.censored] == [0, 1]
 
 
 def test_where_nothing_is_known_or_a_time_is_needed_it_is_said():

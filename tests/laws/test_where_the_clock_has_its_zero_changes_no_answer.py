@@ -33,7 +33,7 @@ def record(told=()):
     for k, each in told:
         y[k, each.output] = np.nan
         rows[k].append(each)
-    return sd.Measurements(PLANT, TIMES, y, np.zeros((TIMES.size, 1)), told=tuple(tuple(row) for row in rows))
+    return sd.Measurements(PLANT, TIMES, y, np.zeros((TIMES.size, 1)), censored=tuple(tuple(row) for row in rows))
 
 
 def mean(k, since):
@@ -138,7 +138,7 @@ def same(one, other):
     assert one.times == pytest.approx(other.times, abs=1e-12)
     assert np.array_equal(one.y, other.y, equal_nan=True)
     assert np.array_equal(one.u, other.u, equal_nan=True)
-    assert one.told == other.told
+    assert one.censored == other.censored
 
 
 @pytest.mark.parametrize("kind", RECORDS)
@@ -148,8 +148,8 @@ def test_a_record_is_shifted_cut_and_joined_as_a_whole(kind):
     same(rows.between(-1.0, 2.0).merged(rows.between(2.5, 9.0)), rows)
     same(rows.merged(rows), rows)
     late = rows.between(2.0, 9.0)
-    assert all(each.since is None or each.since >= 2.0 for row in late.told for each in row)
-    reversed_ = sd.Measurements(PLANT, TIMES[::-1], rows.y[::-1], rows.u[::-1], told=rows.told[::-1])
+    assert all(each.since is None or each.since >= 2.0 for row in late.censored for each in row)
+    reversed_ = sd.Measurements(PLANT, TIMES[::-1], rows.y[::-1], rows.u[::-1], censored=rows.censored[::-1])
     same(reversed_.in_order(), rows)
     times, taken = rows.samples()
     assert times.tolist() == TIMES.tolist()

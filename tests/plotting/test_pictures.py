@@ -357,7 +357,8 @@ def test_measurements_show_numbers_limits_and_means():
         (CensoredReading(0, -0.5, -0.5, since=1.0),),
     ]
     y = [[0.9], [np.nan], [np.nan], [np.nan]]
-    (ax,) = sd.Measurements(OSCILLATOR, [0.0, 1.0, 2.0, 3.0], y, origin="2026-03-02T00:00:00+00:00", told=said).plot()
+    given = {"origin": "2026-03-02T00:00:00+00:00", "censored": said}
+    (ax,) = sd.Measurements(OSCILLATOR, [0.0, 1.0, 2.0, 3.0], y, **given).plot()
     marks = [(line.get_marker(), line.get_xdata()[0], line.get_ydata()[0]) for line in ax.lines[1:]]
     assert marks == [("v", 1.0, 0.1), ("^", 2.0, 0.6), ("_", 3.0, -0.5)]
     assert [s.tolist() for s in ax.collections[0].get_segments()] == [[[1.0, -0.5], [3.0, -0.5]]]

@@ -308,7 +308,7 @@ def test_frames_of_pandas_and_polars_say_the_same():
         found = sd.read_measurements(frame, plant)
         assert found.times.tolist() == [0.0, 6.5, 24.0]
         np.testing.assert_array_equal(found.y, [[1.0, np.nan], [np.nan, 4.0], [2.0, np.nan]])
-        assert [len(row) for row in found.told] == [1, 0, 0]
+        assert [len(row) for row in found.censored] == [1, 0, 0]
         estimates = sd.KalmanFilter(plant, w_bound=0.1, v_bound=0.1, initial_error=9.0).run(frame)
         assert list(estimates.to_frame().index) == list(found.to_frame().index)
 

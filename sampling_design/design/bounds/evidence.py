@@ -151,8 +151,8 @@ class UpperBound:
         """Whether the parts leave no schedule out."""
         if any(part.method in ("placed", "alone") for part in self.parts):
             wanted = {chosen.tobytes() for chosen in affordable_choices(problem)} or {b""}
-            told = {part.chosen.tobytes() for part in self.parts if part.method in ("placed", "alone")}
-            return len(told) == len(self.parts) and told in ({b""}, wanted)
+            masks = {part.chosen.tobytes() for part in self.parts if part.method in ("placed", "alone")}
+            return len(masks) == len(self.parts) and masks in ({b""}, wanted)
         fits = all(part.zones.shape == (problem.samples, 2) for part in self.parts)
         found = {part.side for part in self.parts}
         if len(found) != 1 or not fits or not zoned(problem):
@@ -332,7 +332,7 @@ def local_part(
     weights = weights @ np.swapaxes(weights, 1, 2)
     weights = weights / np.trace(weights, axis1=1, axis2=2).sum()
     bare = BoundPart(
-        "local", np.zeros(0), weights, zones, found.push, side, tied=found.windows, chosen=chosen_in(problem)
+        "local", np.zeros(0), weights, zones, found.nu, side, tied=found.windows, chosen=chosen_in(problem)
     )
     return replace(bare, value=bare.value_for(problem)), found
 

@@ -151,7 +151,7 @@ class LocalRelaxation:
 
     windows: Index
     roots: Array
-    push: Array
+    nu: Array
     index: int
     width: float
 
@@ -199,19 +199,19 @@ def relax_local(
     found = conic_programs.solve_cone_program(cost, blocks, tolerance=_TOLERANCE, iterations=60, budget=seconds)
     values, vectors = np.linalg.eigh(np.nan_to_num(np.array(found.z[1:])))
     roots = T @ (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
-    push = np.maximum(np.nan_to_num(found.z[0][2 * moved.size :]), 0.0)
+    nu = np.maximum(np.nan_to_num(found.z[0][2 * moved.size :]), 0.0)
     if not float(np.linalg.norm(roots)) > 0:
         return None
     windows = every[posed]
     unseen = _without_last_sample(problem, roots) if growth_rate(problem) > 0 else None
-    if unseen is not None and local_bound(problem, zones, windows, unseen, push) < local_bound(
-        problem, zones, windows, roots, push
+    if unseen is not None and local_bound(problem, zones, windows, unseen, nu) < local_bound(
+        problem, zones, windows, roots, nu
     ):
         roots = unseen
     expanded = _expansion(problem, zones, windows, roots)
     H = np.zeros((len(half), len(half))) if expanded is None else expanded.hessian * half[:, None] * half
     index = int(np.argmax(np.abs(H).sum(axis=1) + _WIDER * max(float(np.abs(H).max()), 1e-9) * half / half.max()))
-    return LocalRelaxation(windows, roots, push, index, float(2 * half[index]))
+    return LocalRelaxation(windows, roots, nu, index, float(2 * half[index]))
 
 
 def _without_last_sample(problem: DesignProblem, roots: Array) -> Array | None:
@@ -461,15 +461,15 @@ def _spacing(problem: DesignProblem, zones: Array) -> tuple[Array, Array]:
     return eye - np.roll(eye, 1, axis=1), gaps - problem.spacing * (1 - _SAME)
 
 
-def local_bound(problem: DesignProblem, zones: Array, windows: Index, roots: Array, push: Array) -> float:
-    """Bound sigma of every schedule whose samples lie in `zones`, by psd multipliers F F' and spacing's `push` >= 0."""
-    values = [_value(problem, zones, _expansion(problem, zones, windows, roots), push)]
+def local_bound(problem: DesignProblem, zones: Array, windows: Index, roots: Array, nu: Array) -> float:
+    """Bound sigma of every schedule whose samples lie in `zones`, by psd multipliers F F' and spacing's `nu` >= 0."""
+    values = [_value(problem, zones, _expansion(problem, zones, windows, roots), nu)]
     if growth_rate(problem) > 0:
-        values.append(_value(problem, zones, _wide_expansion(problem, zones, windows, roots), push))
+        values.append(_value(problem, zones, _wide_expansion(problem, zones, windows, roots), nu))
     return min(values)
 
 
-def _value(problem: DesignProblem, zones: Array, found: LogExpansion | None, push: Array) -> float:
+def _value(problem: DesignProblem, zones: Array, found: LogExpansion | None, nu: Array) -> float:
     """The most that an expansion says sigma can be in the box."""
     if found is None:
         return np.inf
@@ -478,6 +478,6 @@ def _value(problem: DesignProblem, zones: Array, found: LogExpansion | None, pus
     H = found.hessian * half[:, None] * half
     crossed = np.abs(H - np.diag(np.diagonal(H))).sum() + np.maximum(np.diagonal(H), 0.0).sum()
     widest = max(float(np.linalg.eigvalsh((H + H.T) / 2)[-1]), 0.0) * int(np.sum(half > 0))
-    linear = float(np.abs(found.slope - D.T @ push) @ half + push @ room)
+    linear = float(np.abs(found.slope - D.T @ nu) @ half + nu @ room)
     with np.errstate(over="ignore"):
         return rooted(problem, float(np.exp(found.constant + linear + min(crossed, widest) / 2 + found.remainder)))

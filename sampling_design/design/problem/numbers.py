@@ -182,9 +182,9 @@ class DesignProblem:
         lengths = np.diff(np.append(points[real], points[real[0]] + P))
         closed = ~there[real].any(axis=1)
         waited = np.roll(np.where(closed, lengths, 0.0), 1) * ~closed
-        told = np.stack([codes[real], pinned[real], np.rint(lengths * (_TURNED / P))], axis=1).astype(">i8")
+        patterns = np.stack([codes[real], pinned[real], np.rint(lengths * (_TURNED / P))], axis=1).astype(">i8")
         longest = np.flatnonzero(waited >= waited.max() - P / _TURNED)
-        first = min(longest.tolist(), key=lambda i: np.roll(told, -i, axis=0).tobytes())
+        first = min(longest.tolist(), key=lambda i: np.roll(patterns, -i, axis=0).tobytes())
         return float(points[real[first]]), float(max(waited[first] - 4 * P / _TURNED, 0.0))
 
     def capacity(self, spacing: float | None = None) -> int:

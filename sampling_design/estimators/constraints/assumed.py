@@ -57,4 +57,4 @@ def narrowed(found: EstimateAssumptions, sets: WindowConstraints) -> EstimateAss
     size = np.linalg.norm(noise.root, axis=1)
     straight = bool(np.all(noise.root == np.diag(size))) if noise.root.shape == (size.size,) * 2 else False
     heard = SetBounds(noise.centre, size, noise.ball and straight)
-    return replace(found, push=common("w", found.push, sets.w), noise=heard, state=one_sided(sets.x))
+    return replace(found, disturbance=common("w", found.disturbance, sets.w), noise=heard, state=one_sided(sets.x))

@@ -65,5 +65,5 @@ class ErrorBounds:
             (np.broadcast_to(bound, (count,)), bound.ndim == 0 and count > 1)
             for bound, count in ((self.w, self.plant.n_disturbances), (self.v, self.plant.n_outputs))
         )
-        push = DisturbanceSet(np.zeros(w.size), np.diag(w), w_ball)
-        return EstimateAssumptions(self.plant, push, SetBounds(np.zeros(v.size), v, v_ball), self.start_error)
+        driven = DisturbanceSet(np.zeros(w.size), np.diag(w), w_ball)
+        return EstimateAssumptions(self.plant, driven, SetBounds(np.zeros(v.size), v, v_ball), self.start_error)

@@ -8,7 +8,7 @@ import numpy as np
 
 from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.interval import Disproof, Interval, prove
-from sampling_design.accuracy.readings import DisturbanceSet, Readings, RowReading, StartError, gathered, rows_told
+from sampling_design.accuracy.readings import DisturbanceSet, Readings, RowReading, StartError, censored_rows, gathered
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.estimators.online.estimate import Contradiction
 from sampling_design.estimators.online.history import HistoryNode, InputHistory
@@ -18,7 +18,7 @@ from sampling_design.plants.rows import Wanted, wanted_rows
 from sampling_design.records.arrays import Array
 
 SUSPECTS = 5  # samples that are left out in turn to find the one that contradicts the bounds
-TOLD_TO = 1e-3  # share within which the factor is told by which the noise of a sample would have to be larger
+FACTOR_WITHIN = 1e-3  # share within which the factor is told by which the noise of a sample would have to be larger
 FARTHEST = 1e12  # factor beyond which no noise explains a sample
 REMEMBERED = 24  # samples that an interval looks back; what came before them is what their first one knew
 
@@ -48,7 +48,7 @@ class EstimateAssumptions:
     """
 
     plant: Plant
-    push: DisturbanceSet
+    disturbance: DisturbanceSet
     noise: SetBounds
     error: StartError
     state: tuple[RowReading, ...] = ()
@@ -122,13 +122,13 @@ class EstimateEvidence:
         return Contradiction(last.number, last.t, names[0], found.factors["all"], False)
 
     def _least(self, readings: Readings, k: int) -> float:
-        """The least factor of the noise of the sample at a time with which the readings agree, to `TOLD_TO`."""
+        """The least factor of the noise of the sample at a time with which the readings agree, to `FACTOR_WITHIN`."""
         low, high = 1.0, 2.0
         while not self._agrees(readings, k, high):
             low, high = high, 2 * high
             if high > FARTHEST:
                 return np.inf
-        while high > low * (1 + TOLD_TO):
+        while high > low * (1 + FACTOR_WITHIN):
             middle = float(np.sqrt(low * high))
             low, high = (low, middle) if self._agrees(readings, k, middle) else (middle, high)
         return high
@@ -166,7 +166,7 @@ class EstimateEvidence:
             rows[until] = self.assumed.state
         return gathered(
             self.assumed.plant,
-            self.assumed.push,
+            self.assumed.disturbance,
             start,
             centre,
             first.t,
@@ -180,11 +180,11 @@ class EstimateEvidence:
         y = node.y - node.feedthrough - noise.centre
         rows = [RowReading(C[i], float(y[i]), float(noise.size[i])) for i in np.flatnonzero(node.mask)]
         first = self.nodes[-(REMEMBERED + 1) :][0].t
-        for each in node.sample.told:
+        for each in node.sample.censored:
             if each.since is None or each.since >= first:
                 size, centre = float(noise.size[each.output]), float(noise.centre[each.output])
                 direct = float(node.feedthrough[each.output])
-                rows += rows_told(self.assumed.plant, node.t, each, size, centre, tuple(self.inputs), direct)
+                rows += censored_rows(self.assumed.plant, node.t, each, size, centre, tuple(self.inputs), direct)
         return tuple(rows)
 
 

@@ -109,15 +109,15 @@ class HistoryNode(NamedTuple):
     box: StateBox | None = None
     until: float = -np.inf
 
-    def told_after(self, t: float) -> bool:
+    def read_after(self, t: float) -> bool:
         """Whether a reading of it may have been taken at t or later."""
-        return any(each.stamp is not None and each.stamp.last >= t for each in self.sample.told)
+        return any(each.stamp is not None and each.stamp.last >= t for each in self.sample.censored)
 
     @property
     def waits(self) -> bool:
         """Whether a reading of an uncertain time says nothing yet, since nothing bounds how far it may have moved."""
         return any(
-            each.stamp is not None and each.lower == -np.inf and each.upper == np.inf for each in self.sample.told
+            each.stamp is not None and each.lower == -np.inf and each.upper == np.inf for each in self.sample.censored
         )
 
     def known_by(self, t: float) -> HistoryNode:

@@ -412,7 +412,7 @@ class OnlineEstimator(Displayable, ABC):
 def _touched(state: EstimatorState, t: float) -> list[int]:
     """The nodes before t with readings that may have been taken at t or later."""
     nodes = state.nodes[: state.node_before(t) + 1] if np.isfinite(state.last.limited) else ()
-    return [k for k, node in enumerate(nodes) if node.told_after(t)]
+    return [k for k, node in enumerate(nodes) if node.read_after(t)]
 
 
 def _resting(state: EstimatorState, t: float) -> list[int]:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.accuracy.readings import CensoredReading, RecordRow
-from sampling_design.accuracy.record_readings import told_together
+from sampling_design.accuracy.record_readings import censored_together
 from sampling_design.accuracy.uncertain_times import nothing_said, resolved
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.error_bounds import ErrorBounds
@@ -101,20 +101,22 @@ class LinearPlantEstimator(OnlineEstimator):
         return state._replace(reached=(a, t, self.loop.drift.between(state, a, t)))
 
     def _resolved(self, state: EstimatorState, sample: RecordRow) -> RecordRow:
-        if all(each.stamp is None for each in sample.told):
+        if all(each.stamp is None for each in sample.censored):
             return sample
         assumed = self.recorder.assumed
         assert assumed is not None  # or the sample was refused
         if not state.last.stands:
-            return sample._replace(told=nothing_said(sample.told))
+            return sample._replace(censored=nothing_said(sample.censored))
 
         def known(rows: Array) -> tuple[Array, Array]:
             found = self._predict(state, sample.t).interval(rows)
             return found.lower, found.upper
 
         inputs, before = tuple(state.inputs), self.reader.before
-        told = resolved(self.plant, assumed.push, inputs, sample.t, sample.told, known, before, waiting=True)
-        return sample._replace(told=told)
+        censored = resolved(
+            self.plant, assumed.disturbance, inputs, sample.t, sample.censored, known, before, waiting=True
+        )
+        return sample._replace(censored=censored)
 
     def _settled(self, state: EstimatorState) -> EstimatorState:
         assumed, begun = self.recorder.assumed, max(len(state.nodes) - 1 - REMEMBERED, 0)
@@ -125,20 +127,20 @@ class LinearPlantEstimator(OnlineEstimator):
             return state
         first, last, rows = state.nodes[begun], state.last.t, list[RecordRow]()
         for node in state.nodes[begun if first.number else begun + 1 :]:
-            told = tuple(each.as_read for each in node.sample.told if each.since is None)
-            rows.append(RecordRow(node.t, np.where(node.mask > 0, node.y - node.feedthrough, np.nan), None, told))
+            censored = tuple(each.as_read for each in node.sample.censored if each.since is None)
+            rows.append(RecordRow(node.t, np.where(node.mask > 0, node.y - node.feedthrough, np.nan), None, censored))
         noise = assumed.noise.size, assumed.noise.centre, assumed.noise.ball
         inputs, before = tuple(state.inputs), self.reader.before
-        proven = told_together(self.plant, assumed.push, inputs, rows, noise, first.t, before)
+        proven = censored_together(self.plant, assumed.disturbance, inputs, rows, noise, first.t, before)
         if proven is None:
             return state
         held = first._replace(box=StateBox(*proven[0], until=last))
         found = state._replace(nodes=(*state.nodes[:begun], held, *state.nodes[begun + 1 : at]))
-        said = {row.t: told for row, told in zip(rows, proven[1], strict=True)}
+        said = {row.t: censored for row, censored in zip(rows, proven[1], strict=True)}
         for node in state.nodes[at:]:
-            means = [each for each in node.sample.told if each.since is not None]
-            told = tuple(sorted((*means, *said[node.t]), key=lambda each: each.output))
-            sample = node.sample._replace(told=told) if node.waits else self._resolved(found, node.sample)
+            means = [each for each in node.sample.censored if each.since is not None]
+            censored = tuple(sorted((*means, *said[node.t]), key=lambda each: each.output))
+            sample = node.sample._replace(censored=censored) if node.waits else self._resolved(found, node.sample)
             found = found._replace(nodes=(*found.nodes, self._advance(found, sample)._replace(until=last)))
         return found
 
@@ -158,7 +160,7 @@ class LinearPlantEstimator(OnlineEstimator):
                 continue
             begin = state.nodes[0].t
             for node in state.nodes:
-                if any(other.output == each.output and other.since is not None for other in node.sample.told):
+                if any(other.output == each.output and other.since is not None for other in node.sample.censored):
                     begin = max(begin, node.t) if node.t < t else begin
             if not begin <= each.since < t:
                 raise ArgumentError(

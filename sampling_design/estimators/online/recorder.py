@@ -146,7 +146,7 @@ class Recorder:
         estimate = self.estimate(
             t, x, Y, beta, status, sound=sound, scheduled=scheduled, contradiction=contradiction, note=note, **details
         )
-        limited = t if sample.told else last.limited
+        limited = t if sample.censored else last.limited
         size += 0.0 if math.isinf(flow.growth) else last.held / flow.growth
         branch = None if last.branch is None else last.branch.after(last.number)
         return HistoryNode(

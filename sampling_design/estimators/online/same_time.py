@@ -38,7 +38,7 @@ def merge(old: RecordRow, new: RecordRow) -> RecordRow | None:
         return None
     y = np.where(np.isnan(old.y), new.y, old.y)
     y.flags.writeable = False
-    return RecordRow(old.t, y, None, (*old.told, *(each for each in new.told if each.output not in before)))
+    return RecordRow(old.t, y, None, (*old.censored, *(each for each in new.censored if each.output not in before)))
 
 
 def corrected(old: RecordRow, new: RecordRow) -> RecordRow:
@@ -50,8 +50,8 @@ def corrected(old: RecordRow, new: RecordRow) -> RecordRow:
         )
     y = np.where([output in now for output in range(len(old.y))], new.y, old.y)
     y.flags.writeable = False
-    told = (*(each for each in old.told if each.output not in now), *new.told)
-    return RecordRow(old.t, y, None, tuple(sorted(told, key=lambda each: each.output)))
+    censored = (*(each for each in old.censored if each.output not in now), *new.censored)
+    return RecordRow(old.t, y, None, tuple(sorted(censored, key=lambda each: each.output)))
 
 
 def without(old: RecordRow, output: int, name: str) -> list[RecordRow]:
@@ -64,7 +64,7 @@ def without(old: RecordRow, output: int, name: str) -> list[RecordRow]:
     y = old.y.copy()
     y[output] = np.nan
     y.flags.writeable = False
-    return [RecordRow(old.t, y, None, tuple(each for each in old.told if each.output != output))]
+    return [RecordRow(old.t, y, None, tuple(each for each in old.censored if each.output != output))]
 
 
 def corrected_inputs(inputs: InputHistory, sample: RecordRow) -> InputHistory:
@@ -77,7 +77,7 @@ def corrected_inputs(inputs: InputHistory, sample: RecordRow) -> InputHistory:
 
 def readings_of_sample(sample: RecordRow) -> dict[int, float | CensoredReading]:
     """What a sample says of each output that it reads."""
-    found = {each.output: each.as_read for each in sample.told}
+    found = {each.output: each.as_read for each in sample.censored}
     y = {output: float(sample.y[output]) for output in np.flatnonzero(np.isfinite(sample.y)).tolist()}
     return y | found
 
@@ -85,6 +85,6 @@ def readings_of_sample(sample: RecordRow) -> dict[int, float | CensoredReading]:
 def as_given(sample: RecordRow) -> list[object]:
     """What a sample says of each output, as a user gives it."""
     values: list[object] = sample.y.tolist()
-    for each in sample.told:
+    for each in sample.censored:
         values[each.output] = as_typed(each)
     return values

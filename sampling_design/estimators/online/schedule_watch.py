@@ -194,4 +194,4 @@ class ScheduleClaim:
 
 def _counts(node: HistoryNode) -> bool:
     """Whether a node is the prior or holds a number: what a certificate's schedule is about."""
-    return not node.sample.told or bool(node.mask.any())
+    return not node.sample.censored or bool(node.mask.any())

@@ -134,7 +134,7 @@ class MeasurementTable:
         self.where, self.plant, self.header, self.mark = where, plant, header, mark
         self.clock, self.stamp = clock, stamp
         self.read = clock.date if stamp == "date" else clock.time
-        self.told: list[tuple[CensoredReading, ...]] = []
+        self.censored: list[tuple[CensoredReading, ...]] = []
         self._blocks: list[tuple[Array, Array, Array, Index]] = []
         self._latest, self._held = -np.inf, np.full(plant.n_inputs, np.nan)
         self._rows: list[tuple[float, list[float], list[float], int]] = []  # that were read one by one
@@ -166,7 +166,7 @@ class MeasurementTable:
             self._latest, self._held = float(times[-1]), u[-1]
             kept = np.isfinite(y).any(axis=1) | bool(u.shape[1])
             self._blocks.append((times[kept], y[kept], u[kept], np.array([number for number, _ in lines])[kept]))
-            self.told += [()] * int(kept.sum())
+            self.censored += [()] * int(kept.sum())
             return
         for number, cells in file_io.csv_rows(lines, self.where, self.mark):
             if len(cells) != len(self.header):
@@ -222,7 +222,7 @@ class MeasurementTable:
 
     def _add(self, line: int, t: float, span: tuple[float, float] | None, cell: dict[str, str]) -> None:
         outputs: list[float] = []
-        told: list[CensoredReading] = []
+        censored: list[CensoredReading] = []
         for i, name in enumerate(self.plant.outputs.names):
             limit = cell[name][:1] if cell[name][:1] in ("<", ">") else ""
             value = _number(self.where, line, name, cell[name].removeprefix(limit).strip(), blank=not limit)
@@ -234,16 +234,16 @@ class MeasurementTable:
                 )
             if limit or since is not None:
                 ends = {"<": (-np.inf, value), ">": (value, np.inf), "": (value, value)}[limit]
-                told.append(CensoredReading(i, *ends, since))
+                censored.append(CensoredReading(i, *ends, since))
             outputs.append(np.nan if limit or since is not None else value)
         inputs = [_number(self.where, line, name, cell[name], blank=True) for name in self.plant.inputs.names]
         if span is not None:
-            self._refuse_input(line, inputs, told)
-            told, outputs = list(at_some_time(np.array(outputs), tuple(told), span)), [np.nan] * len(outputs)
+            self._refuse_input(line, inputs, censored)
+            censored, outputs = list(at_some_time(np.array(outputs), tuple(censored), span)), [np.nan] * len(outputs)
         inputs = self._filled(line, inputs) if span is None else inputs
-        if np.isnan(outputs).all() and not told and (span is not None or not inputs):
+        if np.isnan(outputs).all() and not censored and (span is not None or not inputs):
             return  # a visit that was missed, or is still to come
-        content = _content(outputs, inputs, told)
+        content = _content(outputs, inputs, censored)
         if self._seen is None and t <= self._latest:
             self._seen = self._all_seen()
         if self._seen is not None:
@@ -253,11 +253,11 @@ class MeasurementTable:
             self._seen[t] = (line, content)
         self._latest, self._held = max(t, self._latest), self._held if span is not None else np.array(inputs)
         self._rows.append((t, outputs, inputs, line))
-        self.told.append(tuple(told))
+        self.censored.append(tuple(censored))
 
-    def _refuse_input(self, line: int, inputs: list[float], told: list[CensoredReading]) -> None:
+    def _refuse_input(self, line: int, inputs: list[float], censored: list[CensoredReading]) -> None:
         """Refuse what needs a time in a row that has none."""
-        if any(each.since is not None for each in told):
+        if any(each.since is not None for each in censored):
             raise FileFormatError(f"{self.where}: line {line} holds a mean, whose end must be one time.", self.where)
         if any(not np.isnan(value) and value != held for value, held in zip(inputs, self._held, strict=True)):
             raise FileFormatError(
@@ -290,7 +290,7 @@ class MeasurementTable:
         seen: dict[float, tuple[int, tuple[float, ...]]] = {}
         for times, y, u, lines in self._blocks:
             for t, outputs, inputs, line in zip(*(each.tolist() for each in (times, y, u, lines)), strict=True):
-                seen[t] = (line, _content(outputs, inputs, list(self.told[len(seen)])))
+                seen[t] = (line, _content(outputs, inputs, list(self.censored[len(seen)])))
         return seen
 
     def _since(self, line: int, t: float, cell: str) -> float | None:
@@ -305,8 +305,8 @@ class MeasurementTable:
         return since
 
 
-def _content(outputs: list[float], inputs: list[float], told: list[CensoredReading]) -> tuple[float, ...]:
-    flat = [x for each in told for x in (*each[:4], *(each.stamp or ()))]
+def _content(outputs: list[float], inputs: list[float], censored: list[CensoredReading]) -> tuple[float, ...]:
+    flat = [x for each in censored for x in (*each[:4], *(each.stamp or ()))]
     return (*outputs, *inputs, *(np.nan if x is None else x for x in flat))
 
 
@@ -343,8 +343,8 @@ def _check_header(where: str, header: list[str], plant: MeasuredPlant) -> str:
         near = near or [name for name in free if missing[0].lower().startswith(name.lower())]
         near = near or difflib.get_close_matches(missing[0], free, 1)
         slip = f" Is it {near[0]!r}? Names stand as in the plant, without units." if near else ""
-        told = f"{where}: column {missing[0]!r} is missing; the plant names {', '.join(wanted)}.{slip}"
-        raise FileFormatError(told, where)
+        text = f"{where}: column {missing[0]!r} is missing; the plant names {', '.join(wanted)}.{slip}"
+        raise FileFormatError(text, where)
     twice = [name for i, name in enumerate(header) if name in header[:i]]
     if twice:
         raise FileFormatError(f"{where}: column {twice[0]!r} occurs twice.", where)

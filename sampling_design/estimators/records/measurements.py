@@ -46,7 +46,7 @@ class Measurements(TableRecord):
     plant : Plant
     times : (N,) or (N, 2) array [the plant's time unit]
         Two columns: each row was measured at some time from the first to the second, nobody knows when; where both are
-        one, that is the time. `times` of the record are their middles then, what was read stands in `told`.
+        one, that is the time. `times` of the record are their middles then, what was read stands in `censored`.
     y : (N, p) array
         NaN where not measured.
     u : (N, m) array, optional
@@ -55,7 +55,7 @@ class Measurements(TableRecord):
         Date (ISO 8601) of time 0, if known.
     assumed_zone : str
         Zone in which dates without one were read; "" where there were none.
-    told : tuple of tuples of CensoredReading, optional
+    censored : tuple of tuples of CensoredReading, optional
         For each row its limits and means (`BelowDetection`, `AboveRange`, `CompositeReading`); y is NaN there.
         Default: none.
 
@@ -77,7 +77,7 @@ class Measurements(TableRecord):
     u: Array = None  # type: ignore[assignment]
     origin: str = field(default="", kw_only=True)
     assumed_zone: str = field(default="", kw_only=True)
-    told: tuple[tuple[CensoredReading, ...], ...] = field(default=(), kw_only=True)
+    censored: tuple[tuple[CensoredReading, ...], ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         if not isinstance(self.plant, MeasuredPlant):
@@ -96,35 +96,37 @@ class Measurements(TableRecord):
         for key, array in owned.items():
             object.__setattr__(self, key, array)
         outputs = range(self.plant.n_outputs)
-        if not is_list(self.told) or not all(
-            checks.holds(row, CensoredReading) and all(each.output in outputs for each in row) for row in self.told
+        if not is_list(self.censored) or not all(
+            checks.holds(row, CensoredReading) and all(each.output in outputs for each in row) for row in self.censored
         ):
-            raise ArgumentError(f"`told` must be a tuple of what each row says, got {checks.described(self.told)}.")
-        rows = tuple(tuple(row) for row in self.told) or ((),) * times.size
+            raise ArgumentError(
+                f"`censored` must be a tuple of what each row says, got {checks.described(self.censored)}."
+            )
+        rows = tuple(tuple(row) for row in self.censored) or ((),) * times.size
         if len(rows) != times.size or any(
             not np.isnan(self.y[k, each.output]) for k, r in enumerate(rows) for each in r
         ):
-            raise ArgumentError("`told` must have an entry for each row, and y be NaN where it says something.")
-        object.__setattr__(self, "told", rows)
+            raise ArgumentError("`censored` must have an entry for each row, and y be NaN where it says something.")
+        object.__setattr__(self, "censored", rows)
         if spans is not None:
             self._take_spans(spans)
 
     def _take_spans(self, spans: Array) -> None:
-        """Put the middles in place of times that are not known, and what was read then among what is told."""
-        y, told, middles = np.array(self.y), list(self.told), np.empty(len(spans))
+        """Put the middles in place of times that are not known, and what was read then among what is censored."""
+        y, censored, middles = np.array(self.y), list(self.censored), np.empty(len(spans))
         for k, pair in enumerate(spans):
             middles[k], span = time_or_span(pair)
             if span is None:
                 continue
             if np.isfinite(self.u[k]).any():
                 raise ArgumentError(f"`times` = {span!r} is uncertain, and an input needs its time.")
-            told[k], y[k] = at_some_time(y[k], told[k], span), np.nan
-        for key, value in {"times": middles, "y": y, "told": tuple(told)}.items():
+            censored[k], y[k] = at_some_time(y[k], censored[k], span), np.nan
+        for key, value in {"times": middles, "y": y, "censored": tuple(censored)}.items():
             object.__setattr__(self, key, freeze(value) if isinstance(value, np.ndarray) else value)
 
     def span_of(self, k: int) -> tuple[float, float] | None:
         """First and last time at which row k may have been measured, where that is uncertain."""
-        return self.told[k][0].span if self.told[k] else None
+        return self.censored[k][0].span if self.censored[k] else None
 
     def __len__(self) -> int:
         return self.times.size
@@ -133,7 +135,7 @@ class Measurements(TableRecord):
     def measured(self) -> Mask:
         """(N, p) where something was read: a number, a limit or a mean."""
         found = np.isfinite(self.y)
-        for k, row in enumerate(self.told):
+        for k, row in enumerate(self.censored):
             if row:
                 found[k, [each.output for each in row]] = True
         return found
@@ -153,7 +155,7 @@ class Measurements(TableRecord):
     @property
     def start(self) -> float:
         """The earliest time that a row tells of: its own, or the beginning of its mean; 0 without rows."""
-        begun = [each.began for row in self.told for each in row if each.began is not None]
+        begun = [each.began for row in self.censored for each in row if each.began is not None]
         return min([*begun, float(self.times.min())]) if len(self) else 0.0
 
     def shifted(self, by: float) -> Measurements:
@@ -165,9 +167,9 @@ class Measurements(TableRecord):
             If `by` is no number, or the origin would leave the years 1 to 9999.
         """
         by = checks.number("by", by)
-        told = tuple(tuple(each.shifted(by) for each in row) for row in self.told)
+        censored = tuple(tuple(each.shifted(by) for each in row) for row in self.censored)
         zero = dated(date_of("`origin`", 0, self.origin), -by, self.plant.time_unit) if self.origin else ""
-        return replace(self, times=self.times + by, told=told, origin=zero)
+        return replace(self, times=self.times + by, censored=censored, origin=zero)
 
     def rebased(self, origin: str) -> Measurements:
         """Return the same rows with another date as time 0.
@@ -193,11 +195,11 @@ class Measurements(TableRecord):
         start, stop = checks.number("start", start), checks.number("stop", stop)
         ordered = self.in_order()
         within = np.flatnonzero((ordered.times >= start) & (ordered.times <= stop))
-        told = tuple(tuple(each for each in ordered.told[k] if each.within(start, stop)) for k in within)
+        censored = tuple(tuple(each for each in ordered.censored[k] if each.within(start, stop)) for k in within)
         u = held_on(ordered.u)[within]
         says = np.isfinite(ordered.y[within]).any(axis=1) | np.isfinite(ordered.u[within]).any(axis=1)
-        says |= np.array([bool(row) for row in told], dtype=bool)
-        some = tuple(row for row, kept in zip(told, says, strict=True) if kept)
+        says |= np.array([bool(row) for row in censored], dtype=bool)
+        some = tuple(row for row, kept in zip(censored, says, strict=True) if kept)
         rows, u = within[says], u[says]
         times, y = ordered.times[rows], ordered.y[rows]
         spanned = [bool(row) and row[0].stamp is not None for row in some]
@@ -205,7 +207,7 @@ class Measurements(TableRecord):
             times, y, some = np.append(start, times), np.vstack([y[:1] * np.nan, y]), ((), *some)
             u, spanned = np.vstack([u[:1], u]), [False, *spanned]
         u[spanned] = np.nan
-        return replace(ordered, times=times, y=y, u=u, told=some)
+        return replace(ordered, times=times, y=y, u=u, censored=some)
 
     def without(self, *numbers: int) -> Measurements:
         """Return the rows in order of time without some samples, numbered from 1 as a `Contradiction` numbers them.
@@ -227,18 +229,18 @@ class Measurements(TableRecord):
                 raise ArgumentError(f"`numbers` must be of the {times.size} samples, counted from 1, got {number}.")
         out = np.isin(ordered.times, times[np.array(numbers, dtype=int) - 1])
         y = np.where(out[:, None], np.nan, ordered.y)
-        told = tuple(() if gone else row for row, gone in zip(ordered.told, out.tolist(), strict=True))
+        censored = tuple(() if gone else row for row, gone in zip(ordered.censored, out.tolist(), strict=True))
         kept = ~out | np.isfinite(ordered.u).any(axis=1)
-        some = tuple(row for row, stays in zip(told, kept.tolist(), strict=True) if stays)
-        return replace(ordered, times=ordered.times[kept], y=y[kept], u=ordered.u[kept], told=some)
+        some = tuple(row for row, stays in zip(censored, kept.tolist(), strict=True) if stays)
+        return replace(ordered, times=ordered.times[kept], y=y[kept], u=ordered.u[kept], censored=some)
 
     def in_order(self) -> Measurements:
         """Return the rows in order of time; those of one time in the order in which they came."""
         if np.all(self.times[1:] >= self.times[:-1]):
             return self
         order = np.argsort(self.times, kind="stable")
-        told = tuple(self.told[k] for k in order.tolist())
-        return replace(self, times=self.times[order], y=self.y[order], u=self.u[order], told=told)
+        censored = tuple(self.censored[k] for k in order.tolist())
+        return replace(self, times=self.times[order], y=self.y[order], u=self.u[order], censored=censored)
 
     def merged(self, other: Measurements) -> Measurements:
         """Return the rows of both in order of time; what both say at one time must agree.
@@ -259,32 +261,32 @@ class Measurements(TableRecord):
             times=np.concatenate([self.times, other.times]),
             y=np.concatenate([self.y, other.y]),
             u=np.concatenate([self.u, other.u]),
-            told=(*self.told, *other.told),
+            censored=(*self.censored, *other.censored),
         ).in_order()
-        y, u, told = np.array(both.y), np.array(both.u), list(both.told)
+        y, u, censored = np.array(both.y), np.array(both.u), list(both.censored)
         kept = np.concatenate([[True], np.diff(both.times) > 0])[: len(both)]
         for k in np.flatnonzero(~kept):
             at = int(np.flatnonzero(kept[:k])[-1])
-            told[at] = tuple(dict.fromkeys((*told[at], *told[k])))
+            censored[at] = tuple(dict.fromkeys((*censored[at], *censored[k])))
             for table in (y, u):
                 known = np.isfinite(table[at]) & np.isfinite(table[k])
                 if np.any(table[at, known] != table[k, known]):
                     raise ArgumentError(f"`other` contradicts these measurements at {float(both.times[k])!r}.")
                 table[at] = np.where(known, table[at], np.fmax(table[at], table[k]))
-            outputs = [each.output for each in told[at]]
+            outputs = [each.output for each in censored[at]]
             if len(set(outputs)) < len(outputs) or np.isfinite(y[at, outputs]).any():
                 raise ArgumentError(f"`other` contradicts these measurements at {float(both.times[k])!r}.")
         rows = np.flatnonzero(kept)
-        some = tuple(told[k] for k in rows.tolist())
-        return replace(both, times=both.times[rows], y=y[rows], u=u[rows], told=some)
+        some = tuple(censored[k] for k in rows.tolist())
+        return replace(both, times=both.times[rows], y=y[rows], u=u[rows], censored=some)
 
     def __iter__(self) -> Iterator[tuple[float | tuple[float, float], object, Array | None]]:
         measured, applied = (np.asarray(np.isfinite(each).any(axis=1)) for each in (self.y, self.u))
-        for k, told in enumerate(self.told):
+        for k, censored in enumerate(self.censored):
             y: object = self.y[k] if measured[k] else None
-            if told:
+            if censored:
                 cells: list[object] = list(self.y[k])
-                for each in told:
+                for each in censored:
                     cells[each.output] = as_typed(each)
                 y = cells
             yield self.span_of(k) or float(self.times[k]), y, self.u[k] if applied[k] else None
@@ -354,8 +356,8 @@ def read_measurements(
     where, lines = lines_of(path, plant)
     table = read_table(where, lines, plant, origin.isoformat() if isinstance(origin, date) else origin, zone)
     times, y, u = table.arrays()
-    told = tuple(table.told) if any(table.told) else ()
-    return Measurements(plant, times, y, u, origin=table.origin, assumed_zone=table.assumed_zone, told=told)
+    censored = tuple(table.censored) if any(table.censored) else ()
+    return Measurements(plant, times, y, u, origin=table.origin, assumed_zone=table.assumed_zone, censored=censored)
 
 
 @checked
@@ -375,14 +377,14 @@ def write_measurements(measurements: Measurements, path: str | os.PathLike[str])
     plant = measurements.plant
     spans = [measurements.span_of(k) for k in range(len(measurements))]
     stamps = ["time", *(["time" + UNTIL] if any(spans) else [])]
-    means = sorted({each.output for row in measurements.told for each in row if each.since is not None})
+    means = sorted({each.output for row in measurements.censored for each in row if each.since is not None})
     header = [*stamps, *plant.outputs.names, *(plant.outputs.names[i] + SINCE for i in means), *plant.inputs.names]
     body = []
-    table = zip(measurements.times.tolist(), spans, measurements.y, measurements.u, measurements.told, strict=True)
-    for t, span, y, u, told in table:
+    table = zip(measurements.times.tolist(), spans, measurements.y, measurements.u, measurements.censored, strict=True)
+    for t, span, y, u, censored in table:
         when = [repr(t), ""] if span is None else [repr(end) for end in span]
         cells, begun = [cell_of(v) for v in y], dict.fromkeys(means, "")
-        for each in told:
+        for each in censored:
             limit = "<" if np.isinf(each.lower) else ">" if np.isinf(each.upper) else ""
             cells[each.output] = limit + cell_of(each.lower if np.isfinite(each.lower) else each.upper)
             if each.since is not None:

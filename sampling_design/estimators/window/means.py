@@ -43,7 +43,7 @@ def means_of(sample: RecordRow) -> tuple[tuple[int, float, float], ...]:
     """Return output, beginning and value of the means that a sample holds as numbers, none of them a limit."""
     return tuple(
         (each.output, each.since, each.lower)
-        for each in sample.told
+        for each in sample.censored
         if each.since is not None and each.lower == each.upper
     )
 

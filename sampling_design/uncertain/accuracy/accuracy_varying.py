@@ -276,8 +276,8 @@ class _CellProgram:
         self.push = (ends[0] + ends[1] + ends[2]) * self.h[:, None, None] / 6
         self.read: dict[int, tuple[Array, Array]] = {}
         for node, j in problem.sample.items():
-            told = np.isfinite(problem.v[j])
-            self.read[node * cells] = motion.C[2 * node * cells][told], problem.v[j][told]
+            measured = np.isfinite(problem.v[j])
+            self.read[node * cells] = motion.C[2 * node * cells][measured], problem.v[j][measured]
         count = len(self.h)
         state = np.hstack([np.diag(np.where(problem.free, 1.0, problem.reach)), np.zeros((n, count * q))])
         self.states = [state]

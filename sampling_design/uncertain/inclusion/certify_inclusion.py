@@ -269,9 +269,9 @@ def refused(search: InclusionSearch, eta: float, verdict: Verification | None) -
             )  # fmt: skip
         margins.append((nearest.margin, place))
     worst = f"; the plant nearest to having none is {min(margins)[1]}" if margins else ""
-    told = "" if verdict is None else f" (the last one: {verdict.reason})"
+    last = "" if verdict is None else f" (the last one: {verdict.reason})"
     return UndecidedError(
-        f"undecided: no P(tau) was proven at rate {short(eta)}{told}, and no plant and schedule without certificate "
+        f"undecided: no P(tau) was proven at rate {short(eta)}{last}, and no plant and schedule without certificate "
         f"were found{worst}. Try more pieces, a smaller eta or shorter gaps.",
         eta=eta, verification=verdict, nearest=min(margins)[1] if margins else None,
     )  # fmt: skip

@@ -41,7 +41,7 @@ class DoMpc:
             mhe.settings.collocation_deg = 3
             mhe.settings.supress_ipopt_output()
             mhe.scaling["_x", "x"] = plant.states.scales
-            trust = [shown / s**2 for s in case.noise] + [1 / s**2 for s in case.push]
+            trust = [shown / s**2 for s in case.noise] + [1 / s**2 for s in case.disturbance]
             weight: Any = type(shown).zeros(len(trust), len(trust))
             for k, each in enumerate(trust):
                 weight[k, k] = each

@@ -97,7 +97,7 @@ def test_a_longer_window_asks_for_a_longer_horizon_and_too_short_a_one_proves_no
         constants_from_proof(GROWING, GAPS, window=1e-3)
 
 
-@pytest.mark.parametrize("size", [1e-2, 1e2])
+@pytest.mark.parametrize("size", [1e-12, 1e6])
 def test_units_change_nothing(size):
     units = Units(np.array([size, 1 / size]), np.array([size**2]), disturbances=np.array([1 / size]))
     moved = np.array([[0.0, 0.0], [-1.0 / size**2, 0.0]])

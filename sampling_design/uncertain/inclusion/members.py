@@ -25,6 +25,7 @@ INFLATED = (0.002, 0.02, 0.1)
 """Share by which sampled members are pushed outwards, so that cells of the region need not be tiny."""
 HULL_CORNERS, HALVINGS = 10, 3
 """Directions of a set that holds all C whose corners are members; halvings of a stiff plant's region into cells."""
+SKEWED = 1e12  # condition from which on a root of the nominal information is no basis to compute in
 FASTEST = 1e3  # rates per longest gap beyond which a plant is stiff
 
 
@@ -128,8 +129,9 @@ class PosedMembers:
             problem = window_problem(self.centre, self.family.nominal, prior, *self.weights, eta)
             with np.errstate(over="raise", invalid="raise"):  # growth beyond all numbers within a gap
                 Y = np.mean(periodic_riccati_solution(problem, walk=False), axis=0)
-            root = np.linalg.solve(np.linalg.cholesky(Y), np.diag(1 / self.centre.states.scales)).T
-            if np.all(np.isfinite(root)) and np.linalg.cond(root) < 1e12:
+            own = np.linalg.cholesky(Y)  # in scaled states, whose condition is nobody's units
+            root = np.linalg.solve(own, np.diag(1 / self.centre.states.scales)).T
+            if np.all(np.isfinite(root)) and np.linalg.cond(own) < SKEWED:
                 return np.asarray(root)
         except (SamplingDesignError, np.linalg.LinAlgError, FloatingPointError):
             pass  # the centre alone may have no certificate, or none at this rate

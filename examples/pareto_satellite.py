@@ -25,8 +25,9 @@ def front_of(counts: Sequence[int]) -> ParetoFront:
 def rows(front: ParetoFront) -> list[str]:
     """Lines of the table."""
     return [
-        f"| {p.samples} | {p.sigma:.5f} | {p.upper_bound:.5f} | {100 * (1 - p.sigma / p.upper_bound):.1f} % |"
+        f"| {p.samples} | {p.sigma:.5f} | {p.upper_bound:.5f} | {100 * (1 - p.sigma / p.upper_bound):.1f} % | {lost} |"
         for p in front.points
+        for lost in ["-" if p.deviations is None else f"{p.deviations.lost:.4f}"]
     ]
 
 
@@ -41,7 +42,8 @@ def main() -> None:
         "Made by `python examples/pareto_satellite.py`.",
         "",
     ]
-    lines += ["| samples | sigma proven | no schedule exceeds | gap |", "|---|---|---|---|", *rows(front)]
+    head = "| samples | sigma proven | no schedule exceeds | gap | if one is lost |"
+    lines += [head, "|---|---|---|---|---|", *rows(front)]
     lines += ["", front.explain(), "", "![sigma over samples per orbit](figures/pareto_satellite.png)", ""]
     (DOCS / "pareto_satellite.md").write_text("\n".join(lines))
 

@@ -287,3 +287,27 @@ def test_the_command_ends_with_what_is_proven(tolerance, code, tmp_path):
     ended = command_lines.run(["sigma", *asked, "--timing-tolerance", tolerance])
     assert ended.code == code
     assert ended.raw() == ""
+
+
+def least_seen(plant, times, late, rng, starts=20, grid=41):
+    """The least sigma of real times that a search found: the state, and for each sample the time that sees it least."""
+    at = np.linspace(-late, late, grid)
+    every = np.array([[plant.C @ plant.transition(t + e) for e in at] for t in times])[:, :, 0]
+    _, size, right = np.linalg.svd(every[:, grid // 2])
+    found = np.inf
+    for start in range(starts):
+        state = right[-1] if start == 0 else right.T @ (rng.standard_normal(len(size)) / size)
+        for _ in range(20):
+            chosen = every[np.arange(len(times)), np.argmin(np.abs(every @ state), axis=1)]
+            _, now, turned = np.linalg.svd(chosen)
+            state, found = turned[-1], min(found, now[-1])
+    return found
+
+
+def test_half_an_hour_leaves_the_tide_something():
+    plant, k = sd.named_plant("tidal_gauge"), np.arange(30)
+    times = 24 * k + 7 + 12 * (k * (5**0.5 - 1) / 2 % 1)
+    month = sd.PeriodicSchedule.from_times(times, 720.0, time_unit="h")
+    found = sd.window_sigma(plant, month, 721.0, timing_tolerance=0.5)
+    assert 0.0172 < found.lower < found.upper <= least_seen(plant.scaled(), times, 0.5, np.random.default_rng(0))
+    assert found.lower > 0.48 * found.upper

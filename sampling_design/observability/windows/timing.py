@@ -3,11 +3,12 @@
 A real window [s, s + T] holds every sample that was planned in [s + d, s + T - d], and perhaps no other. With c its
 planned row for the state y at some instant, a sample that comes e late, |e| <= d, has the row c e^{Ae}, and
 
-    |c e^{Ae} y| >= |c y| - (d |cAy| + d^2/2 |cA^2 y| + d^3/6 e^{d|A|} |cA^3| |y|).
+    |c e^{Ae} y| >= |c y| - v_1 - ... - v_N,    v_j = d^j/j! |cA^j y| for j < N,  v_N = d^N/N! e^{d|A|} |cA^N| |y|.
 
 Squared and added up over the window's samples, with (u - v)^2 >= (1 - k) u^2 - (1/k - 1) v^2 for every 0 < k < 1 and
-(v_1 + v_2 + v_3)^2 <= sum of v_i^2/q_i for q_1 + q_2 + q_3 = 1, that is y'My for one matrix M: whatever the times are,
+(v_1 + ... + v_N)^2 <= sum of v_j^2/q_j for q_1 + ... + q_N = 1, that is y'My for one matrix M: whatever the times are,
 the window sees no less than the rows L' with LL' = M. They move with the window's start as the rows of samples do.
+The least eigenvalue of M is concave in k, which is sought by sections.
 """
 
 from __future__ import annotations
@@ -22,8 +23,11 @@ from sampling_design.schedules.jitter import TimingTolerance
 MOST_TRIED = 24
 """Windows in which late and early samples are tried for the attained bound: those that see least without them."""
 _TURNS = 6  # how often the least seen state and the times that it sees least are sought in turn
-_SHARES = (0.9, 0.08, 0.02)  # q of the terms of first to third order: what is small gets little
-_FACTORS = np.geomspace(1e-7, 0.9, 60)  # k: the best one is taken
+_ORDERS = 8  # N: terms below it count with what the state shows, that of it with the state's size
+_LEAST_SHARE = 1e-3  # of q, however small a term is
+_FACTORS = (1e-7, 0.9)  # k lies between
+_SECTIONS = 14  # of log k: the last ones differ by two per cent
+_GOLDEN = (5**0.5 - 1) / 2  # what a section leaves
 _MOST_LOST = 1e100  # of rows of size one: beyond it nothing is left of them
 _GAIN = 1e-9  # relative: by less sigma does not fall in a turn
 _EPS = float(np.finfo(float).eps)
@@ -31,28 +35,52 @@ _EPS = float(np.finfo(float).eps)
 
 def rows_of_any_time(rows: Array, A: Array, tolerance: Array) -> Array:
     """Return rows (m, n, n) that see no more than `rows` (m, k, n) at times up to `tolerance` (k,) away, or zero."""
-    n, count, (first, second, third) = len(A), max(rows.shape[1:]), _SHARES
+    n, count = len(A), max(rows.shape[1:])
     sizes = 2.0 ** np.frexp(np.abs(rows).max(axis=(1, 2), initial=0.0))[1]  # squares of rows / sizes are numbers
-    rows, d = rows / sizes[:, None, None], tolerance[:, None]
+    rows = rows / sizes[:, None, None]
     W = np.swapaxes(rows, 1, 2) @ rows
     with np.errstate(over="ignore", invalid="ignore"):
-        one, two, three = d * rows @ A, d**2 / 2 * rows @ A @ A, d**3 / 6 * rows @ A @ A @ A
-        grown = np.where(three == 0, 0.0, three * np.exp(d * np.linalg.norm(A, 2)))  # 0 however much e^{d|A|} is
-        last = np.sum(grown**2, axis=(1, 2))
-        lost = np.swapaxes(one, 1, 2) @ one / first + np.swapaxes(two, 1, 2) @ two / second
-        lost = lost + (last / third)[:, None, None] * np.eye(n)
+        lost = _lost_to_time(rows, A, tolerance[:, None])
         bounded = np.isfinite(lost).all(axis=(1, 2)) & (np.abs(lost).max(axis=(1, 2), initial=0.0) < _MOST_LOST)
     lost = np.where(bounded[:, None, None], lost, 0.0)
     rounding = 8 * n * count * _EPS * (np.trace(W, axis1=1, axis2=2) + np.trace(lost, axis1=1, axis2=2))
-    result, best = np.zeros((len(rows), n, n)), np.zeros(len(rows))
-    for k in _FACTORS:
-        M = (1 - k) * W - (1 / k - 1) * lost - ((1 + 1 / k) * rounding)[:, None, None] * np.eye(n)
-        values, vectors = np.linalg.eigh((M + np.swapaxes(M, 1, 2)) / 2)
-        better = (values[:, 0] > best) & bounded
-        best = np.where(better, values[:, 0], best)
-        root = np.sqrt(np.maximum(values, 0.0))[:, :, None] * np.swapaxes(vectors, 1, 2)
-        result = np.where(better[:, None, None], root, result)
-    return np.asarray(result * sizes[:, None, None])
+
+    def seen(log_k: Array) -> Array:
+        k = np.exp(log_k)[:, None, None]
+        M = (1 - k) * W - (1 / k - 1) * lost - (1 + 1 / k) * rounding[:, None, None] * np.eye(n)
+        return np.asarray((M + np.swapaxes(M, 1, 2)) / 2)
+
+    low, high = (np.full(len(rows), np.log(end)) for end in _FACTORS)
+    ends = [high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)]
+    least = [np.linalg.eigvalsh(seen(k))[:, 0] for k in ends]
+    for _ in range(_SECTIONS):
+        left = least[0] >= least[1]  # the best is not above the second of the two
+        low, high = np.where(left, low, ends[0]), np.where(left, ends[1], high)
+        kept, known = np.where(left, ends[0], ends[1]), np.where(left, least[0], least[1])
+        tried = np.where(left, high - _GOLDEN * (high - low), low + _GOLDEN * (high - low))
+        found = np.linalg.eigvalsh(seen(tried))[:, 0]
+        ends = [np.where(left, tried, kept), np.where(left, kept, tried)]
+        least = [np.where(left, found, known), np.where(left, known, found)]
+    values, vectors = np.linalg.eigh(seen(np.where(least[0] >= least[1], ends[0], ends[1])))
+    root = np.sqrt(np.maximum(values, 0.0))[:, :, None] * np.swapaxes(vectors, 1, 2)
+    held = (values[:, 0] > 0) & bounded
+    return np.asarray(np.where(held[:, None, None], root, 0.0) * sizes[:, None, None])
+
+
+def _lost_to_time(rows: Array, A: Array, d: Array) -> Array:
+    """(m, n, n): sum of v_j^2/q_j as quadratic forms of the state, each q_j in proportion to its term."""
+    n, terms, each = len(A), list[Array](), rows
+    for order in range(1, _ORDERS + 1):
+        each = each @ A * (d / order)
+        if order == _ORDERS:
+            grown = np.where(each == 0, 0.0, each * np.exp(d * np.linalg.norm(A, 2)))  # 0 however much e^{d|A|} is
+            terms.append(np.sum(grown**2, axis=(1, 2))[:, None, None] * np.eye(n))
+        else:
+            terms.append(np.swapaxes(each, 1, 2) @ each)
+    sizes = np.sqrt([np.trace(term, axis1=1, axis2=2) for term in terms])
+    sizes = np.maximum(sizes, _LEAST_SHARE * np.maximum(sizes.sum(axis=0), np.finfo(float).tiny))
+    shares = sizes / sizes.sum(axis=0)
+    return np.asarray(sum(term / q[:, None, None] for term, q in zip(terms, shares, strict=True)))
 
 
 def middle_rows(plant: Plant, late: TimingTolerance) -> Plant:

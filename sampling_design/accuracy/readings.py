@@ -475,7 +475,7 @@ def rows_of(record: Iterable[Row]) -> list[Row]:
 
 
 def _arrived(item: object, p: int) -> RecordRow:
-    item = checks.entries("record", item, (2, 3), "hold rows (t, y, u)")
+    item = checks.entries("record", item, (2, 3), "rows (t, y, u)")
     (t, span), u = time_or_span(item[0]), item[2] if len(item) == 3 else None
     if span is not None and (u is not None or item[1] is None):
         raise ArgumentError(f"`t` = {span!r} is uncertain: an input needs its time, and there must be readings.")

@@ -400,7 +400,7 @@ class _Planning:
             if finer is not None:
                 help_ = f"The grid hides it: one of {spoken(finer, unit)} shows it."
             raise InfeasibleRequirementError(
-                "Not even measuring at every allowed time shows all that `guaranteed_accuracy` asks for: "
+                "Not even measuring at every allowed time shows all that `accuracy` asks for: "
                 f"{modes_of(self.motion, undetected)} never decays and stays hidden. {help_}",
                 "grid" if finer is not None else "accuracy",
             )
@@ -417,7 +417,7 @@ class _Planning:
             other, _ = cheapest(search.cover, model, np.zeros(model.c.size), self.oracle.work)
             if other is None:
                 raise InfeasibleRequirementError(
-                    "No choice within the limits shows all that `guaranteed_accuracy` asks for: a trajectory that "
+                    "No choice within the limits shows all that `accuracy` asks for: a trajectory that "
                     "never decays stays hidden. Allow more samples or other hours.",
                     "cost_limit",
                 )

@@ -367,7 +367,7 @@ def _taken(plan: Plan, record: Iterable[tuple[float, Reading, npt.ArrayLike | No
     times: list[float] = []
     seen: list[Mask] = []
     for item in rows_of(record):
-        _, reading, *_ = checks.entries("record", item, (2, 3), "hold rows (t, y, u)")
+        _, reading, *_ = checks.entries("record", item, (2, 3), "rows (t, y, u)")
         plain, limits = with_censored(reading, plan.plant.n_outputs)
         y = None if plain is None else np.isfinite(checks.floats("y", plain).reshape(-1))
         if y is None:
@@ -404,7 +404,7 @@ def _with_awaited(plan: Plan, taken: _Taken | None, awaited: list[tuple[float, s
         )
     found = {t: (seen.copy(), known.copy()) for t, seen, known in zip(*taken, strict=True)}
     for item in awaited:
-        time, output = checks.entries("awaited", item, (2,), "hold pairs (t, output)")
+        time, output = checks.entries("awaited", item, (2,), "pairs (t, output)")
         t, name = checks.number("awaited", time), checks.of_kind("awaited", output, str, "the name of an output")
         checks.known_keys("`awaited`", [name], names)
         j = names.index(name)

@@ -57,8 +57,7 @@ class Signals(Record):
         listed = checks.texts(self.names)
         if listed is None:
             raise ArgumentError(f"`names` must be a list of strings, got {checks.described(self.names)}.")
-        count = len(listed)
-        names = checks.names("names", listed, count, "")
+        names = checks.names("names", listed, count := len(listed), "")
         units = checks.texts(self.units)
         units = ("",) * count if units == () else units
         if units is None or len(units) != count:
@@ -473,10 +472,7 @@ def _same_bits(a: Array, b: Array) -> bool:
 
 
 def signals_of(key: str, value: Signals | Sequence[str] | None, size: int, prefix: str) -> Signals:
-    """Return the signals of a vector of that size, given as such or by their names; by default prefix1, prefix2, ...
-
-    Raises ArgumentError if their number differs, or as in `checks.names`.
-    """
+    """Return the signals of a vector, given as such or by names; ArgumentError if their number is not `size`."""
     if isinstance(value, Signals):
         if len(value) != size:
             raise ArgumentError(f"`{key}` must have {size} entries, got {len(value)}.")

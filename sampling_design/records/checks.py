@@ -263,10 +263,10 @@ def holds(value: object, kind: type[Instance]) -> TypeGuard[Sequence[Instance]]:
 def entries(name: str, value: object, counts: Collection[int], expected: str) -> Sequence[object]:
     """Return the entries of a list that has as many of them as one of `counts`.
 
-    Raises ArgumentError if it is no list or of another length; `expected` ends "`name` must ...".
+    Raises ArgumentError if it is no list or of another length; `expected` ends "`name` must hold ...".
     """
     if not is_list(value) or len(value) not in counts:
-        raise ArgumentError(f"`{name}` must {expected}, got {described(value)}.")
+        raise ArgumentError(f"`{name}` must hold {expected}, got {described(value)}.")
     return value
 
 

@@ -427,13 +427,10 @@ _HELD: dict[object, str] = {
 
 
 def _as_typed(value: object, kind: type) -> object:
-    if isinstance(value, (str, bytes)):
+    if isinstance(value, (str, bytes)) or (isinstance(value, np.ndarray) and not value.ndim):
         return _NO
-    if isinstance(value, np.ndarray):
-        if value.ndim == 1 and kind in (list, tuple, collections.abc.Sequence):
-            return value.tolist()
-        if not value.ndim:
-            return _NO
+    if isinstance(value, np.ndarray) and value.ndim == 1 and kind in (list, tuple, collections.abc.Sequence):
+        return value.tolist()
     if kind in (list, tuple):
         return value if is_list(value) else _NO
     return value if isinstance(value, kind) else _NO

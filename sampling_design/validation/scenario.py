@@ -302,7 +302,7 @@ def simulate_record(
 
 
 def _inputs(plant: Plant, given: Sequence[tuple[float, npt.ArrayLike]]) -> list[tuple[float, Array]]:
-    pairs = [checks.entries("inputs", pair, (2,), "hold pairs (t, u)") for pair in given]
+    pairs = [checks.entries("inputs", pair, (2,), "pairs (t, u)") for pair in given]
     checked = [(checks.number("inputs", t), checks.vector("inputs", u, plant.n_inputs)) for t, u in pairs]
     return sorted(checked, key=lambda pair: pair[0])
 

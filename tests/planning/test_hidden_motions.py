@@ -106,9 +106,7 @@ def test_a_mode_that_outgrows_a_step_of_the_grid_is_said_at_once():
 
 
 def test_limits_that_leave_only_blind_choices_are_refused():
-    with pytest.raises(
-        InfeasibleRequirementError, match="No choice within the limits shows all that `guaranteed_accuracy` asks"
-    ):
+    with pytest.raises(InfeasibleRequirementError, match="No choice within the limits shows all that `accuracy` asks"):
         bare(wanted(aim="most accurate", samples=2))
 
 

@@ -132,3 +132,13 @@ def test_a_refused_argument_is_not_changed():
         checks.increasing("t", mine)
     np.testing.assert_array_equal(mine, [2.0, 1.0])
     assert mine.flags.writeable
+
+
+def test_lists_are_read_as_what_they_hold():
+    assert checks.texts(["a", "b"]) == ("a", "b")
+    assert checks.texts("ab") is checks.texts(["a", 1]) is checks.texts(None) is None
+    assert [checks.holds(each, int) for each in ([1, 2], [1, "2"], 1)] == [True, False, False]
+    assert checks.entries("pair", (1, 2), (2, 3), "pairs") == (1, 2)
+    for wrong in ([1], "ab", 2.0):
+        with pytest.raises(ArgumentError, match="`pair` must hold pairs, got"):
+            checks.entries("pair", wrong, (2, 3), "pairs")

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from sampling_design.checkers.strict import is_list
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
@@ -277,8 +278,9 @@ def convex_set(name: str, value: object, dimension: int) -> ConvexSet | None:
     if value is None:
         return None
     if not isinstance(value, ConvexSet):
-        pair = checks.entries(name, value, (2,), "be a ConvexSet or a pair (lower, upper)")
-        sides = (checks.floats(name, side) for side in pair)
+        if not is_list(value) or len(value) != 2:
+            raise ArgumentError(f"`{name}` must be a ConvexSet or a pair (lower, upper), got {type(value).__name__}.")
+        sides = (checks.floats(name, side) for side in value)
         lower, upper = (np.broadcast_to(side, (dimension,)) if side.ndim == 0 else side for side in sides)
         value = ConvexSet.box(lower, upper)
     found: ConvexSet = value

@@ -145,7 +145,9 @@ def validate(
     if estimator is not None:
         for key, value in {"certificate": certificate, "workers": workers, "resume": resume, **options}.items():
             if value is not None:
-                raise ArgumentError(f"`{key}` must be left out where an `estimator` is given.")
+                raise ArgumentError(
+                    f"`{key}` must be left out where an `estimator` is given: its own estimates and radii are judged."
+                )
     check_workers(workers)
     bounds = ScenarioBounds.of(plant, w_bound, v_bound, initial_error)
     source = checks.generator(rng)

@@ -151,9 +151,17 @@ def short(value: object, digits: int = 6) -> str:
     return f"[{shown}{', ...' if flat.size > 8 else ''}]"
 
 
+_LETTERS = "αβγδεζηθικλμνξπρστυφχψωΓΔΘΛΞΠΣΦΨΩµ"
+_NAMES = [
+    "alpha", "beta", "gamma", "delta", "varepsilon", "zeta", "eta", "theta", "iota", "kappa", "lambda", "mu", "nu",
+    "xi", "pi", "rho", "sigma", "tau", "upsilon", "varphi", "chi", "psi", "omega", "Gamma", "Delta", "Theta", "Lambda",
+    "Xi", "Pi", "Sigma", "Phi", "Psi", "Omega", "mu",
+]  # fmt: skip
+
 LATEX = str.maketrans(
     {c: rf"\{c}" for c in "&%$#_{}"}
     | {c: f"${c}$" for c in "<>|"}
+    | {c: rf"$\{name}$" for c, name in zip(_LETTERS, _NAMES, strict=True)}
     | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
 )
 """What LaTeX would read as a command, and what its oldest text fonts show as another sign."""
@@ -171,10 +179,24 @@ def latex_number(value: float, digits: int = 6) -> str:
     return rf"{mantissa} \cdot 10^{{{int(power)}}}" if power else text.replace("inf", r"\infty")
 
 
-def latex_matrix(values: Array, digits: int = 6) -> str:
-    """Return a matrix for LaTeX's mathematics, of any number of columns."""
-    rows = " \\\\ ".join(" & ".join(latex_number(float(v), digits) for v in row) for row in values)
-    return rf"\left[\begin{{array}}{{{'r' * values.shape[1]}}} {rows} \end{{array}}\right]"
+LINE, SMALL_LINE = 48, 78
+"""Signs in a row of a matrix that a column of text holds, in its own size and in that of indices."""
+
+
+def latex_matrix(values: Array) -> str:
+    """Return a matrix for LaTeX's mathematics with six digits, in small type where its rows are long.
+
+    With four digits where that is not enough, and "" where no page holds it.
+    """
+    for digits in (6, 4):
+        cells = [[latex_number(float(v), digits) for v in row] for row in values]
+        shown = [[re.sub(r"[\\{}^ ]|cdot", "", cell) for cell in row] for row in cells]
+        width = sum(2 + max(map(len, column)) for column in zip(*shown, strict=True))
+        if width <= SMALL_LINE:
+            rows = " \\\\ ".join(map(" & ".join, cells))
+            kind, columns = ("array", f"{{{'r' * len(cells[0])}}}") if width <= LINE else ("smallmatrix", "")
+            return rf"\left[\begin{{{kind}}}{columns} {rows} \end{{{kind}}}\right]"
+    return ""
 
 
 def latex_table(head: Sequence[str], rows: Sequence[Sequence[str]], columns: str) -> str:

@@ -348,10 +348,9 @@ class PeriodicSchedule(_Sampled):
     def explain(self) -> str:
         """Say what the schedule is, in words."""
         unit = f" {self.time_unit}" if self.time_unit else ""
-        return (
-            f"{counted(len(self), 'sample')} every {short(self.period)}{unit}, "
-            f"gaps from {short(self.gaps.min())} to {short(self.gaps.max())}{unit}, without end."
-        )
+        least, most = short(self.gaps.min()), short(self.gaps.max())
+        gaps = f"all gaps {most}" if least == most else f"gaps from {least} to {most}"
+        return f"{counted(len(self), 'sample')} every {short(self.period)}{unit}, {gaps}{unit}, without end."
 
 
 def _inside(times: Array, start: float, stop: float, closed: str) -> Mask:

@@ -7,7 +7,7 @@ import pytest
 
 from sampling_design import Certificate, GapRange, PeriodicSchedule, Plant, certify
 from sampling_design.certificates import certify_detectability
-from sampling_design.records.declarations import in_latex, latex_number
+from sampling_design.records.declarations import in_latex, latex_matrix, latex_number
 
 ROUGH = "50 % & #1_x^2 {~} \\end{document} $<|>$\n"
 OSCILLATOR = Plant(
@@ -27,7 +27,11 @@ def number(text):
 
 
 def matrices(text):
-    found = re.findall(r"^  (\w+) &= \\left\[\\begin\{array\}\{r+\} (.*) \\end\{array\}", text, re.MULTILINE)
+    found = re.findall(
+        r"^  (\w+) &= \\left\[\\begin\{(?:array\}\{r+|smallmatrix)\} (.*) \\end\{(?:array|smallmatrix)\}",
+        text,
+        re.MULTILINE,
+    )
     return {
         name.replace("_", ""): np.array([[number(v) for v in row.split(" & ")] for row in rows.split(r" \\ ")])
         for name, rows in found
@@ -88,10 +92,22 @@ def test_what_does_not_hold_is_printed_as_refuted():
 
 
 def test_a_matrix_that_no_page_holds_is_left_to_the_file():
-    size = 9
+    size = 40
     many = Plant(-np.eye(size), np.ones((1, size)), time_unit="s")
     text = certify(many, EVERY, eta=0.1, P2=np.eye(size), R=[[1.0]], Qw=np.eye(size), Qv=[[1.0]]).to_latex()
     assert set(matrices(text)) == {"R", "Qv"}
+
+
+def test_long_rows_are_set_in_small_type():
+    short_rows, long_rows = np.full((2, 4), 0.25), np.full((2, 4), -1.23456e-7)
+    assert "{array}{rrrr}" in latex_matrix(short_rows)
+    assert "{smallmatrix}" in latex_matrix(long_rows)
+    assert np.allclose(matrices(f"  M &= {latex_matrix(long_rows)}")["M"], long_rows, rtol=1e-5)
+    assert latex_matrix(np.full((2, 8), -1.23456e-7)) == ""
+
+
+def test_greek_letters_are_mathematics():
+    assert in_latex("Σ of α") == r"$\Sigma$ of $\alpha$"
 
 
 @pytest.mark.parametrize(

@@ -74,6 +74,7 @@ def test_from_times_keeps_times_and_period_to_the_last_bit():
     assert late.first == 1.0
     assert PeriodicSchedule([1.0, 1.0, 2.0], time_unit="h").in_unit("min").times.tolist() == [60.0, 120.0, 240.0]
     assert late.explain() == "3 samples every 4, gaps from 1 to 2, without end."
+    assert PeriodicSchedule([1.5, 1.5], time_unit="s").explain() == "2 samples every 3 s, all gaps 1.5 s, without end."
 
 
 def test_plain_data_is_exact():

@@ -90,9 +90,10 @@ class FourHorizons(ListRecord[HorizonRow]):
         return "\n".join(lines) + "\n"
 
     def to_latex(self) -> str:
-        """Return the table as a LaTeX `tabular`."""
+        """Return the table as a LaTeX `tabular` in small type."""
         rows = [[in_latex(cell) for cell in cells] for cells in self.cells()]
-        return latex_table(("horizon", "source", "$M >$", "$C_x$", "$C_w$", "$C_v$"), rows, "llrrrr")
+        table = latex_table(("horizon", "source", "$M >$", "$C_x$", "$C_w$", "$C_v$"), rows, "lp{30mm}rrrr")
+        return "{\\footnotesize\\noindent\n" + table + "\\par}\n"
 
 
 def _cells(row: HorizonRow) -> list[str]:

@@ -68,7 +68,6 @@ NEAR = 1e-9
 HANDED_OVER = 1e7
 """Most work, about microseconds, that balls do for what was only asked of floats: what is tight stays undecided for
 ever."""
-WIDEST = 8  # columns of a matrix that a printed page holds; of a wider one the file has the numbers
 PATIENCE = 6  # halvings of a cell of window starts after which a counterexample is looked for
 
 
@@ -117,30 +116,31 @@ class VerifiableRecord(Record):
     def to_latex(self) -> str:
         r"""Return the certificate as an appendix of a paper: claim, inequality, plant, weights, table of constants.
 
-        The text is to be \input, and needs the package amsmath. Numbers are rounded to six digits: the digest names
-        the file that holds them whole, and `verify` is asked for the verdict.
+        The text is to be \input, and needs the package amsmath. Numbers are rounded to six digits, in wide
+        matrices to four: the digest names the file that holds them whole, and `verify` is asked for the verdict.
 
         Notes
         -----
-        Matrices of more than WIDEST columns are left to the file.
+        Matrices that no page holds are left to the file.
         """
         claim, plant, times = self.claim, self.plant, self._sample_times()
         said = [
             ("Claim", claim.statement), ("Verdict", self.verify().verdict), ("Source", claim.theorem),
             ("Assumptions", "; ".join(each for each in claim.assumptions if each != times)), ("Sample times", times),
             ("Plant", f"{plant.name or 'no name'}; states {', '.join(plant.states.names)}; time in {plant.time_unit}"),
-            ("File", f"digest {self.to_dict()['digest']}"),
         ]  # fmt: skip
         shown = {name: getattr(self, name) for name in self._weights} | {k: getattr(plant, k) for k in ("A", "C", "G")}
-        written = [
-            f"  {name[0]}_{name[1]} &= {latex_matrix(matrix)}" if name[1:] else f"  {name} &= {latex_matrix(matrix)}"
-            for name, matrix in shown.items() if matrix.size and matrix.shape[1] <= WIDEST
-        ]  # fmt: skip
+        texts = {name: latex_matrix(matrix) for name, matrix in shown.items() if matrix.size}
+        written = [f"  {'_'.join(name)} &= {text}" for name, text in texts.items() if text]
         parts = [
-            "\n".join(rf"\noindent\textbf{{{head}.}} {in_latex(text)}.\par" for head, text in said if text),
+            "{\\sloppy\n"
+            + "\n".join(rf"\noindent\textbf{{{head}.}} {in_latex(text)}.\par" for head, text in said if text),
+            rf"\noindent\textbf{{File.}} digest {{\footnotesize\texttt{{{self.to_dict()['digest']}}}}}.\par}}",
             "\\begin{align*}\n" + self._inequality + "\n\\end{align*}",
-            "\\begin{align*}\n" + " \\\\\n".join(written) + "\n\\end{align*}" if written else "",
-            self._numbers().to_latex(),
+            "{\\allowdisplaybreaks\n\\begin{align*}\n" + " \\\\\n".join(written) + "\n\\end{align*}}"
+            if written
+            else "",
+            "{\\footnotesize\\noindent\n" + self._numbers().to_latex() + "\\par}\n",
         ]
         return "\n".join(part for part in parts if part)
 

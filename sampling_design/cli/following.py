@@ -199,5 +199,5 @@ def _own_radii(estimate: Estimate, kind: str) -> Array:
 def _last(plant: sd.Plant, estimate: Estimate, kind: str) -> RichTable:
     radii, labels = _own_radii(estimate, kind), plant.states.labels()
     rows = [[labels[i], short(estimate.x[i]), short(radii[i])] for i in range(len(labels))]
-    when = f"{short(estimate.t, 9)} {plant.time_unit}"
+    when = f"{short(estimate.t, 12)} {plant.time_unit}"
     return table(f"Last estimate, at {when}", ["state", "estimate", "radius"], rows)

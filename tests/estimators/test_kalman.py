@@ -116,3 +116,9 @@ def test_estimators_show_themselves():
     assert "No radius: initial_error not given" in str(mhe)
     assert "<th" in mhe._repr_html_()
     assert repr(sd.KalmanFilter(sd.named_plant("oscillator"))).startswith("KalmanFilter(plant=oscillator")
+
+
+def test_times_of_a_clock_that_began_long_ago_are_told_to_the_second():
+    walk = sd.KalmanFilter(sd.Plant([[0.0]], [[1.0]]), w_bound=0.1, v_bound=0.3, initial_error=1.0, prior_time=1.7e9)
+    found = walk.run([(1.7e9 + k, [1.0]) for k in range(1, 13)])
+    assert "from 1700000001 to 1700000012 s" in str(found)

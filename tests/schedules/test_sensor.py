@@ -50,6 +50,25 @@ def test_a_design_and_a_plan_read_one_table():
     assert plan.result_delay.tolist() == [0.0, 0.5]
 
 
+def test_a_design_never_says_more_than_the_results_that_are_in_show_each_sensor_by_its_own_delay():
+    """Dense in the windows' starts. What quick sensors read in the rest of a window is not counted: safe, not tight."""
+    delays = {"gauge": 0.0, "lab": 1.5}
+    table = {name: {"price": 1.0, "result_delay": delay} for name, delay in delays.items()}
+    asked = sd.Requirement(window=4.0, period=2.0, samples=3, spacing=0.2, decay_rate=0.1, sensors=table)
+    found = sd.design_schedule(PLANT, asked, starts=1, branches=0, budget=5.0)
+    assert found.requirement.window == 2.5
+    seen = []
+    for start in np.linspace(0.0, 2.0, 200, endpoint=False) + 1e-9:
+        rows = []
+        for j, delay in enumerate(delays.values()):
+            held = found.schedule.between(start, start + 4.0 - delay)
+            read = np.ones(len(held.times), dtype=bool) if held.outputs is None else held.outputs[:, j]
+            rows += [PLANT.C[j] @ PLANT.transition(t - start) for t in held.times[read]]
+        seen.append(np.linalg.svd(np.array(rows), compute_uv=False)[-1])
+    assert found.sigma <= min(seen) * (1 + 1e-9)
+    assert min(seen) > 1.05 * found.sigma
+
+
 @pytest.mark.parametrize(
     "text",
     [

@@ -71,7 +71,7 @@ class EstimateEnvelope(Record):
     def _rows(self) -> list[tuple[str, str]]:
         edges = self.edges
         what = "stretches" if self.length else "times"
-        return [(what, str(self.times.size)), ("time", f"{short(edges[0])} to {short(edges[-1])}")]
+        return [(what, str(self.times.size)), ("time", f"{short(edges[0], 12)} to {short(edges[-1], 12)}")]
 
     def explain(self) -> str:
         """Say what the extremes are of."""

@@ -44,7 +44,7 @@ class EstimateCounts:
     @property
     def what(self) -> str:
         """How many estimates there are, of which times, and where they lie."""
-        span = f" from {short(self.first)} to {short(self.last)} {self.time_unit}" if self.count else ""
+        span = f" from {short(self.first, 12)} to {short(self.last, 12)} {self.time_unit}" if self.count else ""
         where = ", in the middle of what data and bounds allow" if self.moved else ""
         return f"{counted(self.count, 'estimate')} of the state{span}{where}"
 

@@ -102,12 +102,13 @@ def case(entry: dict) -> str:
 
 
 def beside(page: str) -> dict[str, list[str]]:
-    """What stands after the table of each section of the page: words of people and links, which stay."""
+    """What stands after the first table of each section of the page: words of people, their tables and links."""
     found = {}
     for section in page.split("\n## ")[1:]:
         title, *lines = section.rstrip().split("\n")
-        last = max((k for k, line in enumerate(lines) if line.startswith("|")), default=len(lines) - 1)
-        found[title] = lines[last + 1 :]
+        rows = [k for k, line in enumerate(lines) if line.startswith("|")]
+        end = next((k for k in rows if k + 1 not in rows), len(lines) - 1)  # of the first table: others are of people
+        found[title] = lines[end + 1 :]
     return found
 
 

@@ -87,7 +87,9 @@ PAGE = MeasuredPage(
     """Three examples for samples that come on time, and up to 1 % and 10 % of the least time between two early or late
 (of the satellite, whose fixes are at least 100 s apart here, of the mean time). Windows are early and late together
 longer ([why](theory/sigma.md#late-samples)); a plan keeps its tolerances at all such times. Sigma, accuracy and bounds
-are proven; the bound is what no schedule under the same tolerance exceeds, or undercuts in cost.""",
+are proven; the bound is what no schedule under the same tolerance exceeds, or undercuts in cost. A plan for samples
+that are only late, or for outputs with tolerances of their own, is made for the largest of them, early and late: what
+that gives away is no more than what lies between its row and the one on time.""",
     "python -m tests.benchmarks.late_samples",
     "Rows that a run does not name stay as an earlier run left them. What is attained is sigma at real times that "
     "a search found: the truth of that schedule lies between.",

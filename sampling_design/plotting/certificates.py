@@ -17,7 +17,7 @@ from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.plotting import style
 from sampling_design.records.record import short
 
-_COLOURS = (style.FAILED, style.ATTAINED, style.PROVEN, style.MEASURED)
+_COLOURS = (style.PROVEN, style.PROVEN, style.PROVEN, style.ATTAINED)  # the last is reached, the others are bounds
 
 
 def draw_certificate(certificate: Certificate, ax: Axes | None = None) -> Axes:

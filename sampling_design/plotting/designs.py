@@ -38,7 +38,7 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str |
     figure, (top, bottom) = style.new_figure(2, ratios=(0.75 + 0.3 * rows, 2.4), row_height=2.6 + 0.1 * rows)
     _time_line(schedule, result, top)
     shown = result.window
-    draw_window_sigma(shown, bottom, beside=False)
+    draw_window_sigma(shown, bottom, beside=False, origin=schedule.origin)
     bottom.set_title("", loc="left")  # the whole picture has one
     note = f"no admissible schedule exceeds {short(result.upper_bound, 4)}"
     bottom.axhline(result.upper_bound, color=style.TRUTH, linestyle="--", linewidth=1.0, label=note)

@@ -21,7 +21,9 @@ def draw_inclusion(certificate: InclusionCertificate, ax: Axes | None = None) ->
         label = "eigenvalues of P(tau) relative to P1" if not k else None
         ax.plot(times, np.insert(column, breaks, np.nan), color=style.MEASURED, linewidth=1.3, marker=".", label=label)
     ax.axhline(1.0, color=style.PROVEN, linewidth=1.2, label="P1: never below")
-    ax.axhline(certificate.lam, color=style.ATTAINED, linewidth=1.2, label=f"lambda: {short(certificate.lam, 4)}")
+    ax.axhline(
+        certificate.lam, color=style.PROVEN, linestyle="--", linewidth=1.2, label=f"lambda: {short(certificate.lam, 4)}"
+    )
     style.log_axis(ax)
     ax.axvspan(
         certificate.min_gap, certificate.d_max, color=style.ALLOWED, alpha=0.12, linewidth=0, label="a sample may come"

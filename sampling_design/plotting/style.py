@@ -120,8 +120,10 @@ def _shown_unit(ax: matplotlib.axes.Axes, unit: str | None) -> tuple[str | None,
     return shown, 1.0 if shown is None or shown == unit else own / SECONDS[shown]
 
 
-def moment(ax: matplotlib.axes.Axes, t: float, unit: str | None, digits: int = 5) -> str:
-    """Return a time in the unit that its axis shows; to be called when everything is drawn."""
+def moment(ax: matplotlib.axes.Axes, t: float, unit: str | None, digits: int = 5, *, origin: str | None = None) -> str:
+    """Return a time in the unit that its axis shows, or as a date; to be called when everything is drawn."""
+    if origin is not None and unit is not None:
+        return f"{parse_date('origin', origin, None) + timedelta(seconds=float(t) * SECONDS[unit]):%a %d %b %H:%M}"
     shown, factor = _shown_unit(ax, unit)
     return f"{short(t * factor, digits)} {shown or ''}".rstrip()
 

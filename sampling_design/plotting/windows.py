@@ -24,8 +24,10 @@ def draw_deviations(found: SigmaDeviations | None, ax: Axes) -> float:
     return min(found.late, found.lost)
 
 
-def draw_window_sigma(result: WindowSigma, ax: Axes | None = None, *, columns: int = 2, beside: bool = True) -> Axes:
-    """Draw sigma over the window's end: attained values, proven bound, and the worst position.
+def draw_window_sigma(
+    result: WindowSigma, ax: Axes | None = None, *, columns: int = 2, beside: bool = True, origin: str | None = None
+) -> Axes:
+    """Draw sigma over the window's end: attained values, proven bound, and the worst position, a date from `origin`.
 
     And, `beside`, what samples that come late or are lost leave of it.
     """
@@ -42,7 +44,7 @@ def draw_window_sigma(result: WindowSigma, ax: Axes | None = None, *, columns: i
     # an open ring where sigma is only a one-sided limit, a full one where it is reached
     face = style.ATTAINED if result.witness.side == "at" else "none"
     (worst,) = ax.plot([result.witness.t], [result.upper], "o", color=style.ATTAINED, markerfacecolor=face)
-    side, end = result.witness.side, style.moment(ax, result.witness.t, result.time_unit)
+    side, end = result.witness.side, style.moment(ax, result.witness.t, result.time_unit, origin=origin)
     worst.set_label(f"attained: {short(result.upper, 4)}, window ends {'' if side == 'at' else f'just {side} '}{end}")
     least = min(result.lower, draw_deviations(result.deviations, ax) if beside else np.inf)
     style.from_below(ax, min(least, float(profile.sigma.min())), float(profile.sigma.max()))

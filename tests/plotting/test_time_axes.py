@@ -90,3 +90,9 @@ def test_moments_with_and_without_a_longer_unit(unit, length, said):
     ax = style.new_axes()
     ax.set_xlim(0.0, length)
     assert style.moment(ax, 1800.0, unit) == said
+
+
+def test_a_moment_on_an_axis_of_dates_is_a_date():
+    ax = style.new_axes()
+    ax.set_xlim(0.0, 48.0)
+    assert style.moment(ax, 45.3, "h", origin="2026-03-02T00:00:00+00:00") == "Tue 03 Mar 21:18"

@@ -38,6 +38,12 @@ def with_constant(A, C):
     return block_diag(A, [[0.0]]), np.hstack([C, np.ones((len(C), 1))])
 
 
+def random_plant(n, seed):
+    """Entries of A and of one row drawn from the normal distribution."""
+    rng = np.random.default_rng(seed)
+    return rng.standard_normal((n, n)), rng.standard_normal((1, n))
+
+
 CASES = {
     "double integrator k=2": (*chain(2), 4.0, 2, 0.5, 0.01),
     "oscillator k=3": (*oscillators(1.0), 4.0, 3, 0.5, 0.01),
@@ -55,6 +61,9 @@ LARGE = {
     "three pairs 1, 2, 3 rad/s k=8, 5 %": (*oscillators(1.0, 2.0, 3.0), 4.0, 8, 0.3, 0.05),
     "the same damped by 0, .3, .9, 5 %": (*oscillators(1.0, 2.0, 3.0, damped=(0.0, 0.3, 0.9)), 4.0, 8, 0.3, 0.05),
     "four pairs 1 to 4 rad/s, two outputs k=6, 5 %": (*sums_of_both(4), 4.0, 6, 0.3, 0.05),
+    "random, six states, seed 0, k=8, 20 %": (*random_plant(6, 0), 4.0, 8, 0.3, 0.2),
+    "random, six states, seed 1, k=8, 20 %": (*random_plant(6, 1), 4.0, 8, 0.3, 0.2),
+    "random, six states, seed 2, k=8, 20 %": (*random_plant(6, 2), 4.0, 8, 0.3, 0.2),
     "oscillator k=3, a millionth apart": (*oscillators(1.0), 4.0, 3, 1e-6, 0.01),
     "oscillator k=6, a millionth apart": (*oscillators(1.0), 4.0, 6, 1e-6, 0.01),
 }
@@ -126,7 +135,7 @@ def cells(name):
 EVERY = CASES | LARGE
 NOTE = (
     "The least sigma of k samples in a window of 4 s (5 s with a constant) that are at least .3 to .5 s apart, proven "
-    "and attained, to 1 % unless 5 % are named. Cells are those of directions that the proof looked at. No search "
+    "and attained, to 1 % unless more are named. Cells are those of directions that the proof looked at. No search "
     "found less than what is proven, or the program would have ended. Rows that a run does not name stay as an "
     "earlier run left them."
 )

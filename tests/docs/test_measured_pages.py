@@ -31,6 +31,7 @@ LONG = (
     ("bench_design_search", "satellite, 12 samples"),
     ("bench_design_search", "oscillator, closed times"),  # in the middle, which a quick look at long tests takes
     ("bench_worst_case", "chain of five k=7, 1 %"),
+    ("bench_worst_case", "random, six states, seed 0, k=8, 20 %"),
     ("design_bounds", "spiral e^20"),
     ("inclusion_figures", "oscillator, frequency within 10 %, eta .02, 8 pieces"),
     ("inclusion_figures", "pendulum, all angles, gaps to 1, eta .4"),

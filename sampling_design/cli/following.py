@@ -72,7 +72,7 @@ class EstimateOptions:
     ] = False
 
     @property
-    def wild(self) -> int | tuple[int, int]:
+    def most_outliers(self) -> int | tuple[int, int]:
         """How many samples may be wild, of the last so many.
 
         Raises
@@ -103,8 +103,10 @@ class EstimateOptions:
         progress: Progress,
     ) -> Iterator[list[Estimate]]:
         """The estimates along a record as they are asked for, some at a time."""
-        if wild := self.wild:
-            return estimates_despite_outliers(estimator, record, bounds, wild, smooth=self.smooth, progress=progress)
+        if outliers := self.most_outliers:
+            return estimates_despite_outliers(
+                estimator, record, bounds, outliers, smooth=self.smooth, progress=progress
+            )
         if self.smooth:
             return smoothed_along(estimator, record, bounds, kind)
         return estimates_along(estimator, record, kind, curve, progress)
@@ -123,11 +125,11 @@ def followed(
     bounds: ErrorBoundArguments,
 ) -> EstimateCounts:
     """Estimate at every row of `record`, or at its samples where it is smoothed; write and show what was asked for."""
-    wild, tube = options.wild, options.tube
-    if wild:
-        most, among = (wild, "") if isinstance(wild, int) else (wild[0], f"last {wild[1]} ")
+    outliers, tube = options.most_outliers, options.tube
+    if outliers:
+        most, among = (outliers, "") if isinstance(outliers, int) else (outliers[0], f"last {outliers[1]} ")
         guarantee = f"Radii hold if at most {most} of the {among}samples are outliers."
-    asked = options.radii or ("centred" if wild else _usual(settings, estimator, record))
+    asked = options.radii or ("centred" if outliers else _usual(settings, estimator, record))
     kind, plant, folder = check_radii(asked), estimator.plant, settings.folder()
     drawn = folder is not None and not settings.no_picture
     curve = (

@@ -59,7 +59,7 @@ def estimate(
     """
     if how.tube and (settings.output is None or settings.no_picture):
         raise ArgumentError("`--tube` is for the picture: give a folder for it (-o DIR), and leave out --no-picture.")
-    if how.tube and (how.wild or how.smooth):
+    if how.tube and (how.most_outliers or how.smooth):
         raise ArgumentError("`--tube` is of estimates as they came: leave it out with --outliers and --smooth.")
     whole, planned = reading.plan_in(plant_file), reading.plan_in(schedule_file)
     plant = settings.part(reading.plant(plant_file) if whole is None else whole.plant)

@@ -101,8 +101,8 @@ def test_smoothed_states_are_those_of_the_filter_and_hold(shell, files):
 )
 def test_what_is_no_number_of_outliers_is_refused(given, words):
     with pytest.raises(ArgumentError, match=words):
-        assert EstimateOptions(**given).wild
-    assert EstimateOptions(outliers="1:10").wild == (1, 10)
+        assert EstimateOptions(**given).most_outliers
+    assert EstimateOptions(outliers="1:10").most_outliers == (1, 10)
 
 
 def test_a_tube_is_of_estimates_as_they_came(shell, files):

@@ -3,11 +3,23 @@
 import copy
 import inspect
 import pickle
+import sys
 
 import numpy as np
 import pytest
 
-from sampling_design import errors
+from sampling_design import Plant, errors
+from sampling_design.estimators.constraints import reference
+
+
+@pytest.mark.parametrize(
+    ("module", "extra", "ask"),
+    [("control", "control", Plant([[0.0]], [[1.0]]).to_control), ("cvxpy", "modelling", reference.cvxpy)],
+)
+def test_a_library_that_is_not_installed_names_its_extra(module, extra, ask, monkeypatch):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(errors.MissingExtraError, match=rf"sampling-design\[{extra}\]"):
+        ask()
 
 
 @pytest.mark.parametrize(

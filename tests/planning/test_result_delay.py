@@ -126,7 +126,7 @@ def test_what_is_awaited_is_said_and_counts_when_it_is_in():
     found = sd.next_sample(plan, ROWS, now=12.5, awaited=[(12.0, "lab")], prove=False)
     assert found.keeps
     assert found.known["level"] == pytest.approx(0.02 + 0.45, rel=1e-2)  # of the sample at 8: that of 12 is out
-    assert [one[:2] for one in found.awaited] == [("lab", 12.0)]
+    assert [tuple(one) for one in found.awaited] == [("lab", 12.0, 12.5, 13.5)]
     assert dict(found._rows())["lab of 12 s"] == "is out, in by 13.5 s"
     assert found.to_dict()["awaited"][0]["latest"]["time"] == 13.5
     at_once = sd.next_sample(plan, [*ROWS, (12.0, [np.nan, 0.0], None)], now=12.5, prove=False)

@@ -459,7 +459,7 @@ def wrong() -> dict[str, Callable[[], Any]]:
         "detectability": lambda: t["detectability"],
         "scipy system": lambda: scipy.signal.StateSpace([[0.0]], [[1.0]], [[1.0]], [[0.0]]),
         "discrete system": lambda: scipy.signal.StateSpace([[-0.5]], [[1.0]], [[1.0]], [[0.0]], dt=0.1),
-        "empty schedule": lambda: sd.Schedule([]), "nothing to see": lambda: sd.Plant([[1.0]], [[0.0]]),
+        "empty schedule": lambda: sd.Schedule([]), "nothing to observe": lambda: sd.Plant([[1.0]], [[0.0]]),
         "no states": lambda: sd.Plant(np.zeros((0, 0)), np.zeros((1, 0))),
         "folder": lambda: str(folder()), "module": lambda: np, "range": lambda: range(3),
         "pair of arrays": lambda: (np.ones(2), np.ones(2)), "one-sided pair": lambda: (0.1, np.inf),

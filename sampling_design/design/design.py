@@ -460,13 +460,13 @@ def _status(sigma: float, bound: float) -> str:
     """How a search for one count ended that had all the time it needs."""
     if sigma > 0:
         return "complete"
-    return "unseen" if bound == 0 else "blind"
+    return "unobservable" if bound == 0 else "none found"
 
 
 def _out_of_reach(target: float, high: int, best: ScheduleDesign | None, too_few: Tree) -> InfeasibleRequirementError:
     """The error of a target that no count reaches; the nearest is what was proven with the best of them."""
     nearest: Tree = {**too_few, "target_sigma": None}  # where not even the most samples see the state
-    reached = "no schedule that sees every state"
+    reached = "no schedule that makes every state observable"
     if best is not None and best.schedule is not None and best.sigma > 0:
         proven = float(f"{best.sigma * (1 - 5e-5):.5g}")
         nearest = {"target_sigma": proven, "samples": len(best.schedule)}

@@ -154,7 +154,9 @@ def sample_losses(
     if not isinstance(design, ScheduleDesign) or design.schedule is None:
         raise ArgumentError("`design` must be a ScheduleDesign with a schedule; there is no sample to lose.")
     if not design.sigma > 0:
-        raise ArgumentError(f"`design` must see every state, or there is nothing to lose. {design.explain()}")
+        raise ArgumentError(
+            f"`design` must make every state observable, or there is nothing to lose. {design.explain()}"
+        )
     checks.positive("rtol", rtol)
     given = Budget(None if budget is None else checks.nonnegative("budget", budget))
     proving, count = given.share(0.7), len(design.schedule)

@@ -61,8 +61,9 @@ class ScheduleDesign(PlainRecord):
     history : tuple of dict
         Every start of the search and where it led.
     status : str
-        "complete"; "budget" and "interrupted", cut short; "unseen": no admissible schedule sees every state; "blind":
-        none was found, and the bound does not show that there is none; or "no samples needed".
+        "complete"; "budget" and "interrupted", cut short; "unobservable": no admissible schedule makes every
+        state observable; "none found": none was found, and the bound does not show that there is none; or "no samples
+        needed".
     other_counts : dict of int to UpperBound
         With "at_most": the bounds of the other counts of samples, as far as these need one of their own; every
         schedule of any count left out can take one sample more, and sees no less then.
@@ -267,17 +268,18 @@ class ScheduleDesign(PlainRecord):
                 f"{rows or 'every state'} in every window of {short(self.requirement.window)} {self.plant.time_unit}"
             )
             if self.upper_bound == 0:
-                return f"No admissible schedule with {many} sees {window}: sigma is 0 for all of them."
+                return f"No admissible schedule with {many} makes {window} observable: sigma is 0 for all of them."
             return (
-                f"No schedule with {many} was found that sees {window}; sigma of none exceeds "
+                f"No schedule with {many} was found that makes {window} observable; sigma of none exceeds "
                 f"{short(self.upper_bound)}, which does not show that there is none."
             )
-        sees = "sees" if len(self.schedule) == 1 else "see"
+        makes = "makes" if len(self.schedule) == 1 else "make"
         late = f", each {asked.describe(unit)}" if asked else ""
+        left = "" if self.deviations is None else f" {self.deviations.explain()}"
         return (
-            f"{many} {sees} {rows or 'every state direction'} in every window with sigma >= {short(self.sigma)}{late}; "
-            f"no admissible schedule can exceed {short(self.upper_bound)}, so at most {100 * self.gap:.1f} % "
-            "could be gained." + ("" if self.deviations is None else f" {self.deviations.explain()}")
+            f"{many} {makes} {rows or 'every state'} observable in every window, with sigma >= "
+            f"{short(self.sigma)}{late}; no admissible schedule can exceed {short(self.upper_bound)}, so at most "
+            f"{100 * self.gap:.1f} % could be gained.{left}"
         )
 
 

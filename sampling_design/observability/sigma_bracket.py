@@ -191,4 +191,4 @@ def rtol_and_seconds(rtol: float, budget: float | None) -> tuple[float, float]:
     return width, np.inf if budget is None else checks.nonnegative("budget", budget)
 
 
-NO_STATES = "The plant has no states: there is nothing to see, and sigma is infinite."
+NO_STATES = "The plant has no states: there is nothing to observe, and sigma is infinite."

@@ -28,10 +28,10 @@ def draw_worst_case(result: WorstCaseSigma, ax: Axes | None = None) -> Axes:
     profile = result.profile
     ax.plot(profile.times, profile.seen, color=style.ALLOWED, label="|C exp(As) x| of the worst state")
     ax.vlines(profile.samples, 0.0, profile.at_samples, color=style.MEASURED, linewidth=1.8)
-    ax.plot(profile.samples, profile.at_samples, "o", color=style.MEASURED, label="seen at the worst times")
+    ax.plot(profile.samples, profile.at_samples, "o", color=style.MEASURED, label="output at the worst times")
     ax.set_ylim(bottom=0.0)
     style.time_axis(ax, result.time_unit, "time in the window")
-    ax.set_ylabel("seen of a state of size 1")
+    ax.set_ylabel("output of a state of size 1")
     ax.set_title(f"sigma {short(result.lower, 4)} proven, {short(result.upper, 4)} attained", loc="left")
     if (left := result.deviations) is not None:  # these are sigmas, the curve is of one state
         wider = f"{short(left.late, 4)}, {short(left.late_wider, 4)} in longer windows"

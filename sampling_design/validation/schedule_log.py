@@ -151,7 +151,7 @@ class ScheduleLog(TableRecord):
         if self.planned_sigma is None or self.actual_sigma is None:
             return text + "The record is shorter than the window, so that sigma cannot be compared."
         if self.kept is None:
-            return text + "The plan itself does not see every mode in each window."
+            return text + "The plan itself does not make every mode observable in each window."
         worst = f"sigma {short(self.actual_sigma.lower, 4)} instead of {short(self.planned_sigma.lower, 4)}"
         left = (
             "" if self.planned_sigma.deviations is None else f" Of the plan: {self.planned_sigma.deviations.explain()}"

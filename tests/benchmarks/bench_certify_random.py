@@ -84,7 +84,7 @@ def drawn(seed: int) -> tuple[Plant, Any]:
         S = np.linalg.qr(rng.standard_normal((n, n)))[0] @ np.diag(np.exp(rng.uniform(-1, 1, n)))
         C, G = rng.standard_normal((p, n)), rng.standard_normal((n, q))
         if rng.random() < 0.3:
-            C[:, np.diagonal(J) < -0.2] = 0.0  # no output sees these
+            C[:, np.diagonal(J) < -0.2] = 0.0  # no output observes these
         if not C.any():
             continue
         plain = Plant(S @ J @ np.linalg.inv(S), C @ np.linalg.inv(S), G=G if rng.random() < 0.7 else None)

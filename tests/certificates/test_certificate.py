@@ -258,7 +258,9 @@ def test_integer_gaps_alias_omega_pi_whatever_the_schedule():
 
 def test_unseen_modes_are_refused_and_limit_eta():
     growing = Plant([[0.1, 0.0], [0.0, 0.0]], [[0.0, 1.0]])
-    with pytest.raises(CertificateError, match=r"0\.1 is seen by no sample of the period\. No change of a single gap"):
+    with pytest.raises(
+        CertificateError, match=r"0\.1 is observable from no sample of the period\. No change of a single gap"
+    ):
         given(growing)
     with pytest.raises(CertificateError, match="no certificate with rate"):
         certify(growing, EVERY)

@@ -105,7 +105,7 @@ def test_rates_just_below_twice_the_unseen_decay_are_certified(rate):
 
 @pytest.mark.parametrize("rate", [0.6, 0.601, 0.61, 5.0])
 def test_rates_from_twice_the_unseen_decay_are_refused_with_the_mode(rate):
-    with pytest.raises(NotDetectableError, match="Not detectable: no output sees") as caught:
+    with pytest.raises(NotDetectableError, match="Not detectable: no output observes") as caught:
         certify_detectability(UNSEEN, rate)
     assert caught.value.eigenvalues == pytest.approx([-0.3])
     assert np.abs(caught.value.directions[:, 0]) == pytest.approx([0.0, 1.0])

@@ -168,7 +168,7 @@ def test_late_first_sample_enters_d_max_and_sigma():
     weights = (proof.P1, proof.P2, proof.Qw, proof.R, proof.Qv, proof.eta)
     gaps = [3.0] + [0.5] * 30
     assert riccati_margin(OSCILLATOR.A, OSCILLATOR.C, OSCILLATOR.G, gaps, *weights, periods=1) > 1
-    with pytest.raises(CertificateError, match="do not all see every retained state"):
+    with pytest.raises(CertificateError, match="do not all make every retained state observable"):
         constants_from_proof(OSCILLATOR, late, window=2.0)
 
 

@@ -152,7 +152,7 @@ def test_carried_apart_a_matrix_stays_above_the_flow(rate):
 
 
 def test_a_run_with_more_noise_that_is_lost_ends_no_check():
-    """A mode that grows and that no output sees: no family closes, and still the window that fails is named."""
+    """A mode that grows and that no output observes: no family closes, and still the window that fails is named."""
     plant = Plant(np.diag([1.5, -1.0]), [[0.0, 1.0]], G=np.diag([1e-3, 1.0]))
     weights = {"P1": 1e-9 * np.eye(2), "P2": np.eye(2), "Qw": np.eye(2), "R": [[2.0]], "Qv": [[2.0]]}
     false = Certificate.from_matrices(plant, PeriodicSchedule([1.0]), **weights, eta=0.5, lam=1e9)

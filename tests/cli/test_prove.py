@@ -230,7 +230,7 @@ def test_an_undetectable_plant_is_refused_with_its_mode(shell, tmp_path):
     )
     result = shell("certify", tmp_path / "blind.toml", "--detectability")
     assert result.code == 1
-    assert "Not detectable: no output sees" in result.err
+    assert "Not detectable: no output observes" in result.err
     assert "0.2" in result.err
 
 

@@ -125,7 +125,9 @@ def test_the_nearest_target_is_reached_by_the_whole_design(change):
 def test_a_blind_target_offers_a_design_without_one():
     plant = Plant(np.kron(np.diag([1.0, 2.0]), [[0.0, 1.0], [-1.0, 0.0]]), [[1.0, 0.0, 1.0, 0.0]])
     asked = Requirement(window=4.0, spacing=0.2, target_sigma=1e3, samples=3)
-    with pytest.raises(InfeasibleRequirementError, match="found no schedule that sees every state") as caught:
+    with pytest.raises(
+        InfeasibleRequirementError, match="found no schedule that makes every state observable"
+    ) as caught:
         design_schedule(plant, asked)
     assert caught.value.nearest == {"samples": 4, "target_sigma": None}
     again = design_schedule(plant, asked.replace(**caught.value.nearest), starts=1, branches=0)

@@ -81,7 +81,7 @@ def test_without_a_schedule_there_is_nothing_to_lose():
 
 def test_what_sees_nothing_has_nothing_to_lose():
     unseen = designed(window=2 * np.pi, period=np.pi, samples=1)
-    with pytest.raises(ArgumentError, match="`design` must see every state, or there is nothing to lose"):
+    with pytest.raises(ArgumentError, match="`design` must make every state observable, or there is nothing to lose"):
         sample_losses(unseen)
 
 

@@ -29,7 +29,7 @@ FOUND = (
     ("PlanRequirement", {"sensors": "range"}),
     ("ConvexSet.ball", {"dimension": "1e18"}),
     ("tradeoff_curve", {"eta": "1e-308"}),
-    ("four_horizons", {"schedule": "schedule", "plant": "nothing to see"}),
+    ("four_horizons", {"schedule": "schedule", "plant": "nothing to observe"}),
     ("FamilyCertificate.error_bound", {"t": "-inf"}),
     ("SpacedWindows.draw", {"duration": "1e308"}),
     ("KalmanFilter.update", {"u": "objects"}),

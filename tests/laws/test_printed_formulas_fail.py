@@ -85,7 +85,7 @@ def test_e14_with_rate_zero_the_open_loop_predictor_would_be_exponentially_stabl
         assert np.all(np.abs(e) <= printed + 1e-12)
     C, rate, t = 1e6, 0.01, 1e4
     assert abs(1.0) > C * np.exp(-rate * t)  # with any rate above 0 it fails for e(0) = 1, w = 0
-    with pytest.raises(CertificateError, match="the eigenvalue 0 is seen by no sample"):
+    with pytest.raises(CertificateError, match="the eigenvalue 0 is observable from no sample"):
         certify(Plant([[0.0]], [[0.0]]), PeriodicSchedule([1.0]), eta=0.1)
 
 

@@ -38,7 +38,7 @@ def check(seed: int) -> str:
 
 @pytest.mark.parametrize("seed", few([2, 4], 0))
 def test_what_holds_for_a_box_holds_for_each_of_its_plants(seed):
-    assert check(seed) in {"closed", "unseen", "budget", "too few samples"}
+    assert check(seed) in {"closed", "unobservable", "budget", "too few samples"}
 
 
 def test_the_oracle_makes_the_plant_that_the_box_says():

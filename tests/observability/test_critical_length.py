@@ -129,5 +129,5 @@ def test_bad_input():
         critical_length([s * k * 1j for k in range(1, 8) for s in (1, -1)])
     with pytest.raises(ArgumentError, match="`plant` is too stiff for its critical length"):
         critical_length([-1e5, -3, 0.1 + 1j, 0.1 - 1j])
-    with pytest.raises(NotObservableError, match="the critical length needs every mode to be seen"):
+    with pytest.raises(NotObservableError, match="the critical length needs every mode to be observable"):
         critical_length(Plant(np.diag([1.0, 2.0]), [[1.0, 0.0]]))

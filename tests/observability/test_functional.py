@@ -149,12 +149,12 @@ def test_refusals_name_the_row_the_mode_and_what_would_help():
 
 
 def test_the_rows_of_a_requirement_are_designed_for():
-    with pytest.raises(NotObservableError, match=r"unseen: 0\.2"):
+    with pytest.raises(NotObservableError, match=r"unobservable: 0\.2"):
         design_schedule(THREE, Requirement(window=4.0, samples=3))
     found = design_schedule(THREE, Requirement(window=4.0, samples=3, of="x1"))
     sigma = window_sigma(found.split.retained, found.schedule, 4.0).lower
     assert found.sigma == pytest.approx(sigma, rel=1e-9)
-    assert "see x1 in every window" in found.explain()
+    assert "make x1 observable in every window" in found.explain()
     assert found.verify()
 
 

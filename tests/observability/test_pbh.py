@@ -47,7 +47,7 @@ def test_defective_eigenvalues():
     integrators = np.diag([1.0, 1.0], 1)
     assert len(unobservable_modes(Plant(integrators, [[1.0, 0.0, 0.0]]))) == 0
     unseen = unobservable_modes(Plant(integrators, [[0.0, 1.0, 0.0]], states=["position", "velocity", "force"]))
-    assert unseen.explain() == "No output sees 0 along position."
+    assert unseen.explain() == "No output observes 0 along position."
     rng = np.random.default_rng(5)
     T, _ = np.linalg.qr(rng.standard_normal((3, 3)))
     assert len(unobservable_modes(Plant(T @ integrators @ T.T, np.array([[1.0, 0.0, 0.0]]) @ T.T))) == 0
@@ -79,7 +79,7 @@ def test_units_do_not_change_the_verdict():
 def test_refusal_carries_the_modes_as_data():
     plant, T = planted(1, [0, 1])
     with pytest.raises(
-        NotObservableError, match=r"a window needs .* unseen: -0.2\+1.5i along .* split it off"
+        NotObservableError, match=r"a window needs .* unobservable: -0.2\+1.5i along .* split it off"
     ) as caught:
         require_observable(plant, "a window")
     assert caught.value.eigenvalues.size == 2
@@ -95,7 +95,7 @@ def test_plants_without_states_or_with_blind_outputs():
     assert len(blind) == 2
     assert blind.margin == np.inf
     assert "tolerance" in str(blind)
-    assert unobservable_modes(Plant([[1.0]], [[1.0]])).explain().startswith("Every mode is seen by some output")
+    assert unobservable_modes(Plant([[1.0]], [[1.0]])).explain().startswith("Every mode is observable from some output")
 
 
 def test_bad_input():

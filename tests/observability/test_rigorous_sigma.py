@@ -241,7 +241,7 @@ def test_growth_within_a_window_hides_nothing(rate, monkeypatch):
     plain = window_sigma(plant, PeriodicSchedule([2.5]), 10.0)
     assert plain.lower < 0.15  # rounding of e^30 and more
     assert plain.status in ("rounding", "below rounding")
-    assert plain.status == "rounding" or "ball arithmetic sees: extra `rigorous`" in plain.explain()
+    assert plain.status == "rounding" or "ball arithmetic shows: extra `rigorous`" in plain.explain()
 
 
 @pytest.mark.parametrize("growth", few([40.0, 100.0, 150.0], 0))
@@ -271,7 +271,7 @@ def test_sigma_beside_growth_is_what_many_digits_say(shape, growth):
 
 
 def test_what_no_window_sees_stays_zero_beside_growth():
-    """A mode that no output sees: 0, and not what rounding leaves of it."""
+    """A mode that no output observes: 0, and not what rounding leaves of it."""
     found = window_sigma(Plant(np.diag([30.0, -0.1]), [[1.0, 0.0]]), PeriodicSchedule([1.0]), 3.0)
     assert (found.lower, found.upper, found.status) == (0.0, 0.0, "below rounding")
     assert "zero to rounding" in found.explain()

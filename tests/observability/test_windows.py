@@ -48,7 +48,7 @@ def test_half_a_turn_between_samples_sees_nothing():
     assert (result.lower, result.closed, result.status) == (0.0, True, "below rounding")
     assert result.upper < 1e-14
     assert abs(result.witness.direction[0]) < 1e-12
-    assert "does not see the state" in result.explain()
+    assert "does not observe the state" in result.explain()
 
 
 def test_nearly_half_a_turn_is_small_and_not_zero():
@@ -190,7 +190,7 @@ def test_sigma_refers_to_the_scales_that_the_plant_has():
 def test_no_states_means_nothing_to_see():
     result = window_sigma(Plant(np.zeros((0, 0)), np.zeros((1, 0))), PeriodicSchedule([1.0]), 2.0)
     assert (result.lower, result.upper, result.closed) == (np.inf, np.inf, True)
-    assert "nothing to see" in result.explain()
+    assert "nothing to observe" in result.explain()
 
 
 def slow_to_close():
@@ -249,7 +249,7 @@ def test_witness_can_be_checked_by_hand():
     assert np.linalg.norm(w.direction) == pytest.approx(1.0)
     assert np.linalg.norm(rows @ w.direction) == pytest.approx(result.upper, rel=1e-9)
     assert "window end" in str(w)
-    assert "sees the initial state" in w.explain()
+    assert "is least observable there" in w.explain()
 
 
 def test_progress_and_words():

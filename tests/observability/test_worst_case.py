@@ -112,7 +112,7 @@ def test_unobservable_plant_shows_the_unseen_direction():
 def test_plant_without_states_has_nothing_to_miss():
     found = worst_case_sigma(Plant(np.zeros((0, 0)), np.zeros((1, 0))), SpacedWindows(4.0, 2, 0.3))
     assert (found.lower, found.upper, found.status) == (np.inf, np.inf, "no states")
-    assert "nothing to see" in found.explain()
+    assert "nothing to observe" in found.explain()
 
 
 def test_one_state_is_a_line_and_its_least_row_decides():

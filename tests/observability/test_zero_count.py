@@ -85,7 +85,7 @@ def test_unobservable_pair_is_refused_with_its_eigenvalue():
     printed = 3 - 1 + duration * 0.8 / (2 * np.pi)
     assert printed == pytest.approx(2.94, abs=0.01)
     assert oracle.rank(A, C, np.linspace(0.0, duration, 50)) == 2
-    with pytest.raises(NotObservableError, match="unseen: -1 along velocity") as caught:
+    with pytest.raises(NotObservableError, match="unobservable: -1 along velocity") as caught:
         zero_count_bound(Plant(A, C, states=["x", "y", "velocity"]), duration)
     np.testing.assert_allclose(caught.value.eigenvalues, [-1.0], atol=1e-12)
     np.testing.assert_allclose(np.abs(caught.value.directions[:, 0]), [0, 0, 1], atol=1e-12)

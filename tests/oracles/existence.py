@@ -65,7 +65,7 @@ def _real_block(value: complex, size: int) -> np.ndarray:
 
 
 def unseen_count(known: Known) -> int:
-    """How many independent eigenvectors no output sees: in Jordan form these are first columns of blocks."""
+    """How many independent eigenvectors no output observes: in Jordan form these are first columns of blocks."""
     count = 0
     for value in {v for v, _ in known.blocks}:
         columns, at = [], 0

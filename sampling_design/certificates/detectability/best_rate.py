@@ -35,7 +35,7 @@ ROUNDING = 1e-9
 
 _NO_SOLUTION = (
     "The Riccati equation at rate {rate} has no stabilising solution in floating point. "
-    "An unseen mode is too close to the limit: ask for a smaller rate or a smaller `margin`."
+    "An unobservable mode is too close to the limit: ask for a smaller rate or a smaller `margin`."
 )
 _TOO_LARGE = (
     "The gains at rates close to zero, times the noise gain {noise_gain}, are not finite with the floor {floor}: "
@@ -166,7 +166,7 @@ def _refuse_undetectable(plant: Plant, rate: float) -> None:
     if len(unseen):
         asked = f"at the rate {short(rate)} of the squared error (Re < {short(-rate / 2)})" if rate else "(Re < 0)"
         raise NotDetectableError(
-            f"Not detectable: no output sees {unseen.describe()}, which does not decay {asked}.",
+            f"Not detectable: no output observes {unseen.describe()}, which does not decay {asked}.",
             unseen.eigenvalues,
             unseen.directions,
         )

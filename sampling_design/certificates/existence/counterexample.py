@@ -80,7 +80,7 @@ class Counterexample(Record):
     def _rows(self) -> list[tuple[str, str]]:
         return [
             ("gaps", short(self.schedule.gaps)),
-            ("unseen eigenvalue", format_eigenvalue(self.eigenvalue, grain=1e-12 * abs(self.eigenvalue))),
+            ("unobservable eigenvalue", format_eigenvalue(self.eigenvalue, grain=1e-12 * abs(self.eigenvalue))),
             ("eta", short(self.eta)),
             ("residual", short(self.residual, 3)),
             ("reason", self.reason),

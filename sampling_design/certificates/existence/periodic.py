@@ -77,7 +77,7 @@ class Existence(ExistenceAnswer, PlainRecord):
     eigenvalue: complex | None = None
     partners: tuple[complex, ...] = ()
     period: float = 0.0
-    reason: str = "every mode that does not decay by itself is seen within a period"
+    reason: str = "every mode that does not decay by itself is observable within a period"
 
     _plain = "exists margin period reason"
     _answers = (
@@ -179,7 +179,7 @@ def judged(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Existence:
     main, partners = _involved(modes, sight, schedule.period)
     reason = _reason(main, partners, schedule, eta)
     if sight.margin > UNSEEN_TOLERANCE:
-        seen = f"every mode that does not decay by itself is seen, but barely (margin {short(sight.margin, 3)})"
+        seen = f"every mode that does not decay by itself is observable, but barely (margin {short(sight.margin, 3)})"
         reason = f"{seen}: nearly, {reason}"
         return Existence(True, sight.margin, period=schedule.period, reason=reason)
     if isinstance(plant, FunctionalPlant):
@@ -332,7 +332,7 @@ def _reason(main: complex, partners: tuple[complex, ...], schedule: PeriodicSche
     if not partners:
         faded = main.real * schedule.period < -ALIAS_TOLERANCE  # less is rounding of an eigenvalue on the axis
         rate = f"; it decays at {short(-2 * main.real)} only, so eta must stay below that" if faded else ""
-        return f"the eigenvalue {name} is seen by no sample of the period{rate}"
+        return f"the eigenvalue {name} is observable from no sample of the period{rate}"
     turned = [v for v in partners if _whole_turns(main - v, schedule.period)]
     others = ", ".join(format_eigenvalue(v, grain=1e-12 * abs(v)) for v in turned or partners)
     if not turned:

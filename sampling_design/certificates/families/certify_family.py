@@ -414,7 +414,7 @@ def _undecided(search: FamilySearch, eta: float, missed: list[FamilyProposal], l
     known += f" Of the search for a counterexample: {least.searched}." if least.searched else ""
     return UndecidedError(
         f"undecided at rate {eta:.6g}: no certificate was found for this family, and no schedule of it without one."
-        f"{known} The schedule that is seen worst has the gaps {short(least.schedule.gaps)} "
+        f"{known} The least observable schedule has the gaps {short(least.schedule.gaps)} "
         f"(margin {short(least.margin, 3)}).",
         status="undecided", eta=eta, certified=part, kept=None if best is None else best.kept,
         gap=None if best is None else best.gap, word=least.schedule, margin=least.margin, searched=least.searched,

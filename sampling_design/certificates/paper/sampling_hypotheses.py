@@ -41,7 +41,8 @@ def measure_hypotheses(
             return SamplingHypotheses(float(T), count, sigma, float(sampling.d_max))
     length = f"windows of {short(tried[0])}" if len(tried) == 1 else f"windows up to {short(tried[-1])}"
     raise CertificateError(
-        f"Theorem 14 does not apply: {length} {plant.time_unit} do not all see every retained state (sigma_bar = 0). "
+        f"Theorem 14 does not apply: {length} {plant.time_unit} do not all make every retained state "
+        "observable (sigma_bar = 0). "
         "Take a longer window, or other gaps: a gap may be a multiple of half an oscillation.",
         windows=list(map(float, tried)),
     )

@@ -53,7 +53,12 @@ class UnobservableModes(Record):
     tolerance: float
     names: tuple[str, ...]
 
-    _table = {"unseen": "{__len__}", "modes": "{describe:or -}", "margin": "{margin:3}", "tolerance": "{tolerance:3}"}
+    _table = {
+        "unobservable": "{__len__}",
+        "modes": "{describe:or -}",
+        "margin": "{margin:3}",
+        "tolerance": "{tolerance:3}",
+    }
 
     def __len__(self) -> int:
         return self.eigenvalues.size
@@ -70,10 +75,9 @@ class UnobservableModes(Record):
         """Say which modes are unseen."""
         if not len(self):
             least = short(self.margin, 3)
-            return (
-                f"Every mode is seen by some output (entries of A and C off by {least} of themselves could hide one)."
-            )
-        return f"No output sees {self.describe()}."
+            off = f"entries of A and C off by {least} of themselves could hide one"
+            return f"Every mode is observable from some output ({off})."
+        return f"No output observes {self.describe()}."
 
 
 @checked
@@ -251,8 +255,8 @@ def require_observable(plant: Plant, purpose: str, *, rtol: float = RANK_TOLERAN
     unseen = unobservable_modes(plant, rtol=rtol)
     if len(unseen):
         raise NotObservableError(
-            f"{purpose} needs every mode to be seen by some output; unseen: {unseen.describe()}. Add an output that "
-            "sees it, split it off (split_modes) if it decays, or ask only `of` rows that it does not enter.",
+            f"{purpose} needs every mode to be observable; unobservable: {unseen.describe()}. Add an output that "
+            "observes it, split it off (split_modes) if it decays, or ask only `of` rows that it does not enter.",
             unseen.eigenvalues,
             unseen.directions,
         )

@@ -208,7 +208,7 @@ def _record(
     claim = Claim(
         f"any {needed} distinct times in a closed window of length {short(T)} determine the state",
         "the paper, equation (29)",
-        ("every mode is seen by some output", f"r = {order} and delta = {short(spread)} as computed"),
+        ("every mode is observable from some output", f"r = {order} and delta = {short(spread)} as computed"),
         citation="paper, equation (29)",
     )
     critical = n if below else None

@@ -63,8 +63,8 @@ class WindowWitness(Record):
     def explain(self) -> str:
         """Say which window it is and what it sees least."""
         return (
-            f"The window that ends {self.position} holds {self.samples.size} samples and sees the initial "
-            f"state {short(self.direction)} least."
+            f"The window that ends {self.position} holds {self.samples.size} samples; the initial state "
+            f"{short(self.direction)} is least observable there."
         )
 
 

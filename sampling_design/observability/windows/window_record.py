@@ -171,9 +171,11 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
             empty = " The window is shorter than a gap." if self.witness.samples.size == 0 else ""
             return f"{where}, too few for {self.witness.direction.size} states: sigma is 0.{empty}"
         if self.status == "below rounding":
-            hidden = "" if self.rigorous else " What growth hides from doubles, ball arithmetic sees: extra `rigorous`."
+            hidden = (
+                "" if self.rigorous else " What growth hides from doubles, ball arithmetic shows: extra `rigorous`."
+            )
             state = short(self.witness.direction)
-            return f"{where}; it does not see the state {state}: sigma is zero to rounding.{hidden}"
+            return f"{where}; it does not observe the state {state}: sigma is zero to rounding.{hidden}"
         length = f"{short(self.window)} {self.time_unit}"
         if self.status == "sampled":
             return (

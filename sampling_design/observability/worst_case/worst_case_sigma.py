@@ -155,7 +155,7 @@ class WorstCaseSigma(SigmaBracket):
             return f"{many}, are fewer measurements than the {self.direction.size} states: sigma is 0."
         where = f"The worst times are {short(self.witness)} {unit}"
         if self.status == "below rounding":
-            seen = f"of the state {short(self.direction)} they see {short(self.upper)}"
+            seen = f"of the state {short(self.direction)} they measure {short(self.upper)}"
             return f"{where}; {seen}, which rounding does not tell from zero."
         proven = f"With {many}, sigma is at least {short(self.lower)} ({self._grounds})"
         return self._concluded(proven, where, _REASONS)
@@ -359,7 +359,7 @@ def _proof(
         budget = Budget(seconds)
         found, method = search_worst(rows, rng, max(seconds / 2, LEAST_SEARCH)), "branch and bound over directions"
         if rows.counts_as_zero(found.sigma, found.slacks):
-            proof, method = SphereBounds(0.0, found, "", 0), "a schedule that leaves a direction unseen"
+            proof, method = SphereBounds(0.0, found, "", 0), "a schedule that leaves a direction unobservable"
         elif rows.n > MOST_STATES:
             proof, method = SphereBounds(0.0, found, "too many states", 0), "none"
         else:

@@ -79,7 +79,7 @@ def branch(
     if status != "interrupted":
         best = descended(best, value, ends)
     if status == "stopped":
-        return BoxBounds(0.0, *best, "unseen", search.judged)
+        return BoxBounds(0.0, *best, "unobservable", search.judged)
     lower = min(float(search.lower[0]), best[0])
     if status == "closed" and not lower >= (1 - BALL_ROOM * rtol) * best[0]:
         status = "rounding"

@@ -42,7 +42,7 @@ class WindowSigmaOverBox(SigmaBracket):
     samples : (k,) array [time]
         In that window.
     status : str
-        "closed", "unseen" (the plant `worst` is not seen, as nearly as a descent can tell), "too few samples",
+        "closed", "unobservable" (the plant `worst` is not seen, as nearly as a descent can tell), "too few samples",
         "budget", "rounding" or "no states".
     cells : int
         How many cells of parameters and positions were judged.
@@ -93,7 +93,7 @@ class WindowSigmaOverBox(SigmaBracket):
         """Whether every plant of the box is seen in every window: proven, refuted by `worst`, or None (not decided)."""
         if self.lower > 0:
             return True
-        return False if self.status in ("unseen", "too few samples") else None
+        return False if self.status in ("unobservable", "too few samples") else None
 
     @property
     def claim(self) -> Claim:
@@ -113,8 +113,10 @@ class WindowSigmaOverBox(SigmaBracket):
             return NO_STATES
         if self.status == "too few samples":
             return f"{where}: {self.samples.size} samples are too few, and sigma is 0."
-        if self.status == "unseen":
-            return f"Not every plant of the box is seen: {where[0].lower()}{where[1:]} sigma is {short(self.upper)}."
+        if self.status == "unobservable":
+            return (
+                f"Not every plant of the box is observable: {where[0].lower()}{where[1:]} sigma is {short(self.upper)}."
+            )
         length = f"{short(self.window)} {self.time_unit}"
         proven = f"Sigma is at least {short(self.lower)} for every plant of the box, over every window of {length}"
         return self._concluded(f"{proven} ({self._grounds})", where, REASONS)

@@ -58,7 +58,8 @@ class WorstCaseOverBox(SigmaBracket):
     witness : (k,) array
         Sample times within [0, T].
     status : str
-        "closed", "unseen" (some plant and schedule see nothing of a state), "budget", "interrupted" or "no states".
+        "closed", "unobservable" (of a state of some plant some schedule measures nothing), "budget", "interrupted" or
+        "no states".
     plants : int
         How many plants were judged one by one.
     coordinates : str
@@ -197,7 +198,7 @@ def _searched(
     status = search.run(judged, cut)
     settled += [*search.closed, search.cells]
     if best[0] == 0:
-        return _record(model, family, rtol, "unseen", len(known), 0.0, best)
+        return _record(model, family, rtol, "unobservable", len(known), 0.0, best)
     if status != "closed":
         status = "interrupted" if status == "interrupted" or budget.limit < 0 else "budget"
     return _record(model, family, rtol, status, len(known), float(search.lower[0]), best)

@@ -166,10 +166,10 @@ def require_every_plant_observable(model: BoxModel) -> None:
     if found.lower > 0:
         return
     values = model.values(found.u)
-    if found.status == "unseen":
+    if found.status == "unobservable":
         raise NotObservableError(
             f"`plant` must be observable for a zero count, for every plant of the box: at {at_parameters(values)} some "
-            "mode is seen by no output."
+            "mode is observable from no output."
         )
     raise UndecidedError(
         f"undecided: whether every plant of the box is observable; the nearest to not being so is at "

@@ -399,7 +399,7 @@ class Plant(Record):
         try:
             import control
         except ImportError:
-            raise MissingExtraError("control", "control") from None
+            raise MissingExtraError("python-control", "control") from None
 
         both = not self.n_inputs if disturbances is None else disturbances
         B, D = driven(self, both)

@@ -1,11 +1,13 @@
 """The door to the conic solvers: statuses are words, multipliers are checked by their own equation."""
 
+import sys
+
 import cvxpy as cp
 import numpy as np
 import pytest
 from scipy import sparse
 
-from sampling_design.errors import SolverError
+from sampling_design.errors import MissingExtraError, SolverError
 from sampling_design.estimators.constraints import least_distance, reference
 from sampling_design.estimators.constraints.least_distance_problem import LeastDistance
 from sampling_design.numerics import conic_programs
@@ -77,6 +79,12 @@ def test_modelled_problems_say_how_they_ended():
     assert np.isclose(x.value, 2.0, atol=1e-7)
     assert reference.solve(cp.Problem(cp.Minimize(x))).status == "unbounded"
     assert reference.solve(cp.Problem(cp.Minimize(x), [x >= 2, x <= 1])).status == "infeasible"
+
+
+def test_the_modelling_library_is_an_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cvxpy", None)
+    with pytest.raises(MissingExtraError, match="modelling"):
+        reference.cvxpy()
 
 
 def test_a_problem_without_a_point_is_an_error_that_carries_the_status():

@@ -1,5 +1,6 @@
 """Plant and Signals: what they accept, keep, refuse, and convert."""
 
+import sys
 from types import SimpleNamespace
 
 import control
@@ -8,6 +9,7 @@ import pytest
 import scipy.signal
 
 from sampling_design import ArgumentError, PeriodicSchedule, Plant, window_sigma
+from sampling_design.errors import MissingExtraError
 from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.plants import library
 from sampling_design.plants.plant import Signals
@@ -345,3 +347,9 @@ class TestAugmented:
             self.LEVEL.augmented(bias=["level"], drift={"level_bia": 1.0})
         with pytest.raises(ArgumentError, match=r"`parameter\.leak`"):
             self.LEVEL.augmented(parameter={"leak": [1.0]})
+
+
+def test_a_system_of_control_is_given_where_control_is_installed(monkeypatch):
+    monkeypatch.setitem(sys.modules, "control", None)
+    with pytest.raises(MissingExtraError, match="python-control"):
+        library.oscillator().to_control(disturbances=True)

@@ -111,7 +111,7 @@ def test_marks_of_two_sensors_at_one_time_are_one_sample():
 def test_nothing_that_small_moves_mend_says_so():
     slow = sd.Plant(np.zeros((2, 2)), [[1.0, 0.0]], time_unit="s")
     bench = Bench(slow, sd.Requirement(window=4.0, period=4.0), sd.PeriodicSchedule([2.0, 2.0], time_unit="s"))
-    assert "seen by no sample" in bench.answer({"ask": "sigma"})["told"][0]
+    assert "observable from no sample" in bench.answer({"ask": "sigma"})["told"][0]
     assert bench.answer({"ask": "mend"})["said"] == "No small move of one sample mends it: add one."
 
 

@@ -115,7 +115,7 @@ def test_near_aliasing_is_seen_and_its_margin_says_how_near():
         assert found.exists
         margins.append(found.margin / off)
         if off < 1e-2:
-            assert "seen, but barely" in found.reason
+            assert "observable, but barely" in found.reason
             assert "aliased with 0-1i" in found.reason
     assert np.ptp(margins) < 0.1 * margins[0]
 

@@ -58,7 +58,7 @@ def test_outputs_that_were_planned_and_not_measured():
 def test_a_blind_plan_is_said_to_be_blind():
     log = compare_schedule(PLANT, PeriodicSchedule([np.pi]), np.pi * np.arange(1, 6), window=7.0)
     assert log.kept is None
-    assert "does not see every mode" in log.explain()
+    assert "does not make every mode observable" in log.explain()
 
 
 def test_where_every_mode_decays_there_is_no_sigma_to_compare():

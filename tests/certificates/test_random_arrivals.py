@@ -10,7 +10,7 @@ from scipy.linalg import eigh
 import sampling_design as sd
 from sampling_design import PeriodicSchedule, Plant, Schedule
 from sampling_design.certificates import random_arrivals
-from sampling_design.certificates.compare import random_arrivals as module
+from sampling_design.certificates.compare import arrival_patterns as module
 from sampling_design.errors import ArgumentError
 from sampling_design.observability import loss_tolerance
 from tests.cases import few

@@ -125,7 +125,7 @@ def unobservable_modes(
     --------
     >>> modes = unobservable_modes(Plant([[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0]], states=["position", "velocity"]))
     >>> modes.explain()
-    'No output sees 0 along position.'
+    'No output observes 0 along position.'
     """
     offset = None if decay_rate is None else checks.nonnegative("decay_rate", decay_rate) / 2
     tolerance = checks.positive("rtol", rtol)

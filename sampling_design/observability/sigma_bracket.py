@@ -116,10 +116,10 @@ class SigmaBracket(PlainRecord):
     def deviations(self) -> SigmaDeviations | None:
         """What is left of `lower` if samples come early or late or one is lost, worked out when it is asked for.
 
-        None where sigma is nothing, where only ball arithmetic sees it, where too little of a budget is left, for the
-        windows of one schedule over a box of plants, and in varying time.
+        In doubles, also of what ball arithmetic proves. None where sigma is nothing or doubles do not show it, where
+        too little of a budget is left, for the windows of one schedule over a box of plants, and in varying time.
         """
-        return self.beside() if self.beside is not None and 0 < self.lower < np.inf and not self.rigorous else None
+        return self.beside() if self.beside is not None and 0 < self.lower < np.inf else None
 
     def _rows(self) -> list[tuple[str, str]]:
         return [*super()._rows(), *([] if self.deviations is None else self.deviations._rows())]

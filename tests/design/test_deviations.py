@@ -60,3 +60,18 @@ def test_one_sample_a_period():
     assert found.lost == 0.0
     assert without_sample(sd.PeriodicSchedule([1.0]), 0, 1) is None
     assert deviations_of(plant, sd.PeriodicSchedule([10.0]), 0.1).late == 0.0
+
+
+def test_what_ball_arithmetic_proves_has_the_same_beside_it_or_nothing():
+    """Where growth hides sigma from doubles, these say nothing, which is no cliff."""
+    schedule = sd.PeriodicSchedule([0.7, 1.1])
+    plain, proven = (sd.window_sigma(OSCILLATOR, schedule, 4.0, rigorous=asked) for asked in (False, True))
+    assert proven.rigorous
+    assert proven.deviations.lost == pytest.approx(plain.deviations.lost, rel=0.02)
+    assert proven.deviations.late == pytest.approx(plain.deviations.late, rel=0.02)
+    S = np.array([[1.0, 0.3], [-0.2, 1.0]])
+    grown = sd.Plant(np.linalg.solve(S, np.diag([20.0, 0.0]) @ S), [[1.0, 0.4]])
+    found = sd.window_sigma(grown, sd.PeriodicSchedule([2.5]), 10.0)
+    assert found.rigorous
+    assert found.lower > 0.1
+    assert found.deviations is None

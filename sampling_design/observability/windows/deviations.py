@@ -28,7 +28,7 @@ def deviations_of(
     """Prove what is left of `sigma` if samples come early or late, or one is lost; None where `seconds` are too few.
 
     As early or late as was `asked`, for which `sigma` is proven, else by a share of the least gap (of a window, where
-    there is one sample). What only ball arithmetic sees counts as nothing.
+    there is one sample). None, too, where doubles do not show sigma itself, which ball arithmetic may prove.
     """
     limit = Budget(seconds)
     least = SamplingSet(schedule).min_gap
@@ -43,9 +43,17 @@ def deviations_of(
     lost, worst = _lost(plant, schedule, window_pieces(schedule, window, start, asked), limit)
     wider = 0.0 if limit.over else left(window + 2 * tolerance.radius)
     late = sigma if asked or limit.over else left(window)
-    if limit.over:
+    if limit.over or (not max(late, wider, lost) > 0 and _is_hidden(plant, schedule, window, start, asked)):
         return None
     return SigmaDeviations(tolerance, late, wider, min(lost, sigma), worst, plant.time_unit, bool(asked))
+
+
+def _is_hidden(
+    plant: Plant, schedule: Schedule | PeriodicSchedule, window: float, start: float | None, asked: TimingTolerance
+) -> bool:
+    """Whether growth within the window hides sigma itself from doubles: then they say nothing of what is left of it."""
+    pieces = window_pieces(schedule, window, start, asked)
+    return sigma_of_pieces(plant, schedule, pieces, RTOL, np.inf, handed_over=0.0).status == "below rounding"
 
 
 def _lost(plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, limit: Budget) -> tuple[float, int]:

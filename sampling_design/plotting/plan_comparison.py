@@ -10,7 +10,7 @@ from sampling_design.planning.figures import PlanFigures
 from sampling_design.plotting import style
 from sampling_design.plotting.plans import draw_sensors, mark_days, priced, whole
 
-COLOURS = (style.PROVEN, style.ATTAINED)
+LINES = ("-", "-.")  # both are proven, in the colour of what is
 
 
 def draw_plan_comparison(result: PlanComparison, ax: Axes | None = None) -> Axes | style.Panels:
@@ -22,10 +22,10 @@ def draw_plan_comparison(result: PlanComparison, ax: Axes | None = None) -> Axes
     sensors = [p.problem.allowed.shape[1] for p in result.plans]
     ratios = (*(0.3 + 0.2 * count for count in sensors), *(1.0 for _ in shared))
     figure, axes = style.new_figure(2 + len(shared), row_height=2.1, ratios=ratios)
-    for one, plan, name, colour in zip(axes, result.plans, result.names, COLOURS, strict=False):
+    for one, plan, name in zip(axes, result.plans, result.names, strict=False):
         draw_sensors(plan, one)
         shut = "; grey: closed" * (not plan.problem.allowed.all())
-        one.set_title(f"{name}: {priced(plan)}{shut}", loc="left", fontsize="small", color=colour)
+        one.set_title(f"{name}: {priced(plan)}{shut}", loc="left", fontsize="small")
     for name, one in zip(shared, axes[2:], strict=True):
         _goal(result, name, one)
     longest = max(result.plans, key=lambda p: p.schedule.period)
@@ -41,16 +41,16 @@ def _goal(result: PlanComparison, name: str, ax: Axes) -> None:
     """One goal of both plans, over as many periods as the longer one needs."""
     longest = max(plan.schedule.period for plan in result.plans)
     top = 0.0
-    for plan, label, colour in zip(result.plans, result.names, COLOURS, strict=True):
+    for plan, label, line in zip(result.plans, result.names, LINES, strict=True):
         k = [goal.name for goal in plan.goals].index(name)
         edges, upper = curve(plan, k)
         periods = np.arange(-1, 1 + int(np.ceil(longest / plan.schedule.period - 1e-9)))
         for shift in periods.tolist():
-            ax.stairs(upper, edges + shift * plan.schedule.period, baseline=None, color=colour,
-                      label=label if shift == 0 else None)  # fmt: skip
+            ax.stairs(upper, edges + shift * plan.schedule.period, baseline=None, color=style.PROVEN,
+                      linestyle=line, linewidth=1.4, label=label if shift == 0 else None)  # fmt: skip
         tolerance = plan.goals[k].tolerance
-        line = "--" if plan is result.first else ":"
-        ax.axhline(tolerance, color=style.FAILED, linewidth=1.2, linestyle=line, label=f"tolerance, {label}")
+        asked = "--" if plan is result.first else ":"
+        ax.axhline(tolerance, color=style.FAILED, linewidth=1.2, linestyle=asked, label=f"tolerance, {label}")
         top = max(top, tolerance, float(np.max(upper)))
     unit = next(goal.unit for goal in result.shared() if goal.name == name)
     ax.set_ylim(0.0, 1.15 * top)

@@ -72,7 +72,7 @@ def _goal(result: PlanFigures, k: int, ax: Axes) -> None:
     if result.bound.ratio is not None:
         level = result.bound.ratio.level * goal.tolerance
         if len(result.goals) == 1:
-            ax.axhline(level, color=style.ATTAINED, linewidth=1.0, label="no plan of this cost has its worst below")
+            ax.axhline(level, color=style.TRUTH, linewidth=1.0, label="no plan of this cost has its worst below")
     if goal.at == "given times":
         for step in goal.steps:
             ax.axvline(float(step) * result.problem.step % period, color=style.TRUTH, linewidth=0.8, linestyle=":")

@@ -82,12 +82,13 @@ def _run() -> int:
 
 def _ending(error: BaseException) -> int:
     """Say what went wrong, and return the exit code."""
+    match error:
+        case KeyboardInterrupt():  # before anything is imported: numpy, left in the middle, does not load again
+            _say("interrupted.")
+            return INTERRUPTED
     from sampling_design.errors import SamplingDesignError
 
     match error:
-        case KeyboardInterrupt():
-            _say("interrupted.")
-            return INTERRUPTED
         case SamplingDesignError():
             _say(str(error))
             return error.exit_code

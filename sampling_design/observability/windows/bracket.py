@@ -118,10 +118,8 @@ class _Pieced:
                 held = np.asarray(np.linalg.qr(rows, mode="r"))
                 held = rows_of_any_time(held, self.plant.A, np.full(n, late.radius)) if late else held
             _, singular[part], right[part] = np.linalg.svd(held)
-            c, f = (
-                np.abs(self.plant.C).max(initial=np.finfo(float).tiny),
-                np.abs(flow).max(),
-            )  # squares of these are none
+            c = np.abs(self.plant.C).max(initial=np.finfo(float).tiny)
+            f = np.abs(flow).max()  # no square of an entry of C/c or flow/f overflows, nor do all underflow
             squares = np.sum(np.where(weight, np.sum((self.plant.C / c) ** 2, axis=1), 0.0), axis=-1)
             size[part] = c * f * np.sqrt(np.sum(squares * np.sum((flow / f) ** 2, axis=(-1, -2)), axis=-1))
         return singular, right, size, growth

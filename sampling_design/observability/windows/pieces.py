@@ -14,7 +14,7 @@ import numpy as np
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records.arrays import Array, Integers, Mask
-from sampling_design.records.record import Record, short
+from sampling_design.records.record import Record, counted, short
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -63,7 +63,7 @@ class WindowWitness(Record):
     def explain(self) -> str:
         """Say which window it is and what it sees least."""
         return (
-            f"The window that ends {self.position} holds {self.samples.size} samples; the initial state "
+            f"The window that ends {self.position} holds {counted(self.samples.size, 'sample')}; the initial state "
             f"{short(self.direction)} is least observable there."
         )
 

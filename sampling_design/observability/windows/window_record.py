@@ -24,7 +24,7 @@ from sampling_design.records.arrays import Array, Integers
 from sampling_design.records.declarations import Column
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import CurveRecord, Plain, TableRecord, Variable, short
+from sampling_design.records.record import CurveRecord, Plain, TableRecord, Variable, counted, short
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -162,14 +162,13 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
 
     def explain(self) -> str:
         """Say what was proven, where the worst window is, and why a bracket did not close."""
-        where = (
-            f"The worst window ends {self.witness.position} {self.time_unit} with {self.witness.samples.size} samples"
-        )
+        samples = counted(self.witness.samples.size, "sample")
+        where = f"The worst window ends {self.witness.position} {self.time_unit} with {samples}"
         if self.status == "no states":
             return NO_STATES
         if self.status == "too few samples":
             empty = " The window is shorter than a gap." if self.witness.samples.size == 0 else ""
-            return f"{where}, too few for {self.witness.direction.size} states: sigma is 0.{empty}"
+            return f"{where}, too few for {counted(self.witness.direction.size, 'state')}: sigma is 0.{empty}"
         if self.status == "below rounding":
             hidden = (
                 "" if self.rigorous else " What growth hides from doubles, ball arithmetic shows: extra `rigorous`."

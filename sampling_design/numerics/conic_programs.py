@@ -227,7 +227,7 @@ class ConeSolver:
             settings.equilibrate_enable = False
             settings.iterative_refinement_enable = False
             settings.reduced_tol_gap_abs = settings.reduced_tol_gap_rel = NEARLY * tolerance
-        self._again = (lambda: ConeSolver(A, cones, tolerance=tolerance, iterations=iterations)) if scaled else None
+        self._given = A, tuple(cones), tolerance, iterations, scaled
         self._careful: ConeSolver | None = None
         self._rows, self._columns = A.shape
         self._parts = (
@@ -249,7 +249,17 @@ class ConeSolver:
             self._solver.update(q=np.asarray(cost, float), b=np.asarray(b, float))
         found = self._solver.solve()
         status = _CLARABEL_STATUS.get(str(found.status), FAILED)
-        if self._again is not None and str(found.status) not in ("Solved", "AlmostSolved"):
-            self._careful = self._careful or self._again()
+        if self._given[-1] and str(found.status) not in ("Solved", "AlmostSolved"):
+            self._careful = self._careful or _cone_solver(*self._given[:-1], False)
             return self._careful.solve(cost, b)
         return np.asarray(found.x), np.asarray(found.z), status
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Another process sets it up anew: Clarabel's own objects stay where they are."""
+        return _cone_solver, self._given
+
+
+def _cone_solver(
+    A: csc_matrix, cones: Sequence[tuple[str, int]], tolerance: float, iterations: int, scaled: bool
+) -> ConeSolver:
+    return ConeSolver(A, cones, tolerance=tolerance, iterations=iterations, scaled=scaled)

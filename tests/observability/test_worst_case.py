@@ -425,3 +425,14 @@ def test_a_rule_for_late_samples_says_only_what_a_lost_one_leaves():
     assert found.deviations.late == found.lower
     assert found.deviations.lost == worst_case_sigma(oscillators(1.0), SpacedWindows(4.1, 3, 0.4)).lower
     assert found.explain().endswith(f" If one sample is lost, sigma is at least {found.deviations.lost:.6g}.")
+    balls = worst_case_sigma(oscillators(1.0), SpacedWindows(4.0, 4, 0.5), timing_tolerance=(0.0, 0.1), rigorous=True)
+    assert balls.deviations.late == balls.lower < found.lower  # no more than what balls prove
+
+
+def test_a_single_sample_and_a_single_state_are_said_as_such():
+    few = worst_case_sigma(oscillators(1.0), SpacedWindows(3.5, 1, 1.0))
+    assert few.explain().endswith("fewer measurements than the 2 states (1 sample, 1 s apart, in a window of 3.5 s).")
+    none = sd.window_sigma(Plant([[0.0]], [[1.0]]), sd.PeriodicSchedule([1.0]), 0.5)
+    assert "with 0 samples, too few for 1 state: sigma is 0." in none.explain()
+    one = sd.window_sigma(Plant([[0.0]], [[1.0]]), sd.PeriodicSchedule([1.0]), 1.0)
+    assert "with 1 sample." in one.explain()

@@ -150,9 +150,9 @@ class WorstCaseSigma(SigmaBracket):
         f, unit = self.family, self.time_unit
         if self.status == "no states":
             return NO_STATES
-        many = f"{f.count} samples, {short(f.spacing)} {unit} apart, in a window of {short(f.window)} {unit}"
+        many = f"{self._counted()}, {short(f.spacing)} {unit} apart, in a window of {short(f.window)} {unit}"
         if self.status == "too few samples":
-            return f"{many}, are fewer measurements than the {self.direction.size} states: sigma is 0."
+            return f"Sigma is 0: fewer measurements than the {counted(self.direction.size, 'state')} ({many})."
         where = f"The worst times are {short(self.witness)} {unit}"
         if self.status == "below rounding":
             seen = f"of the state {short(self.direction)} they measure {short(self.upper)}"
@@ -261,18 +261,21 @@ def worst_case_sigma(
     _require_memory(plant, family)
     own, limit = plant.scaled() if plant.has_scales else plant, Budget(seconds)
     result = _bracketed(own, within_periods(plant, family), tolerance, seconds, generator, progress)
-
-    def least(kept: SpacedWindows, left: float) -> float:
-        return _bracketed(own, within_periods(plant, kept), tolerance, left, checks.generator(0), None).lower
-
-    beside = partial(deviations_of_family, least, family, late, result.lower, limit.left, plant.time_unit)
+    left = limit.left
     if rigorous:
         from sampling_design.observability.worst_case.balls import prove_worst_sigma
 
         proof = prove_worst_sigma(own, result.family, result.lower, result.witness, seconds)
         result = in_balls(result, proof)
     coordinates = coordinates_of(plant.has_scales, isinstance(plant, FunctionalPlant))
+    least = partial(_least, own, plant, tolerance)
+    beside = partial(deviations_of_family, least, family, late, result.lower, left, plant.time_unit)
     return replace(result, family=family, coordinates=coordinates, beside=beside)
+
+
+def _least(own: Plant, plant: Plant, rtol: float, family: SpacedWindows, seconds: float) -> float:
+    """Proven sigma of a rule."""
+    return _bracketed(own, within_periods(plant, family), rtol, seconds, checks.generator(0), None).lower
 
 
 def deviations_of_family(

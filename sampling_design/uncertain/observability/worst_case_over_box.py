@@ -148,21 +148,22 @@ def worst_case_over_box(
 
     settled: list[BoxCells] = []
     found = _searched(model, family, tolerance, clock, one, settled)
-
-    def least(kept: SpacedWindows, left: float) -> float:
-        if worst_case_sigma(plant.nominal, replace(kept, time_unit=None), tolerance, left).lower == 0:
-            return 0.0  # a box about a zero is cut for as long as it may be
-        return worst_case_over_box(plant, kept, tolerance, left).lower
-
     left = min(clock.left, BESIDE * max(clock.spent, LEAST_SEARCH))
-    beside = partial(deviations_of_family, least, family, late, found.lower, left, plant.time_unit)
-    found = replace(found, beside=beside)
-    if not rigorous or found.status == "interrupted":
-        return found
-    from sampling_design.uncertain.observability.worst_case_balls import prove_worst_over_box
+    if rigorous and found.status != "interrupted":
+        from sampling_design.uncertain.observability.worst_case_balls import prove_worst_over_box
 
-    proof = prove_worst_over_box(model, family, found.lower, FINER * tolerance, settled, firm, seconds)
-    return in_balls(found, proof, BALL_ROOM)
+        proof = prove_worst_over_box(model, family, found.lower, FINER * tolerance, settled, firm, seconds)
+        found = in_balls(found, proof, BALL_ROOM)
+    least = partial(_least, plant, tolerance)
+    beside = partial(deviations_of_family, least, family, late, found.lower, left, plant.time_unit)
+    return replace(found, beside=beside)
+
+
+def _least(plant: UncertainPlant, rtol: float, family: SpacedWindows, seconds: float) -> float:
+    """Proven sigma of a rule."""
+    if worst_case_sigma(plant.nominal, replace(family, time_unit=None), rtol, seconds).lower == 0:
+        return 0.0  # a box about a zero is cut for as long as it may be
+    return worst_case_over_box(plant, family, rtol, seconds).lower
 
 
 def _searched(

@@ -105,6 +105,18 @@ def test_units_change_nothing(size):
     assert constants_from_proof(other, GAPS).horizon == pytest.approx(swing().horizon, rel=1e-3)
 
 
+@pytest.mark.parametrize("size", [1e3, 1e12])
+def test_states_in_other_units_without_scales_change_nothing(size):
+    """The noises keep their units, and so do the weights: the same claim in other coordinates."""
+    S = np.diag([size, 1 / size])
+    back = np.diag(1 / np.diag(S))
+    plant = Plant(S @ SWING.A @ back, SWING.C @ back, G=S @ SWING_PUSHED.G)
+    moved = UncertainParameter("w2", -0.1, 0.1, A=S @ np.array([[0.0, 0.0], [-1.0, 0.0]]) @ back)
+    found = constants_from_proof(UncertainPlant(plant, [moved]), GAPS)
+    assert found.horizon == pytest.approx(swing().horizon, rel=1e-3)
+    assert found.inclusion.verify().passed
+
+
 def test_a_state_that_decays_fast_and_is_not_seen_keeps_condition_4_from_being_proven():
     """Backwards in time it grows as fast: Theorem 5 alone says nothing of it, `certify` does."""
     plant = Plant([[-200.0, 0.0], [0.0, 0.0]], [[0.0, 1.0]])

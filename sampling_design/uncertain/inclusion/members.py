@@ -25,7 +25,8 @@ INFLATED = (0.002, 0.02, 0.1)
 """Share by which sampled members are pushed outwards, so that cells of the region need not be tiny."""
 HULL_CORNERS, HALVINGS = 10, 3
 """Directions of a set that holds all C whose corners are members; halvings of a stiff plant's region into cells."""
-SKEWED = 1e12  # condition from which on a root of the nominal information is no basis to compute in
+SKEWED = 1e12  # condition, of rows of length 1, from which on a root of the nominal information is no basis
+FAR = 1e4  # size, in inner coordinates, from which on what the states' scales call one is given the size 1
 FASTEST = 1e3  # rates per longest gap beyond which a plant is stiff
 
 
@@ -72,6 +73,9 @@ class PosedMembers:
         G = np.sqrt(b) * (T.T @ M[:, :, n:] @ np.linalg.inv(root_w).T)
         outputs = np.array([self.shares(seen) @ self.members.outputs @ inverse.T for seen in patterns])
         unit = inverse @ np.diag(1 / self.centre.states.scales**2) @ inverse.T
+        size = float(np.linalg.norm(unit, 2))
+        if not 1 / FAR <= size <= FAR:  # then p of P >= p unit is none that the solver tells from 0 or bounds
+            unit /= max(size, np.finfo(float).tiny)
         q = G.shape[2]
         columns = seen = np.zeros((0, 0))
         if self.columns is not None:
@@ -129,9 +133,10 @@ class PosedMembers:
             problem = window_problem(self.centre, self.family.nominal, prior, *self.weights, eta)
             with np.errstate(over="raise", invalid="raise"):  # growth beyond all numbers within a gap
                 Y = np.mean(periodic_riccati_solution(problem, walk=False), axis=0)
-            own = np.linalg.cholesky(Y)  # in scaled states, whose condition is nobody's units
+            own = np.linalg.cholesky(Y)  # in scaled states
+            rows = own / np.linalg.norm(own, axis=1)[:, None]  # whose condition no units change
             root = np.linalg.solve(own, np.diag(1 / self.centre.states.scales)).T
-            if np.all(np.isfinite(root)) and np.linalg.cond(own) < SKEWED:
+            if np.all(np.isfinite(root)) and np.linalg.cond(rows) < SKEWED:
                 return np.asarray(root)
         except (SamplingDesignError, np.linalg.LinAlgError, FloatingPointError):
             pass  # the centre alone may have no certificate, or none at this rate

@@ -33,8 +33,8 @@ class PosedProgram:
     """The numbers of one program, in inner coordinates and inner time.
 
     dynamics (K, n, n + q); outputs (patterns, L, p, n), for each pattern of measured outputs in units in which R~ is I
-    and rows of what is not measured are 0; Qw; `unit` what the states' scales call one; the layout's nodes, in units of
-    the longest gap; `later`, `base` and `pattern` of each jump.
+    and rows of what is not measured are 0; Qw; `unit` what the states' scales call one, up to a
+    factor; the layout's nodes, in units of the longest gap; `later`, `base` and `pattern` of each jump.
     """
 
     dynamics: Array

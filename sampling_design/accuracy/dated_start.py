@@ -29,6 +29,7 @@ from sampling_design.accuracy.readings import (
 )
 from sampling_design.accuracy.record_program import RecordProgram
 from sampling_design.accuracy.uncertain_times import TimeShift
+from sampling_design.numerics.balancing import balance, balanced
 from sampling_design.numerics.linalg import expm_batch
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
@@ -157,7 +158,8 @@ def _flows(
             longer = np.zeros((n + 1, n + 1))
             u = input_at(inputs, (a + b) / 2, plant.n_inputs)
             longer[:n, :n], longer[:n, n] = plant.A, plant.B @ u + plant.G @ disturbance.centre
-            flow = expm_batch(longer, b - a)[0] @ flow
+            d = balance(longer).d
+            flow = (expm_batch(balanced(longer, d), b - a)[0] * d[:, None] / d) @ flow
         now = t
         found.append(flow[:n])
     return found
@@ -171,9 +173,12 @@ def _fitted(
     noise: tuple[Array, Array],
     before: bool,
 ) -> Array:
-    """The start of the trajectory that fits the readings best, those of uncertain times in the middle of these."""
+    """The start of the trajectory that fits the readings best, those of uncertain times in the middle of these.
+
+    Each counts in units of its noise, so that no unit of an output changes it.
+    """
     rows, ends = [], []
-    for item, M, middle in zip(samples, flows, noise[1], strict=True):
+    for item, M, own, middle in zip(samples, flows, *noise, strict=True):
         fed = plant.D @ input_at(inputs, item.t, plant.n_inputs, before)
         read = {i: item.y[i] for i in np.flatnonzero(np.isfinite(item.y)).tolist()}
         read |= {
@@ -181,7 +186,7 @@ def _fitted(
         }
         for i, y in read.items():
             if np.isfinite(y):
-                row, scale = plant.C[i] @ M, plant.outputs.scales[i]
+                row, scale = plant.C[i] @ M, own[i] if own[i] > 0 else plant.outputs.scales[i]
                 rows.append(row[:-1] / scale)
                 ends.append((y - middle[i] - row[-1]) / scale)
     if not rows:

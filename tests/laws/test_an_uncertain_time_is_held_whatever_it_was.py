@@ -304,6 +304,26 @@ def test_an_input_that_jumps_at_either_end_or_in_the_middle_is_held_on_both_side
             assert each.radii[0] < 3.1
 
 
+@pytest.mark.parametrize(
+    ("x", "y"), [([1e6, 1e-12], [1e-12, 1e6]), ([1e-12, 1e12], [1.0, 1e12]), ([1.0, 1e12], [1e12, 1.0])]
+)
+def test_what_times_tell_of_an_unknown_start_is_the_same_in_any_units(x, y):
+    """A growing swing, both states read in turn at times known to 0.1: states and outputs in units of their own."""
+    A, C, W, V = np.array([[0.3, 1.0], [-1.0, 0.3]]), np.array([[1.0, 0.4], [-0.2, 1.0]]), 0.01, np.array([0.01, 0.02])
+    ends = []
+    for own, out in ((np.ones(2), np.ones(2)), (np.array(x), np.array(y))):
+        plant = sd.Plant(A * own[:, None] / own, C / own * out[:, None], G=np.diag(own))
+        rows = [
+            ((t, t + 0.1), np.where(np.arange(2) == k % 2, C @ (np.exp(0.3 * t) * swung(t)) * out, np.nan))
+            for k, t in enumerate((1.0, 1.7, 2.5, 3.1))
+        ]
+        found = sd.state_interval(plant, rows, 3.1, w_bound=W, v_bound=V * out)
+        assert found.holds(np.exp(0.3 * 3.1) * swung(3.1) * own)
+        ends.append(np.array([found.lower, found.upper]) / own)
+    assert np.isfinite(ends[0]).all()
+    np.testing.assert_allclose(ends[1], ends[0], rtol=1e-6, atol=1e-6)
+
+
 @pytest.mark.parametrize(("n", "unit", "span"), [(3, 1e6, 8.0), (5, 1e4, 4.0)])
 def test_poles_that_are_equal_but_for_rounding_are_held_in_any_units(n, unit, span):
     """A chain of tanks, .1 + .2 beside .3: there the `expm` of scipy is wrong by its own size."""

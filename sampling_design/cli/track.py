@@ -26,6 +26,7 @@ from sampling_design.cli.settings import (
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.plan_record import Plan
 from sampling_design.plants.functional import split_needed, weighed_over
+from sampling_design.plants.plant import first_difference
 from sampling_design.records.file_io import write_text
 from sampling_design.records.record import short
 from sampling_design.validation.report import ValidationReport
@@ -61,15 +62,14 @@ def estimate(
         raise ArgumentError("`--tube` is for the picture: give a folder for it (-o DIR), and leave out --no-picture.")
     if how.tube and (how.most_outliers or how.smooth):
         raise ArgumentError("`--tube` is of estimates as they came: leave it out with --outliers and --smooth.")
-    whole, planned = reading.plan_in(plant_file), reading.plan_in(schedule_file)
-    plant = settings.part(reading.plant(plant_file) if whole is None else whole.plant)
-    schedule = None
-    if schedule_file is not None and planned is None:
+    whole = reading.plan_in(plant_file)
+    plant, schedule = settings.part(reading.plant(plant_file) if whole is None else whole.plant), None
+    if schedule_file is not None:
         schedule = schedule_for(settings, plant, schedule_file)
-    elif whole is not None and certificate_file is None and planned is None:
-        planned = whole
-    schedule = schedule if planned is None else planned.schedule
-    bounds = _bounds(settings, typed.of(plant), planned if whole is None else whole)
+    elif whole is not None and certificate_file is None:
+        schedule = whole.schedule
+    planned = reading.plan_in(schedule_file) if whole is None else whole
+    bounds = _bounds(settings, plant, typed.of(plant), planned)
     record = reading.measurements(settings, measurement_file, plant, None if schedule is None else schedule.origin)
     if schedule is not None:
         _check_origins(record, schedule)
@@ -97,8 +97,13 @@ def estimate(
         raise typer.Exit(1)
 
 
-def _bounds(settings: Settings, typed: ErrorBoundArguments, planned: Plan | None) -> ErrorBoundArguments:
-    """The bounds as they were typed, else those that a plan was made with."""
+def _bounds(
+    settings: Settings, plant: sd.Plant, typed: ErrorBoundArguments, planned: Plan | None
+) -> ErrorBoundArguments:
+    """The bounds as they were typed, else those that a plan was made with.
+
+    Raises ArgumentError if the plan is for another plant, of whose signals its bounds say nothing.
+    """
     if planned is None or settings.of is not None:
         return typed
     own = planned.error_bounds
@@ -109,7 +114,10 @@ def _bounds(settings: Settings, typed: ErrorBoundArguments, planned: Plan | None
     )
     for (name, used), said in zip(found.items(), typed.values(), strict=True):
         if said is None and used is not None:
-            settings.notice(f"--{name.replace('_', '-')} not given: that of the plan, {short(used)}, is used.")
+            flag = f"--{name.replace('_', '-')}"
+            if other := first_difference(plant, planned.plant):
+                raise ArgumentError(f"`{flag}` is missing, and the plan is for another plant: {other}. Give the bound.")
+            settings.notice(f"{flag} not given: that of the plan, {short(used)}, is used.")
     return found
 
 
@@ -152,7 +160,7 @@ def validate(
     """
     plant = settings.part(reading.plant(plant_file))
     schedule = schedule_for(settings, plant, schedule_file)
-    bounds = _bounds(settings, typed.of(plant), reading.plan_in(schedule_file))
+    bounds = _bounds(settings, plant, typed.of(plant), reading.plan_in(schedule_file))
     if certificate_file is not None:
         certificate = sampling_certificate(certificate_file, plant)
     else:

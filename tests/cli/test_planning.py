@@ -129,6 +129,25 @@ def test_a_plan_stands_for_plant_schedule_and_bounds(shell, small_plan, place):
     assert json.loads(found.out)["x"] == own.run(sd.read_measurements(measured, plan.plant)).to_dict()["x"]
 
 
+@pytest.mark.parametrize("command", ["estimate", "validate"])
+def test_a_plan_of_another_plant_brings_no_bounds(shell, small_plan, command):
+    plan, file, measured = small_plan
+    outputs = plan.plant.outputs.names
+    slower = sd.Plant([[0, 1], [-0.9, 0]], np.eye(2), time_unit="s", states=outputs, outputs=outputs)
+    other = sd.plants.write_plant(slower, file.with_name("slower.toml"))
+    words = (other, measured, "--schedule", file) if command == "estimate" else (other, file, "--runs", "1")
+    found = shell(command, *words)
+    assert found.code == 2
+    said = " ".join(found.err.split())
+    assert "`--w-bound` is missing, and the plan is for another plant: its A[1, 0] is -1.0, not -0.9." in said
+    if command == "estimate":  # its schedule stands, in the plant's unit of time
+        typed = ("--w-bound", "0.02", "--v-bound", "0.2,0.2", "--initial-error", "1.5")
+        assert shell(*(command, *words, *typed, "--json")).code in (0, 1)
+        minutes = sd.Plant(60 * slower.A, np.eye(2), G=60 * np.eye(2), time_unit="min", outputs=outputs)
+        found = shell(command, sd.plants.write_plant(minutes, file.with_name("minutes.toml")), *words[1:], *typed)
+        assert "times in s are converted to min" in " ".join(found.err.split())
+
+
 def test_what_contradicts_a_plan_says_which_bound_was_not_given(shell, small_plan):
     _, file, measured = small_plan
     far = measured.with_name("far.csv")

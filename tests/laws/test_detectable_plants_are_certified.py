@@ -37,7 +37,7 @@ def test_a_drawn_plant_is_certified(seed):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", [360, 311, 465, 487, 739])
+@pytest.mark.parametrize("seed", [311, 360, 465, 487, 739])
 def test_a_budget_in_units_that_nobody_stated_leaves_a_round_shape(seed):
     """States 1e22 apart, no scales: no P2 near the budget's own can be held. 311, 487: nine modes behind one output.
 

@@ -177,14 +177,16 @@ def precisely_chosen(
     P2 is the best of the first guesses; lambda is stated with `ROOM` above the largest that was met. Raises
     UndecidedError if balls prove none, or are not installed.
     """
-    rates = [(bounds[0] * bounds[1]) ** 0.5, bounds[0], bounds[0] / 10] if eta is None else [bounds[0]]
-    fast = [] if eta is not None else [(bounds[0] * bounds[1] ** 3) ** 0.25]  # settles soon, whatever work is left
-    for some, left in (
-        ((rates, whole), (fast, Work(max(whole.left, SPARE_WORK), stop=whole.stop))) if find_spec("flint") else ()
-    ):
+    if eta is not None:
+        stages = [([bounds[0]], 0.0)]
+    else:
+        low, high = bounds
+        stages = [([(low * high) ** 0.5, low, low / 10], 0.0), ([(low * high**3) ** 0.25], SPARE_WORK)]
+    for rates, spare in stages if find_spec("flint") else ():
+        left = whole if whole.left > spare else Work(spare, stop=whole.stop)
         dear = Work(left.left / BALL_PRICE, left, BALL_PRICE)
         search, proofs = PreciseSearch(canon, SHARE, dear.share(PRECISE_WORK)), dear.share(2 * PRECISE_PROOF)
-        for rate in some:
+        for rate in rates:
             choice = None if search.late or proofs.over else search.best_guess(rate, budget)
             if choice is None:
                 continue

@@ -12,16 +12,17 @@ from pathlib import Path
 
 import numpy as np
 
-from sampling_design.checkers.strict import Tree
+from sampling_design.checkers.strict import Tree, count, flag, list_of, nonnegative, number, or_nothing, table, text
 from sampling_design.design.design import design_schedule
 from sampling_design.design.problem.requirement import Requirement
+from sampling_design.design.problem.requirement_file import TIMING
 from sampling_design.errors import ArgumentError, FileFormatError, InfeasibleRequirementError
 from sampling_design.observability.sigma_bracket import SigmaDeviations
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import Seed
-from sampling_design.records.file_io import from_json, read_text, to_json, write_text
+from sampling_design.records.file_io import from_json, read_text, to_json, usable, write_text
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import ListRecord, PlainRecord, counted, short
 from sampling_design.records.signatures import checked
@@ -32,6 +33,27 @@ FORMAT = "sampling-design/pareto/1"
 NO_NEED = "no samples needed"
 NO_TIME = "not designed: the budget ran out"
 _LEAST_SHARE = 0.05  # of an equal share of the budget: with less than that a count is not begun
+
+_LEFT = table(
+    {
+        "tolerance": TIMING,
+        "asked": flag,
+        **dict.fromkeys(("late", "late_wider", "lost"), nonnegative),
+        "lost_sample": or_nothing(count),
+        "time_unit": text,
+    }
+)
+_POINTS = list_of(
+    table(
+        {
+            "samples": count,
+            **dict.fromkeys(("sigma", "upper_bound"), nonnegative),
+            "times": list_of(number),
+            "obstacle": text,
+        },
+        {"deviations": or_nothing(_LEFT)},
+    )
+)
 
 
 @dataclass(frozen=True)
@@ -235,7 +257,8 @@ def _load(path: str | os.PathLike[str], key: str) -> dict[int, ParetoPoint]:
         raise FileFormatError(
             f"{where}: belongs to another plant, requirement or option. Name another file to resume from.", where
         )
-    points = [_read(entry) for entry in data["points"]]
+    with usable(where):
+        points = [_read(entry) for entry in _POINTS(data.get("points"), "points")]
     return {point.samples: point for point in points}
 
 

@@ -13,6 +13,13 @@ REQUIREMENT = Requirement(window=4.0, spacing=0.7)
 OPTIONS = {"starts": 2, "branches": 0}
 
 
+@pytest.fixture(scope="module")
+def resumed(tmp_path_factory):
+    path = tmp_path_factory.mktemp("pareto") / "front.json"
+    pareto_front(PLANT, REQUIREMENT, [3], resume=path, **OPTIONS)
+    return path
+
+
 def test_sigma_grows_with_the_count_and_impossible_counts_say_why():
     front = pareto_front(PLANT, REQUIREMENT, [5, 2, 3, 6, 1], **OPTIONS)
     assert [p.samples for p in front.points] == [1, 2, 3, 5, 6]
@@ -55,6 +62,34 @@ def test_a_file_of_another_requirement_is_refused(tmp_path):
     path.write_text('{"format": "other"}')
     with pytest.raises(FileFormatError, match="`format` must be 'sampling-design/pareto/1'"):
         pareto_front(PLANT, REQUIREMENT, [3], resume=path, **OPTIONS)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda data: data.pop("points"), "`points` must be a list, got nothing"),
+        (lambda data: data["points"].append(3), r"`points\[1\]` must be a table of keys and values"),
+        (lambda data: data["points"][0].pop("sigma"), r"`sigma` is missing in `points\[0\]`"),
+        (lambda data: data["points"][0].update(upper_bound=-1.0), r"`points\[0\].upper_bound` must not be negative"),
+        (lambda data: data["points"][0].update(times=None), r"`points\[0\].times` must be a list"),
+        (lambda data: data["points"][0]["deviations"].pop("late"), "`late` is missing"),
+        (
+            lambda data: data["points"][0]["deviations"].update(lost_sample=0.5),
+            "deviations.lost_sample` must be a whole",
+        ),
+        (
+            lambda data: data["points"][0]["deviations"].update(tolerance=[0.1]),
+            "deviations.tolerance` must have a length",
+        ),
+    ],
+)
+def test_a_changed_file_is_refused_in_one_sentence(resumed, change, said):
+    data = json.loads(resumed.read_text())
+    change(data)
+    changed = resumed.with_name("changed.json")
+    changed.write_text(json.dumps(data))
+    with pytest.raises(FileFormatError, match=said):
+        pareto_front(PLANT, REQUIREMENT, [3], resume=changed, **OPTIONS)
 
 
 @pytest.mark.long

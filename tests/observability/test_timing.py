@@ -242,6 +242,18 @@ def test_an_output_that_comes_on_time_loses_less():
         sd.window_sigma(plant, schedule, 2.1, timing_tolerance={"c": 0.1})
 
 
+@pytest.mark.parametrize("beyond", [-0.08, 0.0, 0.01])
+def test_the_only_output_with_a_tolerance_of_its_own_is_a_sample_with_it(beyond):
+    """Windows of four gaps, early and late together longer: each just holds four samples, whenever they come."""
+    plant, schedule = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]), sd.PeriodicSchedule([np.pi / 2])
+    own, whole = (
+        sd.window_sigma(plant, schedule, 2 * np.pi + 0.1 + beyond, timing_tolerance=tolerance)
+        for tolerance in ({"y1": 0.05}, 0.05)
+    )
+    assert (own.lower, own.upper) == pytest.approx((whole.lower, whole.upper), rel=1e-9)
+    assert own.deviations.lost == pytest.approx(whole.deviations.lost, rel=1e-9)
+
+
 def test_a_tolerance_that_leaves_nothing_proven_says_so():
     plant = sd.Plant([[0.0, 6.0], [-6.0, 0.0]], [[1.0, 0.0]])
     said = sd.window_sigma(plant, sd.PeriodicSchedule([0.3]), 1.0, timing_tolerance=0.14)

@@ -94,7 +94,7 @@ def moved_window(plant: Plant, pieces: Pieces, g: int, start: float) -> WindowWi
     """Return a window along real times of its samples at which it sees little: they and a state are sought in turn."""
     centres, mask, late, n = pieces.samples(g), pieces.measured(g), pieces.timing_tolerance, plant.n_states
     if late.apart:  # outputs that come nearly on time may be in it where others may be out
-        centres, mask = pieces.times, _surely_held(plant, pieces, start)
+        centres, mask = pieces.times, _surely_held(pieces, g, start)
         inside = mask.any(axis=1)
         centres, mask = centres[inside], mask[inside]
     apart = np.zeros((centres.size, plant.n_outputs if late.apart else 1))
@@ -118,11 +118,15 @@ def moved_window(plant: Plant, pieces: Pieces, g: int, start: float) -> WindowWi
     return kept
 
 
-def _surely_held(plant: Plant, pieces: Pieces, start: float) -> Mask:
-    """(K, p): which outputs of which samples are read in the window that starts there, whenever they are read."""
+def _surely_held(pieces: Pieces, g: int, start: float) -> Mask:
+    """(K, p): which outputs of which samples are read in the window that starts there, whenever they are read.
+
+    All of those on its piece, also where that is a point and only the half-open window holds them.
+    """
     late, tiny = pieces.timing_tolerance, pieces.tolerance
     first, last = pieces.times[:, None] - late.back, pieces.times[:, None] + late.forward
     held = (first > start + tiny) & (last < start + pieces.window - tiny)
+    held[pieces.first[g] : pieces.stop[g]] = True
     return held if pieces.mask is None else held & pieces.mask
 
 

@@ -93,7 +93,7 @@ def test_no_real_times_make_an_error_larger_than_is_proven(seed: int):
 
 
 def test_both_sides_are_close():
-    drawn = [_drawn(seed) for seed in (2, 7)]
+    drawn = [_drawn(seed) for seed in (2, 3, 7, 16)]
     share = []
     for plant, schedule, late in drawn:
         found = guaranteed_accuracy(
@@ -102,7 +102,7 @@ def test_both_sides_are_close():
         )  # fmt: skip
         share.append(found.lower[0] / found.upper[0])
     assert min(share) > 0.9
-    assert max(share) > 0.95
+    assert np.mean(np.array(share) > 0.95) >= 0.75
 
 
 def test_an_integrator_waits_from_an_early_sample_to_a_late_one():

@@ -40,11 +40,10 @@ def estimators():
 
 def check_same(a, b):
     assert a.t == b.t
-    for left, right in ((a.x, b.x), (a.covariance, b.covariance)):
+    for left, right in ((a.x, b.x), (a.covariance, b.covariance), (a.cost, b.cost)):
         np.testing.assert_allclose(left, right, rtol=1e-12, atol=1e-12)
-    # sums of squares about references, which another order chooses anew: some thousand roundings
-    for left, right in ((a.radius, b.radius), (a.cost, b.cost)):
-        np.testing.assert_allclose(left, right, rtol=1e-11, atol=1e-12)
+    # its dual bound is about reference trajectories, which samples in another order choose anew
+    np.testing.assert_allclose(a.radius, b.radius, rtol=1e-11, atol=1e-12)
     assert (a.status, a.certified, a.on_schedule) == (b.status, b.certified, b.on_schedule)
 
 

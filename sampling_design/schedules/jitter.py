@@ -83,8 +83,9 @@ class TimingTolerance:
         if value is None:
             return cls()
         if is_table(value):
-            names = tuple(str(key) for key in value) if outputs is None else tuple(outputs)
-            checks.known_keys(f"`{name}`", map(str, value), names)
+            value = {str(key): side for key, side in value.items()}
+            names = tuple(value) if outputs is None else tuple(outputs)
+            checks.known_keys(f"`{name}`", value, names)
             on_time = (0.0, 0.0)
             pairs = [_pair(f"{name}.{key}", value[key], time) if key in value else on_time for key in names]
             return cls(tuple(a for a, _ in pairs), tuple(b for _, b in pairs), names) if names else cls()

@@ -254,6 +254,16 @@ def test_the_only_output_with_a_tolerance_of_its_own_is_a_sample_with_it(beyond)
     assert own.deviations.lost == pytest.approx(whole.deviations.lost, rel=1e-9)
 
 
+def test_the_tolerance_of_an_output_whose_name_is_a_number_counts():
+    plant = sd.Plant([[0.0]], [[1.0]], outputs=["1"])
+    named, told = sd.Requirement(timing_tolerance={1: 0.25}), {"1": 0.25}
+    assert named.timing_tolerance == told
+    found = sd.window_sigma(plant, sd.PeriodicSchedule([1.0]), 1.25, timing_tolerance=named.timing_tolerance)
+    assert found.timing_tolerance == told
+    with pytest.raises(ArgumentError, match="unknown key '1'"):
+        sd.design_schedule(sd.Plant([[0.0]], [[1.0]]), named)
+
+
 def test_a_tolerance_that_leaves_nothing_proven_says_so():
     plant = sd.Plant([[0.0, 6.0], [-6.0, 0.0]], [[1.0, 0.0]])
     said = sd.window_sigma(plant, sd.PeriodicSchedule([0.3]), 1.0, timing_tolerance=0.14)

@@ -56,9 +56,10 @@ def duration(name: str, value: object, unit: str) -> float:
     if not is_text(value):
         return checks.positive(name, value)
     found = _DURATION.fullmatch(value.strip())
-    if not found or found[2] not in SECONDS or float(found[1]) <= 0:
+    length = float(found[1]) * (SECONDS[found[2]] / SECONDS[unit]) if found and found[2] in SECONDS else 0.0
+    if not 0 < length < np.inf:
         raise ArgumentError(f'`{name}` must be a time like 0.25 or "15 min", got {value!r:.60}.')
-    return float(found[1]) * (SECONDS[found[2]] / SECONDS[unit])
+    return length
 
 
 def delay_span(name: str, given: object) -> tuple[float, float]:

@@ -34,6 +34,7 @@ GIVEN = {"w_bound": 0.1, "sensors": {"p": {"noise_bound": 0.1}}}
         ({"sensors": {"p": 3}}, "`sensors.p` must be a table of keys and values"),
         ({"sensors": {"p": {"prize": 3}}}, "Did you mean 'price'"),
         ({"grid": "15 parsec"}, "`grid` must be a time like 0.25 or"),
+        ({"grid": "1e400 min"}, "`grid` must be a time like 0.25 or"),
         ({"aim": "most accurate"}, "`aim` is most accurate, which needs `samples` or `cost_limit`"),
         (
             {"calendar": {**WEEK, "hours": {"Mo": [["08:00", "17:00"]]}}},

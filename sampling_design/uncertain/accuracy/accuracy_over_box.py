@@ -166,16 +166,17 @@ def accuracy_over_box(
         attained(corner, one(plant.at(corner), w, v, rows.matrix, FINER * rtol)[0])
     status = search.run(judged, cut, look)
     lower, top, cells = -search.best, -search.lower, search.judged
-    if not np.all(np.isfinite(top)):
-        if status == "interrupted":
-            raise KeyboardInterrupt
-        near = at_parameters(_parameter_values(plant, worst[0]))
-        raise UndecidedError(
-            f"undecided: some plant of the box near {near} could not be bounded in time. Try a smaller box."
-        )
-    closed = top * (1 - BALL_ROOM * rtol) <= lower
     where = tuple(_parameter_values(plant, each) for each in worst)
+    if not np.all(np.isfinite(top)):
+        raise KeyboardInterrupt if status == "interrupted" else _unbounded(where[0])
+    closed = top * (1 - BALL_ROOM * rtol) <= lower
     return AccuracyOverBox(rows, lower, top, where, closed, cells, plant, schedule)
+
+
+def _unbounded(where: Mapping[str, float]) -> UndecidedError:
+    return UndecidedError(
+        f"undecided: some plant of the box near {at_parameters(where)} could not be bounded in time. Try a smaller box."
+    )
 
 
 def _corners(plant: UncertainPlant) -> list[Array]:

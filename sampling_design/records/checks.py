@@ -219,10 +219,11 @@ def symmetric(name: str, value: object, size: int) -> Array:
     Raises ArgumentError if it is not symmetric, or as in `matrix`.
     """
     array = matrix(name, value, size, size)
-    skew = float(np.max(np.abs(array - array.T), initial=0.0))
+    with np.errstate(over="ignore"):  # entries of opposite signs whose difference no double holds
+        skew = float(np.max(np.abs(array - array.T), initial=0.0))
     if skew > 1e-12 * float(np.max(np.abs(array), initial=0.0)):
         raise ArgumentError(f"`{name}` must be symmetric, got entries that differ from their mirror by {skew:.3g}.")
-    return freeze((array + array.T) / 2)
+    return freeze(array / 2 + array.T / 2)
 
 
 def definite(name: str, value: object, size: int, slip: str = "") -> Array:

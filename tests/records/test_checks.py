@@ -126,6 +126,14 @@ def test_rounding_of_a_symmetric_matrix_is_removed():
         checks.symmetric("P", P + np.array([[0.0, 1e-11], [0.0, 0.0]]), 2)
 
 
+def test_symmetric_matrices_may_hold_the_largest_doubles():
+    """The sum of an entry and its mirror is no double then."""
+    P = np.diag([1.7e308, 1e-308])
+    np.testing.assert_array_equal(checks.definite("P", P, 2), P)
+    with pytest.raises(ArgumentError, match="`P` must be symmetric, got entries that differ from their mirror by inf"):
+        checks.symmetric("P", [[1.0, 1e308], [-1e308, 1.0]], 2)
+
+
 def test_a_refused_argument_is_not_changed():
     mine = np.array([2.0, 1.0])
     with pytest.raises(ArgumentError, match="`t` must increase strictly"):

@@ -212,6 +212,17 @@ def test_design_save_and_reload(explorer, page, shot, tmp_path):
     until(page, "document.querySelector('.said').textContent.includes('sigma')")
     until(page, f"!document.querySelector('.lower').textContent.includes('≥ {before:.4g}')")
     assert proven(page) > 1.05 * before
+    # what late and lost samples leave: a line each, below what is proven, and a sentence
+    until(page, "document.querySelectorAll('.sigma line.left').length === 2")
+    late, lost = page.locator(".sigma line.left").all()
+    assert late.text_content().startswith("late or early: sigma ≥ ")
+    assert lost.text_content().startswith("one lost: sigma ≥ ")
+    said = [float(number) for number in re.findall(r"\d[\d.e-]*\d", page.locator("p.left").text_content())]
+    for line in (late, lost):
+        left = float(line.text_content().split("≥ ")[1])
+        assert left < proven(page)
+        assert pytest.approx(left, rel=1e-3) in said
+    assert float(late.get_attribute("y1")) < float(lost.get_attribute("y1"))
     shot(page, "explorer-designed")
     page.get_by_role("button", name="Save").click()
     until(page, "document.querySelector('.said').textContent.includes('Saved')")

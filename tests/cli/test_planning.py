@@ -14,6 +14,7 @@ import sampling_design as sd
 from sampling_design.cli.planning import _now, plan
 from sampling_design.cli.planning import next_sample as next_command
 from sampling_design.cli.settings import Settings
+from sampling_design.cli.track import ErrorBoundArguments, _bounds
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.search import PlanSearch
 
@@ -140,6 +141,9 @@ def test_a_plan_of_another_plant_brings_no_bounds(shell, small_plan, command):
     assert found.code == 2
     said = " ".join(found.err.split())
     assert "`--w-bound` is missing, and the plan is for another plant: its A[1, 0] is -1.0, not -0.9." in said
+    untyped = ErrorBoundArguments(w_bound=None, v_bound=None, initial_error=None)
+    with pytest.raises(ArgumentError, match="is missing, and the plan is for another plant"):
+        _bounds(Settings(command), slower, untyped, plan)
     if command == "estimate":  # its schedule stands, in the plant's unit of time
         typed = ("--w-bound", "0.02", "--v-bound", "0.2,0.2", "--initial-error", "1.5")
         assert shell(*(command, *words, *typed, "--json")).code in (0, 1)

@@ -21,7 +21,7 @@ def wanted(package: Path) -> set[str]:
 def beside(root: Path) -> set[str]:
     """What a source distribution holds beside the package, so that the README's commands and all tests run in it."""
     files = (p.relative_to(root) for folder in (".ci", "docs", "examples", "tests") for p in (root / folder).rglob("*"))
-    built = {"__pycache__", "_build"}
+    built = {"__pycache__", "_build", "made"}
     kept = {p.as_posix() for p in files if (root / p).is_file() and not built & set(p.parts)}
     return kept | {"pyproject.toml", "setup.py", "LICENSE", "README.md", "CITATION.cff"}
 

@@ -220,9 +220,9 @@ export async function mount(element, ask) {
     node("path", { d: path, fill: "none", stroke: COLOUR.measured, "stroke-width": 2, class: "curve" }, chart);
     node("line", { x1: LEFT, x2: WIDE - RIGHT, y1: y(answer.lower), y2: y(answer.lower), stroke: COLOUR.proven, "stroke-width": 2, "stroke-dasharray": "7 4" }, chart);
     if (answer.left) {
-      const lines = [[answer.left.late, COLOUR.attained, "7 3 2 3", "late or early"], [answer.left.lost, COLOUR.failed, "2 3", "one lost"]];
-      for (const [value, colour, dash, words] of lines.filter(([value]) => value !== null)) {
-        const line = node("line", { x1: LEFT, x2: WIDE - RIGHT, y1: y(value), y2: y(value), stroke: colour, "stroke-dasharray": dash, class: "left" }, chart);
+      const lines = [[answer.left.late, "7 3 2 3", "late or early"], [answer.left.lost, "2 3", "one lost"]];
+      for (const [value, dash, words] of lines.filter(([value]) => value !== null)) {
+        const line = node("line", { x1: LEFT, x2: WIDE - RIGHT, y1: y(value), y2: y(value), stroke: COLOUR.proven, "stroke-dasharray": dash, class: "left" }, chart);
         node("title", {}, line, `${words}: sigma ≥ ${short(value)}`);
       }
     }

@@ -16,10 +16,10 @@ from sampling_design.plotting import style
 from sampling_design.records.record import counted, short
 
 _LEFT = (
-    ("late", "if samples are late or early", "v-.", style.ATTAINED),
-    ("lost", "if one sample is lost", "x:", style.FAILED),
+    ("late", "if samples are late or early", "v-."),
+    ("lost", "if one sample is lost", "x:"),
 )
-"""What is left of sigma: its name, words, line and colour."""
+"""What is left of sigma, proven as it is: its name, words and line."""
 
 
 def draw_worst_case(result: WorstCaseSigma, ax: Axes | None = None) -> Axes:
@@ -91,10 +91,10 @@ def _front(points: Sequence[ParetoPoint], ax: Axes) -> Axes:
     )
     ax.plot(counts, sigma, "o-", color=style.PROVEN, linewidth=2.5, alpha=0.8, label="proven sigma of the design")
     deviations = [p.deviations for p in points]
-    for key, words, line, colour in _LEFT:
+    for key, words, line in _LEFT:
         left = [np.nan if one is None or (one.asked and key == "late") else getattr(one, key) for one in deviations]
         if np.isfinite(left).any():
-            ax.plot(counts, left, line, color=colour, linewidth=1.2, markersize=4, label=words)
+            ax.plot(counts, left, line, color=style.PROVEN, linewidth=1.2, markersize=4, label=words)
             least.append(float(np.nanmin(left)))
     style.from_below(ax, min(least), float(bound.max()))
     _whole_counts(ax)
@@ -108,8 +108,8 @@ def _front(points: Sequence[ParetoPoint], ax: Axes) -> Axes:
 def draw_losses(losses: SampleLosses, ax: Axes | None = None) -> Axes:
     """Draw sigma without each single sample, against sigma with all of them, and the share of it that is lost."""
     ax = style.new_axes(ax)
-    ax.vlines(losses.times, losses.lower, losses.sigma, color=style.FAILED, linewidth=1.2)
-    ax.plot(losses.times, losses.lower, "o", color=style.FAILED, label="without this sample (proven)")
+    ax.vlines(losses.times, losses.lower, losses.sigma, color=style.PROVEN, linewidth=1.2)
+    ax.plot(losses.times, losses.lower, "o", color=style.PROVEN, label="without this sample (proven)")
     ax.plot(losses.times, losses.bound, "_", color=style.TRUTH, markersize=10, label="no schedule of one fewer exceeds")
     ax.axhline(losses.sigma, color=style.PROVEN, linewidth=1.2, label=f"with all: {short(losses.sigma, 4)}")
     for t, low in zip(losses.times, losses.lower, strict=True):
@@ -118,7 +118,7 @@ def draw_losses(losses: SampleLosses, ax: Axes | None = None) -> Axes:
     top, least = max(losses.sigma, float(np.max(losses.bound))), float(min(np.min(losses.lower), losses.sigma))
     if (left := losses.deviations) is not None and not left.asked:
         label = f"with all, {left.tolerance.describe(left.time_unit)}: {short(left.late, 4)}"
-        ax.axhline(left.late, color=style.ATTAINED, linestyle="-.", linewidth=1.0, label=label)
+        ax.axhline(left.late, color=style.PROVEN, linestyle="-.", linewidth=1.0, label=label)
         least = min(least, left.late)
     style.from_below(ax, least, top)
     ax.margins(x=0.08)

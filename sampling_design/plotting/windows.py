@@ -18,9 +18,9 @@ def draw_deviations(found: SigmaDeviations | None, ax: Axes) -> float:
         return np.inf
     if not found.asked:
         label = f"if {found.tolerance.describe(found.time_unit)}: {short(found.late, 4)}"
-        ax.axhline(found.late, color=style.ATTAINED, linestyle="-.", linewidth=1.0, label=label)
+        ax.axhline(found.late, color=style.PROVEN, linestyle="-.", linewidth=1.0, label=label)
     lost = f"if one sample is lost: {short(found.lost, 4)}"
-    ax.axhline(found.lost, color=style.FAILED, linestyle=":", linewidth=1.0, label=lost)
+    ax.axhline(found.lost, color=style.PROVEN, linestyle=":", linewidth=1.0, label=lost)
     return min(found.late, found.lost)
 
 

@@ -16,14 +16,19 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 import pytest
+from _pytest.doctest import DoctestModule
 from hypothesis import HealthCheck, settings
 
+from sampling_design.design.search import local_search
 from tests import raised, rigour
 
 settings.register_profile(
     "house", derandomize=True, deadline=None, database=None, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("house")
+KICKS = local_search.KICKS
+KICKED = ("tests/design/test_search.py", "tests/docs", "tests/benchmarks", "tests/browser", "sampling_design")
+"""Where a search of designs has its kicks: where they are judged, and where figures of the documentation are."""
 gc.set_threshold(20_000, 10, 10)  # what is imported for thousands of tests stays: to search it all took a tenth
 
 
@@ -33,8 +38,21 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--long-cases", type=int, metavar="N", help="with --long: at most N cases of each test function")
 
 
+class Examples:
+    """The plugin that looks for examples in documentation where some are: a file is not even imported without."""
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_collect_file(self, file_path: Path) -> Any:
+        """Leave out the collector of examples of a file that has none."""
+        found = yield
+        if file_path.suffix != ".py" or ">>>" in file_path.read_text():
+            return found
+        return [each for each in found if not isinstance(each, DoctestModule)]
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Let every certificate that the tests make be decided in ball arithmetic."""
+    config.pluginmanager.register(Examples(), "examples")
     rigour.register(config)
     raised.register(config)
     config.addinivalue_line("markers", "long: left out of a run of everything, and run by `--long`, as .ci/run does")
@@ -77,6 +95,13 @@ def spread(items: list[Any], kind: Callable[[Any], object], most: int) -> list[A
         count = min(most, len(places))
         kept |= {places[(2 * k + 1) * len(places) // (2 * count)] for k in range(count)}
     return [item for place, item in enumerate(items) if place in kept]
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> None:
+    """Let a search of designs end with its starts: kicks are two thirds of it, and few tests are about them."""
+    long = item.get_closest_marker("long") is not None and not item.nodeid.startswith("tests/cli")
+    local_search.KICKS = KICKS if long or item.nodeid.startswith(KICKED) else 0
 
 
 def pytest_collection_finish() -> None:

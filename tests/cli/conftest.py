@@ -8,8 +8,6 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
-from sampling_design.design.search import local_search
-
 Outcome = namedtuple("Outcome", "code out err")
 
 
@@ -24,12 +22,6 @@ def _drawn(request, monkeypatch):
     if "pixels" not in request.fixturenames:
         point = np.zeros((1, 1, 3))
         monkeypatch.setattr(Figure, "savefig", lambda _, file, metadata, **how: imsave(file, point, metadata=metadata))
-
-
-@pytest.fixture(autouse=True)
-def _designed(monkeypatch):
-    """A search ends with its starts: kicks are two thirds of a design, and judged in `tests/design`."""
-    monkeypatch.setattr(local_search, "KICKS", 0)
 
 
 @pytest.fixture

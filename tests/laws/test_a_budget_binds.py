@@ -22,7 +22,7 @@ from tests import command_lines
 from tests.counted_clock import Counted
 from tests.front_door import public
 
-BUDGETS = (0.1,)
+BUDGETS = (0.03,)
 
 
 def allowed(budget: float) -> float:
@@ -230,7 +230,7 @@ def test_no_command_with_a_budget_is_forgotten():
 @pytest.mark.parametrize("name", sorted(COMMANDS))
 def test_a_command_ends_with_its_budget(name, files, monkeypatch):
     monkeypatch.chdir(files)
-    budget = 0.1
+    (budget,) = BUDGETS
     with Counted().running() as clock:
         ended = command_lines.run([*COMMANDS[name], "--budget", str(budget), "--quiet"])
     assert clock.read() <= allowed(budget)

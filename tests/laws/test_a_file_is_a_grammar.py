@@ -71,10 +71,10 @@ UNCERTAIN = UncertainPlant(
 CERTIFICATES = {
     "periodic": lambda: sd.certify(TWO, PARTLY, eta=0.2, P2=np.eye(2)),
     "finite": lambda: sd.certify(OSCILLATOR, Schedule([0.5, 1.5, 3.0]), eta=0.4, P2=np.eye(2)),
-    "gap range": lambda: sd.certify(OSCILLATOR, GapRange(0.9, 1.1), eta=0.2, memory=0),
-    "spaced windows": lambda: sd.certify(OSCILLATOR, SpacedWindows(3.0, 2, 1.0), eta=0.2, memory=1),
-    "lost samples": lambda: sd.certify(TWO, LostSamples(PARTLY, 1, 3), eta=0.1, memory=0),
-    "jitter": lambda: sd.certify(TWO, Jitter(PARTLY, 0.1), eta=0.1, memory=0),
+    "gap range": lambda: sd.certify(OSCILLATOR, GapRange(0.9, 1.1), eta=0.2, memory=0, P2=np.eye(2)),
+    "spaced windows": lambda: sd.certify(OSCILLATOR, SpacedWindows(3.0, 2, 1.0), eta=0.2, memory=1, P2=np.eye(2)),
+    "lost samples": lambda: sd.certify(TWO, LostSamples(PARTLY, 1, 3), eta=0.1, memory=0, P2=np.eye(2)),
+    "jitter": lambda: sd.certify(TWO, Jitter(PARTLY, 0.1), eta=0.1, memory=0, P2=np.eye(2)),
     "detectability": lambda: sd.certificates.certify_detectability(OSCILLATOR),
     "inclusion": lambda: certify_inclusion(UNCERTAIN, GapRange(0.5, 1.0), eta=0.1, pieces=2),
 }

@@ -40,8 +40,8 @@ def region(f, **changes):
 
 FILES = {
     "periodic": lambda: sd.certify(OSCILLATOR, NOMINAL, eta=0.4, P2=np.eye(2)).to_dict(),
-    "jitter": lambda: sd.certify(OSCILLATOR, sd.Jitter(NOMINAL, 0.1), eta=0.1, memory=0).to_dict(),
-    "lost": lambda: sd.certify(OSCILLATOR, sd.LostSamples(NOMINAL, 1, 3), eta=0.1, memory=0).to_dict(),
+    "jitter": lambda: sd.certify(OSCILLATOR, sd.Jitter(NOMINAL, 0.1), eta=0.1, memory=0, P2=np.eye(2)).to_dict(),
+    "lost": lambda: sd.certify(OSCILLATOR, sd.LostSamples(NOMINAL, 1, 3), eta=0.1, memory=0, P2=np.eye(2)).to_dict(),
     "detectability": lambda: sd.certificates.certify_detectability(OSCILLATOR).to_dict(),
     "inclusion": lambda: certify_inclusion(SLOPES, sd.GapRange(0.1, 0.2), eta=0.5, pieces=4).to_dict(),
     "region": lambda: region(SINE),

@@ -20,13 +20,14 @@ WANTED = sd.PlanRequirement(
 )
 
 
-def made(**changes):
-    return sd.plan_samples(PLANT, WANTED.replace(**changes), search_seconds=1.0, certificate=False, robustness=False)
+def made(seconds=1.0, **changes):
+    wanted = WANTED.replace(**changes)
+    return sd.plan_samples(PLANT, wanted, search_seconds=seconds, certificate=False, robustness=False)
 
 
 @pytest.fixture(scope="module")
 def plan():
-    return made(timing_tolerance=0.1, initial_error=0.5)
+    return made(0.1, timing_tolerance=0.1, initial_error=0.5)
 
 
 @pytest.mark.long

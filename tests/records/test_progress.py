@@ -17,7 +17,10 @@ def test_a_bar_is_drawn_in_a_terminal_only(terminal, monkeypatch):
     told = []
     with progress.progress_bar("design") as bar:
         sd.design_schedule(
-            sd.named_plant("oscillator"), progress=lambda share, text: (told.append(text), bar(share, text))
+            sd.named_plant("oscillator"),
+            starts=1,
+            branches=0,
+            progress=lambda share, text: (told.append(text), bar(share, text)),
         )
     assert told
     assert ("design" in written.getvalue()) == terminal

@@ -17,6 +17,7 @@ def always():
     return sd.accuracy.accuracy_limit(PLANT, **BOUNDS)
 
 
+@pytest.mark.long
 def test_a_dense_schedule_comes_close(always):
     dense = sd.guaranteed_accuracy(PLANT, sd.PeriodicSchedule([0.05]), rtol=0.02, **BOUNDS)
     assert np.all(always.lower <= dense.upper)

@@ -151,6 +151,7 @@ def test_a_finite_schedule_keeps_its_bounds_too():
         assert np.all(moved.lower <= found.upper)
 
 
+@pytest.mark.long
 def test_nothing_jumps_as_the_tolerance_goes_to_zero():
     given = {"w_bound": 0.02, "v_bound": 0.1, "rtol": 1e-3, "of": "x1"}
     exact = guaranteed_accuracy(OSCILLATOR, UNEVEN, **given)
@@ -198,6 +199,7 @@ def test_too_little_noise_and_times_beyond_the_tolerance_are_not_proven():
     assert not replace(exact, question=longer, upper=exact.upper * 2)._lower_holds(0, exact.question.known())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("early", "late"), few([(0.02, 0.08), (0.1, 0.0)], 0))
 def test_early_apart_from_late_is_one_number_about_another_time(early, late):
     sides = (early, late)

@@ -126,6 +126,7 @@ def test_constants_of_the_proof_that_doubles_cannot_hold_are_undecided(monkeypat
         with_P1(1e9 * np.eye(2))()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("size", few([1e-200, 1e-300], 1))
 def test_a_disturbance_of_hardly_any_effect_is_easy(size):
     plain = certify(Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], G=[[0.0], [1e-40]]), EACH, eta=0.4)

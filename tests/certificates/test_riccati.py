@@ -67,7 +67,7 @@ def test_partial_outputs_use_the_measured_block_of_the_covariance():
         assert np.allclose(physical, J, atol=1e-12)
 
 
-@pytest.mark.parametrize("first", few([None, 0.0, 2.3], 0, 2))
+@pytest.mark.parametrize("first", few([None, 0.0, 2.3], 2))
 def test_supremum_is_that_of_a_dense_scan(first):
     A = np.array([[-0.5, -1.1], [1.5, 0.6]])
     plant, schedule = Plant(A, [[0.5, -0.4]]), PeriodicSchedule([1.2, 0.7, 0.6], first)

@@ -49,6 +49,7 @@ if any("popen_loky" in word for word in sys.orig_argv):
 """
 
 
+@pytest.mark.long
 def test_processes_that_share_the_work_begin_deaf_to_interrupts(tmp_path):
     """Python's own traceback would be on the screen otherwise, once for each process that is still loading."""
     (tmp_path / "sitecustomize.py").write_text(WHO_LISTENS)

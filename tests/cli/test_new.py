@@ -126,6 +126,7 @@ def test_a_plan_is_asked_for_in_one_command(shell, tmp_path):
     assert "midnight of 2026-03-04" in (tmp_path / "requirement.toml").read_text()
 
 
+@pytest.mark.long
 def test_from_flags_to_an_estimate_nobody_edits_a_file_but_the_form(shell, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     flags = (

@@ -13,6 +13,7 @@ import pytest
 import sampling_design as sd
 from sampling_design import read_schedule
 from sampling_design.cli.settings import Settings
+from tests.cases import few
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PLANTS, REQUIREMENTS = EXAMPLES / "plants", EXAMPLES / "requirements"
@@ -69,7 +70,7 @@ def test_design_writes_table_picture_files_and_dates(shell, tmp_path):
     assert judged["upper"] == pytest.approx(data["sigma_attained"], rel=1e-9)
 
 
-@pytest.mark.parametrize(("start", "until"), [("2026-10-05", "2026-10-25"), ("2026-03-02", "2026-03-29")])
+@pytest.mark.parametrize(("start", "until"), few([("2026-10-05", "2026-10-25"), ("2026-03-02", "2026-03-29")], 1))
 def test_a_calendar_of_local_hours_never_leaves_them(shell, tmp_path, start, until):
     """The schedule counts hours that pass: once the clocks are changed, the same samples come at other hours."""
     sd.plants.write_plant(sd.Plant([[0.0]], [[1.0]], time_unit="h"), tmp_path / "level.toml")
@@ -99,6 +100,7 @@ def test_design_prints_the_defaults_it_used(shell):
     assert shell("design", plant("oscillator"), "--quiet").err == ""
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("pixels")
 def test_design_twice_is_the_same_to_the_last_byte(shell, tmp_path):
     for folder in ("one", "two"):

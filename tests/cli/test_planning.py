@@ -17,6 +17,7 @@ from sampling_design.cli.settings import Settings
 from sampling_design.cli.track import ErrorBoundArguments, _bounds
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.search import PlanSearch
+from tests.cases import few
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SMALL = """format = "sampling-design/plan-requirement/1"
@@ -35,7 +36,8 @@ noise_bound = 0.2
 def test_a_plan_becomes_files_that_other_commands_take(shell, tmp_path):
     (tmp_path / "wanted.toml").write_text(SMALL)
     out = tmp_path / "out"
-    result = shell("plan", EXAMPLES / "plants" / "oscillator.toml", tmp_path / "wanted.toml", "-o", out)
+    brief = ("--search-seconds", 1)
+    result = shell("plan", EXAMPLES / "plants" / "oscillator.toml", tmp_path / "wanted.toml", "-o", out, *brief)
     assert result.code == 0
     assert "keep position within" in " ".join(result.out.split())
     data = json.loads((out / "plan.json").read_text())
@@ -50,7 +52,7 @@ def test_a_plan_becomes_files_that_other_commands_take(shell, tmp_path):
     assert result.code == 0
     assert "Next sample by " in result.out
     assert json.loads((tmp_path / "out" / "next.json").read_text())["proven"]
-    other = ("-o", tmp_path / "b", "--compare", plan_file)
+    other = ("-o", tmp_path / "b", "--compare", plan_file, *brief)
     again = shell("plan", tmp_path / "out" / "plant.toml", tmp_path / "wanted.toml", *other)
     assert "Both cost the same" in " ".join(again.out.split())
     assert (tmp_path / "b" / "comparison.png").read_bytes().startswith(b"\x89PNG")
@@ -112,7 +114,7 @@ def small_plan(tmp_path_factory):
     return plan, plan.save(folder / "plan.json"), folder / "measured.csv"
 
 
-@pytest.mark.parametrize("place", ["plant", "schedule", "both"])
+@pytest.mark.parametrize("place", few(["plant", "schedule", "both"], 2))
 def test_a_plan_stands_for_plant_schedule_and_bounds(shell, small_plan, place):
     plan, file, measured = small_plan
     first = file.with_name("plant.toml") if place == "schedule" else file

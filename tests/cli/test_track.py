@@ -275,7 +275,7 @@ def test_dates_are_laid_over_a_schedule_by_its_origin(shell, tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("plant", ["oscillator", "tidal_gauge", "triple_integrator"])
+@pytest.mark.parametrize("plant", ["tidal_gauge", "oscillator", "triple_integrator"])
 def test_two_rows_ten_thousand_years_apart_end_with_a_sentence(shell, tmp_path, plant):
     file = OSCILLATOR.parent / f"{plant}.toml"
     found = sd.read_plant(file)

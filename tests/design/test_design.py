@@ -109,7 +109,6 @@ def test_a_target_out_of_reach_names_what_was_found():
             {"samples": 9, "target_sigma": 7.0},
         ],
         0,
-        1,
         3,
     ),
 )

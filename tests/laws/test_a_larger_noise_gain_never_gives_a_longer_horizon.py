@@ -29,6 +29,7 @@ def test_horizons_fall_along_any_list_of_gains(plant, schedule):
     assert horizons[-1] < 0.95 * horizons[0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("budget", few([1.2, 1.5, 2.0, 3.0], 0))
 def test_a_gain_alone_gives_what_it_gives_among_others(budget):
     """And for the oscillator no less than the best that was ever found: 2.71, 2.39, 2.11, 1.88 were reached."""

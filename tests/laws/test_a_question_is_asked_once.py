@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from tests.cases import few
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 QUESTIONS = {
@@ -45,7 +46,9 @@ def test_a_design_counts_the_zeros_once(asked, requirement):
     assert asked["count"] - before["count"] == alone["count"]
 
 
-@pytest.mark.parametrize("given", [{}, {"eta": 0.3}, {"P2": np.eye(2)}, {"eta": 0.3, "P2": np.eye(2)}], ids=str)
+@pytest.mark.parametrize(
+    "given", few([{}, {"eta": 0.3}, {"P2": np.eye(2)}, {"eta": 0.3, "P2": np.eye(2)}], 0, 2, 3), ids=str
+)
 def test_a_certificate_asks_once_whether_one_exists(asked, given):
     sd.certify(OSCILLATOR, sd.PeriodicSchedule([1.0]), **given)
     assert asked["existence"] == 1

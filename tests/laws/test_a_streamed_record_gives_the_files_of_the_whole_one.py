@@ -21,6 +21,7 @@ from sampling_design.records import file_io
 from sampling_design.records.file_io import to_json
 from sampling_design.validation import schedule_log
 from sampling_design.validation.schedule_log import _paired_times
+from tests.cases import few
 
 PLANT = sd.Plant(
     [[0.0, 1.0], [-1.0, 0.0]],
@@ -86,7 +87,7 @@ def test_blocks_are_read_as_single_rows_are(tmp_path, monkeypatch, seed):
         assert read(path, monkeypatch, 7, plain=True) == read(path, monkeypatch, 10_000, plain=False)
 
 
-@pytest.mark.parametrize("radii", ["intervals", "centred", "ellipsoids"])
+@pytest.mark.parametrize("radii", few(["intervals", "centred", "ellipsoids"], 0, 2))
 def test_estimates_written_one_by_one_are_those_of_the_record(tmp_path, monkeypatch, capsys, radii):
     monkeypatch.setattr(in_order, "MOST_INTERVALS", 5)
     path = drawn_file(np.random.default_rng(3), tmp_path / "y.csv", rows=12, awkward=False)

@@ -174,7 +174,7 @@ def test_no_real_times_and_no_noise_lead_out_of_what_is_said(seed):
         assert found.upper - found.lower <= 20 * (high - low)
 
 
-@pytest.mark.parametrize("seed", few(range(60), 0, 1))
+@pytest.mark.parametrize("seed", few(range(60), 0))
 def test_an_unknown_start_is_held_by_readings_of_uncertain_times_alone(seed):
     case = Unknown(seed)
     row = (case.c / case.x)[None]
@@ -199,6 +199,7 @@ def test_an_unknown_start_is_held_by_readings_of_uncertain_times_alone(seed):
         assert found.upper - found.lower <= 20 * (high - low)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", few(range(30), 1))
 def test_an_unknown_start_is_held_by_readings_that_come_in_any_order(seed):
     case, rng = Unknown(seed), np.random.default_rng(seed)
@@ -223,7 +224,7 @@ SWING = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], B=[[0.0], [1.0]])
 
 
 @pytest.mark.parametrize("origin", few([0.0, 1.7e9], 1))
-@pytest.mark.parametrize("change", ["withdraw", "correct", "input"])
+@pytest.mark.parametrize("change", few(["withdraw", "correct", "input"], 1, 2))
 def test_what_later_readings_told_of_earlier_ones_goes_with_them(change, origin):
     """Nothing is known of the start: two readings of uncertain times prove each other, and what came then was wrong."""
 
@@ -280,7 +281,7 @@ def test_a_time_that_is_believed_is_outside_and_a_walk_is_held_exactly():
     assert not sd.state_interval(swing, [(t[0] + 0.25, y) for t, y in rows], 6.0, **given).holds(truth(6.0))
 
 
-@pytest.mark.parametrize("jump", few([1.0, 1.5, 1.8, 2.0], 0, 1, 3))
+@pytest.mark.parametrize("jump", few([1.0, 1.5, 1.8, 2.0], 0, 3))
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_an_input_that_jumps_at_either_end_or_in_the_middle_is_held_on_both_sides(side, jump):
     """y = x + u, read at any time from 1 to 2, both included, where u jumps: there u is that of the stated side."""

@@ -152,6 +152,7 @@ def test_where_no_shape_can_be_proven_a_round_one_is(monkeypatch):
     assert min(rounder) < 100
 
 
+@pytest.mark.long
 def test_what_doubling_and_walking_lose_is_followed_from_above():
     """Three defective clusters, noises 1e-30 apart: nothing settles; with a floor it does, near what 400 digits say."""
     plant, schedule = drawn(98)

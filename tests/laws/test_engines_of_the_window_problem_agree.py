@@ -137,7 +137,7 @@ def test_on_every_window(name, options):
 
 @pytest.mark.parametrize(
     ("name", "first", "second"),
-    few(product(PLANTS, ["box", "ball"], ["half-space", "ball", "same"]), 0, 7, 16, 21),
+    few(product(PLANTS, ["box", "ball"], ["half-space", "ball", "same"]), 0, 16),
 )
 def test_where_a_constraint_touches_without_pushing(name, first, second):
     """A second set whose edge goes exactly through the minimiser changes nothing: multipliers are 0, or not unique."""
@@ -225,7 +225,7 @@ def test_a_tiny_gap_among_long_ones_takes_the_route_that_keeps_its_digits():
     assert engines[-1] == "square root"
 
 
-@pytest.mark.parametrize(("name", "options"), few(product(PLANTS, SETS), 0, 9, 27))
+@pytest.mark.parametrize(("name", "options"), few(product(PLANTS, SETS), 0, 9))
 def test_the_problem_as_written_is_the_one_that_is_solved(name, options):
     """`problem` of any of the last samples costs what its estimate says, and ends where that is.
 

@@ -125,6 +125,7 @@ def test_limits_means_and_the_tube_hold_the_truth_too(name):
     assert all(held(name, seed) for seed in range(2))
 
 
+@pytest.mark.long
 def test_cells_too_coarse_for_the_truth_are_no_contradiction():
     """Here only w at its bound, switching inside cells, explains the data: no w constant on coarse cells does."""
     estimate, truth, tube, path = told_run("satellite", 10389)

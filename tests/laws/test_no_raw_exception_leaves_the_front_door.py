@@ -68,10 +68,10 @@ def callables():
     return [door for door in front_door.doors() if front_door.optional(door.name)]
 
 
-@pytest.mark.parametrize("share", few(range(5), 0))
+@pytest.mark.parametrize("share", few(range(10), 0))
 def test_a_keyword_that_is_mistyped_names_the_right_one(share):
     left = []
-    for door in callables()[share::5]:
+    for door in callables()[share::10]:
         thing = door.target()
         if inspect.isclass(thing) and not issubclass(thing, Record) and "checked" not in vars(thing.__init__):
             continue  # what a verb returns, plain: nobody makes one

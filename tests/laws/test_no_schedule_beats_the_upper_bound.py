@@ -11,6 +11,7 @@ from sampling_design.design.bounds.evidence import UpperBound, placed_part, slow
 from sampling_design.design.bounds.relaxation import relax_placed
 from sampling_design.design.problem.posing import pose
 from sampling_design.records.budget import ENDLESS
+from tests.cases import few
 from tests.oracles.design import best_on_grid, is_allowed, random_schedule, window_sigma_scan
 
 OSCILLATOR = ([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
@@ -151,7 +152,7 @@ def test_a_wide_gap_is_cut_on_as_long_as_that_helps(monkeypatch, falls, cuts):
 FAR_APART = ([[3.0, 1.0], [0.0, 0.02]], [[0.05, 1.0]])  # e^12 and e^.08 over a window of four
 
 
-@pytest.mark.parametrize("rules", [{}, {"forbidden": [[0.5, 1.5]]}, {"fixed": [0.0, 1.75]}])
+@pytest.mark.parametrize("rules", few([{}, {"forbidden": [[0.5, 1.5]]}, {"fixed": [0.0, 1.75]}], 0, 2))
 def test_states_that_grow_slowly_alone_bound_every_schedule(rules):
     requirement = Requirement(window=4.0, period=4.0, spacing=0.4, samples=3, **rules)
     problem = pose(Plant(*FAR_APART), requirement, 3)

@@ -21,6 +21,7 @@ from sampling_design.certificates.detectability.best_rate import certify_detecta
 from sampling_design.certificates.paper.proof_constants import certify_from_proof, constants_from_proof
 from sampling_design.errors import SamplingDesignError
 from sampling_design.plants.plant import first_difference
+from tests.cases import few
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], time_unit="h")
 SCHEDULE = PeriodicSchedule([1.0])
@@ -32,7 +33,7 @@ OTHERS = {
 }
 
 
-@pytest.mark.parametrize(("words", "change"), OTHERS.items())
+@pytest.mark.parametrize(("words", "change"), few(OTHERS.items(), 1))
 def test_every_door_refuses_a_certificate_of_another_plant_and_names_the_first_difference(words, change, tmp_path):
     certificate = certify(OSCILLATOR, SCHEDULE, eta=0.4, P2=np.eye(2))
     other = dataclasses.replace(OSCILLATOR, **change)
@@ -54,6 +55,7 @@ def test_every_door_refuses_a_certificate_of_another_plant_and_names_the_first_d
     assert not other.same_dynamics(OSCILLATOR)
 
 
+@pytest.mark.long
 def test_names_inputs_scales_and_source_do_not_enter():
     driven = Plant(OSCILLATOR.A, OSCILLATOR.C, B=[[0.0], [1.0]], time_unit="h", name="driven", states=["x", "v"])
     assert driven.same_dynamics(OSCILLATOR)

@@ -71,6 +71,7 @@ def judged(problem):
     return design
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", few(FEW, 2))
 def test_no_schedule_of_whole_hours_is_far_above_the_design(seed):
     assert judged(random_hours(np.random.default_rng(seed))).gap <= GAP

@@ -109,7 +109,7 @@ VERBS = {
 }
 
 
-@pytest.mark.parametrize(("verb", "kind"), few(product(VERBS, RECORDS), 0, 4, 8, 9, 15, 17))
+@pytest.mark.parametrize(("verb", "kind"), few(product(VERBS, RECORDS), 0, 8, 15))
 def test_a_record_and_its_shift_get_the_same_answer(verb, kind):
     answer, rows = VERBS[verb], RECORDS[kind]
     here = answer(rows, 0.0)

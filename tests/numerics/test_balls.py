@@ -129,7 +129,7 @@ def test_flow_contains_the_sixty_digit_solution(name, duration):
         assert all(oracle.inside(exact[i, j], found[i, j]) for i in range(n) for j in range(n))
 
 
-@pytest.mark.parametrize("name", few(PLANTS, 0, 1))
+@pytest.mark.parametrize("name", few(PLANTS, 1))
 def test_highest_holds_everywhere_and_is_close(name):
     """One per cent above the largest value of a dense scan is proven; one part in 1e9 below it, nothing."""
     A = np.array(PLANTS[name])

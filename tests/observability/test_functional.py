@@ -171,7 +171,6 @@ UNSEEN = Plant(np.diag([0.1, 0.05, -0.5]), [[1.0, 1.0, 0.0]])
             ([[1.0, 0, 0], [1.0, 0, 1e3]], 1e9),
             ([[0.3, 1, -1], [0, 0, 1]], 1e-9),
         ],
-        0,
         1,
     ),
 )
@@ -428,7 +427,6 @@ ALIASED = Plant(
             ("slow", "what is hidden enters slow", False, False, 1.0),
         ],
         1,
-        2,
     ),
 )
 def test_what_equal_gaps_hide_of_rows_is_said_and_true(rows, said, at_samples, between, unit):

@@ -245,7 +245,7 @@ def test_growth_within_a_window_hides_nothing(rate, monkeypatch):
 
 
 @pytest.mark.parametrize("growth", few([40.0, 100.0, 150.0], 0))
-@pytest.mark.parametrize("shape", ["two", "coupled", "turning"])
+@pytest.mark.parametrize("shape", few(["two", "coupled", "turning"], 1))
 def test_sigma_beside_growth_is_what_many_digits_say(shape, growth):
     """Attained to ten digits, and no other window is below the bound."""
     rng, window = np.random.default_rng(int(growth)), 3.0

@@ -5,6 +5,7 @@ import pytest
 
 from sampling_design import ArgumentError, PeriodicSchedule, Schedule
 from sampling_design.schedules.calendar import calendar, write_calendar_csv, write_ics
+from tests.cases import few
 
 DAY = PeriodicSchedule([8.0, 16.0], 0.0, time_unit="h", origin="2026-01-05")
 
@@ -246,7 +247,9 @@ def local_dates(text):
     return dates
 
 
-@pytest.mark.parametrize("zone", ["Europe/Berlin", "America/St_Johns", "Australia/Lord_Howe", "Asia/Tokyo", "UTC"])
+@pytest.mark.parametrize(
+    "zone", few(["Europe/Berlin", "America/St_Johns", "Australia/Lord_Howe", "Asia/Tokyo", "UTC"], 0, 2, 4)
+)
 @pytest.mark.parametrize("start", ["2026-03-01T08:00", "2026-09-20T08:00"])
 def test_local_events_are_the_dates_of_the_calendar_across_changes_of_the_clocks(zone, start, tmp_path):
     schedule = PeriodicSchedule([1.0], time_unit="h")

@@ -370,6 +370,7 @@ def test_coordinates_and_matrices_are_chosen_at_once(budget, most):
     assert lambda_of_the_chain(budget) < most
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", few(range(2), 1))
 def test_the_last_digit_of_the_coordinates_decides_nothing(seed, monkeypatch):
     """The solver failed at one step or the next, and lambda was 1.946 or 2.014."""
@@ -528,6 +529,7 @@ def test_matrices_of_a_file_are_not_made_symmetric_in_silence(certificate):
         replace(certificate, P=P)
 
 
+@pytest.mark.long
 def test_linear_coordinates_change_nothing_that_is_proven():
     rng = np.random.default_rng(4)
     T = rng.normal(size=(2, 2)) + 2 * np.eye(2)

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
+from sampling_design.checkers.strict import Reader, Tree, table, text
 from sampling_design.errors import FileFormatError
 from sampling_design.records import file_io
 
@@ -35,7 +36,8 @@ def _digestible(value: object) -> object:
 class Journal:
     """Plain results by name; a line that was cut off by a kill is written again.
 
-    Raises FileFormatError if the file is no journal, belongs to other data, or cannot be written.
+    Raises FileFormatError if the file is no journal, belongs to other data, holds a line that is no result, or cannot
+    be written.
 
     Parameters
     ----------
@@ -43,20 +45,24 @@ class Journal:
         Made if it is missing.
     key : str
         Digest of everything that the results depend on.
+    read : Reader
+        The grammar of a result.
     """
 
-    def __init__(self, path: str | os.PathLike[str], key: str):
+    def __init__(self, path: str | os.PathLike[str], key: str, read: Reader):
         self.path = Path(path)
-        self.known: dict[str, Mapping[str, object]] = {}
+        self.known: dict[str, Tree] = {}
         head = {"format": FORMAT, "key": key}
         where = os.fspath(path)
         lines = file_io.read_text(path).split("\n") if self.path.exists() else []
         whole, cut = lines[:-1], lines[-1] if lines else ""
         if whole:
             self._check(file_io.from_json(whole[0], where), head, where)
-            for line in whole[1:]:
-                entry = file_io.from_json(line, where)
-                self.known[str(entry.get("name"))] = entry.get("result", {})
+            entry = table({"name": text, "result": read})
+            with file_io.usable(where):
+                for k, line in enumerate(whole[1:], 2):
+                    held = entry(file_io.from_json(line, where), f"line {k}")
+                    self.known[held["name"]] = held["result"]
         if cut or not whole:
             kept = whole or [json.dumps(head)]
             file_io.write_text(path, "".join(line + "\n" for line in kept))
@@ -81,4 +87,3 @@ class Journal:
         except OSError as error:
             where = str(self.path)
             raise FileFormatError(f"{where}: cannot be written ({error.strerror}).", where) from None
-        self.known[name] = result

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, TypeVar, runtime_checkable
 
-from sampling_design.checkers.strict import is_text
-from sampling_design.errors import ArgumentError, FileFormatError, SamplingDesignError
+from sampling_design.checkers.strict import Tree, a_table, is_text, or_nothing, refuse, table, text
+from sampling_design.errors import ArgumentError, SamplingDesignError
 from sampling_design.records import checks
 from sampling_design.records.file_io import from_json, to_json
 from sampling_design.records.journal import Journal, digest
@@ -123,12 +123,8 @@ def sweep(
     names = tuple(named)
     journal = None
     if resume is not None:
-        journal = Journal(resume, digest(question, {name: named[name] for name in names}))
-    known: dict[str, Mapping[str, object]] = {}
-    if journal is not None:
-        known = {name: journal.known[name] for name in names if name in journal.known}
-    if journal is not None and any(set(each) != {"answer", "obstacle"} for each in known.values()):
-        raise FileFormatError(f"{journal.path}: holds an answer that is none. Name another file.", str(journal.path))
+        journal = Journal(resume, digest(question, {name: named[name] for name in names}), _read)
+    known: dict[str, Tree] = dict(journal.known) if journal is not None else {}
     todo = [name for name in names if name not in known]
     for place, answer in numbered(_answered, [(question, named[name]) for name in todo], workers):
         name = todo[place]
@@ -139,8 +135,8 @@ def sweep(
             progress(len(known) / len(names), f"{name}: {answer['obstacle'] or 'answered'}")
     return Sweep(
         names,
-        tuple(_plain(known[name]["answer"]) for name in names),
-        tuple(str(known[name]["obstacle"]) for name in names),
+        tuple(known[name]["answer"] for name in names),
+        tuple(known[name]["obstacle"] for name in names),
     )
 
 
@@ -156,5 +152,9 @@ def _answered(job: tuple[Callable[[Item], HasDict], Item]) -> dict[str, Plain]:
     return {"answer": from_json(to_json(found.to_dict()), "the answer"), "obstacle": ""}
 
 
-def _plain(answer: object) -> dict[str, Plain] | None:
-    return answer if isinstance(answer, dict) else None
+def _read(value: object, place: str) -> Tree:
+    """An answer as a journal holds it, or what stands in its way."""
+    found: Tree = table({"answer": or_nothing(a_table), "obstacle": text})(value, place)
+    if (found["answer"] is None) != bool(found["obstacle"]):
+        raise refuse(place, "must hold an answer or an obstacle, and not both")
+    return found

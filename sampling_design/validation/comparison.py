@@ -29,6 +29,7 @@ from sampling_design.records.signatures import checked
 from sampling_design.records.workers import Workers, check_workers
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.any_estimator import EstimatorStudy
+from sampling_design.validation.monte_carlo import read_trials
 from sampling_design.validation.report import ValidationReport
 from sampling_design.validation.scenario import ScenarioBounds
 from sampling_design.validation.study import SCENARIOS, ValidationStudy
@@ -160,7 +161,8 @@ def validate(
         return EstimatorStudy(line, bounds, estimator, root.spawn(count)).report(chosen, known, progress)
     settled = (plant, schedule, certificate, bounds, options, duration, count, _seed_of(root))
     study = ValidationStudy(plant, schedule, certificate, bounds, options, duration)
-    study.journal = None if resume is None else Journal(resume, digest(*settled, __version__, np.__version__))
+    if resume is not None:
+        study.journal = Journal(resume, digest(*settled, __version__, np.__version__), read_trials)
     study.run(chosen, root.spawn(count), workers, progress)
     return study.report({**_settings(study.line, count, chosen, bounds, root), "horizon": study.horizon})
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from base64 import b64decode, b64encode
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from sampling_design.errors import FileFormatError
+from sampling_design.checkers.strict import Tree, count, list_of, refuse, table, text
 from sampling_design.records.arrays import Array
+from sampling_design.records.file_io import usable
 from sampling_design.records.journal import Journal
 from sampling_design.records.workers import Workers, numbered
 from sampling_design.validation.error_map import ErrorMap
@@ -101,14 +102,10 @@ def monte_carlo(
     blocks = [
         RunBlock(found, bounds, promise, measure, tuple(seeds[k : k + BLOCK])) for k in range(0, len(seeds), BLOCK)
     ]
-    parts: dict[int, MonteCarloTrials] = {}
-    if journal is not None:
-        labels = [f"{name} {k}" for k in range(len(blocks))]
-        parts = {
-            k: _from_plain(journal.known[label], str(journal.path))
-            for k, label in enumerate(labels)
-            if label in journal.known
-        }
+    known = {} if journal is None else journal.known
+    parts = {k: known[f"{name} {k}"] for k in range(len(blocks)) if f"{name} {k}" in known}
+    for k, part in parts.items():
+        _fits(part, blocks[k], str(journal and journal.path))
     todo = [k for k in range(len(blocks)) if k not in parts]
     for place, part in numbered(run_block, [blocks[k] for k in todo], workers):
         k = todo[place]
@@ -121,6 +118,16 @@ def monte_carlo(
     return MonteCarloTrials(*(np.concatenate(column) for column in zip(*whole, strict=True)))
 
 
+def _fits(part: MonteCarloTrials, block: RunBlock, where: str) -> None:
+    """Refuse trials of a journal that are not of this block."""
+    runs, rows = len(block.seeds), block.found.rows.times.size
+    wanted = MonteCarloTrials((runs, rows), (runs,), (runs, rows), (1, rows))
+    with usable(where):
+        for key, shape in wanted._asdict().items():
+            if getattr(part, key).shape != shape:
+                raise refuse(key, f"must be of shape {shape}, got {getattr(part, key).shape}")
+
+
 def _plain(trials: MonteCarloTrials) -> dict[str, object]:
     """MonteCarloTrials as plain data, every bit of them: shapes, and the bytes of the numbers."""
     return {
@@ -129,18 +136,17 @@ def _plain(trials: MonteCarloTrials) -> dict[str, object]:
     }
 
 
-def _from_plain(data: Mapping[str, object], where: str) -> MonteCarloTrials:
+def read_trials(value: object, place: str) -> MonteCarloTrials:
+    """Trials as a journal holds them: every entry a size or a ratio, or NaN where nothing was promised."""
+    return MonteCarloTrials(**table(dict.fromkeys(MonteCarloTrials._fields, _array))(value, place))
+
+
+def _array(value: object, place: str) -> Array:
+    held: Tree = table({"shape": list_of(count), "bytes": text})(value, place)
     try:
-        arrays = {key: _array(data[key]) for key in MonteCarloTrials._fields}
-    except (KeyError, TypeError, ValueError):
-        raise FileFormatError(
-            f"{where}: holds a result that is none. Name another file to resume from.", where
-        ) from None
-    return MonteCarloTrials(**arrays)
-
-
-def _array(held: object) -> Array:
-    if not isinstance(held, Mapping):
-        raise TypeError(held)
-    shape = [int(n) for n in held["shape"]]
-    return np.frombuffer(b64decode(held["bytes"], validate=True), dtype="<f8").reshape(shape)
+        found = np.frombuffer(b64decode(held["bytes"], validate=True), dtype="<f8").reshape(held["shape"])
+    except ValueError:
+        raise refuse(place, f"must hold the numbers of an array of shape {tuple(held['shape'])}") from None
+    if (found < 0).any():
+        raise refuse(place, "must hold no negative number")
+    return found

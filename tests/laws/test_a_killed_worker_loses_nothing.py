@@ -1,9 +1,11 @@
 """Work that a kill interrupts is finished, and what was done before is not done again; the result is the same bits."""
 
+import json
 import os
 import subprocess
 import sys
 import time
+from base64 import b64encode
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.checkers.strict import a_table
 from sampling_design.cli.settings import workforce
 from sampling_design.errors import ArgumentError, FileFormatError, MissingExtraError, SolverError
 from sampling_design.records import workers as workforces
@@ -247,15 +250,33 @@ def test_what_is_no_sweep_is_refused(tmp_path):
         sweep("sigma", [1])
     with pytest.raises(ArgumentError, match="`question` must return a record with to_dict"):
         sweep(abs, [1])
-    gone = Journal(tmp_path / "gone", "k")
+    gone = Journal(tmp_path / "gone", "k", a_table)
     gone.path.unlink()
     gone.path.mkdir()
     with pytest.raises(FileFormatError, match="cannot be written"):
         gone.add("a", {})
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("3", "must hold one JSON object, got int"),
+        ('{"name": "0.5"}', "`result` is missing in `line 2`"),
+        ('{"name": 5, "result": {"answer": null, "obstacle": "no"}}', "`line 2.name` must be a string, got 5"),
+        ('{"name": "0.5", "result": {"answer": null}}', "`obstacle` is missing in `line 2.result`"),
+        ('{"name": "0.5", "result": {"answer": 3, "obstacle": ""}}', "`line 2.result.answer` must be a table"),
+        ('{"name": "0.5", "result": {"answer": {}, "obstacle": "", "x": 1}}', "unknown key 'x' in `line 2.result`"),
+        (
+            '{"name": "0.5", "result": {"answer": null, "obstacle": ""}}',
+            "`line 2.result` must hold an answer or an obstacle",
+        ),
+    ],
+)
+def test_a_line_that_is_no_result_is_refused(line, said, tmp_path):
     path = tmp_path / "j"
-    journal = Journal(path, digest(QUESTION, SCHEDULES))
-    journal.add("0.5", {"answer": None})
-    with pytest.raises(FileFormatError, match="holds an answer that is none"):
+    Journal(path, digest(QUESTION, SCHEDULES), a_table)
+    path.write_text(path.read_text() + line + "\n")
+    with pytest.raises(FileFormatError, match=said):
         sweep(QUESTION, SCHEDULES, resume=path)
 
 
@@ -286,9 +307,21 @@ def test_a_validation_goes_on_where_it_was_killed(tmp_path, monkeypatch):
     assert report(resume=path) == alone
     assert len(ran) == 1 + 3
     lines = path.read_text().splitlines()
-    path.write_text(lines[0] + "\n" + '{"name": "random 0", "result": {"size": 1}}\n')
-    with pytest.raises(FileFormatError, match="holds a result that is none"):
-        report(resume=path)
+    for change, said in (
+        (lambda held: held.update(size=1), "`line 2.result.size` must be a table"),
+        (lambda held: held.pop("plain"), "`plain` is missing in `line 2.result`"),
+        (
+            lambda held: held["plain"].update(shape=[1, 10**6]),
+            r"plain` must hold the numbers of an array of shape \(1, 1",
+        ),
+        (lambda held: held["promised"].update(shape=[1, 4]), r"`promised` must be of shape \(4,\), got \(1, 4\)"),
+        (lambda held: held["promised"].update(bytes=b64encode(np.full(4, -1.0))), "must hold no negative number"),
+    ):
+        entry = json.loads(lines[1])
+        change(entry["result"])
+        path.write_text(lines[0] + "\n" + json.dumps(entry, default=bytes.decode) + "\n")
+        with pytest.raises(FileFormatError, match=said):
+            report(resume=path)
     asked["runs"] = 13
     with pytest.raises(FileFormatError, match="belongs to other data or options"):
         report(resume=path)

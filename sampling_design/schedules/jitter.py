@@ -151,7 +151,7 @@ class TimingTolerance:
         """In words, such as "up to 2 min early or 20 min late"."""
         unit = unit and f" {unit}"
         sides = [_in_words(a, b, unit) for a, b in zip(self.early, self.late, strict=True)]
-        return ", ".join(f"{n} {side}" for n, side in zip(self.names, sides, strict=True)) if self.apart else sides[0]
+        return ", ".join(f"{side} ({n})" for n, side in zip(self.names, sides, strict=True)) if self.apart else sides[0]
 
     def require_order(self, least: float) -> None:
         """Refuse a tolerance with which samples so far apart could change places. Raises ArgumentError."""

@@ -237,7 +237,7 @@ def test_an_output_that_comes_on_time_loses_less():
     assert both.lower < first.lower < none.lower
     assert both.lower >= 0.97 * both.upper
     assert first.lower >= 0.95 * first.upper
-    assert "a up to 0.03 s early or late, b on time" in first.explain()
+    assert "up to 0.03 s early or late (a), on time (b)" in first.explain()
     with pytest.raises(ArgumentError, match="unknown key 'c'"):
         sd.window_sigma(plant, schedule, 2.1, timing_tolerance={"c": 0.1})
 

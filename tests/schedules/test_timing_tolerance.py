@@ -14,8 +14,8 @@ from sampling_design.schedules.jitter import ON_TIME, TimingTolerance, moved
         (0.2, 0.0, 0.2, "up to 0.2 s early or late"),
         ((0.1, 0.3), 0.1, 0.2, "up to 0.1 s early or up to 0.3 s late"),
         ([0.0, 0.4], 0.2, 0.2, "up to 0.4 s late"),
-        ({"a": 0.2, "b": (0.0, 0.4)}, 0.1, 0.3, "a up to 0.2 s early or late, b up to 0.4 s late"),
-        ({"a": 0.2, "b": 0.0}, 0.0, 0.2, "a up to 0.2 s early or late, b on time"),
+        ({"a": 0.2, "b": (0.0, 0.4)}, 0.1, 0.3, "up to 0.2 s early or late (a), up to 0.4 s late (b)"),
+        ({"a": 0.2, "b": 0.0}, 0.0, 0.2, "up to 0.2 s early or late (a), on time (b)"),
     ],
 )
 def test_every_real_time_lies_within_the_radius_of_the_centre(said, shift, radius, words):

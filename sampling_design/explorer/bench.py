@@ -16,11 +16,9 @@ from sampling_design.certificates.compare.four_horizons import four_horizons
 from sampling_design.certificates.existence.periodic import certificate_exists, judged
 from sampling_design.checkers.strict import is_text
 from sampling_design.design.design import design_schedule
-from sampling_design.design.problem.posing import in_unit, split_for
+from sampling_design.design.problem.posing import in_unit, resolve, split_for
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import ArgumentError, SamplingDesignError
-from sampling_design.observability.count.default_window import default_window
-from sampling_design.observability.count.zero_count import zero_count_bound
 from sampling_design.observability.sigma_bracket import SigmaDeviations
 from sampling_design.observability.windows.window_record import WindowSigma
 from sampling_design.observability.windows.window_sigma import window_sigma
@@ -35,7 +33,7 @@ from sampling_design.records.declarations import plain
 from sampling_design.records.file_io import from_json
 from sampling_design.records.record import Plain, short
 from sampling_design.schedules.files import read_schedule, write_schedule
-from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
+from sampling_design.schedules.jitter import ON_TIME, Timing, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.schedules.sensor import numbers
 
@@ -104,13 +102,19 @@ class Bench:
         if isinstance(requirement, PlanRequirement):
             self.problem = posed = pose_plan(plant, requirement)
             w_bound, v_bound = requirement.w_bound, np.where(np.isfinite(posed.v_bound), posed.v_bound, 1.0)
-            requirement = Requirement(period=posed.period, time_unit=plant.time_unit)
-        self.requirement = in_unit(requirement or Requirement(), plant.time_unit)
-        self.split = split_for(plant, self.requirement)
+            requirement = Requirement(
+                period=posed.period, time_unit=plant.time_unit, timing_tolerance=posed.timing_tolerance
+            )
+        given = in_unit(requirement or Requirement(), plant.time_unit)
+        self.asked = given.timing_tolerance
+        self.split = split_for(plant, given)
+        # windows, opening hours and tolerance are those for which a design would be proven; its counts and gaps bind it
+        known = schedule is not None and not given.samples
+        wanted = resolve(self.split, given.replace(samples=len(schedule)) if known else given).requirement
+        self.requirement = wanted.replace(samples=given.samples, spacing=given.spacing)
         retained = self.split.retained
         self.clear = CLEARLY * float(np.max(np.linalg.norm(retained.scaled().C, axis=1), initial=0.0))
-        self.window = float(self.requirement.window or default_window(self.split) or 1.0)
-        self.period = float(self.requirement.period or self.window)
+        self.window, self.period = float(wanted.window or 0), float(wanted.period or 0)
         self.w_bound, self.v_bound, self.words = w_bound, v_bound, words
         self.folder = None if folder is None else Path(folder)
         self.tolerance = None if tolerance is None else checks.vector("tolerance", tolerance, plant.n_states)
@@ -122,9 +126,9 @@ class Bench:
             self.tolerance = np.array([goal.tolerance for goal in goals])
         self.projection, self.initial_error = projection, initial_error
         self.closed = [self._closed(k) for k in range(plant.n_outputs)]
-        self.schedule = self._begin(schedule)
+        self.schedule = self._begin(schedule, wanted.samples)
 
-    def _begin(self, given: PeriodicSchedule | None) -> PeriodicSchedule:
+    def _begin(self, given: PeriodicSchedule | None, wanted: Mapping[str, int]) -> PeriodicSchedule:
         if given is None and self.folder is not None and (self.folder / "schedule.csv").is_file():
             found = read_schedule(self.folder / "schedule.csv")
             if isinstance(found, PeriodicSchedule) and abs(found.period - self.period) <= TOGETHER * self.period:
@@ -135,17 +139,9 @@ class Bench:
                     f"`schedule` must have the period {short(self.period)} that is required, got {short(given.period)}."
                 )
             return given
-        count = self._count()
+        count = next(wanted[key] for key in ("exactly", "at_least", "at_most") if key in wanted)
         times = (np.arange(count) + 0.5) * self.period / count
         return self._scheduled([{"t": float(t), "on": [True] * self.plant.n_outputs} for t in times])
-
-    def _count(self) -> int:
-        wanted = self.requirement.samples or {}
-        for key in ("exactly", "at_least", "at_most"):
-            if key in wanted:
-                return int(wanted[key])
-        retained = self.split.retained
-        return min(zero_count_bound(retained, self.window).samples_needed, 24) if retained.n_states else 1
 
     def _scheduled(self, marks: Sequence[Mapping[str, object]]) -> PeriodicSchedule:
         """The schedule of some marks, each with its time and the sensors that are read."""
@@ -269,9 +265,13 @@ class Bench:
 
     def _shown(self, schedule: PeriodicSchedule) -> WindowSigma:
         """Sigma of a schedule for the times that the requirement allows, as long as its samples keep their order."""
-        late = TimingTolerance.of(self.requirement.timing_tolerance, self.plant.outputs.names)
-        kept = late if late.span < min(schedule.gaps.min(), self.window) else ON_TIME
-        return window_sigma(self.split.retained, schedule, self.window, budget=LIVE_BUDGET, timing_tolerance=kept.plain)
+        kept = self._kept(self.requirement.timing_tolerance, schedule)
+        return window_sigma(self.split.retained, schedule, self.window, budget=LIVE_BUDGET, timing_tolerance=kept)
+
+    def _kept(self, tolerance: Timing | None, schedule: PeriodicSchedule) -> Timing:
+        """A tolerance as long as samples keep their order with it, else none."""
+        late = TimingTolerance.of(tolerance, self.plant.outputs.names)
+        return (late if late.span < min(schedule.gaps.min(), self.window) else ON_TIME).plain
 
     def _rules(self) -> list[Plain]:
         """What the requirement says of these samples, where it says no."""
@@ -350,7 +350,13 @@ class Bench:
         if self.w_bound is None or self.v_bound is None:
             raise ArgumentError("`w_bound` and `v_bound` are needed for the accuracy: give both at the start.")
         found = guaranteed_accuracy(
-            self.plant, self.schedule, w_bound=self.w_bound, v_bound=self.v_bound, of=self.rows, rtol=0.05
+            self.plant,
+            self.schedule,
+            w_bound=self.w_bound,
+            v_bound=self.v_bound,
+            of=self.rows,
+            rtol=0.05,
+            timing_tolerance=self._kept(self.asked, self.schedule),
         )
         profile = found.profile
         finite = np.isfinite(found.upper)
@@ -431,7 +437,8 @@ class Bench:
         if found.schedule is None:
             return {"said": found.explain(), "marks": self.marks()}
         self.schedule = found.schedule
-        return {"said": found.explain(), "marks": self.marks()}
+        left = "" if found.deviations is None else f" {found.deviations.explain()}"
+        return {"said": found.explain().removesuffix(left), "marks": self.marks()}  # that stands beside the curve
 
     def _certify(self) -> Reply:
         found = certify(self.plant, self.schedule)

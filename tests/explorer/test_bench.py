@@ -299,3 +299,30 @@ def test_sigma_is_shown_for_the_tolerance_that_is_required():
     near = bench.answer({"ask": "sigma", "marks": marks(1.0, 1.05, 2.0, 3.0, 4.0)})
     assert near["late"] is None
     assert any("could change places: shown as if on time" in text for text in near["told"])
+
+
+def test_a_requirement_without_window_is_shown_as_it_is_designed():
+    bench = Bench(PLANT)
+    design = sd.design_schedule(PLANT, starts=1, branches=0)
+    assert bench.window == design.requirement.window
+    assert bench.requirement.timing_tolerance == design.requirement.timing_tolerance
+    assert len(bench.schedule) == len(design.schedule)
+    shown = bench.answer({"ask": "sigma", "marks": marks(*design.schedule.times % bench.period)})
+    assert shown["lower"] == pytest.approx(design.sigma, rel=1e-6)
+    assert shown["late"] == "up to 0.00392699 s early or late"
+    designed = bench.answer({"ask": "design"})["said"]
+    assert f"sigma >= {bench.answer({'ask': 'sigma'})['lower']:.6g}" in designed
+    assert "lost" not in designed  # the sentence beside the curve says it
+
+
+def test_the_accuracy_is_of_the_times_that_a_plan_allows():
+    schedule = sd.PeriodicSchedule([1.0] * 5)
+    sensors = {"position": {"noise_bound": 0.1}}
+    wanted = sd.PlanRequirement(
+        {"position": 0.5}, period=5.0, grid=1.0, timing_tolerance=0.05, w_bound=0.02, sensors=sensors
+    )
+    bench = Bench(PLANT, wanted, schedule)
+    bounds = {"w_bound": 0.02, "v_bound": [0.1], "of": "position"}
+    late = sd.guaranteed_accuracy(PLANT, schedule, **bounds, rtol=0.05, timing_tolerance=0.05)
+    assert bench.answer({"ask": "accuracy"})["worst"] == pytest.approx(late.upper)
+    assert bench.answer({"ask": "sigma"})["late"] == "up to 0.05 s early or late"

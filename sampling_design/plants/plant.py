@@ -16,7 +16,7 @@ from sampling_design.plants.systems import CARRIED, StateSpace, check_system, dr
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen
-from sampling_design.records.record import Plain, Record, counted, short
+from sampling_design.records.record import ListRecord, Plain, Record, counted, short
 from sampling_design.records.units import check_time_unit
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ _PREFIX = {"states": "x", "outputs": "y", "inputs": "u", "disturbances": "w"}
 
 
 @frozen
-class Signals(Record):
+class Signals(ListRecord[str]):
     """Names, units and typical magnitudes of the entries of one vector.
 
     Parameters
@@ -67,8 +67,10 @@ class Signals(Record):
             raise ArgumentError(f"`scales` must be positive, got {short(scales)}.")
         self._hold(names=names, units=units, scales=scales)
 
-    def __len__(self) -> int:
-        return len(self.names)
+    _frame = "name:names unit:units scale:scales"
+
+    def _entries(self) -> Sequence[str]:
+        return self.names
 
     def with_more(self, names: Sequence[str], units: Sequence[str], scales: Sequence[float]) -> Signals:
         """Return these entries with others after them."""

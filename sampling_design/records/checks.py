@@ -60,6 +60,8 @@ def real_array(name: str, value: object, ndim: int) -> Array:
 
 
 def _as_reals(name: str, value: object) -> npt.NDArray[Any]:
+    if hasattr(value, "_entries"):  # a record that is a list is more than its numbers: a schedule says what is measured
+        raise ArgumentError(f"`{name}` must hold real numbers, got {described(value)}.")
     try:
         array = np.asarray(value)
     except ValueError:
@@ -87,7 +89,7 @@ def dimensions(value: object) -> int:
     """0 for a number, 1 for a list, 2 for a table; 1 too for rows of unequal length, which their owner refuses."""
     try:
         return np.asarray(value).ndim
-    except ValueError:
+    except (ValueError, TypeError):  # and of what has a length and is no list
         return 1
 
 

@@ -138,7 +138,10 @@ def _reached(value: object, path: str) -> object:
 
 
 def _empty(value: object) -> bool:
-    return value is None or (hasattr(value, "__len__") and getattr(value, "shape", None) != () and not len(value))
+    if value is None or not hasattr(value, "__len__"):
+        return value is None
+    shape = getattr(value, "shape", None)
+    return not value if shape is None else shape != () and not len(value)
 
 
 def short(value: object, digits: int = 6) -> str:

@@ -17,12 +17,13 @@ from abc import ABCMeta
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from html import escape
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Self, TypeVar, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.errors import ArgumentError, MissingExtraError, UndecidedError
+from sampling_design.checkers.strict import is_whole
+from sampling_design.errors import ArgumentError, CallError, MissingExtraError, UndecidedError
 from sampling_design.records import checks
 from sampling_design.records.declarations import Column, columns, said, selected
 from sampling_design.records.declarations import Plain as Plain
@@ -192,8 +193,8 @@ class YesOrNo(Record):
         return answer
 
 
-class TableRecord(Record):
-    """Base of the records that are a table, one row per estimate, sample, count or window."""
+class ListRecord(Record, Generic[Listed]):
+    """Base of the records that are a list: `len(record)`, `record[-1]`, `record[2:5]`, `for each in record`."""
 
     _frame: ClassVar[str] = ""
     """The columns, as `columns` reads them; a record that computes one overrides `_columns`."""
@@ -217,10 +218,6 @@ class TableRecord(Record):
         columns = self._columns()
         return pandas.DataFrame(columns).set_index(next(iter(columns)))
 
-
-class ListRecord(TableRecord, Generic[Listed]):
-    """Base of the records that are a list: `len(record)`, `record[-1]`, `for each in record`."""
-
     def _entries(self) -> Sequence[Listed]:
         """What is counted and iterated."""
         raise NotImplementedError
@@ -231,8 +228,33 @@ class ListRecord(TableRecord, Generic[Listed]):
     def __iter__(self) -> Iterator[Listed]:
         return iter(self._entries())
 
-    def __getitem__(self, place: int) -> Listed:
-        return self._entries()[place]
+    @overload
+    def __getitem__(self, place: int) -> Listed: ...
+    @overload
+    def __getitem__(self, place: slice) -> list[Listed]: ...
+    def __getitem__(self, place: int | slice) -> Listed | list[Listed]:
+        found = self._entries()
+        if isinstance(place, slice):
+            return list(found[place])
+        if not is_whole(place):
+            raise CallError(f"`place` must be a whole number or a slice, got {checks.described(place)}.")
+        if not -len(found) <= place < len(found):
+            raise IndexError(
+                f"`place` = {place} is outside: this {type(self).__name__} has {counted(len(found), 'row')}."
+            )
+        return found[place]
+
+
+class TableRecord(ListRecord[dict[str, object]]):
+    """Base of the records that are a table, one row per estimate, sample, count or window: a list of its rows."""
+
+    def _entries(self) -> Sequence[dict[str, object]]:
+        """Each row by the names of its columns."""
+        names = tuple(found := self._columns())
+        return [dict(zip(names, row, strict=True)) for row in zip(*found.values(), strict=True)]
+
+    def __bool__(self) -> bool:
+        return True  # a result is there, however many rows it has
 
 
 class Variable(NamedTuple):

@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.checkers.strict import is_list
-from sampling_design.errors import ArgumentError
+from sampling_design.errors import ArgumentError, CallError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.declarations import Converted, frozen
-from sampling_design.records.record import Plain, TableRecord, counted, short
+from sampling_design.records.record import ListRecord, Plain, counted, short
 from sampling_design.records.units import check_time_unit, time_factor
 
 MOST_TIMES = 20_000_000  # samples of an endless schedule that are listed at once, 160 MB of times
@@ -30,7 +30,7 @@ class ScheduleDetails(TypedDict, total=False):
 
 
 @frozen
-class _Sampled(TableRecord):
+class _Sampled(ListRecord[float]):
     """Details that every schedule may carry besides its times."""
 
     time_unit: str | None = field(default=None, kw_only=True)
@@ -103,7 +103,7 @@ class _Sampled(TableRecord):
 
 @frozen
 class Schedule(_Sampled):
-    """A finite schedule: times t_1 < t_2 < ... < t_N, all >= 0.
+    """A finite schedule: times t_1 < t_2 < ... < t_N, all >= 0; a list of these times.
 
     Parameters
     ----------
@@ -158,6 +158,9 @@ class Schedule(_Sampled):
     def _columns(self) -> Mapping[str, Array | Mask]:
         return self._table_of(self.times, self.outputs)
 
+    def _entries(self) -> Sequence[float]:
+        return [float(t) for t in self.times]
+
     def __len__(self) -> int:
         return self.times.size
 
@@ -194,7 +197,8 @@ class PeriodicSchedule(_Sampled):
     """An endless schedule that repeats after sum(gaps).
 
     Sample 1 is at `first`; sample i+1 follows sample i by gaps[i] (0-based, so that gaps[i] lies before
-    the sample in row i), and the next period's first sample follows by gaps[0].
+    the sample in row i), and the next period's first sample follows by gaps[0]. `len` counts the samples of a period;
+    having no end it is no list: `between` and `times` are.
 
     Parameters
     ----------
@@ -298,6 +302,12 @@ class PeriodicSchedule(_Sampled):
 
     def _columns(self) -> Mapping[str, Array | Mask]:
         return self._table_of(self.times, self.outputs)
+
+    def _entries(self) -> Sequence[float]:
+        raise CallError(
+            "`schedule` repeats without end and is no list: `schedule.between(start, stop)` lists the samples of a "
+            "time span, `schedule.times` those of one period."
+        )
 
     def __len__(self) -> int:
         return self.gaps.size

@@ -22,8 +22,9 @@ from sampling_design.accuracy.limit import accuracy_limit
 from sampling_design.certificates.compare.robustness import FamilyTrial, Robustness
 from sampling_design.certificates.compare.tradeoff import tradeoff_curve
 from sampling_design.certificates.exact.information import information_curve
-from sampling_design.errors import ArgumentError, FileFormatError, MissingExtraError
-from sampling_design.records.record import CurveRecord, TableRecord
+from sampling_design.errors import ArgumentError, CallError, FileFormatError, MissingExtraError
+from sampling_design.observability.count.pbh import unobservable_modes
+from sampling_design.records.record import CurveRecord, ListRecord, Record, TableRecord
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
 
 OSCILLATOR = sd.plants.library.oscillator()
@@ -74,6 +75,8 @@ def design():
 MAKERS = {
     "Schedule": lambda: sd.Schedule([0.5, 1.0, 2.5]),
     "PeriodicSchedule": lambda: sd.PeriodicSchedule([1.0, 2.0], outputs=[[1, 0], [1, 1]], output_names=["a", "b"]),
+    "Signals": lambda: OSCILLATOR.states,
+    "UnobservableModes": lambda: unobservable_modes(sd.Plant(np.diag([0.0, 1.0, 2.0]), [[1.0, 0.0, 0.0]])),
     "ModalSplit": lambda: sd.plants.split_modes(OSCILLATOR),
     "Measurements": lambda: record().measurements,
     "SimulatedRecord": record,
@@ -145,12 +148,18 @@ def test_every_table_is_in_this_list():
     assert callable(sd.NonlinearMovingHorizonEstimator)  # a room opens on first use
     for room in pkgutil.walk_packages(sampling_design.__path__, "sampling_design."):
         importlib.import_module(room.name) if not room.name.endswith("__main__") else None
-    kinds, open_ = set(), [TableRecord]
+    kinds, open_ = set(), [ListRecord]
     while open_:
         below = open_.pop().__subclasses__()
         kinds |= {kind.__name__ for kind in below if not kind.__subclasses__() or kind.__name__ in MAKERS}
         open_ += below
     assert kinds == set(MAKERS)
+    sized, open_ = set(), [Record]
+    while open_:
+        below = open_.pop().__subclasses__()
+        sized |= {kind for kind in below if hasattr(kind, "__len__") and not issubclass(kind, ListRecord)}
+        open_ += below
+    assert {kind.__name__ for kind in sized} == {"Sweep"}  # answers by the names of what was asked about
 
 
 def test_what_is_drawn_can_be_had_as_numbers():
@@ -162,10 +171,38 @@ def test_what_is_drawn_can_be_had_as_numbers():
     assert set(plotting._PICTURES) - set(MAKERS) - set(CURVES) == elsewhere
 
 
-def test_a_list_is_counted_indexed_and_iterated():
-    found = estimates()
-    assert len(found) == len(list(found)) == 3
-    assert found[-1] is found.estimates[-1]
+@pytest.mark.parametrize("kind", set(MAKERS) - {"PeriodicSchedule"})
+def test_a_record_of_rows_is_counted_indexed_and_iterated(kind):
+    record = MAKERS[kind]()
+    listed = list(record)
+    assert bool(record)
+    assert len(record) == len(listed) > 0
+    if isinstance(record, TableRecord):
+        assert [list(row) for row in listed] == [list(record._columns())] * len(record.to_frame())
+    for place in (0, -1, len(record) - 1, np.int64(0), slice(1, None), slice(None, None, -1)):
+        assert str(record[place]) == str(listed[place])
+    for outside in (len(record), -len(record) - 1):
+        with pytest.raises(IndexError, match=rf"`place` = {outside} is outside: this {kind} has {len(record)} row"):
+            record[outside]
+    for wrong in ("time", 0.0, True, None):
+        with pytest.raises(CallError, match="`place` must be a whole number or a slice, got"):
+            record[wrong]
+
+
+def test_a_schedule_without_end_is_no_list():
+    schedule = MAKERS["PeriodicSchedule"]()
+    for ask in (list, lambda each: each[0], lambda each: each[:2]):
+        with pytest.raises(CallError, match=r"repeats without end.*`schedule.between\(start, stop\)` lists"):
+            ask(schedule)
+    assert list(schedule.between(0.0, 7.0)) == [1.0, 3.0, 4.0, 6.0, 7.0]
+    assert len(schedule) == 2
+
+
+def test_a_schedule_is_no_array_of_times():
+    """It says which outputs are measured, too, and these would be lost."""
+    for given in (MAKERS["Schedule"](), MAKERS["PeriodicSchedule"]()):
+        with pytest.raises(ArgumentError, match="`times` must hold real numbers, got"):
+            sd.Schedule(given)
 
 
 def test_estimates_and_proofs_stand_in_their_rows():

@@ -32,13 +32,16 @@ from sampling_design.records import checks, file_io
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
 from sampling_design.records.declarations import Column
-from sampling_design.records.record import TableRecord, counted, short
+from sampling_design.records.record import ListRecord, counted, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import SECONDS
 
+MeasuredRow = tuple[float | tuple[float, float], object, Array | None]
+"""Time (or from when to when), outputs and inputs of a row, as an estimator takes them."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Measurements(TableRecord):
+class Measurements(ListRecord[MeasuredRow]):
     """Rows of a measurement file, in the order in which they came.
 
     Parameters
@@ -66,7 +69,7 @@ class Measurements(TableRecord):
 
     Notes
     -----
-    Iterating yields (t, y, u) as an estimator's `run` and `stream` take them; y is None in a row that only
+    Its rows are (t, y, u) as an estimator's `run` and `stream` take them; y is None in a row that only
     reports an input, u is None where nothing changes. `shifted`, `rebased`, `between`, `in_order` and `merged` move
     everything that a row says of time, the beginnings of its means too.
     """
@@ -280,7 +283,10 @@ class Measurements(TableRecord):
         some = tuple(censored[k] for k in rows.tolist())
         return replace(both, times=both.times[rows], y=y[rows], u=u[rows], censored=some)
 
-    def __iter__(self) -> Iterator[tuple[float | tuple[float, float], object, Array | None]]:
+    def _entries(self) -> list[MeasuredRow]:
+        return list(self)
+
+    def __iter__(self) -> Iterator[MeasuredRow]:
         measured, applied = (np.asarray(np.isfinite(each).any(axis=1)) for each in (self.y, self.u))
         for k, censored in enumerate(self.censored):
             y: object = self.y[k] if measured[k] else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,8 @@ from sampling_design.plants.grouping import CLUSTER_CAP, SPREAD, SchurForm, bala
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Complex
-from sampling_design.records.record import Record, short
+from sampling_design.records.declarations import Column
+from sampling_design.records.record import ListRecord, short
 from sampling_design.records.signatures import checked
 
 EPS = float(np.finfo(float).eps)
@@ -29,7 +31,7 @@ APART = 0.3  # sine of the angle from which a direction is another one
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class UnobservableModes(Record):
+class UnobservableModes(ListRecord[complex]):
     """Modes of a plant that no output sees, however often it is sampled.
 
     Attributes
@@ -60,8 +62,11 @@ class UnobservableModes(Record):
         "tolerance": "{tolerance:3}",
     }
 
-    def __len__(self) -> int:
-        return self.eigenvalues.size
+    def _entries(self) -> Sequence[complex]:
+        return [complex(each) for each in self.eigenvalues]
+
+    def _columns(self) -> dict[str, Column]:
+        return {"eigenvalue": self.eigenvalues, **dict(zip(self.names, self.directions, strict=True))}
 
     def describe(self) -> str:
         """Name each unseen eigenvalue with its direction."""

@@ -43,6 +43,7 @@ extensions = [
 exclude_patterns = ["_build", "**/.ipynb_checkpoints", "README.md", "_static/mathjax/README.md"]
 suppress_warnings = ["mystnb.unknown_mime_type"]
 nitpicky = False
+smartquotes = False  # an option is copied with its two hyphens, and a text with the quotes that a shell knows
 
 # Markdown with executed cells
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath", "fieldlist"]

@@ -3,6 +3,7 @@
 import functools
 import http.server
 import os
+import re
 import threading
 from pathlib import Path
 
@@ -52,6 +53,7 @@ def test_a_page_shows_its_mathematics_and_asks_nobody(name, page, shot):
     text = page.evaluate(READ)
     for raw in (r"\(", r"\[", "\\begin{", "\\frac", "\\sigma", "$$"):
         assert raw not in text, text[max(text.find(raw) - 80, 0) :][:200]
+    assert not re.search(r"(?<!\S)[\u2013\u2014][a-z]", text)  # an option whose two hyphens became a dash
     formulas = page.locator("article .math").count()
     assert page.locator("article .math mjx-container").count() >= formulas
     assert page.locator("mjx-merror, [data-mml-node=merror]").count() == 0

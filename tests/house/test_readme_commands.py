@@ -100,3 +100,12 @@ def test_a_command_is_called_as_its_function():
     verbs = [set(name.split("_")) for name in sd.__all__ if name.islower()]
     alone = [name for name in COMMANDS if not any(set(name.split("-")) <= verb for verb in verbs)]
     assert alone == ["new", "info", "explore", "verify", "estimate", "thyroid"]
+
+
+def test_the_first_pages_show_one_example():
+    """From a plant to an estimate per visit: the build executes the documentation's, and the README's is the same."""
+    here, there = ((ROOT / name).read_text() for name in ("README.md", "docs/index.md"))
+    shown = [re.search(r"import control\n.*?```", text, re.DOTALL).group() for text in (here, there)]
+    lines = [[line.split("  # ")[0] for line in each.splitlines() if "print(" not in line] for each in shown]
+    assert lines[0] == lines[1]
+    assert len(lines[0]) > 10

@@ -232,11 +232,19 @@ def _read_npz(where: str) -> dict[str, object]:
             flat = {key: archive[key] for key in archive.files}
     except FileFormatError:
         raise
+    except MemoryError:
+        raise _beyond_memory(where) from None
     except Exception:  # the reader raises whatever it stumbles on
         raise FileFormatError(
             f"{where}: is not a readable .npz archive of plain arrays. Was it cut off?", where
         ) from None
     return _tree(flat, where)
+
+
+def _beyond_memory(where: str) -> FileFormatError:
+    return FileFormatError(
+        f"{where}: names an array that is larger than the memory that is left. Is a size in it wrong?", where
+    )
 
 
 def _check_archive(content: bytes, where: str) -> None:
@@ -260,6 +268,8 @@ def _read_mat(where: str) -> dict[str, object]:
         with warnings.catch_warnings():
             warnings.simplefilter("error", MatReadWarning)  # a variable that is there twice
             flat = loadmat(cast(Any, io.BytesIO(content)))
+    except MemoryError:
+        raise _beyond_memory(where) from None
     except NotImplementedError:
         raise FileFormatError(f"{where}: is a version 7.3 .mat file. Save it with the option -v7.", where) from None
     except Exception:  # the reader raises whatever it stumbles on

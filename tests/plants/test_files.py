@@ -1,5 +1,6 @@
 """Plant files: what is written, what is refused, and with which sentence."""
 
+import io
 import json
 import warnings
 import zipfile
@@ -187,6 +188,24 @@ def test_a_text_that_is_no_matlab_file_is_refused(tmp_path):
     path.write_text("hello")
     with pytest.raises(FileFormatError, match=r"is not a readable \.mat file\. Was it cut off"):
         read_plant(path)
+
+
+def test_an_array_beyond_the_memory_is_named(tmp_path, monkeypatch):
+    """The head of an array asks for its memory before anything of it is read."""
+    path, held = tmp_path / "plant.npz", io.BytesIO()
+    np.save(held, np.eye(2))
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("A.npy", held.getvalue().replace(b"(2, 2), }" + b" " * 12, b"(2, 2000000000000), }"))
+    with pytest.raises(FileFormatError, match="names an array that is larger than the memory that is left. Is a size"):
+        read_plant(path)
+
+    def forged(*ignored):
+        raise MemoryError
+
+    monkeypatch.setattr("scipy.io.loadmat", forged)
+    (tmp_path / "plant.mat").write_bytes(b"")
+    with pytest.raises(FileFormatError, match="names an array that is larger than the memory that is left. Is a size"):
+        read_plant(tmp_path / "plant.mat")
 
 
 def test_unknown_suffixes_are_refused(tmp_path):

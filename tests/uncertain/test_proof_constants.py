@@ -1,5 +1,6 @@
 """Theorem 5's constants of plants that are not exactly known, against pairs of trajectories, one by one."""
 
+import re
 from functools import cache
 
 import numpy as np
@@ -94,11 +95,15 @@ def test_constants_of_a_growth_rate_in_a_range_are_what_they_must_be():
 def test_a_longer_window_asks_for_a_longer_horizon():
     least = constants_from_proof(GROWING, GAPS)
     assert constants_from_proof(GROWING, GAPS, window=2 * least["T"].value).horizon > least.horizon
+    with pytest.raises(UndecidedError, match=r"over windows of 1e\+06 s: constants leave doubles\. Leave `window` out"):
+        constants_from_proof(GROWING, GAPS, window=1e6)
 
 
 def test_too_short_a_window_proves_nothing():
-    with pytest.raises(UndecidedError, match=r"condition \(4\) of Theorem 5 was not proven"):
+    with pytest.raises(UndecidedError, match=r"over windows of 0\.001 s: it needs `window` longer than") as told:
         constants_from_proof(GROWING, GAPS, window=1e-3)
+    needed = float(re.search(r"longer than ([\d.e+-]+) s", str(told.value))[1])
+    assert constants_from_proof(GROWING, GAPS, window=1.001 * needed)["T"].value == pytest.approx(1.001 * needed)
 
 
 @pytest.mark.parametrize("size", few([1e-12, 1e6], 1))

@@ -109,14 +109,24 @@ def constants_over_inclusion(
     norms = [norms_of(hull, S) for S in metrics(plant.centre)]
     b, slowest = family.longest, 2 * min(each.backward for each in norms)
     best: InclusionConstants | None = None
+    needed = np.inf
     if slowest * b <= FASTEST:
         for excess in EXCESS:
             try:
                 found = certify_inclusion(plant, family, eta=float(f"{slowest + excess / b:.4g}"), pieces=PIECES)
             except UndecidedError:
                 break
+            needed = min(needed, *(shortest_window(found, each) for each in norms))
             made = [c for each in norms if (c := theorem_5(found, hull, each, T)) is not None]
             best = min([*made, *([best] if best else [])], key=lambda c: c.horizon, default=None)
+    if best is None and T is not None and needed < np.inf:
+        unit = plant.centre.time_unit
+        short_by = f"it needs `window` longer than {short(needed)} {unit}" if needed >= T else "constants leave doubles"
+        raise UndecidedError(
+            f"undecided: condition (4) of Theorem 5 was not proven over windows of {short(T)} {unit}: {short_by}. "
+            "Leave `window` out to have one chosen.",
+            backward=slowest / 2,
+        )
     if best is None:
         raise UndecidedError(
             "undecided: condition (4) of Theorem 5 was not proven. It needs a certificate that decays faster than "
@@ -180,6 +190,15 @@ class WindowBound(NamedTuple):
     gamma: float
     T: float
     q: float
+
+
+def shortest_window(found: InclusionCertificate, norms: InclusionNorms) -> float:
+    """The window beyond which a certificate gives condition (4); infinite where it gives it over none."""
+    W, excess = norms.S.T @ norms.S, found.eta - 2 * norms.backward
+    if excess <= 0:
+        return np.inf
+    beta, gamma = generalised_max(W, found.P1) * SAFE, generalised_max(found.P2, W) * SAFE
+    return max(float(np.log(2 * beta * gamma * SAFE)) / excess, 0.0)
 
 
 def window_bound(

@@ -109,8 +109,8 @@ class Bench:
         self.asked = given.timing_tolerance
         self.split = split_for(plant, given)
         # windows, opening hours and tolerance are those for which a design would be proven; its counts and gaps bind it
-        known = schedule is not None and not given.samples
-        wanted = resolve(self.split, given.replace(samples=len(schedule)) if known else given).requirement
+        counted = given if schedule is None or given.samples else given.replace(samples=len(schedule))
+        wanted = resolve(self.split, counted).requirement
         self.requirement = wanted.replace(samples=given.samples, spacing=given.spacing)
         retained = self.split.retained
         self.clear = CLEARLY * float(np.max(np.linalg.norm(retained.scaled().C, axis=1), initial=0.0))
@@ -268,7 +268,7 @@ class Bench:
         kept = self._kept(self.requirement.timing_tolerance, schedule)
         return window_sigma(self.split.retained, schedule, self.window, budget=LIVE_BUDGET, timing_tolerance=kept)
 
-    def _kept(self, tolerance: Timing | None, schedule: PeriodicSchedule) -> Timing:
+    def _kept(self, tolerance: Plain, schedule: PeriodicSchedule) -> Timing:
         """A tolerance as long as samples keep their order with it, else none."""
         late = TimingTolerance.of(tolerance, self.plant.outputs.names)
         return (late if late.span < min(schedule.gaps.min(), self.window) else ON_TIME).plain

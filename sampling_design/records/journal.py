@@ -5,15 +5,17 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from typing import Generic, TypeVar
 
-from sampling_design.checkers.strict import Reader, Tree, table, text
+from sampling_design.checkers.strict import table, text
 from sampling_design.errors import FileFormatError
 from sampling_design.records import file_io
 
 FORMAT = "sampling-design/journal/1"
+Kept = TypeVar("Kept")
 
 
 def digest(*parts: object) -> str:
@@ -33,7 +35,7 @@ def _digestible(value: object) -> object:
     return repr(value)
 
 
-class Journal:
+class Journal(Generic[Kept]):
     """Plain results by name; a line that was cut off by a kill is written again.
 
     Raises FileFormatError if the file is no journal, belongs to other data, holds a line that is no result, or cannot
@@ -45,13 +47,13 @@ class Journal:
         Made if it is missing.
     key : str
         Digest of everything that the results depend on.
-    read : Reader
+    read : callable
         The grammar of a result.
     """
 
-    def __init__(self, path: str | os.PathLike[str], key: str, read: Reader):
+    def __init__(self, path: str | os.PathLike[str], key: str, read: Callable[[object, str], Kept]):
         self.path = Path(path)
-        self.known: dict[str, Tree] = {}
+        self.known: dict[str, Kept] = {}
         head = {"format": FORMAT, "key": key}
         where = os.fspath(path)
         lines = file_io.read_text(path).split("\n") if self.path.exists() else []

@@ -76,7 +76,7 @@ def monte_carlo(
     seeds: Sequence[np.random.SeedSequence],
     workers: Workers = None,
     progress: Callable[[float, str], None] | None = None,
-    journal: Journal | None = None,
+    journal: Journal[MonteCarloTrials] | None = None,
     name: str = "",
 ) -> MonteCarloTrials:
     """Return the trials of one run per seed, in the order of the seeds.
@@ -121,9 +121,9 @@ def monte_carlo(
 def _fits(part: MonteCarloTrials, block: RunBlock, where: str) -> None:
     """Refuse trials of a journal that are not of this block."""
     runs, rows = len(block.seeds), block.found.rows.times.size
-    wanted = MonteCarloTrials((runs, rows), (runs,), (runs, rows), (1, rows))
+    shapes = ((runs, rows), (runs,), (runs, rows), (1, rows))
     with usable(where):
-        for key, shape in wanted._asdict().items():
+        for key, shape in zip(MonteCarloTrials._fields, shapes, strict=True):
             if getattr(part, key).shape != shape:
                 raise refuse(key, f"must be of shape {shape}, got {getattr(part, key).shape}")
 

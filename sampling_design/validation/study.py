@@ -74,7 +74,7 @@ class ValidationStudy:
             raise ArgumentError(f"`{taken[0]}` is chosen by the scenarios, it cannot be given.")
         self.plant, self.schedule, self.certificate, self.bounds = plant, schedule, certificate, bounds
         self.options, self.duration = options, duration
-        self.journal: Journal | None = None
+        self.journal: Journal[MonteCarloTrials] | None = None
         self.skipped: list[str] = []
         self.findings: list[Finding] = []
         self.courses: list[ErrorCurve] = []

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import Protocol, TypedDict, TypeVar, runtime_checkable
 
-from sampling_design.checkers.strict import Tree, a_table, is_text, or_nothing, refuse, table, text
+from sampling_design.checkers.strict import a_table, is_text, or_nothing, refuse, table, text
 from sampling_design.errors import ArgumentError, SamplingDesignError
 from sampling_design.records import checks
 from sampling_design.records.file_io import from_json, to_json
@@ -27,6 +27,13 @@ class HasDict(Protocol):
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
         ...
+
+
+class _Answer(TypedDict):
+    """An answer as plain data, or None and what stands in its way."""
+
+    answer: dict[str, Plain] | None
+    obstacle: str
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -127,7 +134,7 @@ def sweep(
     journal = None
     if resume is not None:
         journal = Journal(resume, digest(question, {name: named[name] for name in names}), _read)
-    known: dict[str, Tree] = dict(journal.known) if journal is not None else {}
+    known: dict[str, _Answer] = dict(journal.known) if journal is not None else {}
     todo = [name for name in names if name not in known]
     for place, answer in numbered(_answered, [(question, named[name]) for name in todo], workers):
         name = todo[place]
@@ -143,21 +150,21 @@ def sweep(
     )
 
 
-def _answered(job: tuple[Callable[[Item], HasDict], Item]) -> dict[str, Plain]:
+def _answered(job: tuple[Callable[[Item], HasDict], Item]) -> _Answer:
     """The answer as plain data, the same as it would be after a way through a file."""
     question, item = job
     try:
         found = question(item)
     except SamplingDesignError as error:
-        return {"answer": None, "obstacle": str(error) or type(error).__name__}
+        return _Answer(answer=None, obstacle=str(error) or type(error).__name__)
     if not isinstance(found, HasDict):
         raise ArgumentError(f"`question` must return a record with to_dict, got {checks.described(found)}.")
-    return {"answer": from_json(to_json(found.to_dict()), "the answer"), "obstacle": ""}
+    return _Answer(answer=from_json(to_json(found.to_dict()), "the answer"), obstacle="")
 
 
-def _read(value: object, place: str) -> Tree:
+def _read(value: object, place: str) -> _Answer:
     """An answer as a journal holds it, or what stands in its way."""
-    found: Tree = table({"answer": or_nothing(a_table), "obstacle": text})(value, place)
+    found = table({"answer": or_nothing(a_table), "obstacle": text})(value, place)
     if (found["answer"] is None) != bool(found["obstacle"]):
         raise refuse(place, "must hold an answer or an obstacle, and not both")
-    return found
+    return _Answer(answer=found["answer"], obstacle=found["obstacle"])

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sampling_design.checkers.strict import Tree, count, list_of, refuse, table, text
+from sampling_design.checkers.strict import count, list_of, refuse, table, text
 from sampling_design.records.arrays import Array
 from sampling_design.records.file_io import usable
 from sampling_design.records.journal import Journal
@@ -142,7 +142,7 @@ def read_trials(value: object, place: str) -> MonteCarloTrials:
 
 
 def _array(value: object, place: str) -> Array:
-    held: Tree = table({"shape": list_of(count), "bytes": text})(value, place)
+    held = table({"shape": list_of(count), "bytes": text})(value, place)
     try:
         found = np.frombuffer(b64decode(held["bytes"], validate=True), dtype="<f8").reshape(held["shape"])
     except ValueError:

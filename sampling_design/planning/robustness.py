@@ -28,11 +28,11 @@ class PlanRobustness(TableRecord, PlainRecord):
     step : (N,) array
         Distance of the delays that were judged.
     late_ratio : (N,) array
-        Accuracy over tolerance at that delay.
+        Accuracy over tolerance at that delay, at most: a bound that is no closer than 1 asks.
     lost : int
         So many samples in a row may be lost, whichever they are, with every tolerance kept; proven.
     lost_ratio : (N,) array
-        Accuracy over tolerance if this sample is lost: up to 1 proven, above 1 attained by a motion on the grid.
+        Accuracy over tolerance if this sample is lost: up to 1 such a bound, above 1 attained by a motion on the grid.
     """
 
     time_unit: str

@@ -6,6 +6,7 @@ outputs that are read then.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -23,6 +24,14 @@ def _step(A, G, h):
     return joint[:n, :n], joint[:n, n:]
 
 
+@lru_cache(maxsize=4096)
+def _cells(A, G, n, h, cells):
+    """e^{Ah}, what a constant w does over h, and over each of its cells; of the same gap once."""
+    A, G = (np.frombuffer(each).reshape(n, -1) for each in (A, G))
+    part = _step(A, G, h / cells)[1]
+    return (*_step(A, G, h), [expm(A * h * (cells - 1 - m) / cells) @ part for m in range(cells)])
+
+
 def hidden(A, C, G, times, seen, c, end, w, v, cells=6, rest=True):
     """Largest c'x(end) of a motion that no sample (times, seen) up to `end` shows; (value, nodes, x there, w of cells).
 
@@ -37,7 +46,8 @@ def hidden(A, C, G, times, seen, c, end, w, v, cells=6, rest=True):
     n, q = G.shape
     K = len(nodes)
     # unknowns: the state at each node in units of what w does in a gap, then w of each cell in units of its bound
-    spread = np.array([np.abs(_step(A, G * w, h)[1]).sum(axis=1) for h in np.diff(nodes)])
+    flows = [_cells(A.tobytes(), (G * w).tobytes(), n, float(f"{h:.12g}"), cells) for h in np.diff(nodes)]
+    spread = np.array([np.abs(whole).sum(axis=1) for _, whole, _ in flows])
     unit = np.maximum(spread.max(axis=0), 1e-9 * spread.max())
     rows, cols, values, right, at = [], [], [], [], 0
 
@@ -47,13 +57,11 @@ def hidden(A, C, G, times, seen, c, end, w, v, cells=6, rest=True):
         cols.extend((j + column).tolist())
         values.extend(block[i, j].tolist())
 
-    for k, h in enumerate(np.diff(nodes)):
+    for k, (F, _, parts) in enumerate(flows):
         put(-np.eye(n), at, (k + 1) * n)
-        put(expm(A * h) * unit / unit[:, None], at, k * n)
-        part = _step(A, G * w, h / cells)[1]
-        for m in range(cells):
-            later = expm(A * h * (cells - 1 - m) / cells)
-            put(later @ part / unit[:, None], at, K * n + (k * cells + m) * q)
+        put(F * unit / unit[:, None], at, k * n)
+        for m, part in enumerate(parts):
+            put(part / unit[:, None], at, K * n + (k * cells + m) * q)
         at += n
     equal = coo_array((values, (rows, cols)), shape=(at, K * n + (K - 1) * cells * q))
     rows, cols, values, at = [], [], [], 0
@@ -69,6 +77,8 @@ def hidden(A, C, G, times, seen, c, end, w, v, cells=6, rest=True):
     free = (None, None)
     bounds = [(0.0, 0.0) if rest and i < n else free for i in range(K * n)] + [(-1.0, 1.0)] * ((K - 1) * cells * q)
     found = linprog(cost, below, right, equal, np.zeros(equal.shape[0]), bounds, method="highs")
+    if found.status:  # its simplex gives up now and then
+        found = linprog(cost, below, right, equal, np.zeros(equal.shape[0]), bounds, method="highs-ipm")
     assert found.status == 0, found.message
     states = found.x[: K * n].reshape(K, n) * unit
     return -found.fun * size, nodes, states, found.x[K * n :].reshape(-1, cells, q) * w
@@ -109,6 +119,41 @@ def flown(A, G, nodes, u):
             x = F @ x + Gamma @ one
         found.append(x)
     return np.array(found)
+
+
+def worst_truth(system, planned, seen, delays, c, span, w, v, late=0.0, moved=4):
+    """The largest error of c'x within a time `span` that is flown, whatever the real times within `late` are.
+
+    Looked at just before each result can come, at the latest, and between; at the worst of these the `moved` last
+    samples come early, on time or late, one after the other, as long as that makes it worse.
+    """
+    A, C, G = system
+    planned, seen, (since, until) = np.asarray(planned, float), np.asarray(seen, bool), span
+    comes = planned[:, None] + late + np.where(seen, delays, np.nan)
+    ends = np.append(comes[(comes > since) & (comes < until)], until) - 1e-9 * (until - since)
+    ends = np.append(ends, since)
+    ends = np.sort(np.append(ends, (ends[1:] + ends[:-1]) / 2))
+
+    def attained(real, end):
+        kept = real <= end
+        known = (seen & (real[:, None] + delays <= end))[kept]
+        _, nodes, _, u = hidden(A, C, G, real[kept], known, c, end, w, v, cells=4)
+        x = flown(A, G, nodes, u)
+        shown = np.abs(x[: len(known)] @ np.asarray(C).T / v)[known]
+        return float(np.dot(c, x[-1])) / max(1.0, float(np.max(np.abs(u / w))), float(shown.max(initial=0.0)))
+
+    def out(end):
+        """Real times of which all is out at a time that may be; the others as planned."""
+        return planned + late * (np.nan_to_num(comes, nan=-np.inf).max(axis=1) > end)
+
+    error, end = max((attained(out(end), end), float(end)) for end in ends)
+    real = out(end)
+    for k in np.flatnonzero(planned <= end)[::-1][:moved] if late else ():
+        for e in (-late, 0.0, late):
+            trial = np.where(np.arange(len(real)) == k, planned[k] + e, real)
+            found = 0.0 if np.array_equal(trial, real) else attained(trial, end)
+            error, real = (found, trial) if found > error else (error, real)
+    return error
 
 
 def deviation(A, C, G, times, seen, period, c, at, W, v, periods=400):

@@ -50,7 +50,7 @@ class Case:
         self.inputs = [(float(s), rng.normal(size=m)) for s in rng.uniform(0, self.end, 2) if m]
         self.inputs.sort(key=lambda pair: pair[0])
         self.outputs, real = rng.integers(p, size=4), rng.uniform(*self.spans.T)
-        whole = self.whole(real)
+        whole, self.real = self.whole(real), real
         most = np.concatenate([self.start, np.resize(self.w, whole.width - n)])
         truth = np.append(most * rng.choice([-1, -0.3, 0.5, 1], most.size), 1.0)
         noise = self.v[self.outputs] * rng.uniform(-1, 1, 4)
@@ -71,14 +71,14 @@ class Case:
         return whole.ends(self.c, self.end, rows, [(-a, a) for a in size])
 
     def worst(self, sign):
-        """The end that is farthest out over all real times: the ends and middles of each, then one at a time."""
+        """The end that is farthest out over all real times: ends, middles and the true ones, then one at a time."""
 
         def far(times):
             found = self.ends(times)
             return -np.inf if found is None else sign * found[sign > 0]
 
         grid = [np.unique([a, (a + b) / 2, b]) for a, b in self.spans]
-        best = max((np.array(times) for times in product(*grid)), key=far)
+        best = max((self.real, *(np.array(times) for times in product(*grid))), key=far)
         for k in np.flatnonzero(np.ptp(self.spans, axis=1)):
             for share in (0.25, 0.75, 0.9, 0.1):
                 moved = best.copy()

@@ -258,7 +258,7 @@ class _Dating:
             return begun(self.plan, real, seen, self.clock)
         problem = self.plan.problem
         whole = SampleSequence(
-            real, seen, len(real), self.clock, late=problem.timing_tolerance, result_delay=problem.result_delay
+            real, seen, len(real), self.clock, late=problem.lateness, result_delay=problem.result_delay
         )
         return replace(whole, first=departs_and_returns(self.plan, whole)[0])
 

@@ -81,7 +81,7 @@ def without(plan: PlanFigures, k: int, count: int) -> SampleSequence:
 
 def _sequence(plan: PlanFigures, times: Array, seen: Mask, first: int) -> SampleSequence:
     problem = plan.problem
-    return SampleSequence(times, seen, first, late=problem.timing_tolerance, result_delay=problem.result_delay)
+    return SampleSequence(times, seen, first, late=problem.lateness, result_delay=problem.result_delay)
 
 
 def _around(plan: PlanFigures, k: int, count: int) -> tuple[tuple[Array, Mask], tuple[Array, Mask]]:
@@ -114,7 +114,7 @@ def _room(plan: PlanFigures, k: int) -> int:
     """How many steps late a sample may be at most, to come before the next one."""
     problem, times = plan.problem, plan.schedule.times
     following = float(times[k + 1]) if k + 1 < plan.samples else float(times[0]) + plan.schedule.period
-    ordered = int(2 * problem.timing_tolerance / problem.step + WHOLE) + 1  # so many steps apart samples keep order
+    ordered = int(problem.timing_tolerance.span / problem.step + WHOLE) + 1  # so many steps apart samples keep order
     return round((following - float(times[k])) / problem.step) - ordered
 
 

@@ -83,7 +83,7 @@ def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy | None:
     }
     return guaranteed_accuracy(
         problem.plant, schedule, w_bound=problem.requirement.w_bound, v_bound=v, of=np.array(rows), rtol=RTOL,
-        timing_tolerance=problem.timing_tolerance,
+        timing_tolerance=problem.timing_tolerance.plain,
     )  # fmt: skip
 
 

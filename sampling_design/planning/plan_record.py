@@ -130,7 +130,7 @@ class Plan(PlanFigures):
         if not problem.is_admissible(self.chosen):
             return False
         if self.accuracy is not None and not (
-            self.accuracy.question.timing_tolerance.radius == problem.timing_tolerance and self.accuracy.verify()
+            self.accuracy.question.timing_tolerance == problem.timing_tolerance and self.accuracy.verify()
         ):
             return False
         if self.deviation is not None:
@@ -211,8 +211,10 @@ class Plan(PlanFigures):
 
     def _late(self) -> str:
         """How early or late samples may be, in words."""
-        late = self.problem.timing_tolerance
-        return spoken(late, self.plant.time_unit) if late else ""
+        late, unit = self.problem.timing_tolerance, self.plant.time_unit
+        each = [spoken(radius, unit) for radius in late.early]
+        named = [f"{time} ({name})" for time, name in zip(each, late.names, strict=True)] if late.apart else each
+        return ", ".join(named) if late else ""
 
     def unsaid(self) -> str:
         """What was asked for and left out, in words."""

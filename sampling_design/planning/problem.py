@@ -17,6 +17,7 @@ from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.checks import freeze
 from sampling_design.records.record import short
 from sampling_design.records.units import SECONDS, spoken, time_factor
+from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.opening import DAYS, week_hours
 from sampling_design.schedules.schedule import PeriodicSchedule
 from sampling_design.schedules.sensor import Sensor, duration, result_span
@@ -66,10 +67,15 @@ class PlanProblem:
     most_samples: float
     most_cost: float
     initial: InitialSet  # what is known of the state's error when the plan starts
-    # how early or late each sample may be [the plant's time unit]; samples are more than twice as far apart
-    timing_tolerance: float = 0.0
+    # how early or late each output may be, both alike [the plant's time unit]; samples are farther apart than its span
+    timing_tolerance: TimingTolerance = ON_TIME
     # (p, 2): how long after its sample a result comes at least and at most [the plant's time unit]; None: at once
     result_delays: Array | None = None
+
+    @property
+    def lateness(self) -> Array:
+        """How early or late a reading of each output may be (p,)."""
+        return np.broadcast_to(self.timing_tolerance.radii, self.plant.n_outputs)
 
     @property
     def result_delay(self) -> Array | None:
@@ -232,7 +238,7 @@ def pose_plan(plant: Plant, requirement: PlanRequirement) -> PlanProblem:
         allowed=allowed & says,
         price=np.array([t.price for t in terms]),
         visit=requirement.visit_price,
-        spacing=max(1, spacing, int(2 * late / step + WHOLE) + 1 if late else 1),
+        spacing=max(1, spacing, int(late.span / step + WHOLE) + 1 if late else 1),
         sensor_spacing=np.array(in_step, dtype=np.intp),
         longest_use=np.array(used, dtype=np.intp),
         v_bound=bound,
@@ -268,16 +274,16 @@ def _delays(
     return freeze(found)
 
 
-def _tolerance(requirement: PlanRequirement, unit: str, plant: Plant, period: float) -> float:
-    """How early or late samples may be, in the plant's time unit."""
+def _tolerance(requirement: PlanRequirement, unit: str, plant: Plant, period: float) -> TimingTolerance:
+    """How early or late readings may be, both alike, in the plant's time unit."""
     asked = requirement.early_or_late(unit, plant.outputs.names)
     if not asked:
-        return 0.0
-    late = max(*asked.early, *asked.late) * time_factor(unit, plant.time_unit)
-    if 2 * late >= period * (1 - WHOLE):
+        return ON_TIME
+    late = asked.scaled(time_factor(unit, plant.time_unit)).evenly
+    if late.span >= period * (1 - WHOLE):
         raise ArgumentError(
             f"`timing_tolerance` must be less than half of the period {spoken(period, plant.time_unit)}, got "
-            f"{spoken(late, plant.time_unit)}: samples would change places."
+            f"{spoken(late.radius, plant.time_unit)}: samples would change places."
         )
     if any(goal.kind == KINDS[1] for goal in requirement.accuracy.values()):
         raise ArgumentError("`timing_tolerance` is for goals that are guaranteed, not for standard deviations.")

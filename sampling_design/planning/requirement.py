@@ -117,8 +117,9 @@ class PlanRequirement(WrittenRecord):
         by name of the state. Default: nothing is known then.
     timing_tolerance : float or str, pair (early, late), or dict of these by output, optional
         How early or late each sample may be: tolerances that are guaranteed are then kept at all such times, and
-        samples lie more than twice as far apart. A plan is made for the largest of several, early and late alike, which
-        is safe; outputs of one sample may fall apart by as much. Default: samples come on time.
+        samples lie more than twice as far apart as the largest says. Outputs with tolerances of their own may fall
+        apart by as much. A plan counts each output as early as late, by the larger of both, which is safe. Default:
+        samples come on time.
 
     Raises
     ------

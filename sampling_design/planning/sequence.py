@@ -90,7 +90,7 @@ def settling_time(plan: PlanFigures) -> float:
 def time_out(plan: PlanFigures) -> float:
     """A time that holds all samples whose results may be out at once, by whole periods of the plan; 0: none is."""
     out, period = longest_out(plan), plan.schedule.period
-    return (np.ceil((out + plan.problem.timing_tolerance) / period) + 1) * period if out else 0.0
+    return (np.ceil((out + plan.problem.timing_tolerance.radius) / period) + 1) * period if out else 0.0
 
 
 def worst_ratio(
@@ -287,7 +287,7 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, 
     work.add(CHAIN, len(times) * n**2)
     memory = forgets(plan)
     out = longest_out(plan)
-    complete = int(np.sum(times + sequence.lateness + out <= times[-1])) if out else len(times)
+    complete = int(np.sum(sequence.taken_by + out <= times[-1])) if out else len(times)
     worst, settled = 0.0, complete - 1 - max(back, memory) - count
     work.add(STARTED, n * len(times) * memory if sequence.begins else 0)
     try:
@@ -306,7 +306,7 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, 
     for span in search.chain.spans:
         k = search.chain.sample_of(span.node)
         begin, end = (float(times[k]) + offset for offset in (span.begin, span.end))
-        if k < sequence.start if sequence.result_delay is None else end <= sequence.judged_since:
+        if end <= sequence.judged_since if sequence.in_parts else k < sequence.start:
             continue
         if k >= settled + back:
             break
@@ -369,6 +369,8 @@ def _gap_bound(search: ChainSearch, opened: RowBetweenSamples, k: int, goal: Row
     enough = goal.tolerance
     if goal.at == "after each sample":
         at = search.chain.judged[k].begin
+        if search.chain.sample_of(k) != k:  # some of its outputs are not read yet
+            return 0.0
         return at_offset(search, goal.row, k, at) if opened.d[0] <= at * (1 + ROUNDED) else 0.0
     if goal.at == "given times":
         return max((at_offset(search, goal.row, k, d) for d in asked), default=0.0)
@@ -394,9 +396,11 @@ def known_at(plan: PlanFigures, history: SampleSequence, t: float) -> dict[str, 
     """
     found = {} if plan.deviation is None else spread_of(plan).at(history, t)
     if plan.accuracy is not None:
-        sure = history if not history.begins else replace(history, late=0.0, sure=np.zeros(0))
+        sure = history if not history.begins else replace(history, late=np.zeros(1), sure=np.zeros((0, 1)))
         bounds = _bounds_at(plan, sure, t, limited=False)
-        if sure.late != history.late:  # a start of any size is not followed through samples that may be late
+        if (
+            history.begins and history.late.any()
+        ):  # a start of any size is not followed through samples that may be late
             known = _bounds_at(plan, history, t, limited=True)
             bounds = {name: value if np.isinf(value) else known[name] for name, value in bounds.items()}
         found |= bounds
@@ -408,7 +412,7 @@ def _bounds_at(plan: PlanFigures, history: SampleSequence, t: float, *, limited:
     search = ChainSearch(*sequence_chain(plan, plan_chain(plan), history, limited=limited, until=t))
     search.back = looks_back(plan)
     last = max(0, history.taken(t))
-    if history.result_delay is not None:
+    if history.in_parts:
         begins = np.array([float(history.times[0]) + span.time + span.begin for span in search.chain.spans])
         tiny = GRAIN * plan.schedule.period
         last = search.chain.spans[max(0, int(np.searchsorted(begins, t + tiny, side="right")) - 1)].node
@@ -430,7 +434,7 @@ def _transient_factors(
     """How much more than the plan's gaps those of a sequence are at most; infinite where they are not the plan's."""
     factors = np.full(stop, np.inf)
     given = any(goal.at == "given times" for goal in plan.goals)  # which offsets those are differs from gap to gap
-    if given or sequence.result_delay is not None:
+    if given or sequence.in_parts:
         return factors.tolist()
     gaps = {id(gap) for gap in own.gaps}
     same = np.array([id(gap) in gaps for gap in search.chain.gaps[:stop]])

@@ -114,12 +114,12 @@ def _chain_of_samples(
     starting = count - settles if sequence.begins else 0
     usual = _usual_noise(plan, own, sequence)
     noise, found, since = usual, np.zeros_like(usual), 0
-    upto = min(count, sequence.first + AHEAD) if sequence.late else count
+    upto = min(count, sequence.first + AHEAD) if sequence.late.any() else count
     work, n = plan.oracle.work, plan.plant.n_states
     for _ in range(TURNS):
         part = sequence.until(upto)
         chain, atoms = _noisier_chain(plan, own, part, starting, noise, limited=limited)
-        if not sequence.late:
+        if not sequence.late.any():
             return chain, atoms
         work.add(CHAIN, upto * n**2)
         times = TimesOfSamples(plan, own, part, ChainSearch(chain, atoms, lambda: work.add(GAINS, FEWEST * n)))
@@ -136,9 +136,10 @@ def _chain_of_samples(
         tighter = tighter if enough else np.maximum(tighter, _fading(tighter[:upto], len(tighter)))
         since = int(np.argmax(np.any(tighter != noise, axis=1)))
         noise = tighter
+    late = spoken(float(sequence.late.max()), plan.plant.time_unit)
     raise UndecidedError(
-        f"undecided: nothing bounds what samples up to {spoken(sequence.late, plan.plant.time_unit)} early or late do "
-        "where they are not the plan's. Ask for a smaller `timing_tolerance`."
+        f"undecided: nothing bounds what samples up to {late} early or late do where they are not the plan's. Ask for "
+        "a smaller `timing_tolerance`."
     )
 
 
@@ -157,7 +158,7 @@ def _usual_noise(plan: PlanFigures, own: SampleChain, sequence: SampleSequence) 
     if own_noise is None:
         return noise
     for k in range(len(noise)):
-        if sequence.lateness[k] or k < sequence.first:
+        if sequence.lateness[k].any() or k < sequence.first:
             phase = _planned(plan, own, sequence, k)
             noise[k] = own_noise.max(axis=0) if phase is None else own_noise[phase]
     return noise
@@ -179,12 +180,12 @@ class TimesOfSamples:
         first = 0 if sequence.begins or sequence.wider > 1 else sequence.first
         plain = np.all(noise == usual, axis=1) & np.array([phase is not None for phase in self.phases])
         for k in range(max(first, since), len(noise)):
-            late = float(sequence.lateness[k])
+            late = sequence.lateness[k].tolist()
             found[k] = 0.0
-            if not late or self._settled(k, plain):
+            if not any(late) or self._settled(k, plain):
                 continue
             for i in self.search.chain.samples[k].outputs.tolist():
-                found[k, i] = self._sample(k, i, late, float(usual[k, i]))
+                found[k, i] = self._sample(k, i, late[i], float(usual[k, i])) if late[i] else 0.0
         return found
 
     def _known(self, k: int) -> float:
@@ -264,7 +265,7 @@ def proof_back(plan: PlanFigures, phase: int) -> int:
 @lru_cache(maxsize=512)
 def timing_gains(plan: PlanFigures, phase: int, i: int, back: bool) -> tuple[Array, ...]:
     """The gains by which a plan's proof bounds what the time of a sample adds to an output, the latest last."""
-    own, late = proof_chain(plan), plan.problem.timing_tolerance
+    own, late = proof_chain(plan), float(plan.problem.lateness[i])
     phase %= len(own)
     part = _proof_part(plan, phase)
     if part is None:
@@ -290,12 +291,12 @@ def _noisier_chain(
     samples: list[ChainSample] = []
     for k, phase in enumerate(phases):
         if phase is None:
-            free = UNKNOWN**2 if sequence.late else DIFFUSE  # above the noise that samples have at such a start
+            free = UNKNOWN**2 if sequence.late.any() else DIFFUSE  # above the noise that samples have at such a start
             P = start_covariance(plan.problem.initial, own.D, free) if k == 0 else np.zeros(0)
             if k:
                 P = propagate(L[-1] @ L[-1].T, *flows[k - 1])
             root, sample = _fresh(plan, own, P, sequence.seen[k], noise[k])
-            if sequence.begins and sequence.late and k < starting and _is_close(plan, own, sequence, k, root):
+            if sequence.begins and sequence.late.any() and k < starting and _is_close(plan, own, sequence, k, root):
                 phases[k + 1 :] = [_planned(plan, own, sequence, i) for i in range(k + 1, len(times))]
         else:
             root, sample = own.L[phase], _noisier(own.samples[phase], plan.problem.v_bound, noise[k])

@@ -46,10 +46,10 @@ class SampleSequence:
     ever leaves of it."""
     since: float = -np.inf
     """Nothing is judged before this time, though all that was measured then counts."""
-    late: float = 0.0
-    """How early or late each sample may be."""
-    sure: Array = field(default_factory=lambda: np.zeros(0))
-    """The same of the first samples, where it is otherwise: 0 where the time is known."""
+    late: Array = field(default_factory=lambda: np.zeros(1))
+    """How early or late a reading of each output may be (p,) or (1,)."""
+    sure: Array = field(default_factory=lambda: np.zeros((0, 1)))
+    """The same of the first samples (k, p) or (k, 1), where it is otherwise: 0 where the time is known."""
     result_delay: Array | None = None
     """How long after its sample a result of each output comes at most (p,); None: at once."""
     came: Array = field(default_factory=lambda: np.zeros((0, 0)))
@@ -62,8 +62,21 @@ class SampleSequence:
 
     @cached_property
     def lateness(self) -> Array:
-        """How early or late each sample may be (K,)."""
-        return np.append(self.sure, np.full(max(0, len(self.times) - self.sure.size), self.late))[: len(self.times)]
+        """How early or late a reading of each output of each sample may be (K, p)."""
+        found = np.tile(self.late, self.seen.shape) if self.late.size == 1 else np.tile(self.late, (len(self.times), 1))
+        count = min(len(self.sure), len(found))
+        found[:count] = self.sure[:count]
+        return found
+
+    @cached_property
+    def taken_by(self) -> Array:
+        """When each sample is taken, all that it measures, at the latest (K,)."""
+        return np.asarray(self.times + np.max(self.lateness, axis=1, where=self.seen, initial=0.0))
+
+    @property
+    def in_parts(self) -> bool:
+        """Whether what a sample measures may come in one after the other."""
+        return self.result_delay is not None or bool(np.ptp(self.late))
 
     def comes_after(self, readable: Mask | np.bool_, *, late: bool) -> Array:
         """How long after its sample each result that tells something (p,) is in (K, p); infinite where none is read.
@@ -73,7 +86,7 @@ class SampleSequence:
         found = (
             np.zeros(self.seen.shape) if self.result_delay is None else np.tile(self.result_delay, (len(self.times), 1))
         )
-        found = found + self.lateness[:, None] if late else found
+        found = found + self.lateness if late else found
         count = min(len(self.came), len(self.times))
         if count:
             known = self.came[:count] - self.times[:count, None]
@@ -92,12 +105,12 @@ class SampleSequence:
     @property
     def judged_since(self) -> float:
         """Nothing that is over by this time is judged."""
-        begun = float((self.times + self.lateness)[self.first - 1]) if self.first else -np.inf
+        begun = float(self.taken_by[self.first - 1]) if self.first else -np.inf
         return max(begun, self.since) + self._tiny
 
     def taken(self, t: float) -> int:
         """Index of the last sample that is taken by a time, however late; -1 if there is none."""
-        return int(np.searchsorted(self.times + self.lateness - self._tiny, t, side="right")) - 1
+        return int(np.searchsorted(self.taken_by - self._tiny, t, side="right")) - 1
 
     @property
     def _tiny(self) -> float:
@@ -139,13 +152,14 @@ def begun(plan: PlanFigures, times: Array, seen: Mask, clock: PlanClock = ORDINA
 
     One that is planned at the start may come up to the tolerance after it: half as late as that, or early.
     """
-    late, sure, delay = plan.problem.timing_tolerance, np.zeros(1), plan.problem.result_delay
-    if times.size and times[0] == 0 and late:
-        times, sure = np.append(late / 2, times[1:]), np.array([0.0, late / 2])
+    late, sure, delay = plan.problem.lateness, np.zeros((1, 1)), plan.problem.result_delay
+    half = float(late.max()) / 2
+    if times.size and times[0] == 0 and half:
+        times, sure = np.append(half, times[1:]), np.array([[0.0], [half]])
     if not times.size or times[0] > 0:
         times = np.append(0.0, times)
         seen = np.concatenate([np.zeros((1, plan.plant.n_outputs), dtype=bool), seen])
-    sure = sure if late else np.zeros(0)
+    sure = sure if half else np.zeros((0, 1))
     return SampleSequence(times, seen, 0, clock, begins=True, late=late, sure=sure, result_delay=delay)
 
 
@@ -194,7 +208,7 @@ def asked(
     if goal.at != "given times":
         return []
     problem, start = plan.problem, float(sequence.times[k])
-    begin, stop = (sequence.times + sequence.lateness)[k : k + 2] - start if span is None else span
+    begin, stop = sequence.taken_by[k : k + 2] - start if span is None else span
     shown = sequence.shown[k] + np.array([0.0, stop])
     phases = np.round(goal.steps) * problem.step
     periods = np.arange(np.floor(shown[0] / problem.period), np.ceil(shown.max() / problem.period) + 2) * problem.period

@@ -39,7 +39,7 @@ def plan_start(plan: PlanFigures, work: Budget | None = None) -> PlanStart | Non
     if last == len(sequence.times):
         return PlanStart(plan.plant.time_unit, np.inf, np.inf, bounded)
     ratio = max(ratio for k, ratio in gaps.items() if k >= last)
-    return PlanStart(plan.plant.time_unit, float(sequence.times[last]), float(ratio), bounded)
+    return PlanStart(plan.plant.time_unit, float(sequence.taken_by[last]), float(ratio), bounded)
 
 
 def _settled(plan: PlanFigures) -> tuple[SampleSequence, dict[int, float]]:

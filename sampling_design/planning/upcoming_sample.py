@@ -418,7 +418,7 @@ def _with_awaited(plan: Plan, taken: _Taken | None, awaited: list[tuple[float, s
         seen, _known = found.setdefault(t, (np.zeros(len(names), dtype=bool), np.zeros(len(names), dtype=bool)))
         if seen[j]:
             raise ArgumentError(f"`awaited` names {name} at {t!r}, which is in the record or named twice.")
-        seen[j] = t + delay + problem.timing_tolerance > now + tiny  # else it is lost
+        seen[j] = t + delay + problem.lateness[j] > now + tiny  # else it is lost
     found = {t: masks for t, masks in sorted(found.items()) if masks[0].any()}
     both = np.array(list(found.values()), dtype=bool).reshape(-1, 2, len(names))
     return _Taken(np.array(list(found)), both[:, 0], both[:, 1])
@@ -455,10 +455,10 @@ def _history(plan: Plan, taken: _Taken | None, now: float) -> SampleSequence:
             np.concatenate([begun.times[before], taken.times]),
             np.concatenate([begun.seen[before], taken.seen]),
         )
-        sure = np.append(begun.lateness[before], np.zeros(len(taken.times)))
+        sure = np.vstack([begun.lateness[before], np.zeros(taken.seen.shape)])
         return replace(begun, times=times, seen=seen, sure=sure, came=_came(plan, int(before.sum()), taken, now))
     problem, (times, seen) = plan.problem, planned(plan, until - span, until, plan.clock)
-    late, delay = problem.timing_tolerance, problem.result_delay
+    late, delay = problem.lateness, problem.result_delay
     if taken is None:
         first = _unchanged(plan, times)
         return SampleSequence(times, seen, first, plan.clock, wider=wider, late=late, result_delay=delay)
@@ -471,7 +471,7 @@ def _history(plan: Plan, taken: _Taken | None, now: float) -> SampleSequence:
     times, seen = np.concatenate([times, taken.times]), np.concatenate([seen, taken.seen])
     first, sure = (
         min(count + same, _unchanged(plan, times)),
-        np.append(np.full(count, late), np.zeros(len(taken.times))),
+        np.vstack([np.tile(late, (count, 1)), np.zeros(taken.seen.shape)]),
     )
     came = _came(plan, count, taken, now)
     return SampleSequence(

@@ -136,6 +136,12 @@ class TimingTolerance:
         """(p,) or (1,): how long after the centre that middle lies; 0 where outputs come together."""
         return (np.array(self.late) - self.early) / 2 - self.shift
 
+    @property
+    def evenly(self) -> Self:
+        """The same with every output as early as late, by the larger of both: it holds all times that this one does."""
+        both = tuple(max(pair) for pair in zip(self.early, self.late, strict=True))
+        return type(self)(both, both, self.names)
+
     def scaled(self, factor: float) -> Self:
         """Return it in another unit of time."""
         early, late = (tuple(factor * x for x in side) for side in (self.early, self.late))

@@ -218,7 +218,7 @@ def test_early_apart_from_late_is_one_number_about_another_time(early, late):
     assert told.verify()
 
 
-def _apart(plant: Plant, row: Array, real: list[Array], t: float, w: float, v: float) -> float:
+def apart_from_rest(plant: Plant, row: Array, real: list[Array], t: float, w: float, v: float) -> float:
     """How far w moves a row by t while each output reads zero at its own times (within v), from rest."""
     n, q = plant.G.shape
     times = np.unique(np.concatenate([*real, [t]]))
@@ -251,7 +251,7 @@ def test_outputs_that_fall_apart_make_no_error_larger_than_is_proven(seed: int):
     for _ in range(12):
         real = [planned - a + rng.choice([0.0, 0.5, 1.0], planned.size) * (a + b) for a, b in sides]
         last = min(float(own[-1]) for own in real)
-        best = max(best, _apart(plant, row, [own[:-1] for own in real], last, 0.3, 0.2))
+        best = max(best, apart_from_rest(plant, row, [own[:-1] for own in real], last, 0.3, 0.2))
         least = min(least, best)
     assert best <= found.upper[0] * (1 + 1e-9)
     assert 0 < found.lower[0] <= found.upper[0]

@@ -35,17 +35,24 @@ def designed(name, late, window, **more):
     )  # fmt: skip
 
 
-def planned(late):
-    """A week of the thyroid patient's month."""
+BY_OUTPUT = "weekly blood plan, TSH 1 %, T4 and T3 10 %"
+
+
+def planned(late, quick=None):
+    """A week of the thyroid patient's month; TSH, which that plan reads, may have a tolerance of its own."""
     asked, plant = sd.planning.requirement_file.requirement_and_plant(EXAMPLES / "plans" / "thyroid_month.toml")
-    asked = asked.replace(period="1 wk", timing_tolerance=f"{late * 60:g} min" if late else None)
+    said = f"{late * 60:g} min" if late else None
+    if quick is not None:
+        said = {"T4": said, "T3": said, "TSH": f"{quick * 60:g} min"}
+    asked = asked.replace(period="1 wk", timing_tolerance=said)
     before = time.process_time()
     found = sd.plan_samples(plant, asked, search_seconds=20.0, certificate=False, robustness=False)
     taken = time.process_time() - before
     least = found.bound.cost.value
     known = ", ".join(f"{goal.name} {value:.3g}" for goal, value in zip(found.goals, found.reached, strict=True))
+    said = f"{late:.3g} h" if quick is None else f"{quick:.3g} h, {late:.3g} h"
     return (
-        f"{late:.3g} h", f"{known} nmol/l", f"cost at least {least:.4g}",
+        said, f"{known} nmol/l", f"cost at least {least:.4g}",
         f"{100 * (1 - least / found.cost):.1f} %", f"{found.cost:.4g}", f"{taken:.0f}",
     )  # fmt: skip
 
@@ -56,7 +63,7 @@ def cells(name):
         return designed("satellite", SHARES[share] * GAP, ORBIT, spacing=100.0)
     if what == "tide":
         return designed("tidal_gauge", SHARES[share] * 5.0, 720.0)
-    return planned(SHARES[share] * 20.0)
+    return planned(2.0, 0.2) if name == BY_OUTPUT else planned(SHARES[share] * 20.0)
 
 
 def modulus(name):
@@ -87,16 +94,17 @@ PAGE = MeasuredPage(
     """Three examples for samples that come on time, and up to 1 % and 10 % of the least time between two early or late
 (of the satellite, whose fixes are at least 100 s apart here, of the mean time). Windows are early and late together
 longer ([why](theory/sigma.md#late-samples)); a plan keeps its tolerances at all such times. Sigma, accuracy and bounds
-are proven; the bound is what no schedule under the same tolerance exceeds, or undercuts in cost. A plan for samples
-that are only late, or for outputs with tolerances of their own, is made for the largest of them, early and late: what
-that gives away is no more than what lies between its row and the one on time.""",
+are proven; the bound is what no schedule under the same tolerance exceeds, or undercuts in cost. A plan holds
+for each output's own tolerance, early and late alike: what samples that are only late give away by that is no more than
+what lies between its row and the one on time.""",
     "python -m tests.benchmarks.late_samples",
     "Rows that a run does not name stay as an earlier run left them. What is attained is sigma at real times that "
     "a search found: the truth of that schedule lies between.",
     [
         Table(
             ("example", "early or late", "proven", "bound", "gap", "cost", "CPU s"),
-            [f"{what}, {share}" for what in ("satellite", "tide", "weekly blood plan") for share in SHARES],
+            [f"{what}, {share}" for what in ("satellite", "tide", "weekly blood plan") for share in SHARES]
+            + [BY_OUTPUT],
             cells,
         ),
         Table(

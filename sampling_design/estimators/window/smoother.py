@@ -11,7 +11,6 @@ and then costs J* + |z|^2. Constraints become a least-distance problem in z (`qp
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -22,7 +21,7 @@ from sampling_design.estimators.window.means import with_means
 from sampling_design.estimators.window.solution import DUAL_MARGIN, SmootherKernel, Solution
 from sampling_design.estimators.window.square_root import solve_square_root
 from sampling_design.estimators.window.window_problem import EstimationWindow
-from sampling_design.records.arrays import Array, Index
+from sampling_design.records.arrays import Array
 
 PIVOT_LIMIT = 1e-5
 """A Cholesky pivot below this share of its diagonal entry has lost five digits: the other route is taken."""
@@ -88,27 +87,10 @@ def solve_banded(window: EstimationWindow) -> Solution | None:
     if flag != 0 or (factor[0] ** 2 / band[0]).min() < PIVOT_LIMIT:
         return None
     deviation = solution.reshape(-1, n)
-    # the last block of the factor is the root of the last node's marginal information
-    last = lapack.dtrtri(last_block(factor, n), lower=1)[0]
-    cost = _cost(window, deviation)
+    spread, cost = _kernel(factor, n), _cost(window, deviation)
+    last = spread.roots[-1]  # from the factor's last block, the root of the last node's marginal information
     dual = cost - DUAL_MARGIN * (cost + abs(float(rhs @ solution)))
-    return Solution(window.reference + deviation, last.T @ last, cost, dual, "banded", _BandSpread(factor, n))
-
-
-@lru_cache(maxsize=64)
-def _block_places(n: int, width: int) -> Index:
-    """Where entry (i, j) of the last diagonal block stands in its n columns of a lower band, one after the other."""
-    i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
-    return np.where(i >= j, j * width + np.maximum(i - j, 0), width * n - 1)
-
-
-def last_block(factor: Array, n: int) -> Array:
-    """Return the last diagonal block, lower triangular, of a factor of block-tridiagonal matrices in a lower band.
-
-    Above its diagonal stands what the band holds below the matrix's last row: zeros.
-    """
-    columns = factor[:, factor.shape[1] - n :].T
-    return np.asarray(columns.ravel()[_block_places(n, columns.shape[1])])
+    return Solution(window.reference + deviation, last @ last.T, cost, dual, "banded", spread)
 
 
 @lru_cache(maxsize=64)
@@ -118,44 +100,15 @@ def _stack_index(n: int, width: int) -> tuple[Any, Any, Any]:
     return np.clip(a - b, 0, width - 1), b, (a >= b) & (a - b < width)
 
 
-@dataclass(frozen=True, eq=False)
-class _BandSpread:
-    """T = L^-T for a banded Cholesky factor L."""
-
-    factor: Array
-    n: int
-
-    def states(self, z: Array) -> Array:
-        """Return T z, (N+1, n)."""
-        return np.asarray(lapack.dtbtrs(self.factor, z[:, None], uplo="L", trans="T")[0].reshape(-1, self.n))
-
-    def rows(self, g: Array) -> Array:
-        """Return g T for (r, (N+1) n) rows g."""
-        return np.asarray(lapack.dtbtrs(self.factor, g.T, uplo="L")[0].T)
-
-    def maps(self) -> Array:
-        """Return T as (N+1, n, (N+1) n)."""
-        width, m = min(self.factor.shape[0], self.factor.shape[1]), self.factor.shape[1]
-        store = np.zeros(m * m + width)  # L column after column; a view with a stride of m + 1 is its band
-        band = np.ndarray((m, width), buffer=store, strides=((m + 1) * store.itemsize, store.itemsize))
-        band[:] = self.factor[:width].T
-        inverse = lapack.dtrtri(store[: m * m].reshape(m, m).T, lower=1, overwrite_c=1)[0]
-        return np.asarray(inverse.T.reshape(-1, self.n, m))
-
-    def covariances(self) -> Array:
-        """Return T_j T_j' of every node, (N+1, n, n)."""
-        return self.kernel().covariances()
-
-    def kernel(self) -> SmootherKernel:
-        """Return T as a backward recursion."""
-        n, width = self.n, self.factor.shape[0]
-        columns = self.factor.reshape(width, -1, n)
-        rows, cols, inside = _stack_index(n, width)
-        stacked = np.where(inside[:, None, :], columns[rows, :, cols].transpose(0, 2, 1), 0.0)
-        stacked = stacked.transpose(1, 0, 2)  # (N+1, 2n, n): diagonal block on top, the one below under it
-        roots = np.swapaxes(np.linalg.solve(stacked[:, :n], np.eye(n)), 1, 2)
-        gains = -roots[:-1] @ np.swapaxes(stacked[:-1, n:], 1, 2)
-        return SmootherKernel(roots, gains)
+def _kernel(factor: Array, n: int) -> SmootherKernel:
+    """The inverse L^-T of a banded Cholesky factor L as a recursion from the last node back."""
+    width = factor.shape[0]
+    columns = factor.reshape(width, -1, n)
+    rows, cols, inside = _stack_index(n, width)
+    stacked = np.where(inside[:, None, :], columns[rows, :, cols].transpose(0, 2, 1), 0.0)
+    stacked = stacked.transpose(1, 0, 2)  # (N+1, 2n, n): diagonal block on top, the one below under it
+    roots = np.swapaxes(np.linalg.solve(stacked[:, :n], np.eye(n)), 1, 2)
+    return SmootherKernel(roots, -roots[:-1] @ np.swapaxes(stacked[:-1, n:], 1, 2))
 
 
 def _cost(window: EstimationWindow, deviation: Array) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -50,28 +49,29 @@ class SmootherKernel:
             found[j] += symmetrise(self.gains[j] @ found[j + 1] @ self.gains[j].T)
         return found
 
-    @cached_property
-    def _T(self) -> Array:
-        """Block rows T_j = [0, S_j, G_j S_{j+1}, G_j G_{j+1} S_{j+2}, ...]."""
+    def maps(self) -> Array:
+        """Return T as (N+1, n, (N+1) n): block rows T_j = [0, S_j, G_j S_{j+1}, G_j G_{j+1} S_{j+2}, ...]."""
         count, n = self.roots.shape[:2]
         T = np.zeros((count, n, count * n))
         T[-1, :, (count - 1) * n :] = self.roots[-1]
         for j in range(count - 2, -1, -1):
             np.matmul(self.gains[j], T[j + 1, :, (j + 1) * n :], out=T[j, :, (j + 1) * n :])
             T[j, :, j * n : (j + 1) * n] = self.roots[j]
-        return T.reshape(count * n, count * n)
-
-    def maps(self) -> Array:
-        """Return T as (N+1, n, (N+1) n)."""
-        return self._T.reshape(*self.roots.shape[:2], -1)
+        return T
 
     def states(self, z: Array) -> Array:
         """Return T z, (N+1, n)."""
-        return (self._T @ z).reshape(self.roots.shape[:2])
+        found: Array = np.matmul(self.roots, z.reshape(*self.roots.shape[:2], 1))[:, :, 0]
+        for j in range(len(self.gains) - 1, -1, -1):
+            found[j] += self.gains[j].dot(found[j + 1])
+        return found
 
     def rows(self, g: Array) -> Array:
         """Return g T for (r, (N+1) n) rows g."""
-        return np.asarray(g @ self._T)
+        led = g.reshape(len(g), *self.roots.shape[:2]).transpose(1, 0, 2).copy()
+        for j in range(len(self.gains)):
+            led[j + 1] += led[j].dot(self.gains[j])
+        return np.asarray(np.matmul(led, self.roots).transpose(1, 0, 2).reshape(g.shape))
 
 
 @dataclass(frozen=True, eq=False)

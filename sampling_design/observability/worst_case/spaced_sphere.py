@@ -33,7 +33,6 @@ from sampling_design.records.progress import Progress
 
 MOST_STATES = 12  # a cell has 2^{n-1} corners: beyond this many states a proof by cells of directions is not tried
 _STAGES = (0.25, 0.5, 0.75, 0.9, 1.0)  # of the wanted sigma: a search that is cut short has proven something
-_FLAT = 1 / 16  # part of its longest side below which a cell's side along what the first sample sees needs no corners
 _BATCH = 300_000  # numbers per batch
 _ROUND = 20_000  # cells per round
 _MOST_CELLS = 400_000  # open at once
@@ -184,14 +183,12 @@ class _SphereSearch:
     def _batches(self, cells: SphereCells) -> list[SphereCells]:
         """Groups of one grid and windows of about one width."""
         width = np.max(cells.last - cells.first, axis=1) + 1
-        kind = 2 * cells.grid + self._flat(cells)
-        order = np.lexsort((width, kind))
-        kind, width = kind[order], width[order]
+        order = np.lexsort((width, cells.grid))
+        grid, width = cells.grid[order], width[order]
         parts, low = [], 0
         while low < order.size:
-            sides = self.rows.n - 1 - int(kind[low] % 2) * self.tables.slab.size
-            most = max(1, _BATCH // (self.rows.count * 2**sides * int(width[low])))
-            stop = min(int(np.searchsorted(kind, kind[low], side="right")), low + most)
+            most = max(1, _BATCH // (self.rows.count * 2 ** (self.rows.n - 1) * int(width[low])))
+            stop = min(int(np.searchsorted(grid, grid[low], side="right")), low + most)
             stop = low + int(np.searchsorted(width[low:stop], 1.3 * width[low] + 2, side="right"))
             parts.append(cells.take(order[low:stop]))
             low = stop
@@ -219,17 +216,6 @@ class _SphereSearch:
         loss, left = cells.half * np.sqrt(work.stretch()), ~hopeless & (torn.gap == 0)
         cut = self._cut(cells.take(left), by_time[left], by_direction[left], loss[left])
         return joined([cut, *torn.parts(cells, ~hopeless & (torn.gap > 0))])
-
-    def _flat(self, cells: SphereCells) -> Mask:
-        """Cells far from settled and so thin along what the first sample sees that these sides need no corners.
-
-        What such sides can take is then taken off at every corner: less work, and nearer to the end too coarse.
-        """
-        many = self.tables.slab.size
-        if not many:
-            return np.zeros(cells.face.size, dtype=bool)
-        thin, wide = cells.half[:, :many].max(axis=1), cells.half.max(axis=1)
-        return np.asarray((thin < _FLAT * wide) & (cells.face >= many) & (cells.bound < _FAR * self.wanted))
 
     def _seen_by_the_first(self, cells: SphereCells) -> SphereCells:
         """The part of each cell whose states the first sample alone does not see enough of; no cell without one."""
@@ -342,8 +328,6 @@ class _Batch:
 
     def __init__(self, search: _SphereSearch, cells: SphereCells) -> None:
         self.cells, self.count, self.sides = cells, search.rows.count, search.sides[cells.face]
-        self.flat = search.tables.slab.size if search._flat(cells).all() else 0
-        self.sides = self.sides[:, self.flat :]
         many = self.sides.shape[1]
         self.signs = np.array(list(product((1.0, -1.0), repeat=many))).reshape(2**many, many).T
         z = cells.centre
@@ -380,7 +364,6 @@ class _Batch:
         bend = np.einsum("bmq,bm->bq", bend, z) + np.einsum("bmq,bm->bq", np.abs(bend), half)
         self.rise = np.maximum(bend.max(axis=1) + table.beyond * self.reach, 0.0) * (table.eighth + eighth)
         base = self.own + self.rise[:, None] + table.rounding * self.reach[:, None]
-        base += self._flatly(along)
         found = self._corners(base.T, along.transpose(2, 0, 1))
         self.most = np.maximum(found[0].max(axis=1), 0.0)
         return so_far(found, np.maximum)
@@ -395,15 +378,10 @@ class _Batch:
         sink = np.maximum(bent[..., :-1], bent[..., 1:]) * table.eighth[cell] + table.beyond[cell] * reach
         self.sink = around(np.maximum(sink, 0.0))
         self.lost = blur[at] * self.most[:, None, None] + table.rounded(z, half, of_z, at)
-        base = np.where(self.outside, np.inf, self.own_cost - self.sink - self.lost - self._flatly(along))
+        base = np.where(self.outside, np.inf, self.own_cost - self.sink - self.lost)
         self.cost = self._corners(base.transpose(1, 2, 0), along.transpose(1, 3, 0, 2))
         self.so_far = sums_so_far(self.cost, self.start)
         self.seen = table.seen[at]
-
-    def _flatly(self, along: Array) -> Array:
-        """How much a flat cell's thin sides can add to what is of slope `along` (B, ..., n, m), (B, ..., m)."""
-        thin = np.abs(along[..., : self.flat, :])
-        return np.asarray(np.einsum("b...fm,bf->b...m", thin, self.cells.half[:, : self.flat]))
 
     def _corners(self, centre: Array, along: Array) -> Array:
         """What is `centre` (..., B) at z0 and of slope `along` (..., B, n), at all corners: (..., B, c)."""

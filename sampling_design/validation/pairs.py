@@ -1,4 +1,4 @@
-"""Assumption 7 itself, inequality (16), along pairs of trajectories: random ones and the worst one."""
+"""Assumption 7 itself, inequality (16), along the worst pair of trajectories."""
 
 from __future__ import annotations
 
@@ -63,37 +63,6 @@ def sides(line: Timeline, certificate: SampledCertificate, start: int, stop: int
             total = total + np.einsum("ri,ij,rj->r", v, marginal(certificate.Qv, seen), v)
             best = max(best, (float(np.max(left / total)), c + 1))
     return WorstRatio(best[0], float(line.times[start]), float(line.times[best[1]]))
-
-
-def random_pairs(
-    line: Timeline, certificate: SampledCertificate, span: float, rng: np.random.Generator, count: int, starts: int = 8
-) -> WorstRatio:
-    """Return the worst of `count` random pairs from each of some starts; noise that hides what is seen among them."""
-    plant, looks = line.plant, []
-    R, Qv = certificate.R, certificate.Qv
-    blind = np.asarray(-np.linalg.solve(R + Qv, R @ plant.C))
-    units = [np.linalg.cholesky(np.linalg.inv(M)) for M in (certificate.P2, certificate.Qw)]
-    last = max(1, _pair_end(line, 0, max(line.times[-1] - span, 0.0)))
-    for start in rng.integers(0, last, size=starts):
-        stop = _pair_end(line, int(start), span)
-        chi = rng.normal(size=(count, plant.n_states)) @ units[0].T
-        size = rng.choice([0.0, 0.1, 1.0], size=(count, 1, 1))
-        w = size * (rng.normal(size=(count, line.cells, plant.n_disturbances)) @ units[1].T) / np.sqrt(span)
-        v = _cheapest_noise(line, int(start), stop, chi, w, blind) * rng.uniform(0.0, 1.5, size=(count, 1, 1))
-        looks.append(sides(line, certificate, int(start), stop, TrajectoryPairs(chi, w, v)))
-    return max(looks, key=lambda look: look.ratio)
-
-
-def _cheapest_noise(line: Timeline, start: int, stop: int, x: Array, w: Array, blind: Array) -> Array:
-    """The cheapest noise at each sample, given the states."""
-    v = np.zeros((x.shape[0], line.samples.size, line.plant.n_outputs))
-    samples = {int(b): j for j, b in enumerate(line.samples)}
-    for c in range(start, stop):
-        x = x @ line.F[c].T + w[:, c] @ line.gamma[c].T
-        j = samples.get(c + 1)
-        if j is not None:
-            v[:, j] = x @ blind.T
-    return v
 
 
 def worst_pair(line: Timeline, certificate: SampledCertificate, span: float) -> WorstRatio:

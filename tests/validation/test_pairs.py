@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design.certificates.exact.certificate import Certificate
-from sampling_design.validation.pairs import TrajectoryPairs, random_pairs, sides, worst_pair
+from sampling_design.validation.pairs import TrajectoryPairs, sides, worst_pair
 from sampling_design.validation.timeline import build_timeline
 from tests.cases import few
 from tests.oracles.validation import step
@@ -19,13 +19,34 @@ def boasting(made, factor):
     return Certificate.from_matrices(made.plant, made.schedule, **parts, eta=made.eta)
 
 
+def random_pairs(line, made, span, rng, count):
+    """Ratios of random pairs from a few starts, noise that hides what is read among them."""
+    plant, found = line.plant, []
+    hiding = -np.linalg.solve(made.R + made.Qv, made.R @ plant.C)
+    units = [np.linalg.cholesky(np.linalg.inv(M)) for M in (made.P2, made.Qw)]
+    samples = {int(b): j for j, b in enumerate(line.samples)}
+    for start in rng.integers(0, np.searchsorted(line.times, line.times[-1] - span), size=8).tolist():
+        stop = int(np.searchsorted(line.times, line.times[start] + span)) - 1
+        chi = rng.normal(size=(count, plant.n_states)) @ units[0].T
+        size = rng.choice([0.0, 0.1, 1.0], size=(count, 1, 1)) / np.sqrt(span)
+        w = size * (rng.normal(size=(count, line.cells, plant.n_disturbances)) @ units[1].T)
+        x, v = chi, np.zeros((count, line.samples.size, plant.n_outputs))
+        for c in range(start, stop):
+            x = x @ line.F[c].T + w[:, c] @ line.gamma[c].T
+            if c + 1 in samples:
+                v[:, samples[c + 1]] = x @ hiding.T
+        v *= rng.uniform(0.0, 1.5, size=(count, 1, 1))
+        found.append(sides(line, made, start, stop, TrajectoryPairs(chi, w, v)).ratio)
+    return found
+
+
 @pytest.mark.parametrize("name", few(PLANTS, 0))
 def test_the_worst_pair_nearly_reaches_equality_and_never_exceeds_it(name):
     line = build_timeline(PLANTS[name], SCHEDULES[name], 12.0, 3.7)
     worst = worst_pair(line, certificate(name), 6.0)
     assert 0.9 < worst.ratio <= 1.0
     drawn = random_pairs(line, certificate(name), 6.0, np.random.default_rng(0), 100)
-    assert 0.0 < drawn.ratio < worst.ratio
+    assert 0.0 < max(drawn) < worst.ratio
     assert worst_pair(line, boasting(certificate(name), 1.15), 6.0).ratio > 1.0
 
 

@@ -50,19 +50,6 @@ class EstimateTable:
     radii : "intervals", "centred" or "ellipsoids"
         Distance to the far end of the proven interval of each state; the same from the middle of the interval, which is
         written for the estimate; or half-widths of the ellipsoid, which cost nothing.
-
-    Examples
-    --------
-    >>> import pathlib, tempfile
-    >>> from sampling_design import CostFunction, KalmanFilter, Plant
-    >>> plant = Plant([[0.0]], [[1.0]])
-    >>> cost = CostFunction(eta=0.1)
-    >>> path = pathlib.Path(tempfile.mkdtemp()) / "estimates.csv"
-    >>> with EstimateTable(plant, path) as table:
-    ...     for estimate in KalmanFilter(plant, cost=cost).stream([(1.0, [2.0]), (2.0, [2.1])]):
-    ...         table.add(estimate)
-    >>> len(path.read_text().splitlines())
-    3
     """
 
     def __init__(
@@ -90,10 +77,6 @@ class EstimateTable:
             self._file.__exit__(type(fault))
             raise
         self._file.__exit__(kind)
-
-    def add(self, estimate: Estimate, t: float | None = None) -> None:
-        """Add a row; `t` is the time that it gets, where that is not the estimate's own."""
-        self.put(EstimateBlock.of([as_written(estimate, self.radii)], self.radii, None if t is None else [t]))
 
     def put(self, block: EstimateBlock) -> None:
         """Add the rows of a block."""
@@ -139,10 +122,6 @@ class EstimateColumns:
 
     def __exit__(self, *fault: object) -> None:
         self._open.close()
-
-    def add(self, estimate: Estimate, t: float | None = None) -> None:
-        """Add what is said of one estimate."""
-        self.put(EstimateBlock.of([as_written(estimate, self.radii)], self.radii, None if t is None else [t]))
 
     def put(self, block: EstimateBlock) -> None:
         """Add what is said of a block of estimates."""

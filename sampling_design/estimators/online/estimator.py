@@ -209,7 +209,7 @@ class Estimator(Protocol):
         ...
 
 
-def estimate_from(found: Estimate | npt.ArrayLike, t: float, n: int, status: Status = "ok") -> Estimate:
+def estimate_from(found: Estimate | npt.ArrayLike, t: float, n: int) -> Estimate:
     """Return what an estimator returned as an estimate: of a state alone nothing is proven, and its radius is infinite.
 
     Raises ArgumentError if it is no state of `n` entries.
@@ -217,4 +217,4 @@ def estimate_from(found: Estimate | npt.ArrayLike, t: float, n: int, status: Sta
     if isinstance(found, Estimate):
         return found
     x = checks.vector("estimate", found, n)
-    return Estimate(t, x, freeze(np.eye(n)), np.inf, status, note="The estimator says nothing of its error.")
+    return Estimate(t, x, freeze(np.eye(n)), note="The estimator says nothing of its error.")

@@ -38,8 +38,8 @@ def solve_square_root(window: EstimationWindow) -> Solution:
         stacked = np.zeros((n + max(n, width), 2 * n))
         stacked[:n, :n], stacked[:n, n:] = root.T @ flow.F.T, root.T
         stacked[n : n + width, :n] = flow.root.T / scale[j + 1]
-        triangle = _upper(stacked)
-        gains[j] = _triangular(triangle[:n, :n], triangle[:n, n:]).T
+        triangle = np.asarray(np.linalg.qr(stacked, mode="r"))
+        gains[j] = lapack.dtrtrs(triangle[:n, :n], triangle[:n, n:])[0].T
         roots[j] = triangle[n : 2 * n, n:].T
         root, mean = triangle[:n, :n].T, flow.F @ mean + window.defect[j]
     roots[-1] = root
@@ -64,13 +64,3 @@ def _cost_of_reference(window: EstimationWindow) -> float:
     """What the outputs cost along the reference: the size of the numbers that the optimum is a difference of."""
     fit = window.weighted(window.residual)
     return float(np.einsum("k,ki,ki->", window.discount, fit, fit))
-
-
-def _triangular(R: Array, right: Array, transposed: bool = False) -> Array:
-    """Solve R x = right (or R'x = right), R upper triangular."""
-    return np.asarray(lapack.dtrtrs(R, right, lower=0, trans=int(transposed))[0])
-
-
-def _upper(matrix: Array) -> Array:
-    """Triangular factor of an orthogonal factorisation."""
-    return np.asarray(np.linalg.qr(matrix, mode="r"))

@@ -8,6 +8,7 @@ from sampling_design.accuracy.interval import state_interval
 from sampling_design.accuracy.readings import AboveRange, BelowDetection, CensoredReading, CompositeReading
 from sampling_design.errors import ArgumentError, FileFormatError
 from tests.cases import few
+from tests.oracles.windows import by_the_reference
 
 TANK = sd.Plant(
     [[-0.05]], [[1.0], [1.0]], B=[[1.0]], states=["level"], outputs=["blood", "urine"], inputs=["dose"], time_unit="h"
@@ -160,10 +161,10 @@ SPRING = sd.Plant([[0.0, 1.0], [-1.0, -0.1]], [[1.0, 0.0]])
 BOUNDED = {"w_bound": 0.1, "v_bound": 0.2, "initial_error": 2.0}
 
 
-def limited_run(seed, **options):
+def limited_run(seed, changed=lambda mhe: mhe):
     """A run in which half of the readings are limits of detection: truth and estimates."""
     rng = np.random.default_rng(seed)
-    mhe = sd.MovingHorizonEstimator(SPRING, horizon=6.0, cost=sd.CostFunction(eta=0.2), **BOUNDED, **options)
+    mhe = changed(sd.MovingHorizonEstimator(SPRING, horizon=6.0, cost=sd.CostFunction(eta=0.2), **BOUNDED))
     x, now, truth, found = rng.uniform(-1, 1, 2), 0.0, [], []
     for t in np.cumsum(rng.uniform(0.4, 1.5, 12)):
         w = rng.uniform(-0.07, 0.07, 2)
@@ -187,7 +188,7 @@ def test_limits_constrain_the_moving_horizon_estimate_which_still_holds_the_trut
         assert estimate.holds(x)
     if seed:
         return  # the reference is slow: once
-    bounded = limited_run(seed, constraints=sd.Constraints(engine="reference"))[1]
+    bounded = limited_run(seed, by_the_reference)[1]
     for one, other in zip(found, bounded, strict=True):
         assert np.allclose(one.x, other.x, atol=2e-5)
 

@@ -21,6 +21,7 @@ from sampling_design.estimators.online.estimator import GuaranteeWarning
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from tests.cases import few
+from tests.oracles.windows import by_the_reference
 
 PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 DRIVEN = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0], [0.0, 1.0]], B=[[0.0], [1.0]], D=[[0.5], [0.0]])
@@ -200,6 +201,13 @@ def test_an_infeasible_window_predicts_names_the_obstacle_and_goes_on():
     assert not after.certified
 
 
+def solved_by(engine, plant, sets):
+    """An estimator whose active windows an engine solves, or the reference."""
+    if engine == "reference":
+        return by_the_reference(MovingHorizonEstimator(plant, horizon=4.0, constraints=sets))
+    return MovingHorizonEstimator(plant, horizon=4.0, constraints=replace(sets, engine=engine))
+
+
 @pytest.mark.parametrize("engine", ["auto", "conic", "reference"])
 @pytest.mark.parametrize(
     ("sets", "words"),
@@ -220,7 +228,7 @@ def test_an_infeasible_window_predicts_names_the_obstacle_and_goes_on():
 )
 def test_whatever_set_cannot_be_met_is_named(sets, words, engine):
     """A kick by a known input that no small disturbance undoes: every engine says so and predicts instead."""
-    mhe = MovingHorizonEstimator(DRIVEN, horizon=4.0, constraints=replace(sets, w=(-0.01, 0.01), engine=engine))
+    mhe = solved_by(engine, DRIVEN, replace(sets, w=(-0.01, 0.01)))
     assert mhe.update(0.5, [0.0, 0.0], [0.0]).status == "ok"
     mhe.update(0.6, None, [20.0])
     before = mhe.predict(1.5)
@@ -238,7 +246,7 @@ def test_a_ball_of_radius_zero_is_a_point(engine):
     for name, k in (("v", 1), ("w", 2)):
         found = []
         for chosen in (ConvexSet.ball(0.0, dimension=k), (0.0, 0.0)):
-            mhe = MovingHorizonEstimator(PLANT, horizon=4.0, constraints=Constraints(**{name: chosen}, engine=engine))
+            mhe = solved_by(engine, PLANT, Constraints(**{name: chosen}))
             found.append([mhe.update(t, [0.3 * t]) for t in (1.0, 1.7, 2.9)][-1])
         assert found[0].status == "ok"
         assert np.max(np.abs(found[0].x - found[1].x)) < 1e-9

@@ -9,6 +9,7 @@ import sampling_design as sd
 from sampling_design.accuracy.readings import BelowDetection, CompositeReading
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from tests.oracles.composites import posterior
+from tests.oracles.windows import by_the_reference
 from tests.rescale import Units
 
 SAME = 1e-8
@@ -157,10 +158,8 @@ def test_radii_hold_the_truth_and_blame_finds_the_mean(kind, seed):
 def test_engines_agree_with_the_problem_as_it_is_written():
     rows = rows_of(RECORDS["from a sample on"][:2], False)
     sets = {"x": (-0.31, 0.31)}
-    found = [
-        made("window", 0.3, constraints=sd.Constraints(**sets, engine=engine)).run(rows).estimates[-1]
-        for engine in ("auto", "reference")
-    ]
+    own, reference = (made("window", 0.3, constraints=sd.Constraints(**sets)) for _ in range(2))
+    found = [each.run(rows).estimates[-1] for each in (own, by_the_reference(reference))]
     free = made("window", 0.3).run(rows).estimates[-1]
     assert np.max(np.abs(free.x - found[0].x)) > 1e-2
     assert np.allclose(found[0].x, found[1].x, atol=1e-5)

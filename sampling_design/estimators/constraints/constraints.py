@@ -14,7 +14,7 @@ from sampling_design.records.record import Record, short
 
 SetLike: TypeAlias = "ConvexSet | tuple[npt.ArrayLike, npt.ArrayLike] | None"
 WModel = Literal["outer", "constant"]
-Engine = Literal["auto", "active set", "conic", "reference"]
+Engine = Literal["auto", "active set", "conic"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -33,7 +33,7 @@ class Constraints(Record):
     w_model : "outer" or "constant"
         How bounds on w act: as an outer bound on what they can do over a gap, which provably contains the truth, or
         on a disturbance that is constant between nodes, which is not certified.
-    engine : "auto", "active set", "conic" or "reference"
+    engine : "auto", "active set" or "conic"
         What solves a window with active constraints.
 
     Raises

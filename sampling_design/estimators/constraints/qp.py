@@ -12,7 +12,6 @@ import numpy as np
 
 from sampling_design.estimators.constraints.least_distance import NearestPoint, active_set, conic, find_obstacle
 from sampling_design.estimators.constraints.least_distance_problem import ConstraintDemands
-from sampling_design.estimators.constraints.reference import solve_reference
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.window_problem import EstimationWindow
@@ -39,8 +38,6 @@ def solve_constrained(
     violated = demands.violated(values, SATISFIED)
     if not any(mask.any() for mask in violated) and demands.balls_hold(values, SATISFIED):
         return free
-    if engine == "reference":
-        return solve_reference(window, constraints, free)
     found, whole = None, None
     if engine == "active set" or (engine == "auto" and not demands.has_balls):
         found = row_by_row(demands, violated)

@@ -1,101 +1,65 @@
-"""The window problem as it is written, for the modelling library: slow, readable, what the engines are judged by."""
+"""The window problem as it is written, solved and refined by a modelling library: slow, what the engines are judged by.
 
-from __future__ import annotations
+Nothing of the smoother's algebra is used: the data of a window, its sets, and the roots of its weights.
+"""
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
-from types import ModuleType
-from typing import TYPE_CHECKING
 
+import cvxpy as cp
 import numpy as np
 
-from sampling_design.errors import MissingExtraError
 from sampling_design.estimators.constraints.convex_set import ConvexSet
 from sampling_design.estimators.constraints.least_distance import ACCEPTED, SOLVER_TOLERANCE
-from sampling_design.estimators.constraints.window_constraints import WindowConstraints
 from sampling_design.estimators.gap_flows.cost_weights import marginal_root
-from sampling_design.estimators.window.solution import Solution
-from sampling_design.estimators.window.window_problem import EstimationWindow
+from sampling_design.estimators.mhe import CLOSED_FORM
+from sampling_design.estimators.window.smoother import smooth
 from sampling_design.numerics import conic_programs
-from sampling_design.records.arrays import Array
-from sampling_design.records.evidence import SolverRecord
-
-if TYPE_CHECKING:
-    from cvxpy import Constraint, Expression
-    from cvxpy import Problem as Problem
-
 
 SCALES = (1.0, 1e-3, 1e-6)  # units of the steps in which the reference is solved and then refined around its own answer
 
 
-def cvxpy() -> ModuleType:
-    """Return the modelling library, loaded on first use: it takes a second.
+def by_the_reference(mhe):
+    """Return an estimator with its windows solved as they are written wherever a constraint acts."""
+    own = mhe._solve
 
-    Raises MissingExtraError if it is not installed; the message names the extra.
-    """
-    try:
-        return import_module("cvxpy")
-    except ImportError:
-        raise MissingExtraError("cvxpy", "modelling") from None
+    def solve(window):
+        found = own(window)
+        return found if found.engine in CLOSED_FORM else solve_reference(window, mhe.constraints, smooth(window))
+
+    mhe._solve = solve
+    return mhe
 
 
-def solve(problem: Problem, tolerance: float = conic_programs.TOLERANCE) -> SolverRecord:
-    """Solve a cvxpy problem with Clarabel and say how it ended; never raises for an unhappy status.
-
-    The record's status is one of those of `conic_programs`. After "infeasible", "unbounded" and "failed" the variables
-    hold nothing to use.
-    """
-    cp = cvxpy()
+def solve(problem, tolerance):
+    """Solve a problem with Clarabel and return its status, "failed" where the solver gives up."""
     settings = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas", "tol_ktratio"), tolerance)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # an inaccurate solution is a status here, not a warning
-            solved: Callable[..., object] = problem.solve
-            solved(solver=cp.CLARABEL, max_iter=200, max_threads=conic_programs.THREADS, **settings)
-        raw = str(problem.status)
-    except cp.error.SolverError as error:
-        raw = f"solver error: {error}"
-    return SolverRecord(
-        name="Clarabel",
-        version=str(conic_programs.clarabel().__version__),
-        status=_STATUS.get(raw, conic_programs.FAILED),
-        iterations=int(getattr(problem.solver_stats, "num_iters", 0) or 0),
-        details={"raw_status": raw, "tolerance": tolerance},
-    )
-
-
-_STATUS = {
-    "optimal": conic_programs.SOLVED,
-    "optimal_inaccurate": conic_programs.INACCURATE,
-    "infeasible": conic_programs.INFEASIBLE,
-    "infeasible_inaccurate": conic_programs.INFEASIBLE,
-    "unbounded": conic_programs.UNBOUNDED,
-    "unbounded_inaccurate": conic_programs.UNBOUNDED,
-    "user_limit": conic_programs.BUDGET,
-}
+            problem.solve(solver=cp.CLARABEL, max_iter=200, max_threads=conic_programs.THREADS, **settings)
+    except cp.error.SolverError:
+        return "failed"
+    return problem.status
 
 
 @dataclass(frozen=True, eq=False)
 class _Point:
     """A trajectory: states at the nodes, omega over the gaps, v at the samples, and its cost."""
 
-    x: Array
-    omega: list[Array]
-    v: dict[int, Array]
+    x: np.ndarray
+    omega: list
+    v: dict
     cost: float
 
     @classmethod
-    def zero(cls, window: EstimationWindow, x: Array) -> _Point:
+    def zero(cls, window, x):
         """These states, without disturbance and noise."""
         omega = [np.zeros(flow.root.shape[1]) for flow in window.flows]
         return cls(x, omega, {j: np.zeros(window.masks.shape[1]) for j in window.samples}, np.nan)
 
 
-def solve_reference(
-    window: EstimationWindow, constraints: WindowConstraints, free: Solution, scales: Sequence[float] = SCALES
-) -> Solution:
+def solve_reference(window, constraints, free, scales=SCALES):
     """Solve the window problem as it is written, in states, omega and v, with the modelling library. Slow.
 
     Nothing of the smoother's algebra is used (`free` lends only its type): this is what the others are judged by.
@@ -108,28 +72,26 @@ def solve_reference(
     """
     point = _Point.zero(window, window.reference)
     for scale in scales:
-        record, found = _improved(window, constraints, point, scale)
+        status, found = _improved(window, constraints, point, scale)
         if found is not None:
             point = found
         elif np.isnan(point.cost):
-            if record.status == conic_programs.INFEASIBLE:
+            if status.startswith("infeasible"):
                 note = "No trajectory meets the constraints."
                 return replace(free, status="infeasible", note=note, engine="reference")
-            return replace(free, status="solver failed", note=f"Status {record.status}.", engine="reference")
+            return replace(free, status="solver failed", note=f"Status {status}.", engine="reference")
     dual = point.cost - ACCEPTED * max(1.0, abs(point.cost))
     return replace(free, nodes=point.x, cost=point.cost, dual=dual, engine="reference")
 
 
-def _improved(
-    window: EstimationWindow, constraints: WindowConstraints, point: _Point, scale: float
-) -> tuple[SolverRecord, _Point | None]:
+def _improved(window, constraints, point, scale):
     """Minimise over the steps (x, omega, v) = point + scale step; None if the solver brings nothing to use."""
-    program, x, omega, v = _window_program(window, constraints, point, scale, window.reference[0], window.y)
+    program, x, omega, v = _window_program(window, constraints, point, scale)
     problem = program.problem()
-    record = solve(problem, SOLVER_TOLERANCE)
-    if not conic_programs.usable(record) or problem.value is None or any(step.value is None for step in x):
-        return record, None
-    return record, _Point(
+    status = solve(problem, SOLVER_TOLERANCE)
+    if not status.startswith("optimal") or problem.value is None or any(step.value is None for step in x):
+        return status, None
+    return status, _Point(
         point.x + scale * np.array([step.value for step in x]),
         [at + scale * np.asarray(step.value) for at, step in zip(point.omega, omega, strict=True)],
         {j: point.v[j] + scale * np.asarray(step.value) for j, step in v.items()},
@@ -137,32 +99,14 @@ def _improved(
     )
 
 
-def problem_as_written(window: EstimationWindow, constraints: WindowConstraints) -> Problem:
-    """Return the window problem for the modelling library: variables x0, omega1, v0, ..., parameters prior, y0, ..."""
-    cp = cvxpy()
-    prior, y = cp.Parameter(window.reference.shape[1], name="prior", value=window.reference[0]), {}
-    for j in window.samples:
-        y[j] = cp.Parameter(window.y.shape[1], name=f"y{j}", value=window.y[j])
-    program, *_ = _window_program(window, constraints, _Point.zero(window, 0 * window.reference), 1.0, prior, y)
-    return program.problem()
-
-
-def _window_program(
-    window: EstimationWindow,
-    constraints: WindowConstraints,
-    point: _Point,
-    scale: float,
-    prior: Array | Expression,
-    y: Array | Mapping[int, Expression],
-) -> tuple[_Program, list[Expression], list[Expression], dict[int, Expression]]:
-    """The program over the steps (x, omega, v) = point + scale step; with parameters for prior and y the scale is 1."""
-    cp = cvxpy()
+def _window_program(window, constraints, point, scale):
+    """The program over the steps (x, omega, v) = point + scale step."""
     weights, plant, root = window.weights, window.weights.plant, np.sqrt(window.discount)
     x = [cp.Variable(plant.n_states, name=f"x{j}") for j in range(window.times.size)]
     omega = [cp.Variable(flow.root.shape[1], name=f"omega{j + 1}") for j, flow in enumerate(window.flows)]
     v = {j: cp.Variable(plant.n_outputs, name=f"v{j}") for j in window.samples}
-    program = _Program(cp, scale, [], [], 0.0)
-    program.add_square(window.prior_half @ (point.x[0] - prior), window.prior_half @ x[0])
+    program = _Program(scale, [], [], 0.0)
+    program.add_square(window.prior_half @ (point.x[0] - window.reference[0]), window.prior_half @ x[0])
     for j, flow in enumerate(window.flows):
         drift = window.defect[j] + window.reference[j + 1] - flow.F @ window.reference[j]
         missing = flow.F @ point.x[j] + drift + flow.root @ point.omega[j] - point.x[j + 1]
@@ -180,7 +124,7 @@ def _window_program(
         seen = window.masks[j] > 0
         fit, own = marginal_root(weights.R, seen), marginal_root(weights.v, seen)
         mask, model, moved = window.masks[j], plant.C @ point.x[j] + window.feedthrough[j], plant.C @ x[j]
-        residual = np.diag(mask) @ (y[j] - model) - point.v[j]
+        residual = np.diag(mask) @ (window.y[j] - model) - point.v[j]
         program.add_square(root[j] * (fit @ residual), root[j] * (fit @ (-cp.multiply(mask, moved) - step)))
         program.add_square(root[j] * (own @ point.v[j]), root[j] * (own @ step))
         for chosen, at, total in ((constraints.v, point.v[j], step), (constraints.y, model + point.v[j], moved + step)):
@@ -198,26 +142,21 @@ def _window_program(
 class _Program:
     """Terms of the cost, over scale^2 and without the constant, and constraints on signals value + scale step."""
 
-    cp: ModuleType
     scale: float
-    terms: list[Expression]
-    parts: list[Constraint]
+    terms: list
+    parts: list
     constant: float
 
-    def problem(self) -> Problem:
+    def problem(self):
         """The problem, without its constant."""
-        found: Problem = self.cp.Problem(self.cp.Minimize(self.cp.sum(self.terms)), self.parts)
-        return found
+        return cp.Problem(cp.Minimize(cp.sum(self.terms)), self.parts)
 
-    def add_square(self, value: Array | Expression, step: Expression) -> None:
-        """Add |value + scale step|^2; where parameters stand in the value, all of it is a term."""
-        if not isinstance(value, np.ndarray):
-            self.terms.append(self.cp.sum_squares(value + self.scale * step))
-            return
-        self.terms += [self.cp.sum_squares(step), (2 / self.scale) * (step @ value)]
+    def add_square(self, value, step):
+        """Add |value + scale step|^2."""
+        self.terms += [cp.sum_squares(step), (2 / self.scale) * (step @ value)]
         self.constant += float(value @ value)
 
-    def keep_inside(self, chosen: ConvexSet, value: Array, step: Expression, mask: Array | None = None) -> None:
+    def keep_inside(self, chosen, value, step, mask=None):
         """Keep value + scale step in a set, measured entries only where there is a mask.
 
         A ball |a + scale b| <= r is asked as 2 a'b + scale |b|^2 <= (r^2 - |a|^2)/scale: no small difference of norms.
@@ -235,4 +174,4 @@ class _Program:
                 self.parts.append(ball.shape @ step == ball.shape @ (ball.centre - value) / self.scale)
                 continue
             a, b = ball.shape @ (value - ball.centre) / ball.radius, ball.shape @ step / ball.radius
-            self.parts.append(2 * a @ b + self.scale * self.cp.sum_squares(b) <= (1 - a @ a) / self.scale)
+            self.parts.append(2 * a @ b + self.scale * cp.sum_squares(b) <= (1 - a @ a) / self.scale)

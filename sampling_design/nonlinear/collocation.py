@@ -77,7 +77,7 @@ class WindowSolver(Record):
     Parameters
     ----------
     tolerance : float
-        Of IPOPT, in scaled variables.
+        Of the conditions of a minimum, in scaled variables.
     max_iterations : int
     starts : int
         Other starts, along the axes of what the arrival weight leaves unknown, where the solve fails or the cost is

@@ -132,9 +132,14 @@ def _estimates(
 ) -> tuple[Array, tuple[SolverRun, ...]]:
     """Run one scheme over the chosen samples and return its estimate at every time, and its solves."""
     scheme.start(model.PRIOR_START)
-    estimates = []
-    for t, measured, use in zip(times.tolist(), y, chosen, strict=True):
-        estimates.append(scheme.update(t, measured).x if use else scheme.predict(t).x)
+    step, nothing = scheme.search.integrator.step, np.zeros(scheme.plant.n_inputs)
+    still = np.zeros(scheme.plant.n_disturbances)
+    estimates: list[Array] = []
+    for k, use in enumerate(chosen.tolist()):
+        if use or not estimates:
+            estimates.append(scheme.update(times[k], y[k]).x if use else scheme.predict(times[k]).x)
+        else:  # what `predict` gives, without its covariance and not from the last sample on each time
+            estimates.append(step(estimates[-1], nothing, still, times[k - 1], times[k]))
     return np.array(estimates), tuple(scheme.solves)
 
 

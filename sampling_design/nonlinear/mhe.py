@@ -17,7 +17,7 @@ from sampling_design.estimators.online.history import EstimatorState, HistoryNod
 from sampling_design.estimators.online.in_order import OnlineEstimator
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.model import NonlinearPlant
-from sampling_design.nonlinear.nlp import WindowData, WindowProgram, WindowSolution
+from sampling_design.nonlinear.nlp import WindowProgram
 from sampling_design.nonlinear.open_loop import NonlinearLoop
 from sampling_design.nonlinear.outliers import Outliers, beyond
 from sampling_design.nonlinear.promise import InclusionPromise, WindowTrajectory, cost_for
@@ -26,6 +26,7 @@ from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.simulation import require_inside
 from sampling_design.nonlinear.smoothed import SmoothedWindow, smoothed_window
 from sampling_design.nonlinear.weights import fit_covariance, output_slope, scaled_weights, warn_of_scales
+from sampling_design.nonlinear.window_records import WindowData, WindowSolution
 from sampling_design.nonlinear.window_search import WHOLE, WindowAnswer, WindowSearch
 from sampling_design.numerics.filtering import propagate
 from sampling_design.records import checks
@@ -132,10 +133,12 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
     the program was solved; `covariance` is P(tau)^-1 then. The jumps between integrated pieces count, up to the
     integrator's tolerance (1e-10 relative). Else none: radii are infinite, and `covariance` is that of the linearised
     window, discounted. Theorem 9 holds if the plant satisfies Assumption 7; see `check_detectability` for evidence.
-    *Method.* Radau collocation and IPOPT with exact derivatives. The program is built once; while the
+    *Method.* Radau collocation with exact derivatives. The program is built once; while the
     window fills, unused pieces have length 0. Each solve starts from the last solution, moved in time, and the
-    open loop beyond; if that fails, once more from the open loop alone, then from other starts. Each piece is
-    integrated anew, and the grid refined until that no longer moves the estimate.
+    open loop beyond: by Newton's method, whose answer counts where it meets the conditions of a minimum to the
+    solver's tolerance and no bound of states or outputs acts, else by IPOPT (`engine` of an estimate says which). If
+    that fails, once more from the open loop alone, then from other starts. Each piece is integrated anew, and the grid
+    refined until that no longer moves the estimate.
     *Numerical aspects.* Unknowns are scaled by the plant's scales. v is eliminated where neither it nor y is
     bounded.
 
@@ -271,7 +274,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
                 answer.error,
             )
         )
-        details = {"window_start": float(data.edges[0]), "engine": "ipopt"}
+        details = {"window_start": float(data.edges[0]), "engine": solution.engine}
         counted, scheduled = self._counted(state, taken)
         if solution.status != "ok" or answer.spread is None:
             x, Y, square, trouble = self.loop.ahead(state, state.last, sample.t)

@@ -7,7 +7,8 @@ equation at the Radau points, so that stiff plants cost no small steps. Everythi
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -16,8 +17,11 @@ from sampling_design.estimators.gap_flows.cost_weights import marginal_root
 from sampling_design.estimators.gap_flows.flows import discounted_length
 from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.nonlinear.newton import CondensedNewton
 from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.weights import NonlinearWeights
+from sampling_design.nonlinear.window_forms import LocalForms, WindowFunctions
+from sampling_design.nonlinear.window_records import ProgramPoint, WindowData, WindowSlopes, WindowSolution
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import processor_seconds
 
@@ -31,71 +35,6 @@ APPROXIMATE_MINIMUM_DEGREE = 0
 """How IPOPT's linear solver orders a window: its own choice takes a sixth longer over a solve."""
 
 WARM_BARRIER = 1e-6  # Barrier parameter of a warm start: well below the cost of a sample, well above the tolerance
-
-
-class WindowData(NamedTuple):
-    """One window of K intervals in scaled coordinates; row j of nodes lies at `edges[j]`.
-
-    edges (K+1,) absolute times; inputs (K+1, m) physical, from each node on; later (K, m) what they have become at the
-    end of each interval; y (K+1, p) with 0 where `mask` (K+1, p) is 0; prior (n,), and the upper triangular root (n, n)
-    of what its error weighs, not discounted.
-    """
-
-    edges: Array
-    inputs: Array
-    later: Array
-    y: Array
-    mask: Array
-    prior: Array
-    root: Array
-
-
-class ProgramPoint(NamedTuple):
-    """Values of the unknowns, or of their multipliers: z0 (n,), v (K+1, r), w (K, q), z (K, degree, n)."""
-
-    z0: Array
-    v: Array
-    w: Array
-    z: Array
-
-
-class WindowSolution(NamedTuple):
-    """What came out: the unknowns and the multipliers (of bounds, dynamics, outputs), and how."""
-
-    edges: Array
-    point: ProgramPoint
-    bound_multipliers: ProgramPoint
-    row_multipliers: Array
-    output_multipliers: Array
-    cost: float
-    status: Literal["ok", "infeasible", "solver failed"]
-    message: str
-    iterations: int
-    seconds: float
-
-    @property
-    def last(self) -> Array:
-        """Scaled state at the window's end."""
-        return self.point.z[-1, -1] if len(self.point.z) else self.point.z0
-
-    @property
-    def nodes(self) -> Array:
-        """Scaled states at the edges, (K+1, n)."""
-        return np.vstack([self.point.z0[None], self.point.z[:, -1]])
-
-
-class WindowSlopes(NamedTuple):
-    """A window linearised at its solution, scaled.
-
-    F (K, n, n) and G (K, n, q) carry a state and w over each interval; H (K+1, p, n) is the slope of the outputs at the
-    nodes, shown (K+1, p) what they are; roots (K+1, p, p) of their weights, zero where nothing was measured.
-    """
-
-    F: Array
-    G: Array
-    H: Array
-    shown: Array
-    roots: Array
 
 
 class WindowProgram:
@@ -124,7 +63,6 @@ class WindowProgram:
         self._fit = self._fit_weight()
         self._fit_at = np.nonzero(np.triu(np.linalg.matrix_power(self._fit != 0, max(1, plant.n_outputs))))
         self._fit_roots: dict[bytes, Array] = {}
-        self._slopes: tuple[Function, Function] | None = None
         self._solvers: dict[bool, Function] = {}
         self._problem = self._assemble()
         self.boxes = self._bounds()
@@ -133,7 +71,8 @@ class WindowProgram:
         """Solve one window from `guess` (with its multipliers if `warm`); never raises, the status says how it went."""
         lower, upper = self.boxes
         rows = self._row_bounds(data)
-        arguments = {"x0": self._pack(guess.point), "p": self._parameters(data), "lbx": lower, "ubx": upper}
+        given = np.concatenate(list(self._columns(data).values()))
+        arguments = {"x0": self._pack(guess.point), "p": given, "lbx": lower, "ubx": upper}
         arguments |= {"lbg": rows[0], "ubg": rows[1]}
         if warm:
             arguments["lam_x0"] = self._pack(guess.bound_multipliers, idle=0.0)
@@ -168,76 +107,75 @@ class WindowProgram:
             self._solvers[warm] = casadi().nlpsol("window", "ipopt", self._problem, quiet)
         return self._solvers[warm]
 
-    def _interval(self) -> tuple[Function, Function]:
-        """Return the dynamic rows of one interval, of (z0, Z, w, u, h), and the output at a node, of (z, v, u)."""
+    def _rate(self) -> Function:
+        """Return the scaled x' of (x, w, u, t)."""
         ca, plant = casadi(), self.plant
-        n, scale = plant.n_states, {key: plant.signals[key].scales for key in plant.sizes}
-        z0, Z = ca.SX.sym("z0", n), ca.SX.sym("Z", n, self.degree)
-        w, u, h = ca.SX.sym("w", plant.n_disturbances), ca.SX.sym("u", plant.n_inputs), ca.SX.sym("h")
-        rise, t = ca.SX.sym("rise", plant.n_inputs), ca.SX.sym("t")
-        slopes = ca.collocation_coeff(list(self.points))[0]
-        along = ca.horzcat(z0, Z)
-        rows = []
-        for j in range(self.degree):
-            inside, when = u + self.points[j] * rise, t + self.points[j] * h
-            rate = plant.rate_casadi(Z[:, j] * scale["states"], inside, w * scale["disturbances"], when)
-            rate = rate / scale["states"]
-            rows.append(ca.mtimes(along, slopes[:, j]) - h * rate)
-        v = ca.SX.sym("v", self.n_noises)
+        scale = {key: plant.signals[key].scales for key in plant.sizes}
+        x, w = ca.SX.sym("x", plant.n_states), ca.SX.sym("w", plant.n_disturbances)
+        u, t = ca.SX.sym("u", plant.n_inputs), ca.SX.sym("t")
+        rate = plant.rate_casadi(x * scale["states"], u, w * scale["disturbances"], t) / scale["states"]
+        found: Function = ca.Function("rate", [x, w, u, t], [rate])
+        return found
+
+    def _node(self) -> Function:
+        """Return the cost at a node and the scaled output, of (x, v, u, t, y, root, fit, v_weight)."""
+        ca, plant, p = casadi(), self.plant, self.plant.n_outputs
+        scale = {key: plant.signals[key].scales for key in plant.sizes}
+        x, v = ca.SX.sym("x", plant.n_states), ca.SX.sym("v", self.n_noises)
+        u, t, y = ca.SX.sym("u", plant.n_inputs), ca.SX.sym("t"), ca.SX.sym("y", p)
+        entries, fit, v_weight = ca.SX.sym("root", self._fit_at[0].size), ca.SX.sym("fit"), ca.SX.sym("v_weight")
         physical_v = v * scale["noises"] if self.keeps_v else ca.SX.zeros(plant.n_noises)
-        shown = plant.shown_casadi(z0 * scale["states"], u, physical_v, t) / scale["outputs"]
-        return (
-            ca.Function("rows", [z0, Z, w, u, rise, h, t], [ca.vertcat(*rows)]),
-            ca.Function("shown", [z0, v, u, t], [shown]),
-        )
+        shown = plant.shown_casadi(x * scale["states"], u, physical_v, t) / scale["outputs"]
+        root = ca.SX(p, p)
+        for k, (row, column) in enumerate(zip(*self._fit_at, strict=True)):
+            root[int(row), int(column)] = entries[k]
+        cost = fit * self._loss(ca.mtimes(root, shown - y))
+        if self.n_noises:
+            cost += v_weight * ca.bilin(self.weights.twice * self.weights.Qv, v, v)
+        found: Function = ca.Function("node", [x, v, u, t, y, entries, fit, v_weight], [cost, shown])
+        return found
+
+    @cached_property
+    def functions(self) -> WindowFunctions:
+        """The window's functions with their derivatives, built when first asked for."""
+        return WindowFunctions(self._rate(), self._node(), self.points, self.capacity)
+
+    @cached_property
+    def newton(self) -> CondensedNewton:
+        """Newton's method on the windows; limits on states and outputs it only looks at."""
+        lower, upper = (self._split(box, self.capacity) for box in self.boxes)
+        weight = 2 * self.weights.twice * self.weights.Qw
+        return CondensedNewton(self.functions, (lower, upper), weight, self.tolerance, self.max_iterations)
+
+    def near(self, data: WindowData, guess: WindowSolution) -> tuple[WindowSolution, WindowSlopes] | None:
+        """Return the solution next to `guess` by Newton's method, and its slopes.
+
+        None where none is near, a bound of states or outputs acts, or the plant has limits beside them.
+        """
+        if self._counts[1] or data.edges.size == 1:
+            return None
+        found = self.newton.solve(data, guess, self._columns(data))
+        if found is None:
+            return None
+        solution, forms = found
+        scale = self.plant.signals["outputs"].scales
+        low, high = (side / scale for side in self.plant.bounds["outputs"])
+        if np.any((data.mask > 0) & ((forms.shown < low) | (forms.shown > high))):
+            return None
+        return solution, self._slopes(data, forms)
 
     def linearised(self, data: WindowData, solution: WindowSolution) -> WindowSlopes:
         """Return the slopes of the intervals and the outputs at a solution, scaled."""
-        if self._slopes is None:
-            self._slopes = self._build_slopes()
-        K, N, n, d = data.edges.size - 1, self.capacity, self.plant.n_states, self.degree
-        p, point, nodes = self.plant.n_outputs, solution.point, solution.nodes
-        still = nodes[:1]
-        padded = [
-            _padded_in_front(N - K, still[0], nodes[:-1]),
-            np.concatenate([np.broadcast_to(still[0], (N - K, d, n)), point.z]).reshape(N * d, n),
-            _padded_in_front(N - K, np.zeros(self.plant.n_disturbances), point.w),
-            _padded_in_front(N - K, data.inputs[0], data.inputs[:-1]),
-            _padded_in_front(N - K, 0 * data.inputs[0], data.later - data.inputs[:-1]),
-            np.concatenate([np.zeros(N - K), np.diff(data.edges)])[:, None],
-            np.concatenate([np.full(N - K, data.edges[0]), data.edges[:-1]])[:, None],
-        ]
-        inside, first, push = (
-            np.array(part).reshape(d * n, N, -1).transpose(1, 0, 2)[N - K :]
-            for part in self._slopes[0](*(part.T for part in padded))
-        )
-        both = -np.linalg.solve(inside, np.concatenate([first, push], axis=2))[:, -n:]
-        seen = [
-            _padded_in_front(N - K, still[0], nodes),
-            _padded_in_front(N - K, np.zeros(self.n_noises), point.v),
-            _padded_in_front(N - K, data.inputs[0], data.inputs),
-            np.concatenate([np.full(N - K, data.edges[0]), data.edges])[:, None],
-        ]
-        H, shown = (np.array(part) for part in self._slopes[1](*(part.T for part in seen)))
-        H = H.reshape(p, N + 1, n).transpose(1, 0, 2)[N - K :]
-        roots = np.zeros((K + 1, p, p))
+        still = np.zeros(solution.point.z.shape)
+        return self._slopes(data, self.functions.at(data, solution.point, still, self._columns(data)))
+
+    def _slopes(self, data: WindowData, forms: LocalForms) -> WindowSlopes:
+        n, p = self.plant.n_states, self.plant.n_outputs
+        both = forms.carried()[:, -n:]
+        roots = np.zeros((len(both) + 1, p, p))
         for k, row in enumerate(data.mask):
             roots[k][self._fit_at] = self._fit_root(row) if row.any() else 0.0
-        return WindowSlopes(both[:, :, :n], both[:, :, n:], H, shown.T[N - K :], roots)
-
-    def _build_slopes(self) -> tuple[Function, Function]:
-        ca, plant, n = casadi(), self.plant, self.plant.n_states
-        rows, shown = self._interval()
-        z0, Z = ca.SX.sym("z0", n), ca.SX.sym("Z", n, self.degree)
-        w, u, h = ca.SX.sym("w", plant.n_disturbances), ca.SX.sym("u", plant.n_inputs), ca.SX.sym("h")
-        rise, t, v = ca.SX.sym("rise", plant.n_inputs), ca.SX.sym("t"), ca.SX.sym("v", self.n_noises)
-        value = rows(z0, Z, w, u, rise, h, t)
-        slopes = [ca.densify(ca.jacobian(value, by)) for by in (ca.vec(Z), z0, w)]
-        output = shown(z0, v, u, t)
-        return (
-            ca.Function("slopes", [z0, Z, w, u, rise, h, t], slopes).map(self.capacity),
-            ca.Function("seen", [z0, v, u, t], [ca.densify(ca.jacobian(output, z0)), output]).map(self.capacity + 1),
-        )
+        return WindowSlopes(both[:, :, :n], both[:, :, n + 1 :], forms.H, forms.shown, roots)
 
     def _limited(self) -> Function:
         """Return the rows of (z, u) that must not be positive: g, and the half-spaces of the region."""
@@ -255,8 +193,8 @@ class WindowProgram:
     def _assemble(self) -> dict[str, SX]:
         ca, plant, N = casadi(), self.plant, self.capacity
         n, m, q, r, p = plant.n_states, plant.n_inputs, plant.n_disturbances, self.n_noises, plant.n_outputs
-        rows, shown = self._interval()
-        Qw, Qv = self.weights.twice * self.weights.Qw, self.weights.twice * self.weights.Qv
+        rate, node, slopes = self._rate(), self._node(), ca.collocation_coeff(list(self.points))[0]
+        Qw = self.weights.twice * self.weights.Qw
         sizes = {"h": (N, 1), "u": (m, N + 1), "rise": (m, N), "t": (N + 1, 1), "y": (p, N + 1)}
         sizes |= {"root": (self._fit_at[0].size, N + 1), "prior": (n, 1), "P2": (self._upper[0].size, 1)}
         sizes |= {"w": (N, 1), "v": (N + 1, 1), "fit": (N + 1, 1)}
@@ -273,18 +211,18 @@ class WindowProgram:
                 w, Z = ca.SX.sym(f"w{j}", q), ca.SX.sym(f"z{j}", n, self.degree)
                 unknowns += [w, ca.vec(Z)]
                 u, rise, h = par["u"][:, j - 1], par["rise"][:, j - 1], par["h"][j - 1]
-                constraints.append(rows(z, Z, w, u, rise, h, par["t"][j - 1]))
+                along = ca.horzcat(z, Z)
+                for k, share in enumerate(self.points):
+                    motion = rate(Z[:, k], w, u + share * rise, par["t"][j - 1] + share * h)
+                    constraints.append(ca.mtimes(along, slopes[:, k]) - h * motion)
                 limits += [limited(Z[:, k], u + float(self.points[k]) * rise) for k in range(self.degree)]
                 cost += par["w"][j - 1] * ca.bilin(Qw, w, w)
                 z = Z[:, self.degree - 1]
             v = ca.SX.sym(f"v{j}", r)
             unknowns.append(v)
-            output = shown(z, v, par["u"][:, j], par["t"][j])
-            root = ca.SX(p, p)
-            for k, (row, column) in enumerate(zip(*self._fit_at, strict=True)):
-                root[int(row), int(column)] = par["root"][k, j]
-            fit = self._loss(ca.mtimes(root, output - par["y"][:, j]))
-            cost += par["fit"][j] * fit + (par["v"][j] * ca.bilin(Qv, v, v) if r else 0)
+            y, root = par["y"][:, j], par["root"][:, j]
+            own, output = node(z, v, par["u"][:, j], par["t"][j], y, root, par["fit"][j], par["v"][j])
+            cost += own
             if self.bounds_y:
                 outputs.append(output)
         parameters = ca.vertcat(*(ca.vec(par[key]) for key in sizes))
@@ -316,8 +254,8 @@ class WindowProgram:
             self._fit_roots[key] = marginal_root(self._fit, mask > 0)[self._fit_at]
         return self._fit_roots[key]
 
-    def _parameters(self, data: WindowData) -> Array:
-        """Return the parameter vector, in the order of `_assemble`."""
+    def _columns(self, data: WindowData) -> dict[str, Array]:
+        """Return the parameters, in the order of `_assemble`."""
         N, K = self.capacity, data.edges.size - 1
         idle = N - K
         lengths = np.diff(data.edges)
@@ -326,7 +264,7 @@ class WindowProgram:
         weight_w[idle:] = discount[1:] * discounted_length(self.weights.eta, lengths)
         sampled = data.mask.any(axis=1)
         zero, roots = np.zeros(self.plant.n_outputs), np.array([self._fit_root(row) for row in data.mask])
-        columns = {
+        return {
             "h": np.concatenate([np.zeros(idle), lengths]),
             "u": _padded_in_front(idle, data.inputs[0], data.inputs).ravel(),
             "rise": _padded_in_front(idle, 0 * data.inputs[0], data.later - data.inputs[:-1]).ravel(),
@@ -339,7 +277,6 @@ class WindowProgram:
             "v": np.concatenate([np.ones(idle), np.where(sampled, discount, 1.0)]),
             "fit": np.concatenate([np.zeros(idle), np.where(sampled, discount, 0.0)]),
         }
-        return np.concatenate(list(columns.values()))
 
     def _bounds(self) -> tuple[Array, Array]:
         """Return the boxes of X, W and V on all unknowns."""

@@ -63,7 +63,7 @@ class ThyroidReport(Record):
     @property
     def open_points(self) -> tuple[tuple[str, str], ...]:
         """What the paper does not say, and what is done instead."""
-        solver = f"not said; Radau collocation of degree {self.degree}, pieces of 2 h, IPOPT"
+        solver = f"not said; Radau collocation of degree {self.degree}, pieces of 2 h, Newton's method and IPOPT"
         return (*OPEN_POINTS, ("solver", solver))
 
     def rmse(self, case: str, scheme: str, span: str = "all") -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sampling_design.nonlinear.nlp import ProgramPoint, WindowSolution
+from sampling_design.nonlinear.window_records import ProgramPoint, WindowSolution
 from sampling_design.records.arrays import Array, Index, Mask
 
 SAME_NODE = 1e-9  # two nodes closer than this share of the window are one

@@ -8,11 +8,12 @@ import numpy as np
 
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.model import NonlinearPlant
-from sampling_design.nonlinear.nlp import WindowData, WindowProgram, WindowSlopes, WindowSolution
+from sampling_design.nonlinear.nlp import WindowProgram
 from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.simulation import Integrator
 from sampling_design.nonlinear.warm_start import moved, open_loop_guess
 from sampling_design.nonlinear.weights import NonlinearWeights
+from sampling_design.nonlinear.window_records import WindowData, WindowSlopes, WindowSolution
 from sampling_design.nonlinear.window_spread import WindowSpread, spread_of
 from sampling_design.records.arrays import Array
 
@@ -82,6 +83,7 @@ class WindowSearch:
         self.window: WindowSolution | None = None
         self._points: Array = self.program.points
         self._wait, self._pause = 0, 1
+        self._newton_wait, self._newton_pause = 0, 1
 
     def __getstate__(self) -> dict[str, object]:
         """Everything but what casadi holds in memory."""
@@ -123,22 +125,34 @@ class WindowSearch:
         if data.edges.size - 1 > self.program.capacity:
             self.build(max(data.edges.size - 1, int(1.25 * self.program.capacity)))
             self.window = None
-        attempts = 1
+        attempts, slopes = 1, None
         if self.window is None:
             found = self.program.solve(data, guess, warm=False)
         else:
-            found = self.program.solve(data, moved(self.window, guess, self.program.points, self._points), warm=True)
+            start = moved(self.window, guess, self.program.points, self._points)
+            near = self._near(data, start)
+            found, slopes = (self.program.solve(data, start, warm=True), None) if near is None else near
             if found.status != "ok":
                 found, attempts = _added(found, self.program.solve(data, guess, warm=False)), 2
         if found.status != "ok" or self._out_of_line(data, found):
             found, attempts = self._from_elsewhere(data, found, attempts)
+            slopes = None
         self.window = found if found.status == "ok" else None
         self._points = self.program.points
-        return (
-            self._checked(data, WindowAnswer(found, attempts))
-            if found.status == "ok"
-            else WindowAnswer(found, attempts)
-        )
+        answer = WindowAnswer(found, attempts, slopes)
+        return self._checked(data, answer) if found.status == "ok" else answer
+
+    def _near(self, data: WindowData, start: WindowSolution) -> tuple[WindowSolution, WindowSlopes] | None:
+        """Return what Newton's method finds next to a start, unless it found nothing lately."""
+        if self._newton_wait > 0:
+            self._newton_wait -= 1
+            return None
+        found = self.program.near(data, start)
+        if found is None:
+            self._newton_wait, self._newton_pause = self._newton_pause, min(2 * self._newton_pause, LONGEST_WAIT)
+        else:
+            self._newton_pause = 1
+        return found
 
     def _out_of_line(self, data: WindowData, found: WindowSolution) -> bool:
         """Whether the weights, read as inverse covariances, do not explain the cost."""
@@ -189,7 +203,7 @@ class WindowSearch:
     def _checked(self, data: WindowData, answer: WindowAnswer) -> WindowAnswer:
         """Add the covariances, and what the discretisation costs: each piece integrated anew from where it begins."""
         solution, weights = answer.solution, self.weights
-        slopes = self.program.linearised(data, solution)
+        slopes = answer.slopes or self.program.linearised(data, solution)
         nodes = solution.nodes
         if self.collocation.accuracy is None:
             return answer._replace(slopes=slopes, spread=spread_of(data.edges, slopes, data.root, weights))

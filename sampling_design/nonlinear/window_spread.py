@@ -8,8 +8,8 @@ import numpy as np
 from scipy.linalg import lapack
 
 from sampling_design.estimators.gap_flows.flows import discounted_length
-from sampling_design.nonlinear.nlp import WindowSlopes
 from sampling_design.nonlinear.weights import NonlinearWeights
+from sampling_design.nonlinear.window_records import WindowSlopes
 from sampling_design.numerics.filtering import propagate
 from sampling_design.records.arrays import Array
 
@@ -50,14 +50,15 @@ def spread_of(
         Added to the state at the end of each interval; `bias` is what the estimator makes of them.
     """
     n, lengths = root.shape[0], np.diff(edges)
+    upper = np.triu(np.ones((n, n)))
     S = lapack.dtrtri(root)[0]
     push, growth = np.zeros((len(lengths), n, n)), np.exp(weights.eta * lengths / 2)[:, None, None] * slopes.F
     if len(lengths) and slopes.G.shape[2]:
         lower = np.linalg.cholesky(weights.twice * weights.Qw)
         worth = np.sqrt(discounted_length(weights.eta, lengths))[:, None, None]
         pushed = np.linalg.solve(lower, slopes.G.transpose(0, 2, 1)) / worth
-        upper: Array = np.asarray(np.linalg.qr(pushed, mode="r"), dtype=np.float64)
-        push[:, :, : upper.shape[1]] = upper.transpose(0, 2, 1)
+        triangle: Array = np.asarray(np.linalg.qr(pushed, mode="r"), dtype=np.float64)
+        push[:, :, : triangle.shape[1]] = triangle.transpose(0, 2, 1)
     filtered, grown = np.empty((len(edges), n, n)), np.empty((len(edges), n, n))
     bias, seen = np.zeros(n), slopes.roots @ slopes.H
     measured: list[bool] = [bool(root.any()) for root in slopes.roots]
@@ -65,7 +66,7 @@ def spread_of(
         if k:
             wide = np.concatenate([growth[k - 1].dot(S).T, push[k - 1].T])
             factor = lapack.dgeqrf(wide)[0]
-            S = np.triu(factor[:n]).T
+            S = (factor[:n] * upper).T
             bias = slopes.F[k - 1].dot(bias)
             if jumps is not None:
                 bias += jumps[k - 1]

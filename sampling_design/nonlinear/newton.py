@@ -1,0 +1,297 @@
+"""Newton's method for a window that starts near its solution: its intervals eliminated, its nodes by Riccati's step.
+
+A window that was solved before is solved again after few steps, and each costs a fraction of one of IPOPT's, whose
+linear algebra knows nothing of intervals. Bounds of w and v become active or are left by the signs of their
+multipliers. What comes out meets the same conditions, to the same tolerance, and its curvature is that of a minimum;
+else nothing does.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import lapack
+
+from sampling_design.nonlinear.window_forms import LocalForms, WindowFunctions
+from sampling_design.nonlinear.window_records import ProgramPoint, WindowData, WindowSolution
+from sampling_design.records.arrays import Array
+from sampling_design.records.budget import processor_seconds
+
+MOST_STEPS = 8  # linearisations of a window; from a near start three are enough
+MOST_CHANGES = 12  # of the active bounds between two linearisations
+FALLS = 0.5  # what is left of the conditions after a step, at most: beyond it the start was not near
+
+
+class ActiveBounds(NamedTuple):
+    """Which bounds hold: -1 at the lower, 1 at the upper, 0 free; w (K, q), v (K+1, r)."""
+
+    w: Array
+    v: Array
+
+
+class Step(NamedTuple):
+    """A Newton step: the moves of the unknowns, and the slopes of the cost by active w and v (0 at a free one)."""
+
+    move: ProgramPoint
+    by_w: Array
+    by_v: Array
+    rows: Array
+
+
+class CondensedNewton:
+    """Newton's method on the windows of one program.
+
+    `boxes` are the bounds of z0, v, w, z of a whole window, `weight` twice the weight of w.
+    """
+
+    def __init__(
+        self,
+        functions: WindowFunctions,
+        boxes: tuple[ProgramPoint, ProgramPoint],
+        weight: Array,
+        tolerance: float,
+        max_iterations: int,
+    ) -> None:
+        self.functions, self.boxes, self.weight, self.tolerance = functions, boxes, weight, tolerance
+        self.most = min(MOST_STEPS, max_iterations)
+
+    def solve(
+        self, data: WindowData, guess: WindowSolution, columns: dict[str, Array]
+    ) -> tuple[WindowSolution, LocalForms] | None:
+        """Return the solution next to `guess` and the forms there; None where none is near or states reach bounds."""
+        try:
+            with np.errstate(all="ignore"):  # what is not finite is not near
+                return self._solved(data, guess, columns)
+        except np.linalg.LinAlgError:
+            return None
+
+    def _solved(
+        self, data: WindowData, guess: WindowSolution, columns: dict[str, Array]
+    ) -> tuple[WindowSolution, LocalForms] | None:
+        started, K = processor_seconds(), data.edges.size - 1
+        root = np.zeros((data.prior.size, data.prior.size))
+        root[np.triu_indices(data.prior.size)] = columns["P2"]
+        weights = columns["w"][self.functions.capacity - K :, None, None] * self.weight
+        window = _Window(data, root, weights, tuple(_last(box, K) for box in self.boxes))
+        rows = guess.row_multipliers.reshape(guess.point.z.shape)
+        point, active = window.first(guess)
+        left = np.inf
+        for steps in range(self.most + 1):
+            forms = self.functions.at(data, point, rows, columns)
+            before, (left, by_w, by_v) = left, window.left(forms, point, rows, active)
+            if not np.isfinite(left) or (steps > 1 and left > max(FALLS * before, self.tolerance)):
+                return None
+            if steps and left <= self.tolerance:
+                break
+            found = window.step(forms, point, active)
+            if found is None:
+                return None
+            step, active = found
+            point = ProgramPoint(*(old + move for old, move in zip(point, step.move, strict=True)))
+            point, rows = window.onto_bounds(point, active), step.rows
+        else:
+            return None
+        if not window.allows(point):
+            return None
+        solution = guess._replace(
+            point=point,
+            bound_multipliers=ProgramPoint(0 * point.z0, -by_v, -by_w, 0 * point.z),
+            row_multipliers=rows.reshape(K, -1),
+            output_multipliers=0 * guess.output_multipliers,
+            cost=forms.cost + window.own_cost(point),
+            status="ok",
+            message="solve succeeded",
+            iterations=steps,
+            seconds=processor_seconds() - started,
+            engine="newton",
+        )
+        return solution, forms
+
+
+class _Window:
+    """One window: what is quadratic in its cost, its bounds, and a step of Newton's method."""
+
+    def __init__(self, data: WindowData, root: Array, weights: Array, boxes: tuple[ProgramPoint, ...]) -> None:
+        self.data, self.root, self.weights = data, root, weights
+        self.lower, self.upper = boxes
+
+    def first(self, guess: WindowSolution) -> tuple[ProgramPoint, ActiveBounds]:
+        """Return where to begin: the bounds that were active before are, all else lies inside."""
+        curvature = np.einsum("kii->ki", self.weights)
+        sides = []
+        for key, scale in (("w", curvature), ("v", 1.0)):
+            value, force = getattr(guess.point, key), getattr(guess.bound_multipliers, key)
+            over, under = (scale * (value - getattr(box, key)) for box in (self.upper, self.lower))
+            sides.append(np.where(force + over > 0, 1, np.where(force + under < 0, -1, 0)))
+        active = ActiveBounds(*sides)
+        return self.onto_bounds(guess.point, active), active
+
+    def onto_bounds(self, point: ProgramPoint, active: ActiveBounds) -> ProgramPoint:
+        """Return the point with what is active exactly at its bound, and w and v within theirs."""
+        moved = {}
+        for key in ("w", "v"):
+            low, high, side = getattr(self.lower, key), getattr(self.upper, key), getattr(active, key)
+            inside = np.clip(getattr(point, key), low, high)
+            moved[key] = np.where(side > 0, high, np.where(side < 0, low, inside))
+        return point._replace(**moved)
+
+    def own_cost(self, point: ProgramPoint) -> float:
+        """Return what the start and w cost."""
+        start = self.root @ (point.z0 - self.data.prior)
+        return float(start @ start + np.einsum("ki,kij,kj->", point.w, self.weights, point.w) / 2)
+
+    def allows(self, point: ProgramPoint) -> bool:
+        """Whether all states lie within their bounds."""
+        low, high = self.lower, self.upper
+        start = np.all((low.z0 <= point.z0) & (point.z0 <= high.z0))
+        return bool(start and np.all((low.z <= point.z) & (point.z <= high.z)))
+
+    def left(
+        self, forms: LocalForms, point: ProgramPoint, rows: Array, active: ActiveBounds
+    ) -> tuple[float, Array, Array]:
+        """Return how far the first-order conditions are from met, and the slopes of the cost by active w and v.
+
+        Each condition counts relative to the size of its terms, if that is over 1: stiff plants round where it is.
+        """
+        K, n = len(rows), point.z0.size
+        flat, z = rows.reshape(K, -1, 1), point.z.reshape(K, -1, 1)
+        by_z = (forms.inside.transpose(0, 2, 1) @ flat)[:, :, 0].reshape(point.z.shape)
+        steep = np.abs(forms.inside)
+        size_z = (steep.transpose(0, 2, 1) @ np.abs(flat))[:, :, 0].reshape(point.z.shape)
+        size_rows = (steep @ np.abs(z))[:, :, 0].reshape(point.z.shape)
+        before, pushed = (np.einsum("kij,ki->kj", part, flat[:, :, 0]) for part in (forms.first, forms.push))
+        by_z[:, -1] += forms.gradient[1:, :n]
+        by_z[:-1, -1] += before[1:]
+        by_start = 2 * self.root.T @ (self.root @ (point.z0 - self.data.prior)) + forms.gradient[0, :n] + before[0]
+        by_w = np.einsum("kij,kj->ki", self.weights, point.w) + pushed
+        by_v = forms.gradient[:, n:]
+        parts = [forms.rows / np.maximum(size_rows, 1.0), by_z / np.maximum(size_z, 1.0), by_start]
+        for side, slope in ((active.w, by_w), (active.v, by_v)):
+            parts += [np.where(side == 0, slope, np.maximum(side * slope, 0.0))]
+        left = max(float(np.abs(part).max(initial=0.0)) for part in parts)
+        return left, np.where(active.w == 0, 0.0, by_w), np.where(active.v == 0, 0.0, by_v)
+
+    def step(self, forms: LocalForms, point: ProgramPoint, active: ActiveBounds) -> tuple[Step, ActiveBounds] | None:
+        """Return the step to the minimum of the quadratic model within the bounds of w and v, and what it holds."""
+        carried = forms.carried()
+        quadratic = _Quadratic(self, forms, point, carried)
+        for _ in range(MOST_CHANGES):
+            found = quadratic.least(active)
+            if found is None:
+                return None
+            dw, dv = found.move.w, found.move.v
+            new = ActiveBounds(
+                self._side(active.w, point.w + dw, found.by_w, "w"), self._side(active.v, point.v + dv, found.by_v, "v")
+            )
+            if np.array_equal(new.w, active.w) and np.array_equal(new.v, active.v):
+                return found, active
+            active = new
+        return None
+
+    def _side(self, side: Array, value: Array, slope: Array, key: str) -> Array:
+        """Return what is active after a step: a bound that pulls is left, one that is passed is taken."""
+        low, high = getattr(self.lower, key), getattr(self.upper, key)
+        free = np.where(value > high, 1, np.where(value < low, -1, 0))
+        return np.where(side == 0, free, np.where(side * slope <= 0, side, 0))
+
+
+class _Quadratic:
+    """The quadratic model of a window at one point: of each interval in (dx, 1, dw), of each node in (dx, 1, dv)."""
+
+    def __init__(self, window: _Window, forms: LocalForms, point: ProgramPoint, carried: Array) -> None:
+        self.window, self.forms, self.point = window, forms, point
+        K, d, n = point.z.shape
+        q, r, one = point.w.shape[1], point.v.shape[1], n + 1
+        self.Z = carried.reshape(K, d, n, one + q)
+        self.over = np.zeros((K, one, one + q))
+        self.over[:, :n], self.over[:, n, n] = self.Z[:, -1], 1.0
+        own = np.zeros((K, d, q, one + q))
+        own[..., one:] = np.eye(q)
+        self.inside = np.concatenate([self.Z, own], axis=2)
+        self.interval = np.matmul(self.inside.transpose(0, 1, 3, 2), np.matmul(forms.curve, self.inside)).sum(axis=1)
+        pull = np.einsum("kij,kj->ki", window.weights, point.w)
+        self.interval[:, one:, one:] += window.weights
+        self.interval[:, one:, n] += pull
+        self.interval[:, n, one:] += pull
+        kept = [*range(n), *range(one, one + r)]
+        self.node = np.zeros((K + 1, one + r, one + r))
+        self.node[np.ix_(range(K + 1), kept, kept)] = forms.bend
+        self.node[:, n, kept] = self.node[:, kept, n] = forms.gradient
+
+    def least(self, active: ActiveBounds) -> Step | None:
+        """Return the step to the least value where what is active goes to its bound; None where there is none."""
+        K, n = len(self.point.w), self.point.z0.size
+        one, window = n + 1, self.window
+        to_w, go_w = self._toward_bounds("w", active.w, one)
+        to_v, go_v = self._toward_bounds("v", active.v, one)
+        over, interval, node = self.over, self.interval, self.node
+        if go_w.any() or active.w.any():
+            over, interval = over @ to_w, to_w.transpose(0, 2, 1) @ interval @ to_w
+            each = np.arange(one, over.shape[2])
+            interval[:, each, each] += active.w != 0
+        if go_v.any() or active.v.any():
+            node = to_v.transpose(0, 2, 1) @ node @ to_v
+            each = np.arange(one, node.shape[2])
+            node[:, each, each] += active.v != 0
+        np.linalg.cholesky(node[:, one:, one:])  # raises where the model has no least value
+        shown = np.linalg.solve(node[:, one:, one:], node[:, one:, :one])
+        at = node[:, :one, :one] - node[:, :one, one:] @ shown
+        values, gains = np.empty((K + 1, one, one)), np.zeros((K, over.shape[2] - one, one))
+        P = values[K] = at[K]
+        for k in range(K - 1, -1, -1):
+            M = over[k].T.dot(P.dot(over[k]))
+            M += interval[k]
+            P = M[:one, :one]
+            if gains.shape[1]:
+                _, gains[k], trouble = lapack.dposv(M[one:, one:], M[one:, :one])
+                if trouble:
+                    return None
+                P = P - M[:one, one:].dot(gains[k])
+            P = values[k] = P + at[k]
+        start = 2 * window.root.T @ window.root
+        pull = P[:n, n] + start @ (self.point.z0 - window.data.prior)
+        _, first, trouble = lapack.dposv(P[:n, :n] + start, pull)
+        if trouble:
+            return None
+        moves = np.ones((K + 1, one))
+        moves[0, :n] = -first
+        closed = over[:, :, :one] - over[:, :, one:] @ gains
+        for k in range(K):
+            moves[k + 1] = closed[k].dot(moves[k])
+        dw = go_w - np.einsum("kij,kj->ki", gains, moves[:-1])
+        dv = go_v - np.einsum("kij,kj->ki", shown, moves)
+        return self._whole(moves, dw, dv, np.einsum("kij,kj->ki", values, moves))
+
+    def _toward_bounds(self, key: str, side: Array, one: int) -> tuple[Array, Array]:
+        """Return the map of what is free to (dx, 1, d) with what is active moved to its bound, and that move."""
+        low, high, value = (getattr(part, key) for part in (self.window.lower, self.window.upper, self.point))
+        count, size = side.shape
+        go = np.zeros(side.shape)
+        up, down = side > 0, side < 0
+        go[up], go[down] = (high - value)[up], (low - value)[down]
+        into = np.zeros((count, one + size, one + size))
+        into[:, range(one), range(one)] = 1.0
+        into[:, range(one, one + size), range(one, one + size)] = side == 0
+        into[:, one:, one - 1] = go
+        return into, go
+
+    def _whole(self, moves: Array, dw: Array, dv: Array, forces: Array) -> Step:
+        """Return the step of all unknowns; `forces` are the slopes of what lies ahead by the states at the nodes."""
+        K, d, n = self.point.z.shape
+        one = n + 1
+        known = np.concatenate([moves[:-1], dw], axis=1)
+        both = np.einsum("kdij,kj->kdi", self.inside, known)
+        pulled = np.einsum("kdij,kdj->kdi", self.forms.curve, both)[..., :n]
+        pulled[:, -1] += forces[1:, :n]
+        rows = -np.linalg.solve(self.forms.inside.transpose(0, 2, 1), pulled.reshape(K, d * n, 1))
+        by_w = np.einsum("kij,kj->ki", self.interval[:, one:], known)
+        by_w += np.einsum("kij,ki->kj", self.over[:, :, one:], forces[1:])
+        by_v = np.einsum("kij,kj->ki", self.node[:, one:], np.concatenate([moves, dv], axis=1))
+        return Step(ProgramPoint(moves[0, :n], dv, dw, both[..., :n]), by_w, by_v, rows.reshape(K, d, n))
+
+
+def _last(box: ProgramPoint, pieces: int) -> ProgramPoint:
+    """Return the bounds of the last intervals of a window."""
+    idle = len(box.w) - pieces
+    return ProgramPoint(box.z0, box.v[idle:], box.w[idle:], box.z[idle:])

@@ -1,0 +1,131 @@
+"""The functions of a window at one point, interval by interval and node by node, with first and second derivatives."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from sampling_design.nonlinear._casadi import casadi
+from sampling_design.nonlinear.window_records import ProgramPoint, WindowData
+from sampling_design.records.arrays import Array
+
+if TYPE_CHECKING:
+    from casadi import Function
+
+
+class LocalForms(NamedTuple):
+    """A window at one point, scaled: K intervals with d Radau points, K + 1 nodes, s = (x, w) and e = (x, v).
+
+    rows (K, d, n): what the collocation equations leave; inside (K, d n, d n), first (K, d n, n), push (K, d n, q):
+    their slopes by the states inside, the state before and w; curve (K, d, n + q, n + q): second derivatives by s of
+    the rows at each point times their multipliers; cost, and by node its gradient (K+1, n + r) and second derivatives
+    (K+1, n + r, n + r) by e; shown (K+1, p) and its slope H (K+1, p, n) by x.
+    """
+
+    rows: Array
+    inside: Array
+    first: Array
+    push: Array
+    curve: Array
+    cost: float
+    gradient: Array
+    bend: Array
+    shown: Array
+    H: Array
+
+    def carried(self) -> Array:
+        """Return dZ of (dx, 1, dw) such that the linearised rows hold, (K, d n, n + 1 + q)."""
+        K, size = self.inside.shape[:2]
+        known = np.concatenate([self.first, self.rows.reshape(K, size, 1), self.push], axis=2)
+        return np.asarray(-np.linalg.solve(self.inside, known))
+
+
+class WindowFunctions:
+    """Evaluates `LocalForms`: one call for all Radau points and one for all nodes.
+
+    `rate` is the scaled x' of (x, w, u, t); `node` the cost at a node and the scaled output, of (x, v, u, t, y, root,
+    fit, v_weight).
+    """
+
+    def __init__(self, rate: Function, node: Function, points: Array, capacity: int) -> None:
+        ca = casadi()
+        self.points, self.capacity = points, capacity
+        self._along = np.array(ca.collocation_coeff(list(points))[0])
+        n, q = rate.size1_in(0), rate.size1_in(1)
+        self._first = np.kron(self._along[0][:, None], np.eye(n))
+        x, w, u, t = (ca.SX.sym(name, rate.size1_in(k)) for k, name in enumerate("xwut"))
+        weigh, both = ca.SX.sym("weigh", n), ca.vertcat(x, w)
+        value = rate(x, w, u, t)
+        parts = [value, ca.jacobian(value, both), ca.hessian(ca.dot(weigh, value), both)[0]]
+        inside = ca.Function("inside", [x, w, u, t, weigh], [ca.densify(part) for part in parts])
+        self._inside = _Buffered(inside.map(capacity * points.size), capacity * points.size)
+        arguments = [ca.SX.sym(f"a{k}", node.size1_in(k)) for k in range(node.n_in())]
+        cost, shown = node(*arguments)
+        bend, gradient = ca.hessian(cost, ca.vertcat(*arguments[:2]))
+        parts = [cost, gradient, bend, shown, ca.jacobian(shown, arguments[0])]
+        at_node = ca.Function("at_node", arguments, [ca.densify(part) for part in parts])
+        self._at_node = _Buffered(at_node.map(capacity + 1), capacity + 1)
+        self.sizes = n, q, node.size1_in(1), node.size1_out(1)
+
+    def at(self, data: WindowData, point: ProgramPoint, multipliers: Array, columns: dict[str, Array]) -> LocalForms:
+        """Return the forms at a point; `multipliers` (K, d, n) of its rows, `columns` what the program is given."""
+        n, q, r, p = self.sizes
+        K, N, d = data.edges.size - 1, self.capacity, self.points.size
+        h = np.diff(data.edges)
+        rise = data.later - data.inputs[:-1]
+        u = data.inputs[:-1, None] + self.points[:, None] * rise[:, None]
+        t = data.edges[:-1, None] + h[:, None] * self.points
+        w = np.broadcast_to(point.w[:, None], (K, d, q))
+        weigh = -h[:, None, None] * multipliers
+        rate, slope, curve = self._inside(point.z, w, u, t, weigh)
+        nodes = np.concatenate([point.z0[None], point.z[:, -1]])
+        along = np.einsum("kjn,ji->kin", np.concatenate([nodes[:-1, None], point.z], axis=1), self._along)
+        slope = slope.reshape(K, d, n + q, n).transpose(0, 1, 3, 2)
+        inside = np.zeros((K, d, n, d, n))
+        each = np.arange(n)
+        inside[:, :, each, :, each] = self._along[1:].T
+        each = np.arange(d)
+        inside[:, each, :, each] -= (h[:, None, None, None] * slope[..., :n]).transpose(1, 0, 2, 3)
+        push = -h[:, None, None] * slope[..., n:].reshape(K, d * n, q)
+        root, fit, v = (columns[key].reshape(N + 1, -1)[N - K :] for key in ("root", "fit", "v"))
+        cost, gradient, bend, shown, H = self._at_node(nodes, point.v, data.inputs, data.edges, data.y, root, fit, v)
+        return LocalForms(
+            rows=along - h[:, None, None] * rate.reshape(K, d, n),
+            inside=inside.reshape(K, d * n, d * n),
+            first=np.broadcast_to(self._first, (K, d * n, n)),
+            push=push,
+            curve=curve.reshape(K, d, n + q, n + q),
+            cost=float(cost.sum()),
+            gradient=gradient,
+            bend=bend.reshape(K + 1, n + r, n + r),
+            shown=shown,
+            H=H.reshape(K + 1, n, p).transpose(0, 2, 1),
+        )
+
+
+class _Buffered:
+    """A mapped function of arrays with a row for each of its columns; missing rows repeat the first, in front."""
+
+    def __init__(self, function: Function, columns: int) -> None:
+        self._owner, self.columns = function, columns  # casadi's buffer does not keep the function alive
+        self._buffer, self._call = function.buffer()
+        self.given = [np.zeros((columns, function.size1_in(k))) for k in range(function.n_in())]
+        self.found = [np.zeros((columns, function.nnz_out(k) // columns)) for k in range(function.n_out())]
+        for k, array in enumerate(self.given):
+            if array.size:
+                self._buffer.set_arg(k, array.data)
+        for k, array in enumerate(self.found):
+            if array.size:
+                self._buffer.set_res(k, array.data)
+
+    def __call__(self, *arrays: Array) -> list[Array]:
+        used = 0
+        for array, value in zip(self.given, arrays, strict=True):
+            if array.size:
+                rows = value.reshape(-1, array.shape[1])
+                used = len(rows)
+                array[self.columns - used :] = rows
+                array[: self.columns - used] = rows[0] if used else 0.0
+        self._call()
+        return [array[self.columns - used :].copy() for array in self.found]

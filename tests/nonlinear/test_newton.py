@@ -1,0 +1,79 @@
+"""Newton's method on a window: what it says is what IPOPT says, and it says nothing where it cannot know."""
+
+import numpy as np
+import pytest
+
+from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.nonlinear.collocation import Collocation, WindowSolver
+from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
+from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.nonlinear.nlp import WindowProgram
+from sampling_design.nonlinear.outliers import Outliers
+from sampling_design.nonlinear.window_records import WindowData
+from tests.cases import few
+from tests.nonlinear.test_mhe import PENDULUM, SIZES, estimator, record
+
+TIMES = [0.0, 0.5, 1.0, 2.0, 2.5, 3.0, 4.2, 4.3]
+CASES = {
+    "free": ({}, {}, {"newton"}),
+    "bounded w": ({"disturbances": (-0.02, 0.02)}, {}, {"newton"}),
+    "bounded v": ({"noises": (-0.05, 0.05)}, {}, {"newton"}),
+    "bounded x": ({"states": ([-9.0, -0.55], [9.0, 9.0])}, {}, {"ipopt"}),
+    "bounded y": ({"outputs": ([-9.0], [1.05])}, {}, {"ipopt"}),
+    "robust": ({}, {"outliers": Outliers(huber=1.5)}, {"newton"}),
+}
+
+
+def both_ways(monkeypatch, plant, options):
+    """Estimates, costs, last windows and engines with Newton's method and without it."""
+    found = []
+    for near in (WindowProgram.near, lambda *_: None):
+        monkeypatch.setattr(WindowProgram, "near", near)
+        scheme = estimator(plant, solver=WindowSolver(1e-11), **options)
+        estimates = [scheme.update(t, y) for t, y in record(TIMES, noise=0.3)]
+        assert {estimate.status for estimate in estimates} == {"ok"}
+        found.append((estimates, scheme.window))
+    return found
+
+
+@pytest.mark.parametrize("case", few(list(CASES), 1, 3))
+def test_newton_says_what_ipopt_says(monkeypatch, case):
+    bounds, options, engines = CASES[case]
+    (quick, window), (slow, same) = both_ways(monkeypatch, PENDULUM.with_bounds(**bounds), options)
+    assert engines <= {estimate.engine for estimate in quick}
+    assert {estimate.engine for estimate in slow} == {"ipopt"}
+    assert np.array([e.x for e in quick]) == pytest.approx(np.array([e.x for e in slow]), abs=1e-6)
+    assert [e.cost for e in quick] == pytest.approx([e.cost for e in slow], rel=1e-7)
+    for key in ("z", "w", "v"):
+        assert getattr(window.point, key) == pytest.approx(getattr(same.point, key), abs=2e-6)
+        force, known = (getattr(found.bound_multipliers, key) for found in (window, same))
+        assert force == pytest.approx(known, abs=1e-5)
+    assert window.row_multipliers == pytest.approx(same.row_multipliers, abs=1e-5)
+    if case == "bounded w":
+        assert np.count_nonzero(np.abs(window.point.w) == 0.02) > 2  # exactly at its bound
+
+
+def test_a_saddle_is_no_solution():
+    square = NonlinearPlant(lambda x, u, w: [w[0]], lambda x, u, v: [x[0] ** 2 + v[0]], {**SIZES, "states": 1})
+    edges = np.arange(3.0)
+    scheme = NonlinearMovingHorizonEstimator(
+        square, horizon=3.0, cost=CostFunction(P2=[[0.1]], R=[[10.0]]), collocation=Collocation(w_step=1.0)
+    )
+    shown = np.ones((3, 1))
+    data = WindowData(edges, np.zeros((3, 0)), np.zeros((2, 0)), shown, shown, np.zeros(1), np.array([[0.3]]))
+    still = scheme.search.guess(edges, np.zeros((3, 1)))
+    assert scheme.program.near(data, still) is None  # all slopes are 0 there
+    solution, _ = scheme.program.near(data, scheme.search.guess(edges, np.ones((3, 1))))
+    assert solution.nodes == pytest.approx(shown, abs=0.05)
+    flat = data._replace(y=-shown)  # nothing pulls away from 0 then
+    solution, _ = scheme.program.near(flat, still)
+    assert solution.nodes == pytest.approx(0.0, abs=1e-9)
+    assert solution.iterations == 1
+
+
+def test_what_is_not_finite_is_not_near():
+    scheme = estimator()
+    edges = np.arange(3.0)
+    shown = np.full((3, 1), 1e300)
+    data = WindowData(edges, np.zeros((3, 0)), np.zeros((2, 0)), shown, shown * 0 + 1, np.zeros(2), np.eye(2))
+    assert scheme.program.near(data, scheme.search.guess(edges, np.zeros((3, 2)))) is None

@@ -114,10 +114,10 @@ class _Buffered:
         self.found = [np.zeros((columns, function.nnz_out(k) // columns)) for k in range(function.n_out())]
         for k, array in enumerate(self.given):
             if array.size:
-                self._buffer.set_arg(k, array.data)
+                self._buffer.set_arg(k, array.data)  # type: ignore[call-arg]
         for k, array in enumerate(self.found):
             if array.size:
-                self._buffer.set_res(k, array.data)
+                self._buffer.set_res(k, array.data)  # type: ignore[call-arg]
 
     def __call__(self, *arrays: Array) -> list[Array]:
         used = 0

@@ -20,7 +20,7 @@ def build():
         PLANT,
         horizon=HORIZON,
         prior=PRIOR_START,
-        collocation=Collocation(w_step=STEP, capacity=60, degree=DEGREE),
+        collocation=Collocation(w_step=STEP, capacity=60, degree=DEGREE, accuracy=None),
         cost=paper_weights(),
     )
 

@@ -11,7 +11,7 @@ import numpy as np
 from sampling_design.checkers.strict import Tree
 from sampling_design.design.bounds.branching import narrowed
 from sampling_design.design.bounds.evidence import UpperBound, quick_bound
-from sampling_design.design.bounds.relaxation import LEAST_SECONDS, relax_placed
+from sampling_design.design.bounds.relaxation import LEAST_SECONDS, relax_placed, sigma_of_moved
 from sampling_design.design.count_problem import CountProblem, bounded, brought_back, candidates
 from sampling_design.design.counts import rival_counts
 from sampling_design.design.folding import folded, parts, unfolded
@@ -314,7 +314,7 @@ class _Run:
         """Search and prove where the bound is known already; none below a sigma that is `known` needs narrowing."""
         middle, near = low + 0.5 * (high - low), low + 0.95 * (high - low)
 
-        size, enough = sized.canon.size, sized.inner.value * (1 - _ENOUGH)
+        problem, size, enough = sized.canon.inside, sized.canon.size, _enough(sized)
 
         def inner(fraction: float, sigma: float) -> None:
             self.sigma = max(self.sigma, sigma * size)
@@ -325,14 +325,15 @@ class _Run:
             self.say(middle + fraction * (near - middle), "narrowing the bound")
 
         rng = np.random.default_rng([self.seed, sized.problem.samples])  # the same for a count, whatever came before
-        problem = sized.canon.inside
         first = self.guarded(lambda: search(problem, sized.relaxation, rng, self.starts, self.budget, inner, enough))
         found, chosen = first, problem.mask(first.times)
         if problem.is_costly:
             found, chosen = self.guarded(lambda: affordable(problem, first, sized.relaxation, self.budget, enough))
         tied = self.guarded(lambda: self.tied(sized, rng, found.sigma))
-        reached = max([found.sigma, *(sigma for _, _, sigma in tied)])
-        target = max(reached, known / size)
+        reached = [found.sigma, *(sigma for _, _, sigma in tied)]
+        if problem.late:  # the search knows exact times alone
+            reached = [sigma_of_moved(problem, found.times, chosen)]
+        target = max(*reached, known / size)
         steps, most, gap = _cuts(problem, self.branches)
         self.sigma = max(self.sigma, target * size)
         bound = self.guarded(
@@ -366,7 +367,7 @@ class _Run:
 
     def tied(self, sized: CountProblem, rng: np.random.Generator, reached: float) -> list[tuple[Array, Mask, float]]:
         """Times that repeat within the period, what they measure and their sigma, where that could be better."""
-        part, enough = folded(sized.canon.inside), sized.inner.value * (1 - _ENOUGH)
+        part, enough = folded(sized.canon.inside), _enough(sized)
         if part is None or self.budget.over or reached >= enough:
             return []
         seconds = self.budget.seconds_left(LEAST_SECONDS, 1 / 3)
@@ -445,6 +446,12 @@ class _Run:
         needed = int(np.ceil(0.98 * ratio**2))
         low = exact or max(wanted.get("at_least", 1), problem.fixed.size, needed, 1)
         return min(low, high), high
+
+
+def _enough(sized: CountProblem) -> float:
+    """The sigma of exact times at which a search has nothing left to find."""
+    exact = replace(sized.canon.inside, late=0.0)
+    return (sized.inner.value_for(exact) if sized.canon.inside.late else sized.inner.value) * (1 - _ENOUGH)
 
 
 def _cuts(problem: DesignProblem, asked: int | None) -> tuple[int, int, float]:

@@ -3,16 +3,17 @@
 Nothing here imports what it judges: numpy and scipy only.
 """
 
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from scipy.linalg import expm
 
 
-def window_sigma_scan(A, C, times, period, window, places=7, mask=None):
+def window_sigma_scan(A, C, times, period, window, places=7, mask=None, late=0.0):
     """Least sigma_n of C e^{A r} over half-open windows (start, start + T] and [start, start + T), by scan.
 
-    Starts: every event, and `places` places between two events.
+    Starts: every event, and `places` places between two events. With `late`, each of the samples that are planned in a
+    window comes that much early, that much late or on time, whichever is worst: all of these are tried.
     """
     A, C, times = (np.asarray(M, dtype=float) for M in (A, C, times))
     periods = np.arange(-1, int(np.ceil(window / period)) + 2)
@@ -32,9 +33,12 @@ def window_sigma_scan(A, C, times, period, window, places=7, mask=None):
     least = np.inf
     for seen, lag in zip(rows, lags, strict=True):
         for low, high in ((tiny, window + tiny), (-tiny, window - tiny)):
-            O = seen[(lag > low) & (lag < high)].reshape(-1, A.shape[0])
-            values = np.linalg.svd(O, compute_uv=False) if O.size else np.zeros(0)
-            least = min(least, values[A.shape[0] - 1] if values.size >= A.shape[0] else 0.0)
+            held = seen[(lag > low) & (lag < high)]
+            moved = held @ expm(A * np.array([-late, 0.0, late])[:, None, None])[:, None] if late else held[None]
+            for moves in product(range(len(moved)), repeat=len(held)):
+                O = moved[list(moves), np.arange(len(held))].reshape(-1, A.shape[0])
+                values = np.linalg.svd(O, compute_uv=False) if O.size else np.zeros(0)
+                least = min(least, values[A.shape[0] - 1] if values.size >= A.shape[0] else 0.0)
     return float(least)
 
 

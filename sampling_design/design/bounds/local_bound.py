@@ -34,6 +34,7 @@ _LEAST_SHARE = 1e-14  # of a nominal Gram matrix: directions that are seen less 
 _MOST_WINDOWS, _SUBSPACE = 24, 6  # in the linearised program: the least seen windows, and directions of each
 _LEAST_SEEN = 0.02  # of K in W + K: a window that sees fifty times as much in the middle does not matter
 _LEAST_RATIO = 1e-12  # of the sigma^2 aimed at: what a window sees in the middle at least
+_AGAINST = 2  # rounds in which samples are moved against what a window sees least
 _NOTHING = 1e-200  # of what windows see: a sigma^2 aimed at that is less is 0
 _WIDER = 0.05  # of the largest entry: how much the width of a zone speaks for a cut beside its share of the Hessian
 _PLACES = 9  # of a lag's range at which a form is looked at for its extremes
@@ -166,7 +167,8 @@ def relax_local(
     sigma2, half = sigma**2, (zones[:, 1] - zones[:, 0]) / 2
     every = tied_windows(problem, zones)
     terms = _terms(problem, zones, every)
-    grams, slopes, own, own_slopes = _linear(problem, terms, len(every))
+    shown = _shown(problem, terms, _against(problem, terms, len(every), sigma2))
+    grams, slopes, own, own_slopes = _linear(problem, terms, len(every), shown)
     if not sigma2 > _NOTHING * float(np.abs(grams).max()):
         return None  # what is aimed at is nothing beside what is seen: there is no scale to be linear in
     _, seen = _balanced(grams / sigma2, own)
@@ -203,37 +205,56 @@ def relax_local(
     if not float(np.linalg.norm(roots)) > 0:
         return None
     windows = every[posed]
-    unseen = _without_last_sample(problem, roots) if growth_rate(problem) > 0 else None
-    if unseen is not None and local_bound(problem, zones, windows, unseen, nu) < local_bound(
-        problem, zones, windows, roots, nu
-    ):
-        roots = unseen
+    if growth_rate(problem) > 0:
+        unseen = [found for move in problem.moves if (found := _without_last_sample(problem, roots, move)) is not None]
+        roots = min([roots, *unseen], key=lambda each: local_bound(problem, zones, windows, each, nu))
     expanded = _expansion(problem, zones, windows, roots)
     H = np.zeros((len(half), len(half))) if expanded is None else expanded.hessian * half[:, None] * half
     index = int(np.argmax(np.abs(H).sum(axis=1) + _WIDER * max(float(np.abs(H).max()), 1e-9) * half / half.max()))
     return LocalRelaxation(windows, roots, nu, index, float(2 * half[index]))
 
 
-def _without_last_sample(problem: DesignProblem, roots: Array) -> Array | None:
-    """The same multipliers less what the last sample of their window sees; None where nothing is left."""
-    C = problem.rows.C
+def _without_last_sample(problem: DesignProblem, roots: Array, move: Array) -> Array | None:
+    """The same multipliers less what the last sample of their window sees, moved; None where nothing is left."""
+    C = problem.rows.C @ move
     blind = np.linalg.svd(C)[2][len(C) :]
     left = blind.T @ (blind @ roots)
     return left if float(np.linalg.norm(left, axis=(1, 2)).min(initial=0.0)) > 0 else None
 
 
-def _linear(problem: DesignProblem, terms: _Terms, count: int) -> tuple[Array, Array, Array, Array]:
+def _against(problem: DesignProblem, terms: _Terms, count: int, sigma2: float) -> Index:
+    """Which move of each term leaves its window with the least that is seen: all alike, or each against a state."""
+    found = []
+    for each in range(len(problem.moves)):
+        moved = np.full(terms.lag.shape, each)
+        for _ in range(_AGAINST if len(problem.moves) > 1 else 0):
+            grams, _, own, _ = _linear(problem, terms, count, _shown(problem, terms, moved))
+            T, least = _balanced(grams / max(sigma2, _NOTHING), own)
+            found.append((least, moved))
+            moved = _least_shown(problem, terms, T[..., -1:])
+    if not found:
+        return np.zeros(terms.lag.shape, dtype=np.intp)
+    best = np.argmax([least for least, _ in found], axis=0)
+    return np.asarray(np.array([moved for _, moved in found])[best[terms.window], np.arange(terms.lag.size)])
+
+
+def _least_shown(problem: DesignProblem, terms: _Terms, roots: Array) -> Index:
+    """Which move of each term shows least of the roots F_m of its window's multiplier, at the middle of the box."""
+    if len(problem.moves) == 1:
+        return np.zeros(terms.lag.shape, dtype=np.intp)
+    F = expm_batch(problem.rows.A, terms.lag) @ roots[terms.window]
+    shown = (problem.rows.C @ problem.moves)[:, None] * terms.weights[:, : len(problem.rows.C), None]
+    return np.asarray(np.argmin(np.sum((shown @ F) ** 2, axis=(2, 3)), axis=0))
+
+
+def _linear(problem: DesignProblem, terms: _Terms, count: int, shown: Array) -> tuple[Array, Array, Array, Array]:
     """Gram matrices of the windows and of their own states, and their slopes by each sample's time."""
     A, n, k = problem.rows.A, problem.plant.n_states, problem.samples
     E = expm_batch(A, terms.lag)
     grams, own = np.zeros((count, n, n)), np.zeros((count, n, n))
     slopes, own_slopes = np.zeros((count, k, n, n)), np.zeros((count, k, n, n))
-    for total, change, used, rows in (
-        (grams, slopes, ~terms.own, problem.rows.C),
-        (own, own_slopes, terms.own, problem.rows.S),
-    ):
-        weight = terms.weights[used][:, : len(rows), None]
-        y, dy = rows @ E[used] * weight, rows @ A @ E[used] * weight
+    for total, change, used in ((grams, slopes, ~terms.own), (own, own_slopes, terms.own)):
+        y, dy = shown[used] @ E[used], shown[used] @ A @ E[used]
         gram = np.swapaxes(y, 1, 2) @ y
         part = np.swapaxes(y, 1, 2) @ dy
         part = part + np.swapaxes(part, 1, 2)
@@ -318,7 +339,7 @@ def _forms(problem: DesignProblem, terms: _Terms, roots: Array) -> _Forms:
     third = A @ second + second @ A.T
     with np.errstate(over="ignore"):
         spread = np.exp(2 * float(np.linalg.norm(A, 2)) * terms.reach)
-    C = _shown(problem, terms)
+    C = _shown(problem, terms, _least_shown(problem, terms, roots))
     y, dy, ddy = C @ F, C @ AF, C @ AAF
     value = np.einsum("spr,spr->s", y, y)
     rounded = _rounding(A, C, E, roots[terms.window], value, terms.lag)
@@ -335,10 +356,14 @@ def _forms(problem: DesignProblem, terms: _Terms, roots: Array) -> _Forms:
     return _Forms(value, change, bend, most, rest=2 * rounded * turned * (1 + turned))
 
 
-def _shown(problem: DesignProblem, terms: _Terms) -> Array:
-    """What each term shows of a state, as rows of one number: outputs, or the whole state of a window's own term."""
+def _shown(problem: DesignProblem, terms: _Terms, moved: Index) -> Array:
+    """What each term shows of a state, as rows of one number: outputs, or the whole state of a window's own term.
+
+    Outputs are those of the sample `moved` by one of the problem's moves: of early or late samples any will do.
+    """
     height, (S, C) = terms.weights.shape[1], (problem.rows.S, problem.rows.C)
     own, seen = (np.vstack([rows, np.zeros((height - len(rows), rows.shape[1]))]) for rows in (S, C))
+    seen = (seen @ problem.moves)[moved]
     return np.asarray(np.where(terms.own[:, None, None], own, seen) * terms.weights[..., None])
 
 
@@ -399,7 +424,7 @@ def _extremes(problem: DesignProblem, terms: _Terms, roots: Array) -> tuple[Arra
     at = terms.low + np.linspace(0.0, 1.0, _PLACES)[:, None] * (terms.high - terms.low)
     E = expm_batch(A, at.ravel()).reshape(*at.shape, n, n)
     F = E @ roots[terms.window]
-    C = _shown(problem, terms)
+    C = _shown(problem, terms, _least_shown(problem, terms, roots))
     AF = A @ F
     y, dy, ddy = C @ F, C @ AF, C @ A @ AF
     value = np.sum(y**2, axis=(2, 3))

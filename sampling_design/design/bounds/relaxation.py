@@ -22,6 +22,7 @@ JUST_BESIDE = 1e-9  # of the period: a window that ends this much earlier does n
 _ENTRIES = 1600  # rows of all windows' inequalities together, about
 _PER_TURN = 96  # grid times at least, where what is allowed repeats: one repetition alone has weights then
 _SEEN = 1e-5  # a window whose sigma^2 falls short of the value by less than this share is seen well enough
+_MOVED = 3  # times that samples are moved against the state that is seen least
 LEAST_SECONDS = 0.05  # granted to one of several relaxations when the time is up already
 
 
@@ -183,6 +184,34 @@ def grams_at(problem: DesignProblem, times: Array, starts: Array, mask: Mask) ->
     c = rows.rows(r) * (inside[..., None] & mask[None, :, None, :])[..., None]
     c = c.reshape(starts.size, times.size, -1, n) if times.size else np.zeros((starts.size, 0, p, n))
     return np.asarray(np.swapaxes(c, -1, -2) @ c)
+
+
+def sigma_of_moved(problem: DesignProblem, times: Array, mask: Mask) -> float:
+    """Least sigma of the windows beside samples at `times` when each is early, late or on time as a bound moves it.
+
+    Each goes where the state that is seen least is seen least, again and again: real times that are possible, so that
+    no more than this is true of the schedule.
+    """
+    rows, beside = problem.rows, np.concatenate([times, times - JUST_BESIDE * problem.period])
+    starts = problem.on_closings(np.concatenate([beside, beside - problem.window]), 2 * JUST_BESIDE * problem.period)
+    closed = problem.closes(starts)[:, None]
+    r, inside = lags(times[None, :], starts[:, None], problem.window, problem.period, closed)
+    c = rows.rows(r) * (inside[..., None] & mask[None, :, None, :])[..., None]
+    c = c.reshape(starts.size, -1, *c.shape[-2:])
+    sigma2, z = rows.least(_summed(c))
+    worst = sigma2.min()
+    for _ in range(_MOVED if len(problem.moves) > 1 else 0):
+        shown = c @ (problem.moves @ z.T).transpose(0, 2, 1)[:, :, None, :, None]
+        least = problem.moves[np.argmin(np.sum(shown**2, axis=(3, 4)), axis=0)]
+        sigma2, z = rows.least(_summed(c @ least))
+        worst = min(worst, sigma2.min())
+    return float(np.sqrt(max(worst, 0.0)))
+
+
+def _summed(rows: Array) -> Array:
+    """Gram matrices (M, n, n) of rows (M, N, p, n)."""
+    rows = rows.reshape(len(rows), -1, rows.shape[-1])
+    return np.asarray(np.swapaxes(rows, 1, 2) @ rows)
 
 
 def solve_relaxation(

@@ -4,6 +4,9 @@ For psd Z_m with sum <Z_m, I> = 1 and any window starts a_m, every schedule has
 sigma^2 <= sum_m <Z_m, W(a_m)> = sum over its samples of g(s), g(s) = sum <Z_m, G(s - a_m)> over the
 windows (a_m, a_m + T] that hold s. The sum is maximised over all admissible times: g is bounded on
 time cells (chord plus second-order remainder), the cells are chosen by dynamic programming.
+
+Where samples may be early or late, a window holds real times, and any of them that the tolerance allows will do: of
+each window each sample is early, late or on time, whichever shows <Z_m, G> least near where it is planned.
 """
 
 from __future__ import annotations
@@ -60,13 +63,14 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Pr
     A, C = rows.A, rows.C
     left, middle, width = edges[:-1], (edges[:-1] + edges[1:]) / 2, np.diff(edges)
     jumps = jump_times(problem, starts)
-    bases = np.unique(np.clip(np.concatenate([jumps, problem.breakpoints]), 0.0, period))
+    norm = float(np.linalg.norm(A, 2))
+    apart = period if norm == 0.0 else _NODE / max(norm, float(np.linalg.norm(A, 1)) / 2)
+    turns = np.arange(0.0, period, apart) if problem.late else np.zeros(0)  # whether early or late is decided anew
+    bases = np.unique(np.clip(np.concatenate([jumps, problem.breakpoints, turns]), 0.0, period))
     home = np.clip(np.searchsorted(bases, middle) - 1, 0, bases.size - 1)
     used, home = np.unique(home, return_inverse=True)
     ends = np.append(bases, period)
     Y0 = _multipliers_over(problem, starts, Z, bases[used], (bases[used] + ends[used + 1]) / 2)
-    norm = float(np.linalg.norm(A, 2))
-    apart = period if norm == 0.0 else _NODE / max(norm, float(np.linalg.norm(A, 1)) / 2)
     ahead = np.floor((left - bases[used][home]) / apart)  # nodes from the base, for each piece
     place = np.stack([home.astype(float), ahead])
     (base, count), node = np.unique(place, axis=1, return_inverse=True)
@@ -159,11 +163,25 @@ def _multipliers_over(problem: DesignProblem, starts: Array, Z: Array, at: Array
     r = base[..., None] + problem.period * np.arange(count)
     piece, window, cycle = np.nonzero((r <= problem.window) & (np.trace(Z, axis1=1, axis2=2) > 0)[None, :, None])
     Y = np.zeros((at.size, n, n))
+    back = expm_batch(problem.rows.A, inside - at)
     for low in range(0, piece.size, 20000):
         i, m = piece[low : low + 20000], window[low : low + 20000]
         E = expm_batch(problem.rows.A, r[i, m, cycle[low : low + 20000]] - (inside[i] - at[i]))
-        np.add.at(Y, i, E @ Z[m] @ np.swapaxes(E, 1, 2))
+        np.add.at(Y, i, _moved(problem, E @ Z[m] @ np.swapaxes(E, 1, 2), back[i]))
     return Y
+
+
+def _moved(problem: DesignProblem, Y: Array, ahead: Array | None = None) -> Array:
+    """The multipliers Y (N, n, n) moved as far as each sample may be early or late, that way in which C shows least.
+
+    With `ahead` (N, n, n) it is looked at that much later.
+    """
+    if len(problem.moves) == 1:
+        return Y
+    C = problem.rows.C if ahead is None else problem.rows.C @ ahead
+    shown = C @ problem.moves[:, None]
+    least = problem.moves[np.argmin(np.sum((shown @ Y) * shown, axis=(2, 3)), axis=0)]
+    return np.asarray(least @ Y @ np.swapaxes(least, 1, 2))
 
 
 def value_at(problem: DesignProblem, starts: Array, Z: Array, times: Array) -> Array:
@@ -172,7 +190,7 @@ def value_at(problem: DesignProblem, starts: Array, Z: Array, times: Array) -> A
     i, m, cycle = np.nonzero(inside)
     E = expm_batch(problem.rows.A, r[i, m, cycle])
     Y = np.zeros((times.size, *Z.shape[1:]))
-    np.add.at(Y, i, E @ Z[m] @ np.swapaxes(E, 1, 2))
+    np.add.at(Y, i, _moved(problem, E @ Z[m] @ np.swapaxes(E, 1, 2)))
     return _forms(problem.rows.C, Y)
 
 

@@ -83,6 +83,7 @@ def canonical(problem: DesignProblem) -> CanonicalDesign:
         problem,
         plant=Plant(_cut(plant.A * time), _cut(plant.C / size)),
         window=float(windows),
+        late=problem.late / time,
         period=period,
         spacing=float(spacing - np.ldexp(0.5, int(np.frexp(spacing)[1]) - BITS + 1)),  # never wider than was asked
         forbidden=spans(problem.forbidden),

@@ -37,6 +37,7 @@ class ScaledRows:
 
     plant: Plant
     window: float
+    late: float = 0.0  # by which a bound moves rows beyond the window's ends
 
     @cached_property
     def _nodes(self) -> Array:
@@ -76,9 +77,9 @@ class ScaledRows:
         Rows C e^{Ar} are of size 1 here, but what is summed to them, |C| |e^{Ar}|, may be larger, and a change of A by
         eps moves them by eps |A| r times that.
         """
-        flows = expm_batch(self.A, np.linspace(0.0, self.window, _LOOKED_AT))
+        flows = expm_batch(self.A, np.linspace(-self.late, self.window + self.late, _LOOKED_AT))
         summed = np.max(np.linalg.norm(np.abs(self.C) @ np.abs(flows), axis=(1, 2)))
-        turned = float(np.linalg.norm(self.A, 1)) * self.window
+        turned = float(np.linalg.norm(self.A, 1)) * (self.window + 2 * self.late)
         return float(np.maximum(ROUNDING, ROUNDING_MARGIN * len(self.A) * EPS * summed * (1 + turned)))
 
     def carried(self, roots: Array) -> Array:

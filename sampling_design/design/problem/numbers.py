@@ -10,6 +10,7 @@ import numpy as np
 
 from sampling_design.design.problem.gram import ScaledRows
 from sampling_design.design.problem.turning import TurningWindows
+from sampling_design.numerics.linalg import expm_batch
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Index, Mask
 
@@ -41,7 +42,15 @@ class DesignProblem:
     @cached_property
     def rows(self) -> ScaledRows:
         """The plant's rows over one window, in the scaled basis."""
-        return ScaledRows(self.plant, self.window)
+        return ScaledRows(self.plant, self.window, self.late)
+
+    @cached_property
+    def moves(self) -> Array:
+        """(m, n, n) e^{Ad}, in the scaled basis, of the moves d that a bound lets each sample of a window make.
+
+        The first is none, the others are the earliest and the latest where samples may be early or late.
+        """
+        return expm_batch(self.rows.A, np.array([0.0, -self.late, self.late] if self.late else [0.0]))
 
     @cached_property
     def turning(self) -> TurningWindows | None:

@@ -8,7 +8,8 @@ from scipy.linalg import expm
 from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.design.bounds import weak_duality as bound
 from sampling_design.design.bounds.evidence import BoundPart, UpperBound
-from sampling_design.design.bounds.local_bound import local_bound, relax_local, tied_windows
+from sampling_design.design.bounds.local_bound import local_bound, relax_local
+from sampling_design.design.bounds.tied_windows import tied_windows
 from sampling_design.design.bounds.zone_bound import relax_zones, zone_bound
 from sampling_design.design.bounds.zones import begins, least_shift, origin_zones, tightened, zoned
 from sampling_design.design.problem.numbers import DesignProblem
@@ -254,9 +255,7 @@ def test_windows_that_follow_their_samples_are_exact_in_a_box_that_shrinks(name,
     excess = []
     for width in (2e-3, 1e-3):
         zones = times[:, None] + np.array([-width, width]) / 2 * (np.arange(4) > 0)[:, None]
-        best = max(
-            window_sigma_scan(A, C, t, 4.0, 4.0, places=0, late=late) for t in (times, zones[:, 0], zones[:, 1])
-        )
+        best = max(window_sigma_scan(A, C, t, 4.0, 4.0, places=0, late=late) for t in (times, zones[:, 0], zones[:, 1]))
         found = relax_local(case, zones, sigma)
         excess.append(local_bound(case, zones, found.windows, found.roots, found.nu) / best - 1)
     assert excess[1] <= 0.02  # at an arbitrary schedule the first order is left, and nothing else

@@ -15,7 +15,7 @@ from itertools import product
 import numpy as np
 
 from sampling_design.design.bounds.evidence import BoundPart, UpperBound, chosen_in, local_part, zone_part
-from sampling_design.design.bounds.local_bound import growth_rate
+from sampling_design.design.bounds.tied_windows import growth_rate
 from sampling_design.design.bounds.zone_bound import NARROW, matters
 from sampling_design.design.bounds.zones import Side, halves, least_shift, regions, sides, tightened, zoned
 from sampling_design.design.problem.choices import affordable_choices

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sampling_design.design.bounds.derivatives import largest_derivatives
+from sampling_design.design.bounds.tied_windows import SAME, Terms, growth_rate, terms_of, tied_windows
 from sampling_design.design.bounds.weak_duality import rooted
 from sampling_design.design.problem.gram import EPS, ROUNDING_MARGIN
 from sampling_design.design.problem.numbers import DesignProblem
@@ -27,8 +28,6 @@ from sampling_design.numerics import conic_programs
 from sampling_design.numerics.linalg import expm_batch
 from sampling_design.records.arrays import Array, Index, Mask
 
-_SAME = 1e-11  # of the period: what lies this near to the end of a window lies on it
-_GROWS = 1.0  # exponent of growth over a window from which states are judged at its last sample
 _TOLERANCE = 1e-6  # asked of the solver; the bound is true whatever it answers
 _LEAST_SHARE = 1e-14  # of a nominal Gram matrix: directions that are seen less are scaled as if it were that much
 _MOST_WINDOWS, _SUBSPACE = 24, 6  # in the linearised program: the least seen windows, and directions of each
@@ -40,110 +39,6 @@ _WIDER = 0.05  # of the largest entry: how much the width of a zone speaks for a
 _PLACES = 9  # of a lag's range at which a form is looked at for its extremes
 _BLIND = 30.0  # times what is seen: where the norms of states are more, they say little
 _MOST_CHANGE = 0.5  # of a window's own state, relative: more, and its logarithm is not bounded
-
-
-"""Windows that begin at a sample or end there: rows (sample, 0 or 1, whether closed on the right instead of the left,
-anchor). The anchor is the sample, counted on over the periods, at whose instant the state is judged."""
-
-
-def tied_windows(problem: DesignProblem, zones: Array) -> Index:
-    """Windows just before and just after every event."""
-    ratio = problem.window / problem.period
-    whole = abs(ratio - round(ratio)) <= _SAME * max(ratio, 1.0)
-    grows = growth_rate(problem) > 0
-    rows = []
-    for j in range(problem.samples):
-        for ends in (0,) if whole else (0, 1):
-            for right in (0, 1):
-                held = _samples_within(problem, zones, j, ends, right)
-                rows.append((j, ends, right, int(held.max()) if grows and held.size else j))
-    return np.array(rows, dtype=np.intp)
-
-
-def _samples_within(problem: DesignProblem, zones: Array, j: int, ends: int, right: int) -> Index:
-    """Samples, counted on over the periods, that the window can hold for some schedule in the zones."""
-    k, P, T = problem.samples, problem.period, problem.window
-    tiny = _SAME * P
-    cycles = int(np.ceil(T / P)) + 1
-    index = np.arange(-cycles * k, (cycles + 1) * k)
-    offset = -T if ends else 0.0
-    low, high = zones[index % k].T + P * (index // k)
-    nearest, farthest = low - zones[j, 1] - offset, high - zones[j, 0] - offset
-    order = index - j
-    nearest = np.where(order > 0, np.maximum(nearest, order * problem.spacing - offset), nearest)
-    farthest = np.where(order < 0, np.minimum(farthest, order * problem.spacing - offset), farthest)
-    # no sample lies on a closing time itself: one that comes up to a whole window later than that is not seen
-    shut = problem.closes(zones[:, 1])
-    held = (farthest >= np.where(shut[index % k], tiny, -tiny)) & (nearest <= T + (-tiny if shut[j] else tiny))
-    own = order % k == 0
-    lag = (order // k) * P - offset
-    inside = (lag > tiny) & (lag <= T + tiny) if right else (lag >= -tiny) & (lag < T - tiny)
-    return np.asarray(index[np.where(own, inside, held)])
-
-
-@dataclass(frozen=True, eq=False)
-class _Terms:
-    """All measurements of all windows: window, sample and anchor (both mod k), the lag at the middle of the box, half
-    the range of its change, and which rows count; the term of the window's own state is one of them."""
-
-    window: Index
-    first: Index
-    second: Index
-    lag: Array
-    reach: Array
-    low: Array
-    high: Array
-    weights: Array
-    own: Mask
-
-    def states(self, count: int) -> Index:
-        """The places of the terms of the windows' own states, window by window."""
-        own = np.flatnonzero(self.own)
-        return own[np.argsort(self.window[own])][:count]
-
-
-def _terms(problem: DesignProblem, zones: Array, windows: Index) -> _Terms:
-    k, P = problem.samples, problem.period
-    middle, half = zones.mean(axis=1), (zones[:, 1] - zones[:, 0]) / 2
-    seen = _can_measure(problem, zones)
-    n, p = problem.plant.n_states, problem.plant.n_outputs
-    seen = np.hstack([seen.astype(float), np.zeros((k, max(n - p, 0)))])
-    state = np.append(np.ones(n), np.zeros(max(p - n, 0)))
-    window, first, second, lag, ahead, weights, own = [], [], [], [], [], [], []
-    for m, (j, ends, right, anchor) in enumerate(windows.tolist()):
-        at = middle[anchor % k] + P * (anchor // k)
-        held = _samples_within(problem, zones, j, ends, right)
-        for index in held.tolist():
-            window.append(m)
-            first.append(index % k)
-            second.append(anchor % k)
-            lag.append(middle[index % k] + P * (index // k) - at)
-            ahead.append(index - anchor)
-            weights.append(seen[index % k])
-            own.append(False)
-        window.append(m)
-        first.append(j)
-        second.append(anchor % k)
-        lag.append(middle[j] - (problem.window if ends else 0.0) - at)
-        ahead.append(0)
-        weights.append(state)
-        own.append(True)
-    i, a = np.array(first, dtype=np.intp), np.array(second, dtype=np.intp)
-    reach = np.where(i == a, 0.0, half[i] + half[a])
-    mid, order = np.array(lag), np.array(ahead) * problem.spacing
-    low = np.where(order > 0, np.maximum(mid - reach, order), mid - reach)
-    high = np.where(order < 0, np.minimum(mid + reach, order), mid + reach)
-    return _Terms(
-        window=np.array(window),
-        first=i,
-        second=a,
-        lag=mid,
-        reach=reach,
-        low=low,
-        high=np.maximum(low, high),
-        weights=np.array(weights),
-        own=np.array(own),
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +61,7 @@ def relax_local(
     """
     sigma2, half = sigma**2, (zones[:, 1] - zones[:, 0]) / 2
     every = tied_windows(problem, zones)
-    terms = _terms(problem, zones, every)
+    terms = terms_of(problem, zones, every)
     shown = _shown(problem, terms, _against(problem, terms, len(every), sigma2))
     grams, slopes, own, own_slopes = _linear(problem, terms, len(every), shown)
     if not sigma2 > _NOTHING * float(np.abs(grams).max()):
@@ -206,8 +101,9 @@ def relax_local(
         return None
     windows = every[posed]
     if growth_rate(problem) > 0:
-        unseen = [found for move in problem.moves if (found := _without_last_sample(problem, roots, move)) is not None]
-        roots = min([roots, *unseen], key=lambda each: local_bound(problem, zones, windows, each, nu))
+        blind = [_without_last_sample(problem, roots, move) for move in problem.moves]
+        tried = [roots, *(each for each in blind if each is not None)]
+        roots = min(tried, key=lambda each: local_bound(problem, zones, windows, each, nu))
     expanded = _expansion(problem, zones, windows, roots)
     H = np.zeros((len(half), len(half))) if expanded is None else expanded.hessian * half[:, None] * half
     index = int(np.argmax(np.abs(H).sum(axis=1) + _WIDER * max(float(np.abs(H).max()), 1e-9) * half / half.max()))
@@ -222,7 +118,7 @@ def _without_last_sample(problem: DesignProblem, roots: Array, move: Array) -> A
     return left if float(np.linalg.norm(left, axis=(1, 2)).min(initial=0.0)) > 0 else None
 
 
-def _against(problem: DesignProblem, terms: _Terms, count: int, sigma2: float) -> Index:
+def _against(problem: DesignProblem, terms: Terms, count: int, sigma2: float) -> Index:
     """Which move of each term leaves its window with the least that is seen: all alike, or each against a state."""
     found = []
     for each in range(len(problem.moves)):
@@ -238,7 +134,7 @@ def _against(problem: DesignProblem, terms: _Terms, count: int, sigma2: float) -
     return np.asarray(np.array([moved for _, moved in found])[best[terms.window], np.arange(terms.lag.size)])
 
 
-def _least_shown(problem: DesignProblem, terms: _Terms, roots: Array) -> Index:
+def _least_shown(problem: DesignProblem, terms: Terms, roots: Array) -> Index:
     """Which move of each term shows least of the roots F_m of its window's multiplier, at the middle of the box."""
     if len(problem.moves) == 1:
         return np.zeros(terms.lag.shape, dtype=np.intp)
@@ -247,7 +143,7 @@ def _least_shown(problem: DesignProblem, terms: _Terms, roots: Array) -> Index:
     return np.asarray(np.argmin(np.sum((shown @ F) ** 2, axis=(2, 3)), axis=0))
 
 
-def _linear(problem: DesignProblem, terms: _Terms, count: int, shown: Array) -> tuple[Array, Array, Array, Array]:
+def _linear(problem: DesignProblem, terms: Terms, count: int, shown: Array) -> tuple[Array, Array, Array, Array]:
     """Gram matrices of the windows and of their own states, and their slopes by each sample's time."""
     A, n, k = problem.rows.A, problem.plant.n_states, problem.samples
     E = expm_batch(A, terms.lag)
@@ -276,18 +172,6 @@ def _balanced(grams: Array, own: Array) -> tuple[Array, Array]:
     return scale @ turned[..., -kept:], shares[:, -1]
 
 
-def _can_measure(problem: DesignProblem, zones: Array) -> Mask:
-    """(k, p): what a sample in its zone can measure somewhere."""
-    edges, P = problem.breakpoints, problem.period
-    inside = (edges[:-1] + edges[1:]) / 2
-    there = problem.mask(inside)
-    pieces = np.stack([edges[:-1], edges[1:]])[:, None, :] + P * np.arange(-1, 3)[:, None]
-    low, high = pieces.reshape(2, -1)
-    touched = (zones[:, :1] <= high) & (zones[:, 1:] >= low)
-    can = np.any(touched[..., None] & np.tile(there, (4, 1)), axis=1)
-    return np.asarray(can if problem.chosen is None else can & problem.chosen)
-
-
 @dataclass(frozen=True, eq=False)
 class LogExpansion:
     """log sigma^2 <= constant + slope'd + d'Hd/2 + remainder for moves d of the box."""
@@ -296,12 +180,6 @@ class LogExpansion:
     slope: Array
     hessian: Array
     remainder: float
-
-
-def growth_rate(problem: DesignProblem) -> float:
-    """The rate of the fastest growing mode in the times of the problem; 0 where none grows."""
-    fastest = float(np.max(np.linalg.eigvals(problem.plant.A).real, initial=0.0))
-    return fastest if fastest * problem.window > _GROWS else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,7 +204,7 @@ def _rounding(A: Array, C: Array, E: Array, roots: Array, value: Array, lag: Arr
     return np.asarray((2 * np.sqrt(value) + lost) * lost)
 
 
-def _forms(problem: DesignProblem, terms: _Terms, roots: Array) -> _Forms:
+def _forms(problem: DesignProblem, terms: Terms, roots: Array) -> _Forms:
     rows, n = problem.rows, problem.plant.n_states
     A = rows.A - growth_rate(problem) * np.eye(n)
     E = expm_batch(A, terms.lag)
@@ -356,7 +234,7 @@ def _forms(problem: DesignProblem, terms: _Terms, roots: Array) -> _Forms:
     return _Forms(value, change, bend, most, rest=2 * rounded * turned * (1 + turned))
 
 
-def _shown(problem: DesignProblem, terms: _Terms, moved: Index) -> Array:
+def _shown(problem: DesignProblem, terms: Terms, moved: Index) -> Array:
     """What each term shows of a state, as rows of one number: outputs, or the whole state of a window's own term.
 
     Outputs are those of the sample `moved` by one of the problem's moves: of early or late samples any will do.
@@ -374,7 +252,7 @@ def _expansion(problem: DesignProblem, zones: Array, windows: Index, roots: Arra
     """
     k, M, rate = problem.samples, len(windows), growth_rate(problem)
     half = (zones[:, 1] - zones[:, 0]) / 2
-    terms = _terms(problem, zones, windows)
+    terms = terms_of(problem, zones, windows)
     forms = _forms(problem, terms, roots)
     states = terms.states(M)
     K, K_lag = forms.value[states], terms.lag[states]
@@ -417,7 +295,7 @@ def _expansion(problem: DesignProblem, zones: Array, windows: Index, roots: Arra
     return LogExpansion(float(constant), slope, hessian, remainder)
 
 
-def _extremes(problem: DesignProblem, terms: _Terms, roots: Array) -> tuple[Array, Array]:
+def _extremes(problem: DesignProblem, terms: Terms, roots: Array) -> tuple[Array, Array]:
     """Bounds below and above of the forms without growth, over the ranges of the lags: values and second order."""
     rows, n = problem.rows, problem.plant.n_states
     A = rows.A - growth_rate(problem) * np.eye(n)
@@ -447,7 +325,7 @@ def _wide_expansion(problem: DesignProblem, zones: Array, windows: Index, roots:
     """The geometric mean with growth as it is and everything else at its extremes: no Hessian, no remainder."""
     k, M, rate = problem.samples, len(windows), growth_rate(problem)
     half = (zones[:, 1] - zones[:, 0]) / 2
-    terms = _terms(problem, zones, windows)
+    terms = terms_of(problem, zones, windows)
     least, most = _extremes(problem, terms, roots)
     states = terms.states(M)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -483,7 +361,7 @@ def _spacing(problem: DesignProblem, zones: Array) -> tuple[Array, Array]:
     middle = zones.mean(axis=1)
     gaps = np.diff(np.append(middle, middle[0] + P))
     eye = np.eye(k)
-    return eye - np.roll(eye, 1, axis=1), gaps - problem.spacing * (1 - _SAME)
+    return eye - np.roll(eye, 1, axis=1), gaps - problem.spacing * (1 - SAME)
 
 
 def local_bound(problem: DesignProblem, zones: Array, windows: Index, roots: Array, nu: Array) -> float:

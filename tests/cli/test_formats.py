@@ -5,6 +5,7 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sampling_design import PlanRequirement, Plant, certify, plan_samples, read_plant, read_schedule
@@ -53,7 +54,9 @@ def made(tmp_path_factory):
     write_plant(tank, made / "tank.toml")
     write_plan_requirement(wanted, made / "wanted.toml")
     plan_samples(tank, wanted, certificate=False, robustness=False).save(made / "plan.json")
-    certify(read_plant(OSCILLATOR), read_schedule(made / "schedule.csv")).save(made / "certificate.json")
+    certify(read_plant(OSCILLATOR), read_schedule(made / "schedule.csv"), eta=0.4, P2=np.eye(2)).save(
+        made / "certificate.json"
+    )
     return made
 
 

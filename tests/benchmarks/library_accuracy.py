@@ -2,8 +2,8 @@
 
 python -m tests.benchmarks.library_accuracy [PLANT ...] writes docs/library_accuracy.md, or the rows of those plants in
 it. Each plant has the period and the number of samples of its example requirement, evenly spaced; the tidal gauge's
-thirty readings go round the daylight, since one a day at one clock time would alias. w is bounded by the plant's own
-scales of its disturbances, the noise by a twentieth of each output's scale.
+thirty readings pass through the hours of daylight, since one a day at one clock time would alias. w is bounded by the
+plant's own scales of its disturbances, the noise by a twentieth of each output's scale.
 """
 
 import sys
@@ -62,8 +62,8 @@ def cells(name):
 
 
 WHAT = """How well every state of the library's plants can be known at the worst time: evenly spaced samples of its
-example period (the tidal gauge's go round the daylight), $w$ bounded by the scales of the disturbances and $v$ by a
-twentieth of those of the outputs, asked to 1 %; [accuracy](#accuracy-library)."""
+example period (the tidal gauge's pass through the hours of daylight), $w$ bounded by the scales of the disturbances and
+$v$ by a twentieth of those of the outputs, asked to 1 %; [accuracy](#accuracy-library)."""
 PAGE = MeasuredPage(
     "library_accuracy.md",
     "What samples tell of the library's plants",

@@ -136,7 +136,7 @@ class Interval(TableRecord, PlainRecord):
     disproof : Disproof or None
         Where the data contradict the bounds; the ends are NaN then.
     cases : tuple of Interval
-        Where some samples may be wild: the interval without each set of them, of which this one holds all that the
+        Where some samples may be outliers: the interval without each set of them, of which this one holds all that the
         rest does not contradict; its own gains are 0.
     """
 
@@ -206,10 +206,12 @@ class Interval(TableRecord, PlainRecord):
         Raises
         ------
         ArgumentError
-            If the ending is another one, or samples may be wild.
+            If the ending is another one, or samples may be outliers.
         """
         if self.cases:
-            raise ArgumentError("`save` writes one proof: where samples may be wild each of the `cases` has its own.")
+            raise ArgumentError(
+                "`save` writes one proof: where samples may be outliers each of the `cases` has its own."
+            )
         return interval_file.write_tree(self._sealed(), path)
 
     @classmethod

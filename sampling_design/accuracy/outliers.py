@@ -1,4 +1,4 @@
-"""Which samples may be wild, where at most so many of the last so many are."""
+"""Which samples may be outliers, where at most so many of the last so many are."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MOST_CASES = 3000  # sets of samples that may be left out: some seconds for a sm
 
 
 def left_out(outliers: int | tuple[int, int], count: int) -> list[tuple[int, ...]]:
-    """The sets of samples, counted from 0, that may be wild: those of the largest size hold the others."""
+    """The sets of samples, counted from 0, that may be outliers: those of the largest size hold the others."""
     pair = (outliers, count) if isinstance(outliers, int) else outliers
     if len(pair) != 2:
         raise ArgumentError(f"`outliers` must be a number or a pair (how many, of the last so many), got {outliers!r}.")

@@ -73,7 +73,7 @@ class EstimateOptions:
 
     @property
     def most_outliers(self) -> int | tuple[int, int]:
-        """How many samples may be wild, of the last so many.
+        """How many samples may be outliers, of the last so many.
 
         Raises
         ------

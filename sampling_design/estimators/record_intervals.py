@@ -1,4 +1,4 @@
-"""Estimates at every row of a record that hold whichever few of its samples are wild, or that later samples sharpen."""
+"""Estimates at every row of a record that hold whichever few of its samples are outliers, or that later samples sharpen."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 from sampling_design.records.progress import Progress
 
-UNSURE = "Every sample so far may be wild."
+UNSURE = "Every sample so far may be an outlier."
 
 
 def smoothed_along(
@@ -54,9 +54,9 @@ def estimates_despite_outliers(
     smooth: bool = False,
     progress: Progress | None = None,
 ) -> Iterator[list[Estimate]]:
-    """Yield the middle of what stays possible at every row, some at a time, if so few of its samples are wild.
+    """Yield the middle of what stays possible at every row, some at a time, if so few of its samples are outliers.
 
-    Raises ArgumentError if there are more sets of samples that may be wild than are looked at.
+    Raises ArgumentError if there are more sets of samples that may be outliers than are looked at.
 
     Parameters
     ----------

@@ -264,20 +264,20 @@ class _CellProgram:
         self.problem, plant, nodes = problem, problem.plant, problem.nodes
         steps = [np.linspace(a, b, 2 * cells + 1)[:-1] for a, b in pairwise(nodes.tolist())]
         grid = np.concatenate([*steps, nodes[-1:]])
-        motion = plant.transitions(grid)
-        self.error, n, q = motion.error, plant.n_states, len(problem.w)
+        transitions = plant.transitions(grid)
+        self.error, n, q = transitions.error, plant.n_states, len(problem.w)
         G = np.zeros((grid.size, n, q))
         if plant.G is not None:
             G = np.array([np.asarray(plant.G(t), dtype=float) for t in grid.tolist()]) / plant.states.scales[:, None]
         G = G * problem.w
-        self.late, self.whole = motion.F[1::2], motion.F[1::2] @ motion.F[::2]
+        self.late, self.whole = transitions.F[1::2], transitions.F[1::2] @ transitions.F[::2]
         self.h, self.G = np.diff(grid[::2]), G
         ends = self.whole @ G[:-1:2], 4 * self.late @ G[1::2], G[2::2]
         self.push = (ends[0] + ends[1] + ends[2]) * self.h[:, None, None] / 6
         self.read: dict[int, tuple[Array, Array]] = {}
         for node, j in problem.sample.items():
             measured = np.isfinite(problem.v[j])
-            self.read[node * cells] = motion.C[2 * node * cells][measured], problem.v[j][measured]
+            self.read[node * cells] = transitions.C[2 * node * cells][measured], problem.v[j][measured]
         count = len(self.h)
         state = np.hstack([np.diag(np.where(problem.free, 1.0, problem.reach)), np.zeros((n, count * q))])
         self.states = [state]

@@ -64,17 +64,17 @@ class VaryingSearch:
         start, samples = float(self.pieces.right[g]), self.pieces.samples(g)
         n, mask = self.plant.n_states, self.pieces.measured(g)
         later = np.unique(np.concatenate([[start], np.maximum(samples, start)]))
-        motion = self.plant.transitions(later)
+        transitions = self.plant.transitions(later)
         flow, off, rows, wrong = np.eye(n), 0.0, [], []
         at = np.searchsorted(later, np.maximum(samples, start))
         for k in range(later.size):
             if k:
-                F, own = motion.F[k - 1], float(motion.errors[k - 1])
+                F, own = transitions.F[k - 1], float(transitions.errors[k - 1])
                 size, before = length_of(F), length_of(flow)
                 off = size * off + own * (before + off) + 2 * n * n * EPS * size * before
                 flow = F @ flow
             for j in np.flatnonzero(at == k):
-                C = motion.C[k]
+                C = transitions.C[k]
                 C = C if mask is None else C[mask[j]]
                 rows.append(C @ flow)
                 wrong.append(float(np.linalg.norm(C)) * (off + 2 * n * n * EPS * length_of(flow)))
@@ -83,8 +83,8 @@ class VaryingSearch:
 
     def before(self, node: _Node, s: float) -> _Node:
         """The node at an earlier start of the same piece."""
-        motion = self.plant.transitions([s, node.at])
-        F, own, whole = motion.F[0], float(motion.errors[0]), float(np.linalg.norm(node.rows))
+        transitions = self.plant.transitions([s, node.at])
+        F, own, whole = transitions.F[0], float(transitions.errors[0]), float(np.linalg.norm(node.rows))
         size = length_of(F)
         off = node.wrong * (size + own) + whole * (own + 2 * F.size * EPS * size)
         return self._node(s, node.rows @ F, off)

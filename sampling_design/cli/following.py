@@ -24,11 +24,11 @@ from sampling_design.estimators.estimate_file import (
     estimates_along,
     usual_radii,
 )
+from sampling_design.estimators.online.counts import EstimateCounts
 from sampling_design.estimators.online.curve import CurveCollector
 from sampling_design.estimators.online.envelope import EstimateEnvelope
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.in_order import FEW_STATES, MOST_INTERVALS
-from sampling_design.estimators.online.tally import EstimateCounts
 from sampling_design.estimators.record_intervals import estimates_despite_outliers, smoothed_along
 from sampling_design.records.arrays import Array
 from sampling_design.records.file_io import AtomicWriter
@@ -144,7 +144,7 @@ def followed(
             if each is not None:
                 open_files.enter_context(each)
         counts, last = EstimateCounts(plant.time_unit, moved=kind == "centred"), None
-        tally = counts if columns is None else columns.tally
+        tally = counts if columns is None else columns.counts
         with settings.progress("estimate") as progress:
             for some in options.estimates(estimator, record, bounds, kind, curve=curve, progress=progress):
                 last = some[-1]

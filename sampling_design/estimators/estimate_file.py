@@ -16,11 +16,11 @@ from typing import IO, NamedTuple
 
 import numpy as np
 
+from sampling_design.estimators.online.counts import EstimateCounts
 from sampling_design.estimators.online.curve import CurveCollector
 from sampling_design.estimators.online.estimate import Estimate, half_widths
 from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.estimators.online.in_order import AHEAD, OnlineEstimator, few_intervals
-from sampling_design.estimators.online.tally import EstimateCounts
 from sampling_design.estimators.records.measurement_table import date_of, dated
 from sampling_design.estimators.records.measurements import Measurements, cell_of
 from sampling_design.plants.plant import Plant
@@ -33,7 +33,7 @@ from sampling_design.records.signatures import checked
 PIECE = 1 << 20  # Characters that are written at a time
 TOGETHER = 32  # estimates that are written at a time
 
-REPORTS = 1000  # times that the progress of a record is told
+REPORTS = 1000  # times that the progress of a record is reported
 
 RADII = ("intervals", "centred", "ellipsoids")
 
@@ -105,7 +105,7 @@ class EstimateColumns:
     LISTS = ("times", "x", "radii", "radius", "cost", "status", "certified", "on_schedule", "notes")
 
     def __init__(self, plant: Plant, radii: str = "intervals"):
-        self.plant, self.radii, self.tally = (
+        self.plant, self.radii, self.counts = (
             plant,
             check_radii(radii),
             EstimateCounts(plant.time_unit, moved=radii == "centred"),
@@ -126,7 +126,7 @@ class EstimateColumns:
     def put(self, block: EstimateBlock) -> None:
         """Add what is said of a block of estimates."""
         for t, estimate in zip(block.times.tolist(), block.estimates, strict=True):
-            self.tally.add(t, estimate)
+            self.counts.add(t, estimate)
         columns = (
             block.time,
             _listed(block.state),
@@ -150,7 +150,7 @@ class EstimateColumns:
             file.write(text.encode()) if isinstance(file, AtomicWriter) else file.write(text)
 
         head = {**before, "states": list(self.plant.states.names), "time_unit": self.plant.time_unit}
-        contradictions = [each.to_dict() for each in self.tally.contradictions]
+        contradictions = [each.to_dict() for each in self.counts.contradictions]
         put(json.dumps(head, indent=2, allow_nan=False, ensure_ascii=False).removesuffix("\n}"))
         for key, spool in self._spools.items():
             put(f',\n  "{key}": [')
@@ -158,7 +158,7 @@ class EstimateColumns:
             while piece := spool.read(PIECE):
                 put(piece)
             spool.seek(0, os.SEEK_END)
-            put("\n  ]" if self.tally.count else "]")
+            put("\n  ]" if self.counts.count else "]")
         tail = {"contradictions": contradictions, **after}
         put(",\n" + json.dumps(tail, indent=2, allow_nan=False, ensure_ascii=False).removeprefix("{\n") + "\n")
 

@@ -1,4 +1,4 @@
-"""Estimates at every row of a record that hold whichever few of its samples are outliers, or that later samples sharpen."""
+"""Estimates at every row of a record that hold whichever few samples are outliers, or that later samples sharpen."""
 
 from __future__ import annotations
 

@@ -156,7 +156,7 @@ def _disturbance(line: Timeline, bound: Array, rng: np.random.Generator) -> Arra
 def resonant_inputs(line: Timeline, bounds: ScenarioBounds) -> tuple[ErrorSources, tuple[str, ...]]:
     """Return disturbances in step with each mode (two phases for a swinging one), from rest and without noise.
 
-    The amplitude l'x of a mode with left eigenvector l obeys a' = lambda a + l'G w; pushed with
+    The amplitude l'x of a mode with left eigenvector l obeys a' = lambda a + l'G w; driven with
     w = Re(conj(l'G) e^{i (Im lambda t + phase)}) it grows as fast as the bound on w allows.
     """
     plant = line.plant

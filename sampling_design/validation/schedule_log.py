@@ -230,7 +230,7 @@ def compare_schedule(
     start, end = float(min(planned.times[0], actual[0])), float(min(planned.times[-1], actual[-1]))
     if judged.n_states and end - start >= length:
         after = _judged(judged, taken, length, budget, progress, start)
-        limit, part = Budget(budget), _told_apart(plan, planned, start + length)
+        limit, part = Budget(budget), _distinct_windows(plan, planned, start + length)
         before = _judged(judged, part, length, budget, progress, start)
         beside = partial(deviations_of, judged, part, length, ON_TIME, before.lower, start, limit.left)
         before = replace(before, beside=beside)
@@ -285,7 +285,7 @@ def _joint(one: WindowSigma, other: WindowSigma) -> WindowSigma:
     )
 
 
-def _told_apart(plan: Schedule | PeriodicSchedule, planned: Schedule, end: float) -> Schedule:
+def _distinct_windows(plan: Schedule | PeriodicSchedule, planned: Schedule, end: float) -> Schedule:
     """The planned samples without those of an endless plan whose windows are shifts of others by whole periods.
 
     `end` is where the first window ends; every later one is, but for the number of periods before it, one of those that

@@ -112,11 +112,11 @@ def exact_flow(plant: Plant, lengths: Array, through: Array) -> tuple[Array, Arr
     """Return e^{Ah} and int_0^h e^{As} ds `through`, one pair per length, from one augmented exponential."""
     n = len(through)
     s = state_units(plant.A, plant.states.scales)
-    pushed = through / s[:, None]
-    size = np.linalg.norm(pushed, axis=0)
+    driven = through / s[:, None]
+    size = np.linalg.norm(driven, axis=0)
     c = np.where(size > 0, size, 1.0)
     unique, place = np.unique(lengths, return_inverse=True)
-    whole = forced_flow(plant.A * s / s[:, None], pushed / c, unique)[place]
+    whole = forced_flow(plant.A * s / s[:, None], driven / c, unique)[place]
     return whole[:, :, :n] * (s[:, None] / s), whole[:, :, n:] * (s[:, None] * c)
 
 

@@ -123,7 +123,7 @@ def _weighted(found: ErrorMap, promise: Promise, row: int, parts: ErrorSources) 
 
 
 def worst_disturbance(found: ErrorMap, bounds: ScenarioBounds, root: Array) -> ErrorSources:
-    """Return the inputs within the bounds that push the last error furthest, along each axis of |root e|, both ends.
+    """Return the inputs within the bounds that make the last error largest, along each axis of |root e|, both ends.
 
     A linear functional over boxes and balls is largest at a corner or on the sphere, cell by cell: bang-bang.
     """

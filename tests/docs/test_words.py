@@ -41,6 +41,22 @@ def test_no_page_uses_a_word_that_was_replaced():
     assert len(PAGES) > 80
 
 
+def test_no_source_of_the_rooms_that_are_clean_uses_one():
+    """Names, comments, docstrings and messages of three rooms; of all rooms those words of which none is left."""
+    package = ROOT / "sampling_design"
+    clean = ("validation", "observability", "estimators")
+    for rooms, words in (
+        (clean, r"blind|unseen|told|atoms?|flown|tally|motions?|push\w*|flights?"),
+        (("",), r"wild|rasters?|prototyp\w+"),
+    ):
+        replaced = re.compile(rf"(?<![a-z])(?:{words})(?![a-z])", re.IGNORECASE)
+        files = [path for room in rooms for path in (package / room).rglob("*.py")]
+        found = {str(p.relative_to(package)): replaced.findall(p.read_text()) for p in files}
+        assert {name: said for name, said in found.items() if said} == {}
+        assert len(files) > 80
+    assert replaced.findall("wilder than wild_rasters") == ["wild", "rasters"]
+
+
 def test_such_a_word_is_found():
     assert replaced_words("A motion that `push` hides\nbears the [sharper theorem](#x).\n") == [
         "motion", "bears", "sharper theorem",

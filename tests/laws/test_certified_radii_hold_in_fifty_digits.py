@@ -117,7 +117,7 @@ def test_radii_of_the_filter(seed):
 
 
 def test_without_the_rounding_the_law_is_broken(monkeypatch):
-    for room, name in ((rounding, "ROUNDED"), (recorder, "FLOWN"), (flows, "COVARIANCE_ERROR")):
+    for room, name in ((rounding, "ROUNDED"), (recorder, "PROPAGATED"), (flows, "COVARIANCE_ERROR")):
         monkeypatch.setattr(room, name, 0.0)
     assert worst_miss(29, 30)[0] > 1e-9
 

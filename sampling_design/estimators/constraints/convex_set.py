@@ -128,7 +128,7 @@ class ConvexSet(Record):
         Raises
         ------
         ArgumentError
-            If the radius is negative or the dimension cannot be told.
+            If the radius is negative or nothing says the dimension.
         """
         size = checks.nonnegative("radius", radius)
         if shape is not None:

@@ -191,8 +191,8 @@ def support_boxes(
         at = [k for k, own in enumerate(lengths) if own == length]
         reach[at] = _absolute_integrals(responses, length, gaps[at], whiten[at] * responses.units) @ half
     reach = np.minimum(reach, np.sqrt(_energy(weights, half) * discounted_length(weights.eta, gaps))[:, None])
-    pushed = np.array([flow.integral for flow in flows]) @ (responses.plant.G @ middle)
-    centre = np.matmul(whiten, pushed[:, :, None])[:, :, 0]
+    driven = np.array([flow.integral for flow in flows]) @ (responses.plant.G @ middle)
+    centre = np.matmul(whiten, driven[:, :, None])[:, :, 0]
     return centre - reach, centre + reach
 
 

@@ -104,7 +104,7 @@ class WindowConstraints:
         return ConstraintDemands(free.spread, signals, *nodes.shape)
 
     def _limited_signal(self, window: EstimationWindow, free: Solution, limits: Array) -> ConstrainedSignal:
-        """C x where limits of detection were told."""
+        """C x where limits of detection were read."""
         seen = np.isfinite(limits[:, 0]) | np.isfinite(limits[:, 1])
         at, C = np.flatnonzero(seen.any(axis=1)), self.plant.C
         known = np.sqrt(np.einsum("ij,jk,ik->i", C, free.covariance, C))

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.errors import ArgumentError
+from sampling_design.estimators.online.counts import EstimateCounts
 from sampling_design.estimators.online.estimate import MOVED, Contradiction, Estimate, Status, half_widths
-from sampling_design.estimators.online.tally import EstimateCounts
 from sampling_design.estimators.records.measurement_table import MeasuredPlant, dates_of
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks

@@ -18,7 +18,7 @@ from sampling_design.plants.rows import Wanted, wanted_rows
 from sampling_design.records.arrays import Array
 
 SUSPECTS = 5  # samples that are left out in turn to find the one that contradicts the bounds
-FACTOR_WITHIN = 1e-3  # share within which the factor is told by which the noise of a sample would have to be larger
+FACTOR_WITHIN = 1e-3  # share within which the factor is found by which the noise of a sample would have to be larger
 FARTHEST = 1e12  # factor beyond which no noise explains a sample
 REMEMBERED = 24  # samples that an interval looks back; what came before them is what their first one knew
 
@@ -39,7 +39,7 @@ class EstimateAssumptions:
     Attributes
     ----------
     plant : Plant
-    push : DisturbanceSet
+    disturbance : DisturbanceSet
     noise : SetBounds
     error : StartError
         Of the prior.

@@ -31,7 +31,7 @@ from sampling_design.records.signatures import checked_methods
 
 AHEAD = 512  # samples of a record whose gaps are made at once
 MOST_INTERVALS, FEW_STATES = 1000, 4
-"""Rows up to which estimates lie in the middle of their intervals unless told, and states up to which that holds."""
+"""Rows up to which estimates lie in the middle of their intervals by default, and states up to which that holds."""
 
 
 def few_intervals(rows: int, states: int) -> bool:
@@ -55,7 +55,7 @@ class OnlineEstimator(Displayable, ABC):
     remembered: int = 0
     """Nodes that are kept beside those that `memory` [time] keeps."""
     centres: bool = False
-    """Whether `run` moves estimates into the middle of what data and bounds allow, unless told."""
+    """Whether `run` moves estimates into the middle of what data and bounds allow, by default."""
 
     _table: ClassVar[Mapping[str, str]] = {
         "plant": "{plant.name:or -}",

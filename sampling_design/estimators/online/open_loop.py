@@ -66,14 +66,14 @@ class OpenLoop:
         if not (np.isfinite(node.beta) and np.isfinite(energy)) or flow.gap == 0:
             return None
         own = node.beta * symmetrise(flow.F @ node.Y @ flow.F.T)
-        pushed = energy * flow.gap * self._disturbed(flow.gap)
-        first, second = self._trace(own), self._trace(pushed)
+        driven = energy * flow.gap * self._disturbed(flow.gap)
+        first, second = self._trace(own), self._trace(driven)
         if not (first > 0 and second > 0):
-            return own + pushed
+            return own + driven
         p = min(
             max(math.sqrt(second) / math.sqrt(first), 1 / LARGEST_RESIDUAL), LARGEST_RESIDUAL
         )  # any p > 0 proves it
-        return (own * (1 + p) + pushed * (1 + 1 / p)) * (1 + ROUNDING)
+        return (own * (1 + p) + driven * (1 + 1 / p)) * (1 + ROUNDING)
 
     def moved(self, node: HistoryNode, flow: GapFlow, drift: Array) -> Array:
         """Return the state after a gap, also where it overflows."""

@@ -20,9 +20,9 @@ from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 
-FLOWN = 4e-15
-"""Relative error of a covariance that was flown over a gap, in units of its diagonal: times its condition it is that of
-the ellipsoid."""
+PROPAGATED = 4e-15
+"""Relative error of a covariance that was propagated over a gap, in units of its diagonal: times its condition it is
+that of the ellipsoid."""
 
 OFF_SCHEDULE = "No a-priori claim: off the certificate's schedule."
 
@@ -141,7 +141,7 @@ class Recorder:
         size, condition = in_units_of(Y, passed(last, flow, None if drift is none else drift, x), precision)
         loose = max(last.loose, flow.loose)
         beta, status, sound, contradiction = found
-        beta = beta * (1 + FLOWN * condition + loose) + moved(beta, size)
+        beta = beta * (1 + PROPAGATED * condition + loose) + moved(beta, size)
         t = sample.t
         estimate = self.estimate(
             t, x, Y, beta, status, sound=sound, scheduled=scheduled, contradiction=contradiction, note=note, **details
@@ -165,7 +165,7 @@ class Recorder:
         if not np.isfinite(Y).all():
             loop.refuse_overflow(flow, np.array([np.inf]), t)
         size, condition = in_units_of(Y, passed(node, flow, drift, x))
-        beta = beta * (1 + FLOWN * condition + loop.weights.loose) + moved(beta, size)
+        beta = beta * (1 + PROPAGATED * condition + loop.weights.loose) + moved(beta, size)
         scheduled = node.scheduled and self.claim.nothing_missed(state.nodes[: at + 1], t)
         return self.estimate(
             t, freeze(x), freeze(Y), beta, "predicted", sound=node.stands, scheduled=scheduled,

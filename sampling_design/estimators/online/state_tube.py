@@ -71,8 +71,8 @@ def _opened(program: RecordProgram, times: Array, x: Array) -> StateTube:
         return StateTube(times, lower, upper)
     step, D = np.diff(times)[:, None], program.table.D[:n]
     grown = np.exp(np.linalg.norm(plant.A * D / D[:, None], 2) * step)
-    flown = plant.transition(times - times[0])
-    bent = np.linalg.norm((plant.A @ plant.A @ flown) * D, axis=2) * np.linalg.norm(reach / D)
+    flows = plant.transition(times - times[0])
+    bent = np.linalg.norm((plant.A @ plant.A @ flows) * D, axis=2) * np.linalg.norm(reach / D)
     speed = np.diff(x, axis=0) / step
     turned = np.abs(np.diff(speed, axis=0, prepend=speed[:1], append=speed[-1:])) / step.mean()
     sag = step**2 / 8 * (grown * np.maximum(bent[1:], bent[:-1]) + np.maximum(turned[1:], turned[:-1]))

@@ -160,7 +160,7 @@ class SlidingBand:
         )
         # what a node costs with the gap after it, and what the gap before it adds: columns and right-hand sides
         self._own, self._before = np.zeros((ROOM, n, 2 * n)), np.zeros((ROOM, n, 2 * n))
-        self._pull, self._pushed = np.zeros((ROOM, n)), np.zeros((ROOM, n))
+        self._pull, self._pull_before = np.zeros((ROOM, n)), np.zeros((ROOM, n))
         # each with its weight: fit, the noise's energy, the cost of the gap after; unweighted: |y|^2
         self._sums = np.zeros((ROOM, 4))
         self._places = np.zeros((ROOM + 1, n))  # references, each a row further down: in the first stands the prior
@@ -170,7 +170,7 @@ class SlidingBand:
 
     @property
     def _parts(self) -> tuple[Array, ...]:
-        held = self._own, self._before, self._pull, self._pushed, self._sums
+        held = self._own, self._before, self._pull, self._pull_before, self._sums
         return *held, self._places, self._missed, self._measured
 
     def output_information(self, mask: Array) -> OutputInformation:
@@ -197,7 +197,7 @@ class SlidingBand:
         k = len(self._known)
         if k == len(self._own):
             grown = [np.concatenate([part, np.zeros((k, *part.shape[1:]))]) for part in self._parts]
-            self._own, self._before, self._pull, self._pushed, self._sums = grown[:5]
+            self._own, self._before, self._pull, self._pull_before, self._sums = grown[:5]
             self._places, self._missed, self._measured = grown[5:]
             self._ones = np.ones(2 * k)
         kind, flow = self.output_information(new.mask), new.flow
@@ -215,7 +215,7 @@ class SlidingBand:
         self._reference.append(reference)
         weighed = self._weighed(k, d)
         self._sums[k, 1:] = kind.energy * d, 0.0, read.dot(read)
-        self._pushed[k] = self._missed[k] = 0.0
+        self._pull_before[k] = self._missed[k] = 0.0
         self._measured[k] = new.y, new.mask, new.feedthrough
         self._flows_to_points = None
         if not predicted:
@@ -255,10 +255,10 @@ class SlidingBand:
             moved = new.flow.F.dot(self._reference[k - 1]) + new.drift - self._reference[k]
         self._missed[k] = moved
         g = (moved * d).dot(new.flow.joint[n:])
-        pull, push = self._pull[k - 1], g[n:]
+        pull, own = self._pull[k - 1], g[n:]
         pull += g[:n]
-        self._pushed[k] = push
-        self._sums[k - 1, 2] = cost = float(moved.dot(push))
+        self._pull_before[k] = own
+        self._sums[k - 1, 2] = cost = float(moved.dot(own))
         return math.isfinite(cost)
 
     def settle(self, node: HistoryNode) -> bool:
@@ -285,7 +285,7 @@ class SlidingBand:
         factor, k = math.exp(-self._eta * (t - self._zero)), len(self._known)
         for part in (self._own, self._before):
             part[: self._banded] *= factor
-        for part in (self._pull, self._pushed, self._sums[:, :3]):
+        for part in (self._pull, self._pull_before, self._sums[:, :3]):
             part[:k] *= factor
         self._zero = t
 
@@ -349,14 +349,14 @@ class SlidingBand:
             return None
         count = len(known)
         rows = slice(first, count)
-        right = self._pull[rows] + self._pushed[rows]
+        right = self._pull[rows] + self._pull_before[rows]
         moved = flow.F.dot(x) + drift - self._reference[first]
         g = arrival.information.dot(moved * d)
         np.add(self._pull[first], g, right[0])  # the gap before the first node is the window's own
-        fit, energy, push, read = self._ones[rows].dot(self._sums[rows]).tolist()
+        fit, energy, gaps, read = self._ones[rows].dot(self._sums[rows]).tolist()
         held = abs(self._places[first : count + 1]).dot(self._held).ravel()
         kept = float(held.dot(held))
-        size += fit + push + float(moved.dot(g))
+        size += fit + gaps + float(moved.dot(g))
         gains = self._gains_of_last_window(count - first, flow, Y)
         if gains is not None:
             deviation, gain = gains.applied(right, end, whole)

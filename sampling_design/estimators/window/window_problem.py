@@ -39,7 +39,7 @@ class EstimationWindow:
     y: Array  # y, feedthrough, (N+1, p): measurements (0 where missing) and D u
     feedthrough: Array
     F: Array  # (N, n, n): transitions
-    # (N+1, 2, p): what C x lies between where limits of detection were told, infinite elsewhere
+    # (N+1, 2, p): what C x lies between where limits of detection were read, infinite elsewhere
     limits: Array | None = None
     means: MeanRows | None = None  # composite samples
 

@@ -51,11 +51,11 @@ def functional_plant(plant: Plant, of: Wanted, *, decay_rate: float = 0.0) -> Fu
     -----
     *Theorem.* Let M be the largest A-invariant subspace on which C and H vanish. x mod M is a plant of its own, with
     the same outputs, that carries z. It is detectable at the rate eta if and only if H vanishes on the part N+ of the
-    unobservable subspace of (C, A) whose modes have Re lambda >= -eta/2, that is if and only if z can be told from
+    unobservable subspace of (C, A) whose modes have Re lambda >= -eta/2, that is if and only if z follows from
     all outputs. *Method.* M is the unobservable subspace of (A, [C; H]), taken out eigenvector by eigenvector until
-    none is left, which takes out chains too. The rank test of [s I - A; C; H] and [s I - A; C] asks for eigenvectors
-    only and misses a chain whose second vector H shows; so it is not used. *Numerical aspects.* A mode counts as hidden
-    where entries wrong by 1e-10 of themselves could hide it (`unobservable_modes`).
+    none is left, which takes out Jordan chains too. The rank test of [s I - A; C; H] and [s I - A; C] asks for
+    eigenvectors only and misses a Jordan chain whose second vector H shows; so it is not used. *Numerical aspects.* A
+    mode counts as hidden where entries wrong by 1e-10 of themselves could hide it (`unobservable_modes`).
 
     References
     ----------
@@ -77,7 +77,7 @@ def functional_plant(plant: Plant, of: Wanted, *, decay_rate: float = 0.0) -> Fu
         part, step, kept = without(part, _real(hidden, weights), weights, RANK_TOLERANCE)
         onto, H = step @ onto, H[:, kept]
     part, onto = _rows_first(plant, part, onto, H, rows)
-    _require_told(plant, part, rows, decay_rate)
+    _require_detectable(plant, part, rows, decay_rate)
     return FunctionalPlant.of_part(part, plant, onto, len(rows))
 
 
@@ -172,7 +172,7 @@ def _rows_first(plant: Plant, part: Plant, onto: Array, H: Array, rows: WantedRo
     return replace_matrices(plant, A, C, whole, signals), whole
 
 
-def _require_told(plant: Plant, part: Plant, rows: WantedRows, decay_rate: float) -> None:
+def _require_detectable(plant: Plant, part: Plant, rows: WantedRows, decay_rate: float) -> None:
     """Refuse rows into which a mode enters that no output shows and that does not decay fast enough."""
     hidden = unobservable_modes(part, decay_rate)
     if not len(hidden):

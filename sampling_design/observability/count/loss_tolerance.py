@@ -19,7 +19,7 @@ from sampling_design.records.record import PlainRecord, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 
-NEARLY_HIDDEN = 1e-9  # a row that shows less of a direction than this share of its own length counts as blind to it
+NEARLY_HIDDEN = 1e-9  # a row that shows less of a direction than this share of its own length does not observe it
 LOOKS = 20_000  # sets of samples that are looked at in one search for the largest hidden one
 MOST_PERIODS = 8  # periods over which hidden sets are counted exactly; beyond, the zero count bounds them
 SAME_GROWTH = 1e-8  # modes whose growth differs by less than this share of |lambda| grow alike
@@ -134,7 +134,7 @@ def loss_tolerance(plant: Plant, schedule: PeriodicSchedule) -> LossTolerance:
     the sum over B is finite. The second condition is the first for L to infinity by the zero count, where
     every sample measures every output. *Proof, too much.* A direction of the fastest modes whose hidden samples
     repeat is lost for B blocks with probability p^{B (L N - K)}, from a covariance that even complete records
-    leave positive. *Numerical aspects.* A sample counts as blind to a direction within `NEARLY_HIDDEN`, which
+    leave positive. *Numerical aspects.* A sample does not observe a direction within `NEARLY_HIDDEN`, which
     can only lower `lower`. `upper` takes "repeats" within the same tolerance.
 
     References
@@ -249,8 +249,8 @@ def _hidden(
     return best, found
 
 
-def largest_hidden(rows: Array, blind: float = NEARLY_HIDDEN) -> frozenset[int] | None:
-    """Return a largest set of samples, of (N, p, n) rows of length 1 or 0, that all miss one direction within `blind`.
+def largest_hidden(rows: Array) -> frozenset[int] | None:
+    """Return a largest set of samples, of (N, p, n) rows of length 1 or 0, that all miss one direction.
 
     None where more than `LOOKS` sets would have to be looked at. Every such set is what the null space of some
     of its own samples, at most n - 1 of them, is hidden from.
@@ -263,7 +263,7 @@ def largest_hidden(rows: Array, blind: float = NEARLY_HIDDEN) -> frozenset[int] 
     while stack:
         space = stack.pop()
         shown = np.linalg.norm(rows @ space, axis=(1, 2))
-        closure = frozenset(np.flatnonzero(shown <= blind).tolist())
+        closure = frozenset(np.flatnonzero(shown <= NEARLY_HIDDEN).tolist())
         if closure in seen:
             continue
         seen.add(closure)
@@ -278,7 +278,7 @@ def largest_hidden(rows: Array, blind: float = NEARLY_HIDDEN) -> frozenset[int] 
             if looks > LOOKS:
                 return None
             _, singular, right = np.linalg.svd(rows[j] @ space)
-            rank = int(np.sum(singular > blind))
+            rank = int(np.sum(singular > NEARLY_HIDDEN))
             if rank < space.shape[1]:
                 stack.append(space @ right[rank:].T)
     return best

@@ -21,8 +21,8 @@ from sampling_design.records.signatures import checked
 
 EPS = float(np.finfo(float).eps)
 RANK_TOLERANCE = 1e-10
-"""A mode counts as unseen if entries of A and C that are wrong by this part of themselves could hide it: well above
-what rounding does to the entries of a plant in awkward coordinates, far below what is known of any plant."""
+"""A mode counts as unobservable if entries of A and C that are wrong by this part of themselves could hide it: well
+above what rounding does to the entries of a plant in awkward coordinates, far below what is known of any plant."""
 ROUNDS = 4  # of rescaling by the direction found, until the scales are its own
 CUTS = (0.0, 1e-15, 1e-13, 1e-11)  # entries of a direction below these, in its own scales, may be rounding
 
@@ -37,11 +37,11 @@ class UnobservableModes(ListRecord[complex]):
     Attributes
     ----------
     eigenvalues : (m,) complex array [1/time]
-        One entry per independent unseen eigenvector.
+        One entry per independent unobservable eigenvector.
     directions : (n, m) complex array
         Those eigenvectors in the plant's own coordinates, of norm 1: A d = lambda d, C d = 0.
     margin : float
-        Least relative change of the entries of A and C, as found, that would hide a mode that was judged *seen*;
+        Least relative change of the entries of A and C, as found, that would hide a mode that was judged *observable*;
         infinite if there is none. At most 1. Near the tolerance the verdict is in doubt.
     tolerance : float
         Below which it counts as zero.
@@ -69,7 +69,7 @@ class UnobservableModes(ListRecord[complex]):
         return {"eigenvalue": self.eigenvalues, **dict(zip(self.names, self.directions, strict=True))}
 
     def describe(self) -> str:
-        """Name each unseen eigenvalue with its direction."""
+        """Name each unobservable eigenvalue with its direction."""
         return "; ".join(
             f"{format_eigenvalue(value)} along {_direction(d, self.names)}"
             for value, d in zip(self.eigenvalues, self.directions.T, strict=True)
@@ -77,7 +77,7 @@ class UnobservableModes(ListRecord[complex]):
         )
 
     def explain(self) -> str:
-        """Say which modes are unseen."""
+        """Say which modes are unobservable."""
         if not len(self):
             least = short(self.margin, 3)
             off = f"entries of A and C off by {least} of themselves could hide one"
@@ -114,9 +114,9 @@ def unobservable_modes(
 
     Notes
     -----
-    *Method.* A mode (lambda, d) is unseen if |A d - lambda d| <= `rtol` (|A| + |lambda|) |d| and
-    |C d| <= `rtol` |C| |d|, entry by entry: then it is an exactly unseen mode of matrices whose entries differ by no
-    more than that part of themselves (Oettli and Prager). Units of states, outputs and time change neither side.
+    *Method.* A mode (lambda, d) is unobservable if |A d - lambda d| <= `rtol` (|A| + |lambda|) |d| and
+    |C d| <= `rtol` |C| |d|, entry by entry: then it is an exactly unobservable mode of matrices whose entries differ by
+    no more than that part of themselves (Oettli and Prager). Units of states, outputs and time change neither side.
     Candidates d are the least seen directions of the invariant subspace of each group of eigenvalues that rounding
     cannot tell apart, lambda its mean, refined by singular vectors of the pencil [A - lambda I; C] in the scales of
     d itself. *Numerical aspects.* The mean of a group is known far better than its members, which a defective
@@ -185,7 +185,7 @@ class _Pair:
     def unobservable(
         self, cluster: EigenvalueCluster, group: list[int], tolerance: float
     ) -> tuple[list[Complex], float]:
-        """Independent unseen directions of one group of eigenvalues, and the error of the first that is seen."""
+        """Independent unobservable directions of one group of eigenvalues; the error of the first observable one."""
         X, T = invariant_subspace(self.form, group)
         noise, value = self.noise(cluster), self.value(cluster)
         inner = T - value * np.eye(len(group))
@@ -231,7 +231,7 @@ class _Pair:
         return np.asarray(total)
 
     def error(self, value: complex, z: Complex) -> float:
-        """Least relative change of the entries of A and C that makes (value, z) an exactly unseen mode."""
+        """Least relative change of the entries of A and C that makes (value, z) an exactly unobservable mode."""
         left = np.abs(np.concatenate([self.A @ z - value * z, self.C @ z]))
         return float(np.max(left / positive_or_one(self._entries(value, np.abs(z)))))
 
@@ -255,15 +255,15 @@ def require_observable(plant: Plant, purpose: str, *, rtol: float = RANK_TOLERAN
     Raises
     ------
     NotObservableError
-        If a mode is unseen; carries the eigenvalues and directions.
+        If a mode is unobservable; carries the eigenvalues and directions.
     """
-    unseen = unobservable_modes(plant, rtol=rtol)
-    if len(unseen):
+    hidden = unobservable_modes(plant, rtol=rtol)
+    if len(hidden):
         raise NotObservableError(
-            f"{purpose} needs every mode to be observable; unobservable: {unseen.describe()}. Add an output that "
+            f"{purpose} needs every mode to be observable; unobservable: {hidden.describe()}. Add an output that "
             "observes it, split it off (split_modes) if it decays, or ask only `of` rows that it does not enter.",
-            unseen.eigenvalues,
-            unseen.directions,
+            hidden.eigenvalues,
+            hidden.directions,
         )
 
 
@@ -305,7 +305,7 @@ def _apart(z: Complex, found: list[Complex], scale: Array) -> bool:
 
 
 def _direction(vector: Complex, names: tuple[str, ...]) -> str:
-    """The states that take part in an unseen direction, the largest first."""
+    """The states that take part in an unobservable direction, the largest first."""
     size = np.abs(vector)
     order = np.argsort(-size, kind="stable")
     part = [int(i) for i in order if size[i] > 1e-6 * size[order[0]]]

@@ -42,7 +42,7 @@ class ModeBlock:
 
 
 class LeastObservedMode(NamedTuple):
-    """The multiplier e^{rate P} that a period sees least, how well, and what the unseen direction is made of.
+    """The multiplier e^{rate P} that a period sees least, how well, and what the unobservable direction is made of.
 
     `parts` holds a vector for each block, in its own coordinates, at the period's first sample.
     """

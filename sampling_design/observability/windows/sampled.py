@@ -93,7 +93,7 @@ def sigma_min(plant: Plant, times: npt.ArrayLike | Schedule, outputs: npt.ArrayL
     Notes
     -----
     *Numerical aspects.* The least singular value of a wide matrix is not this one: one row in two
-    dimensions has least singular value |row| and leaves a direction unseen. Values below n eps |O_s|
+    dimensions has least singular value |row| and leaves a direction unobserved. Values below n eps |O_s|
     are rounding. Sigma refers to the state at time 0 of `times` and is not invariant under scaling.
 
     References

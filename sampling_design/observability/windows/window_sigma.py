@@ -98,9 +98,9 @@ def window_sigma(
     (h^2/8) max |A^2 F|, an error of second order, relative to 1/sigma itself whatever the condition
     of O. Intervals are halved, all at once, until each is closed.
     *Numerical aspects.* The lower bound is reduced by the named allowance of `bracket.ALLOWANCE`.
-    Sigma counts as zero below n eps |O|; then lower = 0 and the witness holds the unseen direction. Where the rows grow
-    within the window, so that this says little, sigma is asked of ball arithmetic (extra `rigorous`), which growth
-    does not hide it from; it then counts as zero below n eps |C|, and `rigorous` of the record is true.
+    Sigma counts as zero below n eps |O|; then lower = 0 and the witness holds the unobservable direction. Where the
+    rows grow within the window, so that this says little, sigma is asked of ball arithmetic (extra `rigorous`), which
+    growth does not hide it from; it then counts as zero below n eps |C|, and `rigorous` of the record is true.
     Events that coincide to rounding (`pieces.SAME_TIME`) are one event.
     *Deviations.* `deviations` of the record says what is left where samples come a hundredth of the least gap early or
     late (or as was asked), in windows of T and in such that hold what was planned in T, and where one is lost; within

@@ -78,7 +78,7 @@ class SpacedRows:
     def coordinates(self, worst: Array | None = None) -> tuple[Array, Array]:
         """Return L and its inverse, x = L z: a survey of the window, and the schedule `worst`, see all z alike.
 
-        An unseen direction is scaled as if it were seen n eps of the best seen one.
+        An unobservable direction is scaled as if it were seen n eps of the best seen one.
         """
         seen = self.survey if worst is None else np.vstack([self.survey, self.observed(worst[None])[0]])
         _, singular, right = np.linalg.svd(seen, full_matrices=False)
@@ -95,6 +95,6 @@ class SpacedRows:
         return float(np.linalg.norm(self.blur(self.times(slacks))))
 
     def counts_as_zero(self, sigma: float, slacks: Array) -> bool:
-        """Whether sigma of this schedule cannot be told from 0."""
+        """Whether sigma of this schedule cannot be distinguished from 0."""
         least = self.n * _EPS * float(np.linalg.norm(self.observed(slacks[None])))
         return sigma <= max(least, self.rounding(slacks))

@@ -17,7 +17,7 @@ _WIDER = 0.25  # a first cell is no wider than this part of its time since the f
 _MOST_STARTS = 1024  # starts of a table at most
 _LOOKS = 64  # starts at which the length of a state at the window's start is looked at
 _FARTHEST = 20.0  # powers of e by which it may grow between two of them; beyond, the first sample's slab is not used
-_UNSEEN = 1e-6  # part of the strongest axis below which the first sample counts as not seeing an axis
+_UNOBSERVED = 1e-6  # part of the strongest axis below which the first sample counts as not seeing an axis
 _CONDITION = 1e6  # of e^{AS}, beyond which states are not carried from the first sample back to the window's start
 
 
@@ -145,7 +145,7 @@ class SphereTables:
         if not len(self._states):
             return np.asarray(np.linalg.svd(seen)[2].T)
         _, sees, axes = np.linalg.svd(self.rows.C @ self.basis)
-        self.slab = sees[sees > _UNSEEN * sees[0]]
+        self.slab = sees[sees > _UNOBSERVED * sees[0]]
         first, rest = axes[: self.slab.size].T, axes[self.slab.size :].T
         within = np.linalg.svd(seen @ rest)[2].T if rest.shape[1] else np.zeros((0, 0))
         turn = np.hstack([first, rest @ within])

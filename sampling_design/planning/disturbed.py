@@ -137,10 +137,10 @@ def _broken(plan: PlanFigures, sequence: SampleSequence) -> bool:
 
 
 def _judged(plan: PlanFigures, sequence: SampleSequence) -> float:
-    """Accuracy over tolerance: proven up to 1, else as a motion on the grid attains it."""
+    """Accuracy over tolerance: proven up to 1, else as a motion on the grid attains it, or a bound."""
     ratio = np.inf if _broken(plan, sequence) else proven_ratio(plan, sequence)
     if ratio <= 1:
         return ratio
     until = float(sequence.times[-1]) - plan.schedule.period
     attained = worst_ratio(plan, sequence, np.inf, until, closely=False)
-    return attained if attained > 1 else ratio
+    return attained if attained > 1 else proven_ratio(plan, sequence, {})  # of all gaps: the first above 1 ended it

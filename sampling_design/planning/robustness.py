@@ -32,7 +32,8 @@ class PlanRobustness(TableRecord, PlainRecord):
     lost : int
         So many samples in a row may be lost, whichever they are, with every tolerance kept; proven.
     lost_ratio : (N,) array
-        Accuracy over tolerance if this sample is lost: up to 1 such a bound, above 1 attained by a motion on the grid.
+        Accuracy over tolerance if this sample is lost: up to 1 such a bound, above 1 attained by a motion on the grid,
+        or, where none was found that breaks a tolerance, a bound.
     """
 
     time_unit: str

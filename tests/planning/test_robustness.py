@@ -128,6 +128,14 @@ def test_the_latest_delay_is_proven_by_halves(broken, proven, week, monkeypatch)
     assert len(asked) <= 8  # four at either distance
 
 
+@pytest.mark.parametrize(("attained", "said"), [(0.9, 1.05), (1.03, 1.03)])
+def test_a_loss_that_no_motion_breaks_and_no_proof_keeps_is_told_its_bound(attained, said, week, monkeypatch):
+    monkeypatch.setattr(disturbed, "_broken", lambda *_: False)
+    monkeypatch.setattr(disturbed, "proven_ratio", lambda plan, sequence, gaps=None: 1.02 if gaps is None else 1.05)
+    monkeypatch.setattr(disturbed, "worst_ratio", lambda *_, **__: attained)
+    assert disturbed._judged(week, without(week, 0, 1)) == said
+
+
 def test_what_is_far_below_the_worst_is_not_looked_at_and_changes_nothing(week, monkeypatch):
     for k in range(week.samples):
         lost = without(week, k, 1)

@@ -9,17 +9,19 @@ import numpy as np
 from scipy.linalg import expm
 
 
-def window_sigma_scan(A, C, times, period, window, places=7, mask=None, late=0.0):
+def window_sigma_scan(A, C, times, period, window, places=7, mask=None, late=0.0, delays=0.0):
     """Least sigma_n of C e^{A r} over half-open windows (start, start + T] and [start, start + T), by scan.
 
     Starts: every event, and `places` places between two events. With `late`, each of the samples that are planned in a
-    window comes that much early, that much late or on time, whichever is worst: all of these are tried.
+    window comes that much early, that much late or on time, whichever is worst: all of these are tried. A window holds
+    of each output what was sampled until its delay, one for each (p,), before the window ends.
     """
     A, C, times = (np.asarray(M, dtype=float) for M in (A, C, times))
     periods = np.arange(-1, int(np.ceil(window / period)) + 2)
     every = (times[:, None] + period * periods).ravel()
     which = np.repeat(np.arange(times.size), periods.size)
-    events = np.unique(np.round(np.concatenate([every, every - window]), 12))
+    lengths = window - np.broadcast_to(delays, len(C))
+    events = np.unique(np.round(np.concatenate([every, *(every - length for length in lengths)]), 12))
     events = events[(events > -period * 1e-6) & (events < period * (1 + 1e-6))]
     starts = np.unique(
         np.concatenate([events, *(events[:-1] + f * np.diff(events) for f in np.linspace(0, 1, places + 2)[1:-1])])
@@ -33,7 +35,8 @@ def window_sigma_scan(A, C, times, period, window, places=7, mask=None, late=0.0
     least = np.inf
     for seen, lag in zip(rows, lags, strict=True):
         for low, high in ((tiny, window + tiny), (-tiny, window - tiny)):
-            held = seen[(lag > low) & (lag < high)]
+            inside = (lag[:, None] > low) & (lag[:, None] < high - window + lengths)
+            held = (seen * inside[..., None])[inside.any(axis=1)]
             moved = held @ expm(A * np.array([-late, 0.0, late])[:, None, None])[:, None] if late else held[None]
             for moves in product(range(len(moved)), repeat=len(held)):
                 O = moved[list(moves), np.arange(len(held))].reshape(-1, A.shape[0])

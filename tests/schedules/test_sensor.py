@@ -14,6 +14,7 @@ from sampling_design.planning.problem import pose_plan
 from sampling_design.planning.proven_choice import proven_plan
 from sampling_design.planning.requirement_file import plan_requirement_from_dict
 from sampling_design.schedules.sensor import LARGEST, Sensor, common
+from tests.oracles.design import window_sigma_scan
 
 PLANT = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], np.eye(2), time_unit="d", outputs=["gauge", "lab"])
 PLACE = {"start": "2026-03-02", "zone": "Europe/Berlin", "hours": {"Mon-Sun": [["06:00", "18:00"]]}}
@@ -57,16 +58,16 @@ def test_a_design_never_says_more_than_the_results_that_are_in_show_each_sensor_
     asked = sd.Requirement(window=4.0, period=2.0, samples=3, spacing=0.2, decay_rate=0.1, sensors=table)
     found = sd.design_schedule(PLANT, asked, starts=1, branches=0, budget=5.0)
     assert found.requirement.window == 2.5
-    seen = []
-    for start in np.linspace(0.0, 2.0, 200, endpoint=False) + 1e-9:
-        rows = []
-        for j, delay in enumerate(delays.values()):
-            held = found.schedule.between(start, start + 4.0 - delay)
-            read = np.ones(len(held.times), dtype=bool) if held.outputs is None else held.outputs[:, j]
-            rows += [PLANT.C[j] @ PLANT.transition(t - start) for t in held.times[read]]
-        seen.append(np.linalg.svd(np.array(rows), compute_uv=False)[-1])
-    assert found.sigma <= min(seen) * (1 + 1e-9)
-    assert min(seen) > 1.05 * found.sigma
+    mask = np.ones((3, 2), dtype=bool) if found.schedule.outputs is None else found.schedule.outputs
+    shown = window_sigma_scan(PLANT.A, PLANT.C, found.schedule.times, 2.0, 4.0, 15, mask, delays=list(delays.values()))
+    assert found.sigma <= shown * (1 + 1e-9)
+    assert shown > 1.05 * found.sigma
+    assert "quicker" in found.notes[-1]
+    both = {name: {"price": 1.0, "result_delay": 1.5} for name in delays}
+    same, alike = (resolve(split_for(PLANT, asked), asked.replace(sensors=each)) for each in (table, both))
+    assert same.requirement.window == alike.requirement.window
+    assert "notice" in same.used
+    assert "notice" not in alike.used
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from sampling_design.records.signatures import checked
 from sampling_design.records.units import SECONDS, time_factor
 from sampling_design.schedules.jitter import TimingTolerance
 from sampling_design.schedules.opening import DAYS, WeekHours, week_hours
-from sampling_design.schedules.sensor import common, numbers, opened, result_span
+from sampling_design.schedules.sensor import Sensor, common, numbers, opened, result_span
 
 MOST_DEFAULT_SAMPLES = 24
 """Samples of a period that are taken unasked, at most: more take minutes."""
@@ -64,7 +64,7 @@ def resolve(split: ModalSplit, requirement: Requirement) -> ResolvedRequirement:
     if own and r.timing_tolerance is not None:
         r = _longer(r)
         used["window"] = r.window
-    longer, r = r.window, _in_windows(r)
+    longer, notice, r = r.window, _of_quicker_sensors(r, split.plant.outputs.names), _in_windows(r)
     if r.window != longer:
         used["window"] = r.window
     if not r.samples:
@@ -77,7 +77,7 @@ def resolve(split: ModalSplit, requirement: Requirement) -> ResolvedRequirement:
         r = r.replace(samples={kind: max(most, r.fixed.size)})
         used["samples"] = dict(r.samples)
         if r.target_sigma is None and per_period > MOST_DEFAULT_SAMPLES:
-            used["notice"] = (
+            notice.append(
                 f"The zero count asks for {per_period} samples per period; {MOST_DEFAULT_SAMPLES} are designed. "
                 "Give `samples` to change this."
             )
@@ -95,7 +95,7 @@ def resolve(split: ModalSplit, requirement: Requirement) -> ResolvedRequirement:
             f"`timing_tolerance`, early and late together, must be less than the least time between two samples, "
             f"{short(r.spacing)}, got {short(late.span)}: they could change places. Ask for a wider `spacing`."
         )
-    return ResolvedRequirement(r, used, count)
+    return ResolvedRequirement(r, {**used, "notice": " ".join(notice)} if notice else used, count)
 
 
 def _longer(requirement: Requirement) -> Requirement:
@@ -124,6 +124,15 @@ def _in_windows(requirement: Requirement) -> Requirement:
         changes["window"] = window - out
     plain = {name: {"available": _open(requirement, name), "price": term.price} for name, term in terms.items()}
     return requirement.replace(**changes, sensors=plain)
+
+
+def _of_quicker_sensors(requirement: Requirement, outputs: tuple[str, ...]) -> list[str]:
+    """One sentence where results of some outputs come sooner than those of the slowest, which end windows for all."""
+    terms, unit = [requirement.sensors.get(name, Sensor()) for name in outputs], str(requirement.time_unit)
+    out = [0.0 if t.result_delay is None else result_span("result_delay", t.result_delay, unit)[1] for t in terms]
+    quicker = ", ".join(name for name, delay in zip(outputs, out, strict=True) if delay < max(out))
+    said = f"Windows end with the results of the slowest sensor: what quicker ones ({quicker}) read in the rest"
+    return [f"{said} counts neither in sigma nor in its bound."] if quicker else []
 
 
 def _open(requirement: Requirement, name: str) -> Array | None:

@@ -55,7 +55,9 @@ class Requirement(WrittenRecord):
         Times within the period that must be sampled.
     sensors : dict of str to Sensor or dict, optional
         Windows, hours, price and result delay per output name. The window then ends with the results that are in: it
-        is shorter by the longest `result_delay`. What may say "below its `detection_limit`" counts nothing.
+        is shorter by the longest `result_delay`, for all outputs. Sigma and its bound are of such windows; what quicker
+        sensors read in the rest is in as well and counts in neither, so that a window shows no less than sigma, and
+        may show more than the bound. What may say "below its `detection_limit`" counts nothing.
     calendar : OpeningCalendar or dict, optional
         Opening hours of the place on ordinary days from time 0 on, which close what is outside them.
     of : str, sequence of str, or (k, n) array, optional

@@ -36,6 +36,8 @@ LONG = (
     ("inclusion_figures", "oscillator, frequency within 10 %, eta .02, 8 pieces"),
     ("inclusion_figures", "pendulum, all angles, gaps to 1, eta .4"),
     ("late_samples", "satellite, 1 %"),
+    ("late_samples", "gauge at once, laboratory 1.5 of 4 s"),
+    ("late_samples", "tight weekly plan, 10 %"),
     ("library_accuracy", "satellite"),
     ("library_accuracy", "three_compartment"),
 )

@@ -245,8 +245,8 @@ class Accuracy(AccuracyBracket, CurveRecord):
     def _why(self) -> str:
         names = ", ".join(self.unknown)
         if self.question.initial is not None:
-            return f"the samples do not determine what belongs to the eigenvalue{'s' * (len(self.unknown) > 1)} {names}"
-        return f"no sample shows {names}"
+            return f"the samples do not determine the {_modes(self.unknown)} {names}"
+        return f"no sample shows the {_modes(self.unknown)} {names}"
 
     @property
     def notice(self) -> str:
@@ -267,7 +267,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
             f"{n} within {short(u, 4)}" for n, u in zip(self.rows.labels(), self.upper, strict=True) if np.isfinite(u)
         ]
         lost = [name for name, sure in zip(self.rows.names, known, strict=True) if not sure]
-        text = f"Of {', '.join(lost)} no bound holds at all times: {self._why()}. " if lost else ""
+        text = f"No error bound of {', '.join(lost)} holds at all times: {self._why()}. " if lost else ""
         if not parts:
             return text.strip()
         low = self.lower[known]
@@ -300,3 +300,8 @@ class Accuracy(AccuracyBracket, CurveRecord):
             "sample": Variable(("sample",), profile.samples, time),
             "worst": Variable(("row",), self.worst, time),
         }
+
+
+def _modes(eigenvalues: tuple[str, ...]) -> str:
+    """What stands before the eigenvalues of modes."""
+    return "mode with eigenvalue" if len(eigenvalues) == 1 else "modes with eigenvalues"

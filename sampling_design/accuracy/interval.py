@@ -316,7 +316,7 @@ class Interval(TableRecord, PlainRecord):
         if not bounded.all():
             names = ", ".join(n for n, *_, known in ends if not known)
             modes = self.unseen_modes
-            why = f": nothing that was read shows {', '.join(modes)}" if modes else ""
+            why = f": no reading shows the modes with eigenvalues {', '.join(modes)}" if modes else ""
             sentences.append(f"They leave {names} unbounded{why}.")
         return " ".join([*sentences, *([self.notice] if self.notice else [])])
 

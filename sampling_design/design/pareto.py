@@ -124,7 +124,7 @@ class ParetoFront(ListRecord[ParetoPoint], PlainRecord):
         return (
             f"From {good[0].samples} to {good[-1].samples} samples per period sigma grows from "
             f"{short(good[0].sigma)} to {short(good[-1].sigma)}."
-            + (left and f" With {good[-1].samples}: {left[0].lower()}{left[1:]}")
+            + (left and f" With {good[-1].samples} samples: {left[0].lower()}{left[1:]}")
         )
 
 

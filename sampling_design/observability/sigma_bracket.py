@@ -90,7 +90,8 @@ class SigmaDeviations(Record):
         wider = f"{short(2 * self.tolerance.radius)} {self.time_unit}"
         return (
             f"If samples come {self.tolerance.describe(self.time_unit)}, sigma is at least {short(self.late)}, and "
-            f"over windows that are {wider} longer {short(self.late_wider)}; if one is lost, {short(self.lost)}."
+            f"over windows that are {wider} longer {short(self.late_wider)}. If one sample is lost, sigma is at least "
+            f"{short(self.lost)}."
         )
 
 

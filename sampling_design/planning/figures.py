@@ -57,14 +57,14 @@ class PlanStart(PlainRecord):
         """From when on, in words."""
         if not np.isfinite(self.from_time):
             return "not proven to keep the tolerances at any time"
-        any_ = "whatever the error is then, up to a million times what samples leave"
-        what = "where the error is within `initial_error` then" if self.bounded else any_
+        any_ = "for any initial error up to a million times what the samples leave"
+        what = "for initial errors within `initial_error`" if self.bounded else any_
         when = f"{spoken(self.from_time, self.time_unit)} after it" if self.from_time else "the start"
         return f"the tolerances are kept from {when} on, {what}"
 
     def explain(self) -> str:
         """Say from when on the tolerances are kept."""
-        return f"Of a plan that is followed from its start on: {self.since()} ({short(self.ratio, 3)} of them)."
+        return f"Once the plan is started, {self.since()} ({short(self.ratio, 3)} of them)."
 
 
 def accuracy_of(problem: PlanProblem, chosen: Mask) -> Accuracy | None:

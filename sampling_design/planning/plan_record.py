@@ -223,7 +223,7 @@ class Plan(PlanFigures):
 
     def explain(self) -> str:
         """Say what the plan keeps, and what no other can."""
-        unit = "" if self.problem.counts else f" for {short(self.cost)}"
+        unit = "" if self.problem.counts else f", at a cost of {short(self.cost)},"
         parts = [
             f"{g.name} within {short(v, 3)}{' ' * bool(g.unit)}{g.unit}{' (standard deviation)' * g.spread}"
             for v, g in zip(self.reached, self.goals, strict=True)
@@ -250,9 +250,8 @@ class Plan(PlanFigures):
             + (f"one of {len(steps)} times" if len(steps) > 1 else "one time")
             for g, steps in broken_below(self.bound, cover).items()
         ]
-        text = (
-            f" For less, what the samples do not show takes {' or '.join(broken)} of the period beyond the tolerance."
-        )
+        goals = " or ".join(broken)
+        text = f" At a lower cost, disturbances that no sample shows take {goals} of the period beyond the tolerance."
         if self.cost > least * (1 + SAME):
             text = f"{text if broken else ''} Whether one for less than {short(self.cost)} does is not decided."
         return text if broken or self.cost > least * (1 + SAME) else ""

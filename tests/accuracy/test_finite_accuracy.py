@@ -202,7 +202,7 @@ def test_a_row_that_stays_unknown_has_its_mode_named():
     hidden = sd.Plant([[0.1, 0.0], [0.0, 0.0]], [[0.0, 1.0]], states=["hidden", "seen"])
     found = sd.guaranteed_accuracy(hidden, sd.Schedule([0.0, 1.0]), w_bound=0.1, v_bound=0.1)
     assert found.unknown == ("0.1",)
-    assert "Of hidden no bound holds at all times: the samples do not determine what belongs to the eigenvalue 0.1" in (
+    assert "No error bound of hidden holds at all times: the samples do not determine the mode with eigenvalue 0.1" in (
         found.explain()
     )
     early = sd.guaranteed_accuracy(

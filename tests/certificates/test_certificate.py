@@ -334,7 +334,7 @@ def test_hand_made_certificate_claims_what_its_matrices_say():
 def test_record_tells_its_numbers():
     made = given()
     assert "lambda" in str(made)
-    assert "the influence of the past decays at rate 0.4" in made.explain()
+    assert "past errors are discounted at rate 0.4" in made.explain()
     assert made.constants.named("lam").value == made.lam
     for name in ("eta", "improved_C_w", "paper_C_v"):
         assert name in made.to_markdown()

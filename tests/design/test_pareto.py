@@ -34,7 +34,7 @@ def test_sigma_grows_with_the_count_and_impossible_counts_say_why():
     left = front.points[2].deviations
     assert left.lost < left.late < left.late_wider < front.points[2].sigma
     assert f"{left.tolerance.describe('s')}: {left.late:.6g}; one lost: {left.lost:.6g}" in str(front)
-    assert f"if one is lost, {front.efficient[-1].deviations.lost:.6g}." in front.explain()
+    assert f"If one sample is lost, sigma is at least {front.efficient[-1].deviations.lost:.6g}." in front.explain()
 
 
 def test_a_file_is_resumed_and_not_designed_again(tmp_path):

@@ -190,7 +190,7 @@ def test_what_is_no_bound_is_refused():
 def test_a_file_that_says_more_of_the_start_is_refused(plans, tmp_path):
     plan = plans["oscillator"]
     assert plan.start.from_time > 0
-    assert "Of a plan that is followed from its start on: the tolerances are kept from" in plan.explain()
+    assert "Once the plan is started, the tolerances are kept from" in plan.explain()
     path = plan.save(tmp_path / "plan.json")
     again = sd.read_plan(path)
     assert again.start.to_dict() == plan.start.to_dict()

@@ -47,7 +47,7 @@ def test_defective_eigenvalues():
     integrators = np.diag([1.0, 1.0], 1)
     assert len(unobservable_modes(Plant(integrators, [[1.0, 0.0, 0.0]]))) == 0
     unseen = unobservable_modes(Plant(integrators, [[0.0, 1.0, 0.0]], states=["position", "velocity", "force"]))
-    assert unseen.explain() == "No output observes 0 along position."
+    assert unseen.explain() == "No output observes the eigenvalue 0 along position."
     rng = np.random.default_rng(5)
     T, _ = np.linalg.qr(rng.standard_normal((3, 3)))
     assert len(unobservable_modes(Plant(T @ integrators @ T.T, np.array([[1.0, 0.0, 0.0]]) @ T.T))) == 0

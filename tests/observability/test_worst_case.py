@@ -406,7 +406,7 @@ def test_what_a_rule_keeps_of_sigma_holds_for_late_and_lost_samples(plant):
         assert sd.window_sigma(plant, real, 4.0 + 2 * d).upper >= found.late_wider
         kept = np.delete(member.times, rng.integers(1, len(member) - 1))
         assert sd.window_sigma(plant, sd.Schedule(kept), 4.0).upper >= found.lost
-    assert f"if one is lost, {found.lost:.6g}." in sigma.explain()
+    assert f"If one sample is lost, sigma is at least {found.lost:.6g}." in sigma.explain()
     assert "if one sample is lost" in str(sigma)
     assert sigma.to_dict()["deviations"] == found.to_dict()
 

@@ -60,9 +60,8 @@ def test_a_plan_says_what_a_cheaper_one_would_have_to_break(cheapest):
     named = broken_below(bound, CoveringRows(without_limits(problem), fixed=True))
     assert list(named) == [0]
     count = "one time" if len(named[0]) == 1 else f"one of {len(named[0])} times"
-    assert (
-        f"For less, what the samples do not show takes position at {count} of the period beyond" in cheapest.explain()
-    )
+    said = f"At a lower cost, disturbances that no sample shows take position at {count} of the period beyond"
+    assert said in cheapest.explain()
     pool = HiddenTrajectories(problem.steps, [problem.ends(0)])
     for trajectory in bound.trajectories:
         pool.add(trajectory)
@@ -72,9 +71,9 @@ def test_a_plan_says_what_a_cheaper_one_would_have_to_break(cheapest):
         reached = [pool.proven(bound.trajectories[a], at, sensor)[end] for a, end in keys if end in named[0]]
         assert max(reached) > 1
     open_ = replace(cheapest, bound=replace(bound, cost=replace(bound.cost, value=2.0)))
-    assert "keeps the tolerances for less than 2. For less, what" in open_.explain()
+    assert "keeps the tolerances for less than 2. At a lower cost," in open_.explain()
     assert "Whether one for less than 3 does is not decided." in open_.explain()
-    assert "For less" not in replace(cheapest, bound=PlanBound((), None, None)).explain()
+    assert "At a lower cost" not in replace(cheapest, bound=PlanBound((), None, None)).explain()
 
 
 def test_a_plan_that_says_more_than_its_proof_is_refused(cheapest):

@@ -77,7 +77,7 @@ class FourHorizons(ListRecord[HorizonRow]):
     def explain(self) -> str:
         """Compare the four."""
         known = [f"{row.name}: {short(row.minimum, 4)}" for row in self.rows if row.minimum is not None]
-        return "The window must exceed, by " + "; ".join(known) + "."
+        return "The estimation horizon must be longer than the following. " + "; ".join(known) + "."
 
     def cells(self) -> list[list[str]]:
         """The table's rows as text: name, source, M >, C_x, C_w, C_v."""

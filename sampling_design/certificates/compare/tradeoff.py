@@ -57,9 +57,9 @@ class TradeoffCurve(TableRecord):
     def explain(self) -> str:
         """Say what the curve trades."""
         return (
-            f"From {short(self.noise_gains[0])} to {short(self.noise_gains[-1])} times the least gain the horizon "
-            f"falls from {short(self.horizons[0])} to {short(self.horizons[-1])} while the noise gain rises from "
-            f"{short(self.C_w[0], 3)} to {short(self.C_w[-1], 3)}."
+            f"If the noise gain may be {short(self.noise_gains[-1])} instead of {short(self.noise_gains[0])} times its "
+            f"least value, the horizon falls from {short(self.horizons[0])} to {short(self.horizons[-1])}, and C_w "
+            f"rises from {short(self.C_w[0], 3)} to {short(self.C_w[-1], 3)}."
         )
 
 

@@ -154,9 +154,10 @@ class DetectabilityCertificate(VerifiableRecord):
     def explain(self) -> str:
         """Say what the certificate promises."""
         return (
-            f"Two trajectories of this plant with the same input and output come together: their squared distance in "
-            f"the norm of P shrinks by e^(-{short(self.eta)} t), t in {self.plant.time_unit}; whatever keeps them "
-            f"apart shows in w (gain {short(self.c_w)}) or in y (gain {short(self.c_y)})."
+            "The plant is detectable: two trajectories with the same inputs, disturbances and outputs come together. "
+            f"Their squared distance in the norm of P decays like e^(-{short(self.eta)} t), t in "
+            f"{self.plant.time_unit}. A difference in w adds to it with gain {short(self.c_w)}, one in y with gain "
+            f"{short(self.c_y)}."
         )
 
 

@@ -434,10 +434,10 @@ class Certificate(SampledCertificate):
     def explain(self) -> str:
         """Say what the certificate proves."""
         return (
-            f"On this schedule the influence of the past decays at rate {short(self.eta)} per {self.plant.time_unit}"
-            f"{self._until()}: "
-            f"whatever the window start, the information kept is at least 1/{short(self.lam)} of the prior weight P2, "
-            f"so that a window longer than {short(self.horizon().minimum)} contracts." + self._beyond()
+            f"The plant is detectable with this schedule{self._until()}: past errors are discounted at rate "
+            f"{short(self.eta)} per {self.plant.time_unit}, and every window keeps information of at least "
+            f"1/{short(self.lam)} of the prior weight P2. The error bound of a moving horizon estimator contracts if "
+            f"its horizon is longer than {short(self.horizon().minimum)} {self.plant.time_unit}." + self._beyond()
         )
 
     def _beyond(self) -> str:

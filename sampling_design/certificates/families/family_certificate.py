@@ -79,8 +79,8 @@ class FamilyCertificate(SampledCertificate):
     def explain(self) -> str:
         """Say what the certificate proves."""
         return (
-            f"{self.family.explain()} On each of them the influence of the past decays at rate {short(self.eta)} per "
-            f"{self.plant.time_unit}: whatever the schedule and the window start, the information kept is at least "
-            f"1/{short(self.lam)} of the prior weight P2, so that a window longer than {short(self.horizon().minimum)} "
-            "contracts."
+            f"{self.family.explain()} The plant is detectable with each of them: past errors are discounted at rate "
+            f"{short(self.eta)} per {self.plant.time_unit}, and every window keeps information of at least "
+            f"1/{short(self.lam)} of the prior weight P2. The error bound of a moving horizon estimator contracts if "
+            f"its horizon is longer than {short(self.horizon().minimum)} {self.plant.time_unit}."
         )

@@ -82,7 +82,7 @@ class UnobservableModes(ListRecord[complex]):
             least = short(self.margin, 3)
             off = f"entries of A and C off by {least} of themselves could hide one"
             return f"Every mode is observable from some output ({off})."
-        return f"No output observes {self.describe()}."
+        return f"No output observes the eigenvalue {self.describe()}."
 
 
 @checked
@@ -130,7 +130,7 @@ def unobservable_modes(
     --------
     >>> modes = unobservable_modes(Plant([[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0]], states=["position", "velocity"]))
     >>> modes.explain()
-    'No output observes 0 along position.'
+    'No output observes the eigenvalue 0 along position.'
     """
     offset = None if decay_rate is None else checks.nonnegative("decay_rate", decay_rate) / 2
     tolerance = checks.positive("rtol", rtol)

@@ -119,8 +119,8 @@ class AccuracyAlong(AccuracyBracket):
         when = f"from {short(late.max())} {self.plant.time_unit} on " if late.size else ""
         return (
             f"At the {self.times.size} times looked at some estimator guarantees {when}{', '.join(parts)}; none "
-            f"guarantees less than {short(low, 4)}. Between them, and beyond the rule of the integrals, nothing is "
-            "proven."
+            f"guarantees less than {short(low, 4)}. Nothing is proven between these times, nor of the "
+            "error of numerical integration."
         )
 
 

@@ -173,8 +173,9 @@ class InclusionCertificate(SampledCertificate):
         """Say what the certificate proves."""
         unit = self.plant.time_unit
         return (
-            f"{self.family.explain()} For every plant of the model and each of these schedules the distance of two "
-            f"trajectories, weighed by P(tau), decays at rate {short(self.eta)} per {unit} but for what noise and "
-            f"samples show of it; a window longer than {short(self.horizon('arrival').minimum)} {unit} contracts with "
-            f"the arrival weight P(tau), longer than {short(self.horizon().minimum)} {unit} with P2."
+            f"{self.family.explain()} Every plant of the model is detectable with each of these schedules: the "
+            f"distance of two trajectories, weighed by P(tau), decays at rate {short(self.eta)} per {unit}, up to what "
+            "disturbances, noise and samples show of it. The error bound of a moving horizon estimator contracts if "
+            f"its horizon is longer than {short(self.horizon('arrival').minimum)} {unit} with the arrival weight "
+            f"P(tau), and than {short(self.horizon().minimum)} {unit} with P2."
         )

@@ -86,7 +86,10 @@ def first_hour():
 
 PAGE, HOUR, PROMISES = "journeys.md", "first_hour.md", r"All (\d+) promises held"
 ROWS = (
-    (r"\| (\d+) readings a week at a cost of (\d+) a week", engineer(r"(\d+) samples every 7 d for (\d+) keep")),
+    (
+        r"\| (\d+) readings a week at a cost of (\d+) a week",
+        engineer(r"(\d+) samples every 7 d, at a cost of (\d+),"),
+    ),
     (r"Next sample by Thu (\d+):00 \(strip\)", engineer(r"Next sample by Thu (\d+):00 \(strip\)")),
     (r"as table and picture \|\n\| `validate` \| (\d+) proven bounds", engineer(PROMISES)),
     (r"any (\d+) distinct times in 3 s .*; fewer than (\d+)", researcher(r"Any (\d+) distinct .*? than (\d+) never")),

@@ -19,7 +19,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import WantedRows
 from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.record import CurveRecord, Plain, PlainRecord, TableRecord, Variable, short
+from sampling_design.records.record import CurveRecord, Plain, PlainRecord, TableRecord, Variable, moment, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
 
@@ -214,20 +214,20 @@ class Accuracy(AccuracyBracket, CurveRecord):
         if self.schedule.endless:
             lines = [("samples per period", f"{len(self.schedule)} in {short(self.schedule.period)} {unit}")]
         else:
-            span = f"from {short(self.question.nodes[0])} to {short(self.question.end)} {unit}"
+            span = f"from {moment(self.question.nodes[0])} to {moment(self.question.end)} {unit}"
             lines = [("samples", f"{len(self.schedule)}, {span}")]
         if late := self.question.timing_tolerance:
             lines.append(("samples come", late.describe(unit)))
         if self.result_delay:
             lines.append(("results come after", self._delays()))
         for k, label in enumerate(self.rows.labels()):
-            text = f"{short(self.lower[k])} to {short(self.upper[k])}, worst at {short(self.worst[k])} {unit}"
+            text = f"{short(self.lower[k])} to {short(self.upper[k])}, worst at {moment(self.worst[k])} {unit}"
             if not np.isfinite(self.upper[k]):
                 text = f"without bound: {self._why()}"
             elif np.isinf(self.known_from[k]) and self.question.initial is not None:
                 text += ", at single times only"
             elif self.known_from[k] > self.question.nodes[0]:
-                text += f", unknown before {short(self.known_from[k])} {unit}"
+                text += f", unknown before {moment(self.known_from[k])} {unit}"
             lines.append((label, text + ("" if self.closed[k] else " (not closed)")))
             if self.offset[k]:
                 lines.append((f"offset of {label}", short(self.offset[k])))
@@ -276,7 +276,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
         if any(np.isinf(self.known_from[k]) for k in late):
             when = "Where the samples determine them"
         elif late:
-            when = f"From {short(max(self.known_from[k] for k in late))} {self.plant.time_unit} on"
+            when = f"From {moment(max(self.known_from[k] for k in late))} {self.plant.time_unit} on"
         if self.question.timing_tolerance:
             when += f", for samples {self.question.timing_tolerance.describe(self.plant.time_unit)}"
         if self.result_delay:

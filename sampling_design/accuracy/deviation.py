@@ -21,7 +21,7 @@ from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import PlainRecord, TableRecord, short
+from sampling_design.records.record import PlainRecord, TableRecord, moment, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -77,7 +77,7 @@ class StandardDeviation(TableRecord, PlainRecord):
         return [
             (
                 f"deviation of {label}",
-                f"{short(self.worst[k])} at {short(self.worst_at[k])} {unit}, {short(self.mean[k])} on average"
+                f"{short(self.worst[k])} at {moment(self.worst_at[k])} {unit}, {short(self.mean[k])} on average"
                 if np.isfinite(self.worst[k])
                 else "infinite",
             )

@@ -26,7 +26,7 @@ from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import Plain, PlainRecord, TableRecord, short
+from sampling_design.records.record import Plain, PlainRecord, TableRecord, moment, short
 from sampling_design.records.signatures import checked
 
 MOSTLY = 0.9  # share of a contradiction that the samples named with it make
@@ -90,14 +90,14 @@ class Disproof(PlainRecord):
     def _rows(self) -> list[tuple[str, str]]:
         unit = self.readings.plant.time_unit
         return [
-            ("samples at", f"{short(self.times)} {unit}"),
+            ("samples at", f"{moment(self.times)} {unit}"),
             ("all bounds", f"{short(self.factors['all'], 3)} times as large at least"),
             *((f"that on {k} alone", _grown(self.factors[k])) for k in ("w", "v")),
         ]
 
     def explain(self) -> str:
         """Say what contradicts what, and by how much."""
-        when = ", ".join(short(t) for t in self.times[:4])
+        when = ", ".join(moment(t) for t in self.times[:4])
         alone = ", ".join(f"that on {k} alone {_grown(self.factors[k])}" for k in ("w", "v"))
         return (
             f"The data contradict the bounds, most of all the samples at {when}: all bounds together would have to be "
@@ -286,7 +286,7 @@ class Interval(TableRecord, PlainRecord):
         return True
 
     _answers = (
-        "the values that data and bounds leave possible at {t} {plant.time_unit}",
+        "the values that data and bounds leave possible at {_moment} {plant.time_unit}",
         "proven: gains for each end",
         "{_half_widths}",
         "`.verify()`",
@@ -304,6 +304,9 @@ class Interval(TableRecord, PlainRecord):
             return [*lines, *self.disproof._rows()]
         ends = zip(self.rows.labels(), self.lower, self.upper, strict=True)
         return [*lines, *((label, f"{short(a)} to {short(b)}") for label, a, b in ends)]
+
+    def _moment(self) -> str:
+        return moment(self.t)
 
     def explain(self) -> str:
         """Say what the data prove."""

@@ -24,7 +24,7 @@ from sampling_design.plants.rows import WantedRows, wanted_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
-from sampling_design.records.record import PlainRecord, short
+from sampling_design.records.record import PlainRecord, moment, short
 from sampling_design.records.signatures import checked
 
 DISCOUNTS = np.geomspace(1e-3, 10.0, 13)  # Discounts of an ellipsoid over a mean gap that are tried
@@ -99,7 +99,7 @@ class Projection(PlainRecord):
         inner, outer, ellipse = self.areas()
         return [
             ("rows", " and ".join(self.names)),
-            ("t", f"{short(self.t)} {self.time_unit}"),
+            ("t", f"{moment(self.t)} {self.time_unit}"),
             ("area", f"{short(inner)} to {short(outer)}"),
             ("area of the ellipse", f"{short(ellipse)}, {short(ellipse / outer, 3)} times that"),
         ]
@@ -108,8 +108,9 @@ class Projection(PlainRecord):
         """Say how large the set is."""
         inner, outer, ellipse = self.areas()
         return (
-            f"At {short(self.t)} {self.time_unit} nobody can place {' and '.join(self.names)} better than within a set "
-            f"of area {short(inner, 4)} to {short(outer, 4)}; the ellipse of a quadratic cost has {short(ellipse, 4)}."
+            f"At {moment(self.t)} {self.time_unit} nobody can place {' and '.join(self.names)} better than within a "
+            f"set of area {short(inner, 4)} to {short(outer, 4)}; the ellipse of a quadratic cost has "
+            f"{short(ellipse, 4)}."
         )
 
 

@@ -14,7 +14,7 @@ from sampling_design.nonlinear.window_spread import smoothed_covariances
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 from sampling_design.records.declarations import Column
-from sampling_design.records.record import CurveRecord, TableRecord, Variable, short
+from sampling_design.records.record import CurveRecord, TableRecord, Variable, moment, short
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -90,7 +90,7 @@ class SmoothedWindow(TableRecord, CurveRecord):
     def explain(self) -> str:
         """Say what the window found."""
         return (
-            f"From {short(self.times[0])} to {short(self.times[-1])} {self.plant.time_unit}: the states that fit all "
+            f"From {moment(self.times[0])} to {moment(self.times[-1])} {self.plant.time_unit}: the states that fit all "
             f"samples of the window best, on {len(self.w)} pieces; at its end {short(self.x[-1])}."
         )
 

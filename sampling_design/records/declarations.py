@@ -21,6 +21,8 @@ Plain: TypeAlias = "str | float | bool | Sequence[Plain] | Mapping[str, Plain] |
 
 Column: TypeAlias = "Sequence[object] | npt.NDArray[np.generic]"  # one column of a table
 
+LARGE = 1e5  # of a time, in whatever unit: beyond it six digits leave less than a whole unit and a digit
+
 Converting = TypeVar("Converting")
 Held = TypeVar("Held")
 RecordClass = TypeVar("RecordClass")
@@ -152,6 +154,15 @@ def short(value: object, digits: int = 6) -> str:
     flat = numbers.ravel()
     shown = ", ".join(f"{v:.{digits}g}" for v in flat[:8])
     return f"[{shown}{', ...' if flat.size > 8 else ''}]"
+
+
+def moment(value: object) -> str:
+    """A time, or a short list of times, as text: six digits, of large ones a thousandth of their unit as well.
+
+    Where clocks count seconds from 1970 on, six digits are twenty minutes.
+    """
+    size = float(np.max(np.abs(np.asarray(value, dtype=float)), initial=0.0))
+    return short(value, min(int(np.log10(size)) + 4, 16) if LARGE <= size < np.inf else 6)
 
 
 _LETTERS = "αβγδεζηθικλμνξπρστυφχψωΓΔΘΛΞΠΣΦΨΩµ"

@@ -14,7 +14,7 @@ from sampling_design.errors import ArgumentError, CallError
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.declarations import Converted, frozen
-from sampling_design.records.record import ListRecord, Plain, counted, short
+from sampling_design.records.record import ListRecord, Plain, counted, moment, short
 from sampling_design.records.units import check_time_unit, time_factor
 
 MOST_TIMES = 20_000_000  # samples of an endless schedule that are listed at once, 160 MB of times
@@ -62,6 +62,9 @@ class _Sampled(ListRecord[float]):
         if not len(times):
             raise ArgumentError("`schedule` must have at least one sample: without one it has no longest gap.")
         return float(max(times[0], np.max(gaps, initial=0.0)))
+
+    def _moments(self) -> str:
+        return moment(self.times)  # type: ignore[attr-defined]
 
     def window(self, t: float, T: float) -> Schedule:
         """Return the samples in the closed window [t - T, t], times as they are."""
@@ -134,7 +137,7 @@ class Schedule(_Sampled):
     outputs: Converted[npt.ArrayLike | None, Mask | None] = None  # type: ignore[assignment]
 
     endless: ClassVar[Literal[False]] = False
-    _table = {"samples": "{__len__}", "times": "{times}", "time unit": "{time_unit:or -}"}
+    _table = {"samples": "{__len__}", "times": "{_moments}", "time unit": "{time_unit:or -}"}
 
     def __post_init__(self) -> None:
         times = checks.increasing("times", self.times, _GAPS_SLIP)
@@ -189,7 +192,7 @@ class Schedule(_Sampled):
         if not len(self):
             return "A schedule without samples."
         unit = f" {self.time_unit}" if self.time_unit else ""
-        return f"{counted(len(self), 'sample')} from {short(self.times[0])} to {short(self.times[-1])}{unit}."
+        return f"{counted(len(self), 'sample')} from {moment(self.times[0])} to {moment(self.times[-1])}{unit}."
 
 
 @frozen
@@ -242,7 +245,7 @@ class PeriodicSchedule(_Sampled):
     _table = {
         "samples per period": "{__len__}",
         "period": "{period}",
-        "times": "{times}",
+        "times": "{_moments}",
         "time unit": "{time_unit:or -}",
     }
 

@@ -19,7 +19,7 @@ from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.records.declarations import plain
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import Plain, TableRecord, short
+from sampling_design.records.record import Plain, TableRecord, moment, short
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import spoken
 from sampling_design.schedules.jitter import ON_TIME
@@ -128,8 +128,8 @@ class ScheduleLog(TableRecord):
         away = np.abs(self.deviations[self.match >= 0])
         typical = spoken(float(np.median(away)), unit) if away.size else "-"
         rows = [
-            ("missed", f"{self.missed.size}" + (f" at {short(self.missed)} {unit}" if self.missed.size else "")),
-            ("not planned", f"{self.extra.size}" + (f" at {short(self.extra)} {unit}" if self.extra.size else "")),
+            ("missed", f"{self.missed.size}" + (f" at {moment(self.missed)} {unit}" if self.missed.size else "")),
+            ("not planned", f"{self.extra.size}" + (f" at {moment(self.extra)} {unit}" if self.extra.size else "")),
             ("lacking an output", str(int(self.lacking.sum()))),
             ("largest deviation", spoken(self.largest_deviation, unit)),
             ("median deviation", typical),

@@ -18,7 +18,7 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Strength
 from sampling_design.records.journal import Journal
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import short
+from sampling_design.records.record import moment, short
 from sampling_design.records.workers import Workers
 from sampling_design.schedules.family import AnySchedule
 from sampling_design.validation.error_map import ErrorMap, build_error_map
@@ -110,7 +110,7 @@ class ValidationStudy:
         for t, mask in zip(self.line.times[self.line.samples], self.line.masks, strict=True):
             estimate = estimator.update(t, np.where(mask > 0, 0.0, np.nan))
             if not estimate.on_schedule:
-                note = f"At t = {short(t)}: {estimate.note}"
+                note = f"At t = {moment(t)}: {estimate.note}"
                 self._find("a-priori bounds and inequality (16)", "not checked", 1.0, np.nan, note=note, checked=False)
                 return None
         filtered = estimator.arrival_cost == "filtered"
@@ -188,7 +188,7 @@ class ValidationStudy:
         span = 3 * max(self.horizon, float(np.max(np.diff(self.line.times[self.line.samples]), initial=0.0)))
         source = "Assumption 7, equation (16)"
         look = worst_pair(self.line, self._certified, span)
-        where = f"at {short(look.time)} from {short(look.start)}"
+        where = f"at {moment(look.time)} from {moment(look.start)}"
         self._find("inequality (16)", "worst pair", 1.0, look.ratio, source=source, strength="attained", note=where)
 
     def _random(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
@@ -206,7 +206,7 @@ class ValidationStudy:
     def _worst_energy(self, found: ErrorMap, promise: Promise, scenario: str = "worst energy") -> None:
         worst = worst_energy(found, promise)
         again = measured(found, promise, promise.root, worst.inputs)
-        note = f"worst at {short(found.rows.times[worst.row])}; run forward: {short(again.promised[0])}"
+        note = f"worst at {moment(found.rows.times[worst.row])}; run forward: {short(again.promised[0])}"
         observed = max(worst.ratio, float(again.promised[0]))
         self._find("a-priori bound", scenario, 1.0, observed, source=promise.theorem, strength="attained", note=note)
 

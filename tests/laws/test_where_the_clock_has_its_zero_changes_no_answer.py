@@ -10,6 +10,7 @@ import sampling_design as sd
 from sampling_design.accuracy.readings import CensoredReading
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.online.curve import estimate_curve
+from sampling_design.records.record import moment
 from tests.cases import few
 
 PLANT = sd.Plant(
@@ -186,3 +187,29 @@ def test_records_that_do_not_belong_together_are_not_joined():
         rows.merged(sd.Measurements(PLANT, TIMES, rows.y + 1.0, rows.u))
     with pytest.raises(ArgumentError, match=r"`other` contradicts these measurements at 1\.25"):
         rows.merged(RECORDS["limits"])
+
+
+def test_times_that_count_from_1970_are_told_apart():
+    """Six digits of 1.7e9 s are half an hour; two instants of one record would read alike."""
+    plant, begin = sd.named_plant("oscillator"), 1.7e9
+    schedule = sd.Schedule([begin + 1.0, begin + 2.5], time_unit="s")
+    assert schedule.explain() == "2 samples from 1700000001 to 1700000002.5 s."
+    assert "[1700000001, 1700000002.5]" in str(schedule)
+    record = [(begin + 1.0, [0.3]), (begin + 2.5, [0.2])]
+    bounds = {"w_bound": 0.1, "v_bound": 0.1, "initial_error": 1.0}
+    interval = sd.state_interval(plant, record, prior_time=begin, **bounds)
+    estimator = sd.MovingHorizonEstimator(plant, horizon=5.0, **bounds)
+    estimate = estimator.run(record)[-1]
+    known = sd.guaranteed_accuracy(plant, schedule, start=begin, end=begin + 4.0, **bounds)
+    for said in (
+        str(interval),
+        str(estimate),
+        estimate.explain(),
+        str(sd.window_sigma(plant, schedule, 1.6)),
+        str(known),
+    ):
+        assert "1.7e+09" not in said
+        assert "170000000" in said
+    assert moment(123.456789) == "123.457"
+    assert moment(1e5) == "100000"
+    assert moment([1e17, np.inf]) == "[1e+17, inf]"

@@ -14,7 +14,7 @@ from sampling_design.numerics.filtering import measurement_update, propagate
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.records.record import TableRecord, short
+from sampling_design.records.record import TableRecord, moment, short
 from sampling_design.records.signatures import checked
 
 
@@ -46,15 +46,15 @@ class InformationCurve(TableRecord):
     def _rows(self) -> list[tuple[str, str]]:
         at = int(np.argmin(self.least))
         return [
-            ("window from", f"{short(self.start)} {self.time_unit}"),
-            ("least", f"{short(self.least[at])} at {short(self.t[at])} {self.time_unit}"),
-            ("until", f"{short(self.t[-1])} {self.time_unit}"),
+            ("window from", f"{moment(self.start)} {self.time_unit}"),
+            ("least", f"{short(self.least[at])} at {moment(self.t[at])} {self.time_unit}"),
+            ("until", f"{moment(self.t[-1])} {self.time_unit}"),
         ]
 
     def explain(self) -> str:
         """Say how near the window comes to the promise."""
         return (
-            f"From {short(self.start)} to {short(self.t[-1])} {self.time_unit} the window keeps at least "
+            f"From {moment(self.start)} to {moment(self.t[-1])} {self.time_unit} the window keeps at least "
             f"{short(self.least.min())} times the information that the certificate promises."
         )
 

@@ -17,7 +17,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 from sampling_design.records.declarations import plain
-from sampling_design.records.record import Plain, PlainRecord, short
+from sampling_design.records.record import Plain, PlainRecord, moment, short
 
 Status = Literal["prior", "ok", "predicted", "infeasible", "solver failed", "bounds disproved"]
 """How an estimate came about.
@@ -153,7 +153,7 @@ class Estimate(PlainRecord):
 
     _plain = "t x radii radius status cost certified on_schedule note contradiction"
     _table = {
-        "t": "{t}",
+        "t": "{_moment}",
         "x": "{x}",
         "radii": "{radii}",
         "status": "{status}",
@@ -265,10 +265,13 @@ class Estimate(PlainRecord):
             return np.nan
         return square / self.radius if self.radius > 0 else (0.0 if square == 0 else np.inf)
 
+    def _moment(self) -> str:
+        return moment(self.t)
+
     def explain(self) -> str:
         """Say what this estimate promises."""
         radii = self.radii  # before the status: what they disprove stands in it
-        text = f"At {short(self.t)} the state is {short(self.x)} ({self.status})."
+        text = f"At {moment(self.t)} the state is {short(self.x)} ({self.status})."
         if np.isfinite(radii).any():
             text += f" It is within {short(radii)} of the truth, state by state, if the given bounds hold."
         else:

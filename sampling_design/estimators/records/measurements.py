@@ -32,7 +32,7 @@ from sampling_design.records import checks, file_io
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
 from sampling_design.records.declarations import Column
-from sampling_design.records.record import ListRecord, counted, short
+from sampling_design.records.record import ListRecord, counted, moment
 from sampling_design.records.signatures import checked
 from sampling_design.records.units import SECONDS
 
@@ -306,7 +306,7 @@ class Measurements(ListRecord[MeasuredRow]):
     def _rows(self) -> list[tuple[str, str]]:
         counts = np.sum(self.measured, axis=0)
         per_output = ", ".join(f"{n}: {c}" for n, c in zip(self.plant.outputs.names, counts, strict=True))
-        span = f"{short(self.times.min())} to {short(self.times.max())} {self.plant.time_unit}" if len(self) else "-"
+        span = f"{moment(self.times.min())} to {moment(self.times.max())} {self.plant.time_unit}" if len(self) else "-"
         return [("rows", str(len(self))), ("time", span), ("measured", per_output), ("origin", self.origin or "-")] + (
             [("dates without a zone", f"read in {self.assumed_zone}")] if self.assumed_zone else []
         )

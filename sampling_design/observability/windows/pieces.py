@@ -14,7 +14,7 @@ import numpy as np
 
 from sampling_design.errors import ArgumentError
 from sampling_design.records.arrays import Array, Integers, Mask
-from sampling_design.records.record import Record, counted, short
+from sampling_design.records.record import Record, counted, moment, short
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -58,7 +58,7 @@ class WindowWitness(Record):
     @property
     def position(self) -> str:
         """The end of the window in words, such as 'just after 3'."""
-        return {"at": "", "after": "just after ", "before": "just before "}[self.side] + short(self.t)
+        return {"at": "", "after": "just after ", "before": "just before "}[self.side] + moment(self.t)
 
     def explain(self) -> str:
         """Say which window it is and what it sees least."""

@@ -24,7 +24,7 @@ from sampling_design.records.arrays import Array, Integers
 from sampling_design.records.declarations import Column
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
-from sampling_design.records.record import CurveRecord, Plain, TableRecord, Variable, counted, short
+from sampling_design.records.record import CurveRecord, Plain, TableRecord, Variable, counted, moment, short
 from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
@@ -106,7 +106,7 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
     _refers_to = "the state at the window's start"
 
     _answers = (
-        "the least sigma over every window of {window} {time_unit} along a schedule, from {from_time} {time_unit} on",
+        "the least sigma over every window of {window} {time_unit} along a schedule, from {_since} {time_unit} on",
         "{_grounds}",
         SigmaBracket._good,
         SigmaBracket._balls.format(at="`.witness`"),
@@ -160,6 +160,9 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
     def _late(self) -> str | None:
         return self.late.describe(self.time_unit) if self.late else None
 
+    def _since(self) -> str:
+        return moment(self.from_time)
+
     def explain(self) -> str:
         """Say what was proven, where the worst window is, and why a bracket did not close."""
         samples = counted(self.witness.samples.size, "sample")
@@ -181,7 +184,7 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
                 f"Sigma falls to {short(self.upper)} among the windows of {length} that were looked at; nothing is "
                 f"proven, as A is a function of time and no table. {where}."
             )
-        later = f" from {short(self.from_time)} {self.time_unit} on" if self.from_time else ""
+        later = f" from {self._since()} {self.time_unit} on" if self.from_time else ""
         later += f", for samples {self._late()}" if self.late else ""
         proven = f"Sigma is at least {short(self.lower)} over every window of {length}{later} ({self._grounds})"
         return self._concluded(proven, where, _REASONS)

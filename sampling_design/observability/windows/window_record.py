@@ -124,7 +124,7 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
         wider = f", samples in [t - T - {self.slack:.3g}, t + {self.slack:.3g}]" if self.slack else ""
         return Claim(
             f"sigma_n(O_s e^(-A(t-T))) >= {short(self.lower)} for every real window end t >= T + "
-            f"{short(self.from_time)}, T = {short(self.window)}{wider}",
+            f"{moment(self.from_time)}, T = {short(self.window)}{wider}",
             theorem="Theorem 14, hypothesis" + (", in ball arithmetic" if self.rigorous else ""),
             assumptions=(
                 f"the plant's matrices are exact, samples are {self._late()}"

@@ -103,7 +103,7 @@ class Bench:
             self.problem = posed = pose_plan(plant, requirement)
             w_bound, v_bound = requirement.w_bound, np.where(np.isfinite(posed.v_bound), posed.v_bound, 1.0)
             requirement = Requirement(
-                period=posed.period, time_unit=plant.time_unit, timing_tolerance=posed.timing_tolerance
+                period=posed.period, time_unit=plant.time_unit, timing_tolerance=posed.timing_tolerance.plain
             )
         given = in_unit(requirement or Requirement(), plant.time_unit)
         self.asked = given.timing_tolerance

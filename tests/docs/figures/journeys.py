@@ -97,7 +97,10 @@ ROWS = (
         rf"\\ge{NUMBER}\$ is proven, and no schedule has more than {NUMBER}: the gap is at most {NUMBER} %",
         researcher(rf"sigma >= {NUMBER}; no .*? exceed {NUMBER}, so at most {NUMBER} %"),
     ),
-    (rf"rate {NUMBER} per s, horizon {NUMBER} s", researcher(rf"discounted at rate {NUMBER} .*? longer than {NUMBER} s")),
+    (
+        rf"rate {NUMBER} per s, horizon {NUMBER} s",
+        researcher(rf"discounted at rate {NUMBER} .*? longer than {NUMBER} s"),
+    ),
     (
         rf"position can be known within {NUMBER}, and no estimator can guarantee less than {NUMBER}",
         researcher(rf"guarantees x\[0\] within {NUMBER}, .*? less than \[{NUMBER},"),

@@ -180,13 +180,13 @@ what lies between its row and the one on time.""",
             "schedule shows more than is the bound of a design in which all results come as soon as the quickest.",
         ),
         Table(
-            ("claims of small random plans", "flown", "broken", "within 5 %", "median"),
+            ("claims of small random plans", "simulated", "broken", "within 5 %", "median"),
             ["followed", "one late", "one lost", "one lost, attained", "one lost, bound", "two lost"],
             flown,
             "Truths of 120 plans (one to three states, one or two outputs, results at once, later or within a range, "
             "samples up to a fifth of the grid early or late) by a linear program, results at the latest and real "
-            "times that a search finds worst. The median is of the error as flown over the claim. What a plan bears "
-            "within its tolerance (one late, one lost, two lost) is bounded no closer than that asks; the loss of a "
+            "times that a search finds worst. The median is of the largest error over the claim. What is claimed "
+            "within the tolerance (one late, one lost, two lost) is bounded no closer than that asks; the loss of a "
             "sample that breaks it is attained.",
         ),
     ],

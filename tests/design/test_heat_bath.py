@@ -66,7 +66,7 @@ def test_what_is_seen_of_a_place_is_newtons_step_towards_the_least_eigenvalue_of
     spots = np.sort(np.array([d + h for d in range(4) for h in (0.0, 0.13, 0.29, 0.6, 0.71, 0.93)]))
     bath = HeatBath(case, case.turning, spots, unit=2.0)
     others = np.sort(rng.choice(spots, 6, replace=False) + 0.003)
-    seen = bath.least_eigenvalues(others, *bath.rows(others), np.arange(bath.places.size))
+    seen = bath.least_eigenvalues(others, *bath.rows(others))
     assert seen.shape == (spots.size, 7)
     t = min(np.linalg.eigvalsh(plain(case, others, a))[0] for a in others) - heat_bath._BELOW * 2.0
     for place, found in zip(spots, seen, strict=True):
@@ -81,9 +81,7 @@ def test_of_one_state_the_step_is_the_eigenvalue_itself():
     case = problem(Plant([[0.0]], [[2.0]]), 3, 5)
     bath = HeatBath(case, case.turning, np.array([0.1, 0.7, 1.1, 2.9]), unit=1.0)
     others = np.array([0.0, 0.2, 1.2, 2.2])
-    np.testing.assert_allclose(
-        bath.least_eigenvalues(others, *bath.rows(others), np.arange(bath.places.size)), 20.0, rtol=1e-12
-    )
+    np.testing.assert_allclose(bath.least_eigenvalues(others, *bath.rows(others)), 20.0, rtol=1e-12)
 
 
 @pytest.mark.parametrize("plant", few([ALONE, MIXED], 0))

@@ -28,7 +28,7 @@ from sampling_design.design.bounds.relaxation import Relaxation
 from sampling_design.design.bounds.zones import least_shift
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.turning import TurningWindows
-from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import ENDLESS, Budget
 
 Valued = tuple[float, Array]
@@ -101,6 +101,8 @@ class HeatBath:
     def __init__(self, problem: DesignProblem, turning: TurningWindows, places: Array, unit: float) -> None:
         self.problem, self.turning, self.places, self.unit = problem, turning, places, unit
         self.early, self.late = self.rows(places)
+        self._forms = np.hstack([_products(self.early), _products(self.late)])
+        self._upper = np.triu_indices(self.early.shape[-1])
 
     @property
     def steps(self) -> int:
@@ -115,42 +117,49 @@ class HeatBath:
         shape = (times.size, -1, every.shape[-1])
         return every[:, :-1].reshape(shape), every[:, 1:].reshape(shape)
 
-    def least_eigenvalues(self, others: Array, early: Array, late: Array, free: Index) -> Array:
-        """(m, k) at most the least eigenvalue of each window, one more sample at each of the `free` places.
+    def least_eigenvalues(self, others: Array, early: Array, late: Array) -> Array:
+        """(m, k) at most the least eigenvalue of each window, one more sample at each of the places.
 
         The windows begin just before each of the `others` (k - 1 of them, sorted, with their rows), and before it.
         """
-        n = early.shape[-1]
-        squares, moved = _squares(early), _squares(late)
-        W = np.concatenate([np.zeros((1, n, n)), np.cumsum(moved - squares, axis=0)]) + squares.sum(axis=0)
+        n, k = early.shape[-1], others.size
+        squares = _squares(early)
+        W = np.empty((k + 1, n, n))
+        W[0] = squares.sum(axis=0)
+        np.add(W[0], np.cumsum(_squares(late) - squares, axis=0), out=W[1:])
         least = float(np.linalg.eigvalsh(W)[:, 0].min()) - _BELOW * self.unit
         inverse = np.linalg.inv(W - least * np.eye(n))
-        places, before_it, behind_it = self.places[free], self.early[free], self.late[free]
-        behind = np.searchsorted(others, places)
-        before = others[:, None] <= places
-        X = np.where(before[:, :, None, None], before_it, behind_it)
-        traces = np.concatenate([_traces(inverse[:-1], X), _traces(inverse[behind], before_it[:, None]).T])
-        return np.asarray(least + 1 / traces.T)
+        both = np.concatenate([inverse, inverse @ inverse])[:, *self._upper]
+        forms = (both @ self._forms).reshape(2, k + 1, 2, -1, self.places.size)
+        before_it, behind_it = forms[:, :, 0], forms[:, :, 1]
+        behind = np.searchsorted(others, self.places)
+        forms = np.where(np.arange(k)[:, None, None] < behind, before_it[:, :-1], behind_it[:, :-1])
+        own = before_it[:, behind, :, np.arange(self.places.size)].transpose(1, 2, 0)[:, None]
+        traces = np.trace(inverse, axis1=1, axis2=2)
+        before = np.concatenate([np.repeat(traces[:-1, None], self.places.size, axis=1), traces[behind][None]])
+        return np.asarray(least + 1 / _traces(before, np.concatenate([forms, own], axis=1)).T)
 
     def room(self, others: Array) -> Mask:
-        """Which of the places keep the spacing."""
+        """(m, k) which of the places keep the spacing from each."""
         period = self.problem.period
         away = np.abs((self.places[:, None] - others + period / 2) % period - period / 2)
-        return np.asarray(away.min(axis=1) >= self.problem.gap)
+        return np.asarray(away >= self.problem.gap)
 
     def run(self, times: Array, rng: np.random.Generator, steps: int, budget: Budget = ENDLESS) -> list[Valued]:
         """The best few schedules of a number of steps from `times`, the best first, with about their sigma^2."""
         kept: list[Valued] = []
-        early, late = self.rows(times)
+        known = np.concatenate([times, self.places])  # what a schedule is chosen from, by its number
+        early, late = (np.concatenate(pair) for pair in zip(self.rows(times), (self.early, self.late), strict=True))
+        room, chosen = self.room(known), np.arange(times.size)
         for step in range(steps):
             if budget.over:
                 break
-            rest = np.arange(times.size) != rng.integers(times.size)
-            others = times[rest]
-            free = np.flatnonzero(self.room(others))
+            rest = np.delete(chosen, rng.integers(times.size))
+            others = known[rest]
+            free = np.flatnonzero(room[:, rest].all(axis=1))
             if not free.size:
                 continue
-            seen = self.least_eigenvalues(others, early[rest], late[rest], free) / self.unit
+            seen = self.least_eigenvalues(others, early[rest], late[rest])[free] / self.unit
             least = seen.min(axis=1)
             soft = least - np.log(np.exp(-_SHARPNESS * (seen - least[:, None])).sum(axis=1)) / _SHARPNESS
             heat = _WARM * (_COOL / _WARM) ** (step / steps) / times.size
@@ -158,13 +167,11 @@ class HeatBath:
             drawn = int(np.searchsorted(odds, rng.uniform() * odds[-1], side="right"))
             place, value = free[drawn], float(least[drawn])
             at = int(np.searchsorted(others, self.places[place]))
-            times = np.insert(others, at, self.places[place])
-            early = np.insert(early[rest], at, self.early[place], axis=0)
-            late = np.insert(late[rest], at, self.late[place], axis=0)
-            alike = [known for known, _ in kept if abs(known - value) <= _ALIKE]
-            if all(value > known for known in alike):
+            chosen = np.concatenate([rest[:at], [times.size + place], rest[at:]])
+            alike = [one for one, _ in kept if abs(one - value) <= _ALIKE]
+            if all(value > one for one in alike):
                 kept = [one for one in kept if one[0] not in alike]
-                kept = sorted([*kept, (value, times)], key=lambda one: -one[0])[:_KEPT]
+                kept = sorted([*kept, (value, known[chosen])], key=lambda one: -one[0])[:_KEPT]
         return kept
 
 
@@ -172,14 +179,29 @@ def _squares(rows: Array) -> Array:
     return np.asarray(np.swapaxes(rows, -1, -2) @ rows)
 
 
-def _traces(inverse: Array, X: Array) -> Array:
-    """(b, m) the trace of (A + X'X)^{-1}, `inverse` (b, n, n) that of A and X (b, m, q, n)."""
-    Y = (X.reshape(X.shape[0], -1, X.shape[-1]) @ inverse).reshape(X.shape)
-    traces = np.broadcast_to(np.trace(inverse, axis1=1, axis2=2)[:, None], X.shape[:2])
-    for r in range(X.shape[2]):
-        x, y = X[:, :, r], Y[:, :, r]
-        grown = 1 + np.einsum("bmi,bmi->bm", x, y)
-        traces = traces - np.einsum("bmi,bmi->bm", y, y) / grown
-        mixed = np.einsum("bmsi,bmi->bms", X[:, :, r + 1 :], y) / grown[..., None]
-        Y[:, :, r + 1 :] -= mixed[..., None] * y[:, :, None]
+def _products(X: Array) -> Array:
+    """What makes x'Mx of all pairs of rows of X (m, q, n) out of the upper triangle of M, (n (n + 1) / 2, pairs m)."""
+    m, q, n = X.shape
+    i, j = np.triu_indices(n)
+    r, s = np.triu_indices(q)
+    mixed = X[:, r][..., i] * X[:, s][..., j] + X[:, s][..., i] * X[:, r][..., j]
+    return np.asarray((mixed * np.where(i == j, 0.5, 1.0)).transpose(2, 1, 0).reshape(i.size, r.size * m))
+
+
+def _traces(traces: Array, forms: Array) -> Array:
+    """(k, m) the trace of (A + X'X)^{-1}, given that of A^{-1} and forms (2, k, pairs, m).
+
+    Those are x'A^{-1}x and x'A^{-2}x for all pairs of rows of X, which are eliminated one after the other.
+    """
+    q = (round((8 * forms.shape[2] + 1) ** 0.5) - 1) // 2
+    pairs = [(r, s) for r in range(q) for s in range(r, q)]
+    once, twice = ({pair: part[:, k] for k, pair in enumerate(pairs)} for part in forms)
+    for r in range(q):
+        grown = 1 + once[r, r]
+        traces = traces - twice[r, r] / grown
+        share = {s: once[r, s] / grown for s in range(r + 1, q)}
+        for s, t in [pair for pair in pairs if pair[0] > r]:
+            once[s, t] = once[s, t] - share[s] * once[r, t]
+            mixed = share[s] * twice[r, t] + share[t] * twice[r, s]
+            twice[s, t] = twice[s, t] - mixed + share[s] * share[t] * twice[r, r]
     return traces

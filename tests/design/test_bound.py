@@ -11,7 +11,7 @@ from sampling_design.design.bounds.evidence import BoundPart, UpperBound
 from sampling_design.design.bounds.local_bound import local_bound, relax_local
 from sampling_design.design.bounds.tied_windows import tied_windows
 from sampling_design.design.bounds.zone_bound import relax_zones, zone_bound
-from sampling_design.design.bounds.zones import begins, least_shift, origin_zones, tightened, zoned
+from sampling_design.design.bounds.zones import begins, origin_zones, tightened, zoned
 from sampling_design.design.problem.numbers import DesignProblem
 from tests.cases import few
 from tests.oracles.design import random_schedule, window_sigma_scan
@@ -66,7 +66,7 @@ def near(case, times, side, origin=None):
     """A box of zones that holds the schedule counted from its origin, and little else."""
     origin = origin_of(case, times, side) if origin is None else origin
     counted = np.concatenate([times[origin:], times[:origin] + case.period])
-    if least_shift(case) == 0:
+    if case.least_shift == 0:
         counted = counted - counted[0]
     zones = origin_zones(case, side)
     return tightened(case, np.clip(np.stack([counted - 0.1, counted + 0.2], axis=1), zones[:, :1], zones[:, 1:]), side)
@@ -128,7 +128,7 @@ def test_zones_bound_schedules_with_closed_times_where_they_are(forbidden):
         tried += 1
         for side in ("late", "early"):
             origin = origin_of(case, times, side)
-            shift = least_shift(case) * np.floor((times[origin] - begins(case, side)) / least_shift(case) + 1e-9)
+            shift = case.least_shift * np.floor((times[origin] - begins(case, side)) / case.least_shift + 1e-9)
             moved = times - shift  # allowed there too: what is forbidden repeats
             zones = near(case, moved, side, origin)
             assert plain_sum(case, starts, Z, np.mod(moved, 4.0)) <= zone_bound(case, starts, Z, zones) ** 2 * (

@@ -8,7 +8,6 @@ from sampling_design.design.bounds.zones import (
     begins,
     covered,
     halves,
-    least_shift,
     origin_zones,
     region_of,
     regions,
@@ -77,7 +76,7 @@ DAYS = np.array([[0.0, 0.3], [0.8, 1.3], [1.8, 2.3], [2.8, 3.3], [3.8, 4.0]])
 )
 def test_a_requirement_may_be_turned_by_what_its_allowed_times_repeat_after(changes, shift):
     case = problem(**changes)
-    assert least_shift(case) == pytest.approx(shift)
+    assert case.least_shift == pytest.approx(shift)
     origin = begins(case, "late")
     assert origin_zones(case, "late")[0] == pytest.approx([origin, max(origin, origin + shift - case.shut)], abs=1e-9)
 

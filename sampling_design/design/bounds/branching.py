@@ -17,7 +17,7 @@ import numpy as np
 from sampling_design.design.bounds.evidence import BoundPart, UpperBound, chosen_in, local_part, zone_part
 from sampling_design.design.bounds.tied_windows import growth_rate
 from sampling_design.design.bounds.zone_bound import NARROW, matters
-from sampling_design.design.bounds.zones import Side, halves, least_shift, regions, sides, tightened, zoned
+from sampling_design.design.bounds.zones import Side, halves, regions, sides, tightened, zoned
 from sampling_design.design.problem.choices import affordable_choices
 from sampling_design.design.problem.feasible import changed
 from sampling_design.design.problem.numbers import DesignProblem
@@ -140,7 +140,7 @@ def _rooted(
         return None
     tree = _BoxTree(enough, budget)
     for root in best:
-        if least_shift(problem) == 0 and root.part.side != "sorted" and len(posed) == 1:
+        if problem.least_shift == 0 and root.part.side != "sorted" and len(posed) == 1:
             tree.split_by_lateness(root, progress)
         else:
             tree.keep(root)

@@ -16,7 +16,6 @@ from sampling_design.design.bounds.zones import (
     Side,
     begins,
     covered,
-    least_shift,
     region_of,
     regions,
     sides,
@@ -387,7 +386,7 @@ def first_bound(problem: DesignProblem, placed: Relaxation, budget: Budget = END
     found = [(placed_part(problem, placed, budget),), *_placed_by_itself(problem)]
     slow = slow_part(problem, budget)
     found += [] if slow is None else [(slow,)]
-    if zoned(problem) and least_shift(problem) == 0 and not budget.over:
+    if zoned(problem) and problem.least_shift == 0 and not budget.over:
         many = problem.plant.n_states > MANY_STATES  # one side of zones, and of it the windows that matter anyway
         hints = matters(problem, placed) if many else None
         for side in sides(problem)[: 1 if many else 2] if sides(problem) != ("sorted",) else ():

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sampling_design.design.bounds.zones import least_shift
 from sampling_design.design.problem.gram import lags
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.numerics import conic_programs
@@ -70,7 +69,7 @@ def relax_placed(problem: DesignProblem, points: int | None = None, seconds: flo
     Cut short after `seconds`; multipliers of any quality prove a bound.
     """
     if repeating(problem):
-        return _relax_repeating(problem, least_shift(problem), points, seconds)
+        return _relax_repeating(problem, problem.least_shift, points, seconds)
     times, mask, starts, linear = relaxation_grid(problem, points)
     if seconds is not None and seconds <= 0:
         return unsolved(problem, times, starts)
@@ -82,7 +81,7 @@ def relax_placed(problem: DesignProblem, points: int | None = None, seconds: flo
 
 def repeating(problem: DesignProblem) -> bool:
     """Whether what is allowed repeats within the period, and nothing else tells one repetition from another."""
-    return not problem.fixed.size and problem.chosen is None and 0 < least_shift(problem) < problem.period
+    return not problem.fixed.size and problem.chosen is None and 0 < problem.least_shift < problem.period
 
 
 def _relax_repeating(problem: DesignProblem, shift: float, points: int | None, seconds: float | None) -> Relaxation:

@@ -3,7 +3,7 @@
 Let s_i be the samples of an endless schedule, k to a period P, and D_i = s_i - i P/k: how late sample i is
 against even spacing. D repeats after k samples. From the sample where D is least, follower j comes after
 j P/k or more, for every j at once (the cycle lemma); from the sample where D is largest, after j P/k or
-less. That sample is the origin: sample 0. Where the requirement may be shifted by `least_shift`, the origin lies
+less. That sample is the origin: sample 0. Where the requirement may be shifted by its `least_shift`, the origin lies
 in [0, that] from where the problem's periods begin (`DesignProblem.origin`), at 0 alone if it may be shifted at will.
 Where it may not be shifted by less than a period, or times are fixed, samples are "sorted": counted from the first of
 that period, or from the first fixed one in it, and every way to share out the others between the fixed ones is a region
@@ -27,7 +27,6 @@ Side = Literal["late", "early", "sorted"]
 MOST_REGIONS = 64  # ways to share out samples between fixed times beyond which zones are not tried
 TINY = 1e-12  # slack of every zone, in periods: rounding in a schedule's times cannot carry a sample out of its zone
 _EMPTY = 1e-9  # zones that miss each other by more than this share of the period hold no schedule
-_SAME = 1e-9  # of the period: what is allowed may differ so near to an end, and still counts as repeating
 
 
 def zoned(problem: DesignProblem) -> bool:
@@ -38,29 +37,9 @@ def zoned(problem: DesignProblem) -> bool:
 
 def sides(problem: DesignProblem) -> tuple[Side, ...]:
     """From which sample the others can be counted."""
-    if problem.fixed.size > (1 if _open(problem) else 0) or least_shift(problem) == problem.period:
+    if problem.fixed.size > (1 if problem.least_shift == 0 else 0) or problem.least_shift == problem.period:
         return ("sorted",)
     return ("late", "early")
-
-
-def _open(problem: DesignProblem) -> bool:
-    """Whether every time is allowed for every output."""
-    return not problem.forbidden.size and all(a is None for a in problem.available)
-
-
-def least_shift(problem: DesignProblem) -> float:
-    """The least shift after which the same times are allowed: 0 where all are, else a fraction of the period."""
-    if _open(problem):
-        return 0.0
-    P, edges = problem.period, problem.breakpoints
-    for parts in range(edges.size, 1, -1):
-        shift = P / parts
-        joint = np.unique(np.concatenate([edges, np.mod(edges - shift, P)]))
-        joint = joint[np.append(np.diff(joint), P - joint[-1]) > _SAME * P]
-        inner = (joint + np.append(joint[1:], P)) / 2
-        if np.array_equal(problem.mask(inner), problem.mask(inner + shift)):
-            return float(shift)
-    return P
 
 
 def regions(problem: DesignProblem, side: Side) -> list[Array]:
@@ -87,14 +66,14 @@ def origin_zones(problem: DesignProblem, side: Side) -> Array:
     first, last = j * problem.spacing, P - (k - j) * problem.spacing
     even = j * (P / k)
     low, high = (even, last) if side == "late" else (first, even)
-    low, high = np.minimum(low, high), np.maximum(low, high) + least_shift(problem)
-    low[0], high[0] = 0.0, max(least_shift(problem) - problem.shut, 0.0)
+    low, high = np.minimum(low, high), np.maximum(low, high) + problem.least_shift
+    low[0], high[0] = 0.0, max(problem.least_shift - problem.shut, 0.0)
     return np.stack([low - TINY * P, high + TINY * P], axis=1) + begins(problem, side)
 
 
 def begins(problem: DesignProblem, side: Side) -> float:
     """The time from which zones are counted: 0 where the requirement may be shifted at will."""
-    return problem.origin if side == "sorted" or least_shift(problem) > 0 else 0.0
+    return problem.origin if side == "sorted" or problem.least_shift > 0 else 0.0
 
 
 def _shared_out(samples: int, fixed: int) -> Iterator[tuple[int, ...]]:
@@ -132,7 +111,7 @@ def tightened(problem: DesignProblem, zones: Array, side: Side) -> Array | None:
     even, apart, room = order * (P / k), order * gap, P - (k - order) * gap
     low, high = zones[:, 0].copy(), zones[:, 1].copy()
     for _ in range(2):  # what one sample loses its neighbours lose; a second round finds most of the rest
-        if not _open(problem):
+        if problem.least_shift > 0:  # not every time is allowed for every output
             kinds, which = problem.kinds
             for kind, outputs in enumerate(kinds):
                 same = which == kind

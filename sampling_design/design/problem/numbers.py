@@ -19,6 +19,7 @@ _COUNTED = 10**15  # where there is room for more samples than that, nobody asks
 SLACK = 1e-9  # relative: gaps are designed this much wider than asked, so that rounding cannot break them
 ON_AN_END = 1e-11  # of the period: what lies so near to a time at which something opens or closes lies on it
 _JUST_SO = 5e-12  # of the period: what canonical units may round
+_SAME = 1e-9  # of the period: what is allowed may differ so near to an end, and still counts as repeating
 _TURNED = 2.0**30  # parts of a period: times that lie nearer to each other lie together
 
 
@@ -96,6 +97,21 @@ class DesignProblem:
         spans = [self.forbidden, *(a for a in self.available if a is not None)]
         points = np.concatenate([np.array([0.0, self.period]), *(s.ravel() for s in spans)])
         return np.unique(np.clip(points, 0.0, self.period))
+
+    @cached_property
+    def least_shift(self) -> float:
+        """The least shift after which the same times are allowed: 0 where all are, else a fraction of the period."""
+        if not self.forbidden.size and all(a is None for a in self.available):
+            return 0.0
+        P, edges = self.period, self.breakpoints
+        for parts in range(edges.size, 1, -1):
+            shift = P / parts
+            joint = np.unique(np.concatenate([edges, np.mod(edges - shift, P)]))
+            joint = joint[np.append(np.diff(joint), P - joint[-1]) > _SAME * P]
+            inner = (joint + np.append(joint[1:], P)) / 2
+            if np.array_equal(self.mask(inner), self.mask(inner + shift)):
+                return float(shift)
+        return P
 
     def mask(self, times: Array) -> Mask:
         """Which outputs may be measured at `times` (any shape, mod period): shape (*times.shape, p)."""

@@ -36,15 +36,21 @@ class TurningWindows:
         whole = ratio > 1 - WHOLE and abs(ratio - round(ratio)) <= WHOLE * ratio
         return cls(plant, window, period) if whole and stretch <= _STRETCH else None
 
-    def rows(self, times: Array, mask: Mask) -> tuple[Array, Array]:
-        """Rows C e^{As} and their derivatives, (*times.shape, p, n), zero where `mask` says that nothing is seen."""
+    def rows(self, times: Array, mask: Mask) -> Array:
+        """Rows C e^{As}, (*times.shape, p, n), zero where `mask` says that nothing is seen."""
+        return np.asarray((self._turned(times, mask) @ self.modes.conj().T).real)
+
+    def _turned(self, times: Array, mask: Mask) -> Array:
         turned = self.outputs * np.exp(1j * self.speeds * times[..., None])[..., None, :] * mask[..., None]
-        back = self.modes.conj().T
-        return (turned @ back).real, ((turned * (1j * self.speeds)) @ back).real
+        return np.asarray(turned)
 
     def grams(self, times: Array, mask: Mask) -> Array:
         """(B, k, n, n) of the windows of each schedule (B, k) of sorted times."""
-        seen = [_squares(self.rows(times + r * self.period, mask)[0]) for r in range(self.repeats + 1)]
+        return self._windows([self.rows(times + r * self.period, mask) for r in range(self.repeats + 1)])
+
+    def _windows(self, rows: list[Array]) -> Array:
+        """The Gram matrices of the windows, of the rows of each repetition."""
+        seen = [_squares(each) for each in rows]
         first = np.sum(seen[:-1], axis=(0, 2))[:, None]
         moved = np.cumsum((seen[-1] - seen[0])[:, :-1], axis=1)
         return np.concatenate([first, first + moved], axis=1)
@@ -64,7 +70,10 @@ class TurningWindows:
 
         A smooth function below the least eigenvalue: it comes as near as log(k n)/sharpness.
         """
-        values, vectors = np.linalg.eigh(self.grams(times[None], mask[None])[0])
+        turned = [self._turned(times + r * self.period, mask) for r in range(self.repeats + 1)]
+        back = self.modes.conj().T
+        rows = [(each @ back).real for each in turned]
+        values, vectors = np.linalg.eigh(self._windows([each[None] for each in rows])[0])
         least = float(values.min())
         shares = np.exp(-sharpness * (values - least))
         total = float(shares.sum())
@@ -73,7 +82,7 @@ class TurningWindows:
         every, after = later[0], np.concatenate([later[1:], np.zeros_like(M[:1])])  # windows that begin behind it
         slope = np.zeros(times.size)
         for r in range(self.repeats + 1):
-            c, d = self.rows(times + r * self.period, mask)
+            c, d = rows[r], ((turned[r] * (1j * self.speeds)) @ back).real
             held = every - after if r == 0 else (after if r == self.repeats else every)
             slope += 2 * np.sum((c @ held) * d, axis=(1, 2))
         return least - float(np.log(total)) / sharpness, slope

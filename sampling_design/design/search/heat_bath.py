@@ -25,7 +25,6 @@ from collections.abc import Callable
 import numpy as np
 
 from sampling_design.design.bounds.relaxation import Relaxation
-from sampling_design.design.bounds.zones import least_shift
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.turning import TurningWindows
 from sampling_design.records.arrays import Array, Mask
@@ -80,7 +79,7 @@ def annealed(
 
 def places(problem: DesignProblem, found: Relaxation) -> Array:
     """The hours that weigh most, in every repetition, sorted."""
-    shift = least_shift(problem)
+    shift = problem.least_shift
     hours = np.mod(found.times, shift)
     order = np.argsort(hours, kind="stable")
     first = np.flatnonzero(np.append(True, np.diff(hours[order]) > _SAME * shift))
@@ -113,7 +112,7 @@ class HeatBath:
     def rows(self, times: Array) -> tuple[Array, Array]:
         """What samples at `times` show to windows that begin before them, and behind them, (m, q, n) each."""
         turned = times[:, None] + np.arange(self.turning.repeats + 1) * self.problem.period
-        every, _ = self.turning.rows(turned, self.problem.mask(times)[:, None, :])
+        every = self.turning.rows(turned, self.problem.mask(times)[:, None, :])
         shape = (times.size, -1, every.shape[-1])
         return every[:, :-1].reshape(shape), every[:, 1:].reshape(shape)
 

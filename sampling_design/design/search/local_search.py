@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sampling_design.design.bounds.relaxation import Relaxation, repeating
-from sampling_design.design.bounds.zones import least_shift
 from sampling_design.design.problem.gram import MANY_STATES
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
@@ -313,7 +312,7 @@ def _first_steps(run: _Refinement, times: Array, before: float) -> tuple[Array, 
 def _kicked(problem: DesignProblem, times: Array, rng: np.random.Generator) -> Array | None:
     """A few free samples moved at once, near or far; or where hours repeat, two samples' times of day exchanged."""
     held = times[~np.isin(times, problem.fixed)]
-    parts = round(problem.period / least_shift(problem)) if repeating(problem) else 1
+    parts = round(problem.period / problem.least_shift) if repeating(problem) else 1
     if parts > 1 and held.size > 1 and rng.uniform() < _EXCHANGED:
         return exchanged_hours(problem, times, *rng.choice(held.size, 2, replace=False))
     shares = shares_of(problem, held)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import numpy as np
 
 from sampling_design.design.bounds.relaxation import Relaxation
-from sampling_design.design.bounds.zones import least_shift
 from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.search.fedorov_exchange import is_admissible, repaired
@@ -51,7 +50,7 @@ def rotated(
 
 def _rotations(problem: DesignProblem, found: Relaxation, wanted: Array) -> list[Array]:
     """Schedules of the steps and offsets that are `wanted` (m, 2), near admissible ones."""
-    shift, k = least_shift(problem), problem.samples
+    shift, k = problem.least_shift, problem.samples
     order = np.argsort(np.mod(found.times, shift), kind="stable")
     place, total = np.mod(found.times, shift)[order], np.cumsum(found.weights[order])
     j = np.arange(k)
@@ -65,7 +64,7 @@ def _rotations(problem: DesignProblem, found: Relaxation, wanted: Array) -> list
 
 def _swapped(problem: DesignProblem, times: Array, value: float, share: float, budget: Budget) -> Array:
     """The schedule after exchanges of two samples' times of day, each the one of all that gains most."""
-    shift, k = least_shift(problem), problem.samples
+    shift, k = problem.least_shift, problem.samples
     apart = int(min(_SWAPS * share / k**2, k // 2))
     pairs = [(i, (i + d) % k) for d in range(1, apart + 1) for i in range(k)]
     for _ in range(_ROUNDS):
@@ -79,7 +78,7 @@ def _swapped(problem: DesignProblem, times: Array, value: float, share: float, b
 
 def exchanged_hours(problem: DesignProblem, times: Array, i: int, other: int) -> Array | None:
     """The schedule after an exchange of the times of day of two samples; None where it does not fit."""
-    found = _admitted(problem, [_swap(times, least_shift(problem), i, other)])
+    found = _admitted(problem, [_swap(times, problem.least_shift, i, other)])
     return found[0] if found else None
 
 

@@ -118,7 +118,8 @@ class SigmaBracket(PlainRecord):
         """What is left of `lower` if samples come early or late or one is lost, worked out when it is asked for.
 
         In doubles, also of what ball arithmetic proves. None where sigma is nothing or doubles do not show it, where
-        too little of a budget is left, for the windows of one schedule over a box of plants, and in varying time.
+        too little of a budget (over a box of ten times what the bracket took) is left, and along a plant that varies in
+        time as functions say, of which nothing is proven.
         """
         return self.beside() if self.beside is not None and 0 < self.lower < np.inf else None
 

@@ -262,7 +262,8 @@ def _judged(
         mask = None if schedule.outputs is None else schedule.outputs[within]
         part = meet(plant, Schedule(times[within], mask, time_unit=schedule.time_unit))
         pieces, alone = window_pieces(part, window, start), progress if len(ends) == 1 else None
-        found = sigma_of_pieces(plant, part, pieces, RTOL, budget / len(ends), alone, reached=worst)
+        reached = np.inf if worst is None else worst.upper
+        found = sigma_of_pieces(plant, part, pieces, RTOL, budget / len(ends), alone, reached=reached)
         worst = found if worst is None else _joint(worst, found)
         start = float(times[end]) - window
         if progress is not None and alone is None:

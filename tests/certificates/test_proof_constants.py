@@ -13,6 +13,7 @@ from sampling_design.certificates.paper import gain_sweep
 from sampling_design.certificates.paper.proof_constants import certify_from_proof, constants_from_proof
 from sampling_design.certificates.paper.restarts import output_predictor
 from sampling_design.errors import CertificateError, NotDetectableError, SolverError
+from sampling_design.observability.windows.window_sigma import window_sigma
 from sampling_design.plants.modes import split_modes
 from tests.cases import few
 from tests.oracles.proof_constants import largest_on_a_grid, riccati_margin, worst_27, worst_28
@@ -211,6 +212,23 @@ def test_numbers_proven_elsewhere_are_taken():
     proof = constants_from_proof(DOUBLE, EACH_SECOND, window=2.0, sigma_bar=0.3, kappa=4)
     assert (proof["sigma_bar"].value, proof["kappa"].value) == (0.3, 4)
     assert margin(proof, [1.0]) > 1
+
+
+def test_what_late_and_lost_samples_leave_of_sigma_bar_is_said():
+    proof = constants_from_proof(DOUBLE, EACH_SECOND, window=3.0)
+    left, own = proof.deviations, window_sigma(DOUBLE, EACH_SECOND, 3.0, start=0.0).deviations
+    assert left == own
+    assert 0 < left.late < proof["sigma_bar"].value
+    assert "They are of exact times. If samples come up to 0.01 s early or late, sigma is at least" in proof.explain()
+    assert left._rows()[-1] in proof._rows()
+    assert proof.to_dict()["deviations"] == left.to_dict()
+    given = constants_from_proof(DOUBLE, EACH_SECOND, window=3.0, sigma_bar=0.1).deviations
+    assert given.late == given.late_wider == 0.1  # no more than what the proof takes
+    again = constants_from_proof(DOUBLE, EACH_SECOND, window=3.0, sigma_bar=left.lost)  # with what a loss leaves
+    assert again["mu_bar"].value > proof["mu_bar"].value
+    stable = constants_from_proof(Plant([[-1.0]], [[1.0]]), EACH_SECOND)
+    assert stable.deviations is None
+    assert stable.to_dict()["deviations"] is None
 
 
 def test_sampling_that_hides_an_oscillation_is_refused():

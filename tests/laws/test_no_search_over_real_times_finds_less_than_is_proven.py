@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import sampling_design as sd
+from sampling_design.uncertain.plants.parameter import UncertainParameter
+from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 from tests.cases import few
 from tests.observability.test_timing import brute_force, drawn
 from tests.oracles.late_samples import Windows, least_sigma
@@ -70,3 +72,51 @@ def test_the_search_breaks_a_claim_that_forgets_the_tolerance_or_the_loss():
     assert late <= brute_force(plant, schedule, 2.0, 0.03)
     assert least_sigma(Windows(*given))[0] == pytest.approx(exact, rel=2e-3)
     assert least_sigma(Windows(*given, lost=1))[0] < 0.5 * exact
+
+
+def box_of(seed):
+    """A random box of plants of one to three states, a schedule and a window."""
+    rng = np.random.default_rng(seed)
+    n, p = 1 + seed % 3, 1 + seed % 2
+    A = rng.normal(size=(n, n))
+    A -= np.eye(n) * (np.max(np.linalg.eigvals(A).real) - rng.uniform(-0.3, 0.2))
+    C, half = rng.normal(size=(p, n)), rng.uniform(0.01, 0.05, 1 + seed % 2)
+    moves = [(rng.normal(size=(n, n)), rng.normal(size=(p, n)) if k == 1 else None) for k in range(len(half))]
+    parameters = [
+        UncertainParameter(f"k{k}", -w, w, A=moved, C=shown, nominal=0.0)
+        for k, (w, (moved, shown)) in enumerate(zip(half.tolist(), moves, strict=True))
+    ]
+    gaps = rng.uniform(0.3, 1.0, 1 + seed % 3)
+    window = 1.05 * float(gaps.max()) * (n + 1 + seed % 2)
+    return UncertainPlant(sd.Plant(A, C), parameters), sd.PeriodicSchedule(gaps), window, rng
+
+
+def over_a_box(seed):
+    """What is said to be left of sigma of every plant of a box, and what a search finds in four of them."""
+    box, schedule, window, rng = box_of(seed)
+    found = sd.window_sigma(box, schedule, window)
+    left = found.deviations
+    if left is None:
+        return
+    late = left.tolerance.radius
+    sides = {each.name: (each.low, each.nominal, each.high) for each in box.parameters}
+    drawn = [{name: float(rng.choice(ends)) for name, ends in sides.items()} for _ in range(3)]
+    plants = [box.at(values) for values in (dict(found.worst), *drawn)]
+    for said, length, what in (
+        (left.late, window, {"late": late}),
+        (left.late_wider, window + 2 * late, {"late": late}),
+        (left.lost, window, {"lost": 1}),
+    ):
+        yield (
+            said,
+            min(least_sigma(Windows(P.A, P.C, schedule.times, schedule.period, length, **what))[0] for P in plants),
+        )
+
+
+@pytest.mark.parametrize("seeds", few([[3, 7], [0, 1, 4, 6, 9, 10, 12], [13, 15, 16, 18, 20]], 0))
+def test_so_it_is_for_every_plant_of_a_box(seeds):
+    count, below, unseen, near, median = shares(pair for seed in seeds for pair in over_a_box(seed))
+    assert count >= 3
+    assert below == 0
+    assert unseen + near >= 0.8 * count
+    assert median >= 0.95

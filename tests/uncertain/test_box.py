@@ -54,6 +54,30 @@ def test_sigma_over_a_box_of_frequencies_is_that_of_the_worst_frequency():
     assert "for every plant of the box" in found.explain()
 
 
+def test_what_late_and_lost_samples_leave_of_every_plant_is_said_beside_sigma():
+    found = window_sigma(oscillator(), PeriodicSchedule([1.0, 0.7]), 3.6)
+    left = found.deviations
+    plants = [oscillator().at([x]) for x in (0.81, 1.0, 1.21)]
+    each = [window_sigma(P, PeriodicSchedule([1.0, 0.7]), 3.6).deviations for P in plants]
+    for name in ("late", "late_wider", "lost"):
+        least = min(getattr(one, name) for one in each)
+        assert 0.95 * least <= getattr(left, name) <= least * 1.01
+    assert left.lost_sample == 1
+    assert left.explain() in found.explain()
+    assert left._rows()[0] in found._rows()
+    assert found.to_dict()["deviations"] == left.to_dict()
+    slow = UncertainPlant(
+        Plant(OSCILLATOR.A * 1e-12, OSCILLATOR.C),
+        [UncertainParameter("k", 0.81, 1.21, A=np.array(STIFF) * 1e-12, nominal=1.0)],
+    )
+    same = window_sigma(slow, PeriodicSchedule(np.array([1.0, 0.7]) * 1e12), 3.6e12).deviations
+    assert [same.late, same.lost] == pytest.approx([left.late, left.lost], rel=1e-9)
+    cliff = window_sigma(oscillator(), PeriodicSchedule([1.0]), 2.0).deviations
+    assert cliff.late == cliff.lost == 0.0 < cliff.late_wider
+    spent = replace(found, beside=lambda: None)
+    assert spent.deviations is None
+
+
 def test_a_schedule_that_misses_one_frequency_of_the_box_is_told_which():
     found = window_sigma(oscillator(), PeriodicSchedule([2.857]), 9.0)
     assert found.sees_every_plant is False

@@ -65,6 +65,51 @@ def test_sigma_of_a_table_is_below_every_window_of_a_scan_and_near_the_least():
     assert np.linalg.norm(witness @ found.witness.direction) == pytest.approx(found.upper, rel=1e-9)
 
 
+def least_found(window, late=0.0, lost=False):
+    """The least sigma that real times or a loss were found to leave: times and state in turn, from many starts."""
+    best, times = np.inf, SAMPLES.times
+    events = np.concatenate([times - late + 1e-9, times + late - window - 1e-9, np.linspace(0, 10 - window, 12)])
+    for s in np.unique(events[(events >= -late) & (events <= 10 - window + late)]).tolist():
+        sure = times[(times - late >= s) & (times + late <= s + window)]
+        offsets = np.clip(sure[:, None] + np.array([-1, 0, 1]) * late, 0, 10) - sure[:, None]
+        table = np.array([[C @ flow(max(s, 0.0), t + e) for e in own] for t, own in zip(sure, offsets, strict=True)])
+        for k in range(len(sure)) if lost else [len(sure)]:
+            part = np.delete(table, k, axis=0) if lost else table
+            if len(part) < 2:
+                return 0.0
+            for v in np.linalg.svd(part[:, 1, 0])[2]:
+                for _ in range(5):
+                    places = np.argmin(np.abs(part[:, :, 0] @ v), axis=1)
+                    _, values, right = np.linalg.svd(part[np.arange(len(part)), places, 0])
+                    best, v = min(best, values[-1]), right[-1]
+    return best
+
+
+@pytest.mark.parametrize("window", [5.0, 4.0])
+def test_late_and_lost_samples_leave_what_is_said_along_a_plant_that_varies(window):
+    left = sd.window_sigma(SWING, SAMPLES, window).deviations
+    late = left.tolerance.radius
+    assert late == pytest.approx(0.01)
+    found = [least_found(window, late), least_found(window + 2 * late, late), least_found(window, lost=True)]
+    said = [left.late, left.late_wider, left.lost]
+    assert np.all(np.array(said) <= np.array(found) * (1 + 1e-9))
+    assert np.all(np.array(said) >= 0.95 * np.array(found))
+    assert left.late_wider < sd.window_sigma(SWING, SAMPLES, window).lower
+
+
+def test_of_outputs_that_functions_say_no_late_sample_is_judged():
+    still = TimeVaryingPlant.from_table([0.0, 10.0], [J] * 2, [C] * 2)
+    found = sd.window_sigma(TimeVaryingPlant(still.A, lambda t: C, horizon=10.0), SAMPLES, 4.0)
+    assert found.lower > 0
+    assert found.deviations is None
+    plain = sd.window_sigma(sd.Plant(J, C), SAMPLES, 5.0).deviations
+    mine = sd.window_sigma(still, SAMPLES, 5.0).deviations
+    assert 0.95 * plain.late <= mine.late <= plain.late * 1.01
+    assert mine.lost == pytest.approx(plain.lost, rel=1e-2)
+    masked = sd.window_sigma(still, sd.Schedule(SAMPLES.times, [[True]] * 8), 5.0).deviations
+    assert masked.late == pytest.approx(mine.late)
+
+
 def test_of_functions_nothing_is_proven_and_it_is_said():
     found = sd.window_sigma(TimeVaryingPlant(SWING.A, SWING.C, horizon=10.0), SAMPLES, 4.0)
     assert found.status == "closed", "a table stays one wherever it is handed on"

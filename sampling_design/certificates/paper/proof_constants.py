@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypedDict, Unpack
 
 import numpy as np
@@ -24,6 +25,8 @@ from sampling_design.certificates.paper.observable_case import (
 from sampling_design.certificates.paper.sampling_hypotheses import measure_hypotheses
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.observability.alignment import meet
+from sampling_design.observability.sigma_bracket import SigmaDeviations
+from sampling_design.observability.windows.deviations import deviations_of
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant, first_difference
 from sampling_design.records import checks
@@ -118,6 +121,28 @@ class ProofConstants(PaperConstants):
     schedule: Schedule | PeriodicSchedule
     detectability: DetectabilityCertificate | None
     split: ModalSplit
+
+    _plain = f"{PaperConstants._plain} deviations"
+
+    @cached_property
+    def deviations(self) -> SigmaDeviations | None:
+        """What is left of sigma_bar if samples come a hundredth of the least gap early or late, or one is lost.
+
+        The constants are of exact times: they hold there with the smaller sigma_bar, where that is positive (and with
+        the larger `kappa` and gap). None where nothing is retained.
+        """
+        if not self.split.retained.n_states:
+            return None
+        window, sigma = self["T"].value, self["sigma_bar"].value
+        return deviations_of(self.split.retained.unscaled(), self.schedule, window, sigma=sigma, start=0.0)
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [*super()._rows(), *([] if self.deviations is None else self.deviations._rows())]
+
+    def explain(self) -> str:
+        """Say what the proof's constants ask for, and what is left of their sigma at other times."""
+        left = "" if self.deviations is None else f" They are of exact times. {self.deviations.explain()}"
+        return super().explain() + left
 
     @property
     def claim(self) -> Claim:

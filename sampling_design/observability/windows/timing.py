@@ -35,12 +35,21 @@ _EPS = float(np.finfo(float).eps)
 
 def rows_of_any_time(rows: Array, A: Array, tolerance: Array) -> Array:
     """Return rows (m, n, n) that see no more than `rows` (m, k, n) at times up to `tolerance` (k,) away, or zero."""
-    n, count = len(A), max(rows.shape[1:])
     sizes = 2.0 ** np.frexp(np.abs(rows).max(axis=(1, 2), initial=0.0))[1]  # squares of rows / sizes are numbers
     rows = rows / sizes[:, None, None]
+    with np.errstate(over="ignore", invalid="ignore"):
+        lost = lost_to_time(rows, A, tolerance[:, None])
+    return np.asarray(rows_without(rows, lost) * sizes[:, None, None])
+
+
+def rows_without(rows: Array, lost: Array) -> Array:
+    """Return rows (m, n, n) that see no more than `rows` (m, k, n) changed by any E with E'E <= `lost`, or zero.
+
+    Rows are of size one at most.
+    """
+    n, count = rows.shape[2], max(rows.shape[1:])
     W = np.swapaxes(rows, 1, 2) @ rows
     with np.errstate(over="ignore", invalid="ignore"):
-        lost = _lost_to_time(rows, A, tolerance[:, None])
         bounded = np.isfinite(lost).all(axis=(1, 2)) & (np.abs(lost).max(axis=(1, 2), initial=0.0) < _MOST_LOST)
     lost = np.where(bounded[:, None, None], lost, 0.0)
     rounding = 8 * n * count * _EPS * (np.trace(W, axis1=1, axis2=2) + np.trace(lost, axis1=1, axis2=2))
@@ -64,16 +73,20 @@ def rows_of_any_time(rows: Array, A: Array, tolerance: Array) -> Array:
     values, vectors = np.linalg.eigh(kept_by(np.where(least[0] >= least[1], ends[0], ends[1])))
     root = np.sqrt(np.maximum(values, 0.0))[:, :, None] * np.swapaxes(vectors, 1, 2)
     held = (values[:, 0] > 0) & bounded
-    return np.asarray(np.where(held[:, None, None], root, 0.0) * sizes[:, None, None])
+    return np.asarray(np.where(held[:, None, None], root, 0.0))
 
 
-def _lost_to_time(rows: Array, A: Array, d: Array) -> Array:
-    """(m, n, n): sum of v_j^2/q_j as quadratic forms of the state, each q_j in proportion to its term."""
-    n, terms, each = len(A), list[Array](), rows
+def lost_to_time(rows: Array, A: Array, d: float | Array) -> Array:
+    """(m, n, n): sum of v_j^2/q_j as quadratic forms of the state, each q_j in proportion to its term.
+
+    Of rows (m, k, n), one A or one for each of m.
+    """
+    n, terms, each = A.shape[-1], list[Array](), rows
+    size = np.linalg.norm(A, 2, axis=(-2, -1))[..., None, None]
     for order in range(1, _ORDERS + 1):
         each = each @ A * (d / order)
         if order == _ORDERS:
-            grown = np.where(each == 0, 0.0, each * np.exp(d * np.linalg.norm(A, 2)))  # 0 however much e^{d|A|} is
+            grown = np.where(each == 0, 0.0, each * np.exp(d * size))  # 0 however much e^{d|A|} is
             terms.append(np.sum(grown**2, axis=(1, 2))[:, None, None] * np.eye(n))
         else:
             terms.append(np.swapaxes(each, 1, 2) @ each)

@@ -215,17 +215,17 @@ def sigma_of_pieces(
     progress: Progress | None = None,
     *,
     rigorous: bool = False,
-    reached: WindowSigma | None = None,
+    reached: float = np.inf,
     handed_over: float = HANDED_OVER,
 ) -> WindowSigma:
     """Return the record of some pieces of a schedule in the plant's unit.
 
-    `reached` is what was found over other pieces: windows that see more than that are not looked at closely. Balls have
+    `reached` was found over other pieces: windows that see more than that are not looked at closely. Balls have
     `handed_over` seconds for what growth hides from floats.
     """
     own = plant.scaled() if plant.has_scales else plant
     shown = middle_rows(own, pieces.timing_tolerance)
-    found = bracket_sigma(shown, pieces, rtol, seconds, progress, np.inf if reached is None else reached.upper)
+    found = bracket_sigma(shown, pieces, rtol, seconds, progress, reached)
     result = record_of(
         found, rtol, plant.time_unit, coordinates_of(plant.has_scales, isinstance(plant, FunctionalPlant))
     )

@@ -43,14 +43,17 @@ class BoxBounds(NamedTuple):
 def branch(
     start: BoxCells,
     judge: Judge,
-    value: Value,
+    value: Value | None,
     unseen: Unseen,
     rtol: float,
     seconds: float,
     ends: tuple[Array, Array],
     progress: Progress | None,
 ) -> BoxBounds:
-    """Halve cells until lower >= (1 - rtol) upper; `value` is exact at one point, `unseen`: where it counts as zero."""
+    """Halve cells until lower >= (1 - rtol) upper; `value` is exact at one point, `unseen`: where it counts as zero.
+
+    Without `value` the centres of cells alone are met.
+    """
     best = (np.inf, start.u[0], float(start.s[0]), int(start.piece[0]))
     rounds = 0
 
@@ -61,7 +64,7 @@ def branch(
         k = int(np.argmin(centre))
         if centre[k] < best[0]:
             best = (float(centre[k]), cells.u[k], float(cells.s[k]), int(cells.piece[k]))
-        if rounds % DESCENTS == 0:
+        if value is not None and rounds % DESCENTS == 0:
             best = descended(best, value, ends)
         rounds += 1
         search.meet(np.array([best[0]]))
@@ -76,7 +79,7 @@ def branch(
         start, np.zeros((len(start.s), 1)), within(rtol), Budget(seconds), together=MOST_CELLS, most=MOST_CELLS
     )
     status = search.run(judged, bisected, look)
-    if status != "interrupted":
+    if value is not None and status != "interrupted":
         best = descended(best, value, ends)
     if status == "stopped":
         return BoxBounds(0.0, *best, "unobservable", search.judged)

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import linalg
 
 from sampling_design.observability.windows.bracket import ALLOWANCE
+from sampling_design.observability.windows.timing import lost_to_time
 from sampling_design.records.arrays import Array, Complex, Integers, Mask
 from sampling_design.uncertain.box.model import BoxModel
 from sampling_design.uncertain.box.norms import FLOATS, CellNorms
@@ -79,10 +80,15 @@ class Expansion(NamedTuple):
     rows: Array  # (K, R, n)
     slopes: Array  # (K, m, R, n) per parameter, times its half-width in the cell
     rest: tuple[ExpansionRemainder, ...]
+    # (K, n, n): |E z|^2 <= z'lost z of what times that are early or late do to the rows of the centre; None: on time
+    lost: Array | None = None
 
 
-def expanded(model: BoxModel, cells: BoxCells, times: Array, measured: Mask) -> Expansion:
-    """Expand the rows of samples at `times` (K, N) after the cell's window start; `measured` (K, N, p)."""
+def expanded(model: BoxModel, cells: BoxCells, times: Array, measured: Mask, late: float = 0.0) -> Expansion:
+    """Expand the rows of samples at `times` (K, N) after the cell's window start; `measured` (K, N, p).
+
+    Each sample may be up to `late` early or late: what that does is part of the rest, but for the cell's centre.
+    """
     K, N = times.shape
     n, m, p = model.n, model.m, len(model.C)
     A, C = model.at(cells.u)
@@ -108,14 +114,18 @@ def expanded(model: BoxModel, cells: BoxCells, times: Array, measured: Mask) -> 
     rests = []
     for T in bases(A, C, r.max(axis=1, initial=0.0)):
         inverse: Complex = np.asarray(np.linalg.inv(T), dtype=np.complex128)
-        squared, beyond, effect = _rest(model, cells, A, C, T, inverse, r, there)
+        squared, beyond, effect = _rest(model, cells, (A, C, T, inverse), r, there, late)
         metric = np.real(np.conj(np.swapaxes(inverse, 1, 2)) @ inverse)
         with np.errstate(over="ignore", invalid="ignore"):
             bound = 1.01 * squared[:, None, None] * (metric + np.swapaxes(metric, 1, 2)) / 2 + own
         bound = np.where(np.isfinite(bound).all(axis=(1, 2))[:, None, None], bound, np.inf)
         beyond = beyond * np.linalg.norm(model.unit[:, None] * T, 2, axis=(1, 2))
         rests.append(ExpansionRemainder(bound, inverse, beyond, effect))
-    return Expansion(A, rows.reshape(K, N * p, n), slopes.reshape(K, m, N * p, n), tuple(rests))
+    flat, lost = rows.reshape(K, N * p, n), None
+    if late:
+        with np.errstate(over="ignore", invalid="ignore"):
+            lost = np.nan_to_num(UP * lost_to_time(flat, A, late), nan=np.inf, posinf=np.inf)
+    return Expansion(A, flat, slopes.reshape(K, m, N * p, n), tuple(rests), lost)
 
 
 def norms_in(
@@ -133,12 +143,16 @@ def norms_in(
 
 
 def _rest(
-    model: BoxModel, cells: BoxCells, A: Array, C: Array, T: Complex, inverse: Complex, r: Array, there: Mask
+    model: BoxModel, cells: BoxCells, own: tuple[Array, Array, Complex, Complex], r: Array, there: Mask, late: float
 ) -> tuple[Array, Array, Array]:
-    """In coordinates T: the square of the rows' rest, the rest of what moves the window, and relative effects."""
-    norms, parts, shown = norms_in(model, cells, A, C, T, inverse)
+    """In coordinates T: the square of the rows' rest, the rest of what moves the window, and relative effects.
+
+    `own` is A, C, T and the inverse of T.
+    """
+    norms, parts, shown = norms_in(model, cells, *own)
     with np.errstate(over="ignore", invalid="ignore"):
-        rest = UP * norms.rows(r, norms.rate)[1]
+        first, rest = norms.rows(r, norms.rate)
+        rest = UP * (rest + norms.displaced(r, norms.rate, first + rest, late) if late else rest)
         squared = np.sum(np.where(there, rest, 0.0) ** 2, axis=1)
         beyond = UP * norms.turned(cells.h[:, None])[:, 0]
     effect = cells.half * (parts * r.max(axis=1, initial=0.0)[:, None] + shown / np.maximum(norms.seen, 1e-300))

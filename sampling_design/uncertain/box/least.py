@@ -21,20 +21,24 @@ from sampling_design.uncertain.box.model import BoxModel
 MOST_CORNERS = 6
 """Directions of a cell up to which all its corners are tried; beyond it every direction counts with its size."""
 ROUNDING = 64 * float(np.finfo(float).eps)  # of sums of a few products, relative; times the number of rows and states
+LEAST_SHARE = 1e-3  # of the weights of two rests, however small one is
 LARGEST = 1e60  # a rest beyond it proves nothing
 
 
 class LeastSigma(NamedTuple):
-    """Of each cell: a proven lower bound, sigma at its centre, and how much parameters and position matter."""
+    """Of each cell: a proven lower bound, sigma at its centre, and how much parameters and position matter.
+
+    For samples that may be early or late `centre` is the bound of the centre alone: what smaller cells lead to.
+    """
 
     lower: Array
     centre: Array
     effect: Array
 
 
-def least_sigma(model: BoxModel, cells: BoxCells, times: Array, measured: Mask) -> LeastSigma:
-    """Bound sigma over every cell from below."""
-    return bounded(model, expanded(model, cells, times, measured), cells.h)
+def least_sigma(model: BoxModel, cells: BoxCells, times: Array, measured: Mask, late: float = 0.0) -> LeastSigma:
+    """Bound sigma over every cell from below, for samples up to `late` early or late."""
+    return bounded(model, expanded(model, cells, times, measured, late), cells.h)
 
 
 def bounded(model: BoxModel, found: Expansion, h: Array) -> LeastSigma:
@@ -57,21 +61,35 @@ def bounded(model: BoxModel, found: Expansion, h: Array) -> LeastSigma:
     rounding = ROUNDING * (R + n) * (1 + effect.sum(axis=1))
     lower, slightest = np.zeros(K), np.full(K, np.inf)
     effect = np.column_stack([effect, moved])
+    if found.lost is not None:
+        lost = np.swapaxes(back, 1, 2) @ found.lost @ back
+        fine = sound & (np.abs(lost).max(axis=(1, 2), initial=0.0) < LARGEST)
+        lost = np.where(fine[:, None, None], lost, 0.0)
+        alone = _lower(H[:, :0], lost, (unit, 0 * turn, 0 * unit), ROUNDING * (R + n) * np.ones(K))
+        centre = np.where(fine, alone, 0.0)
     whole = effect
     for rest in found.rest:
         with np.errstate(over="ignore", invalid="ignore"):
             N = np.swapaxes(back, 1, 2) @ rest.N @ back
+            N = N if found.lost is None else _together(N, lost)
             beyond = rest.beyond[:, None, None] * (rest.inverse @ back)
             worth = np.abs(beyond).max(axis=(1, 2), initial=0.0) / np.linalg.norm(unit, axis=(1, 2))
             worth = worth + np.einsum("kii->k", np.abs(N))
-        fine = sound & (worth < LARGEST)
+        close = sound & (worth < LARGEST)
         whole = np.where((worth < slightest)[:, None], effect + rest.effect, whole)
         slightest = np.fmin(slightest, worth)
-        if fine.any():
-            k = np.flatnonzero(fine)
+        if close.any():
+            k = np.flatnonzero(close)
             reached = _lower(H[k], N[k], (unit[k], turn[k], beyond[k]), rounding[k])
             lower[k] = np.maximum(lower[k], np.where(np.isfinite(reached), reached, 0.0))
     return LeastSigma(np.minimum(lower, centre), centre, whole)
+
+
+def _together(one: Array, other: Array) -> Array:
+    """What bounds |(X + E) z|^2 where X'X is at most the one (K, n, n) and E'E the other: weights by their size."""
+    sizes = np.sqrt(np.maximum([np.trace(N, axis1=1, axis2=2) for N in (one, other)], np.finfo(float).tiny))
+    share = np.clip(sizes[0] / sizes.sum(axis=0), LEAST_SHARE, 1 - LEAST_SHARE)[:, None, None]
+    return np.asarray(one / share + other / (1 - share))
 
 
 def _lower(H: Array, N: Array, window: tuple[Array, Array, Array | Complex], rounding: Array) -> Array:

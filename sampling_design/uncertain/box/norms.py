@@ -55,6 +55,15 @@ class CellNorms(Generic[Number]):
         beyond = self.arithmetic.beyond_first(along)
         return grown * (self.seen * along + self.shown), grown * (self.seen * beyond + self.shown * (along + beyond))
 
+    def displaced(self, r: Number, rate: Number, other: Number, late: float) -> Number:
+        """What times up to `late` off do to the rows of samples at r beyond what they do to the centre's.
+
+        `other` bounds C(theta) e^{A(theta) r} - C e^{A r}; |e^{A(theta) e} - I| <= e^{(size + moved) |e|} - 1, and the
+        terms of its series differ from the centre's by those of e^{(size + moved) |e|} - e^{size |e|} at most.
+        """
+        whole, own = (self.arithmetic.exp(x * late) for x in (self.size + self.moved, self.size))
+        return self.seen * self.arithmetic.exp(rate * r) * (whole - own) + other * (whole - 1)
+
     def turned(self, h: Number) -> Number:
         """What |e^{A(theta) s} - I - A s| stays below for |s| <= h."""
         return self.moved * h + self.arithmetic.beyond_first((self.size + self.moved) * h)

@@ -5,6 +5,12 @@ sigma(s_0) |Phi(s_0, s) y| <= |O(s_0) Phi(s_0, s) y| = sigma(s), and |Phi(s_0, s
 largest eigenvalue of the symmetric part of A for s > s_0 and of that of -A for s < s_0. It is convex in A, so that of a
 table its largest value over an interval stands at an end or a knot: a proven bound, of first order. Intervals are
 halved where they are lowest. Of functions A is only looked at, and nothing is proven.
+
+A sample that comes e late, |e| <= d, reads C(t + e) Phi(t + e, t) in place of C(t), and with a >= |A| near t
+
+    |C(t + e) Phi(t + e, t) - C(t)| <= |C(t)| (e^{a d} - 1) + c e^{a d},    c >= |C(t + e) - C(t)|,
+
+where a and c stand at ends and knots, too. Rows that see no more than all that differ so little take the place of O.
 """
 
 from __future__ import annotations
@@ -17,7 +23,8 @@ import numpy as np
 
 from sampling_design.observability.windows.bracket import WindowBracket
 from sampling_design.observability.windows.pieces import Pieces
-from sampling_design.records.arrays import Array
+from sampling_design.observability.windows.timing import rows_without
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.uncertain.plants.time_table import MatrixTable, length_of
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
@@ -27,6 +34,7 @@ LOOKED = 5  # instants of an interval at which functions are looked at
 MOST_PROVEN, MOST_SAMPLED = 5000, 100
 """Halvings at most: of tables, and of functions, whose every transition is an integration."""
 EPS = float(np.finfo(float).eps)
+MOVED = 1 + 1e-9  # covers the rounding of a few operations
 
 
 class _Node(NamedTuple):
@@ -46,6 +54,7 @@ class VaryingSearch:
         self.plant, self.pieces = plant, pieces
         self.unit = plant.states.scales
         self.table = plant.A.in_units(self.unit, self.unit) if isinstance(plant.A, MatrixTable) else None
+        self.shown = plant.C.in_units(plant.outputs.scales, self.unit) if isinstance(plant.C, MatrixTable) else None
 
     def growth(self, a: float, b: float) -> tuple[float, float]:
         """Largest eigenvalues of the symmetric parts of A and of -A over [a, b]: proven of a table."""
@@ -65,7 +74,8 @@ class VaryingSearch:
         n, mask = self.plant.n_states, self.pieces.measured(g)
         later = np.unique(np.concatenate([[start], np.maximum(samples, start)]))
         transitions = self.plant.transitions(later)
-        flow, off, rows, wrong = np.eye(n), 0.0, [], []
+        flow, off, rows, wrong, unsure = np.eye(n), 0.0, list[Array](), list[float](), list[float]()
+        lost = np.zeros((n, n))
         at = np.searchsorted(later, np.maximum(samples, start))
         for k in range(later.size):
             if k:
@@ -77,9 +87,28 @@ class VaryingSearch:
                 C = transitions.C[k]
                 C = C if mask is None else C[mask[j]]
                 rows.append(C @ flow)
-                wrong.append(float(np.linalg.norm(C)) * (off + 2 * n * n * EPS * length_of(flow)))
+                beside = off + 2 * n * n * EPS * length_of(flow)
+                wrong.append(float(np.linalg.norm(C)) * beside)
+                if self.pieces.timing_tolerance and C.size:
+                    moved = self.moved(float(samples[j]), None if mask is None else mask[j])
+                    lost += moved**2 * flow.T @ flow
+                    unsure.append(moved * beside)
         O = np.vstack(rows) if rows else np.zeros((0, n))
-        return self._node(start, O, float(np.linalg.norm(wrong)))
+        if lost.any() and len(O) >= n:
+            size = float(np.abs(O).max()) or 1.0
+            O = size * rows_without(O[None] / size, lost[None] / size**2)[0]
+        return self._node(start, O, float(np.linalg.norm(wrong) + np.linalg.norm(unsure)))
+
+    def moved(self, t: float, mask: Mask | None) -> float:
+        """How far the rows of a sample planned at t may be from those there, times within the horizon; of tables."""
+        assert self.table is not None
+        assert self.shown is not None
+        d, keep = self.pieces.timing_tolerance.radius, slice(None) if mask is None else mask
+        ends = max(t - d, 0.0), min(t + d, self.plant.horizon)
+        C = self.shown(t)[keep]
+        grown = max(float(np.linalg.norm(self.table(at), 2)) for at in self.table.knots(*ends)) * d
+        off = max(float(np.linalg.norm(self.shown(at)[keep] - C, 2)) for at in self.shown.knots(*ends))
+        return (float(np.linalg.norm(C, 2)) * float(np.expm1(grown)) + off * float(np.exp(grown))) * MOVED
 
     def before(self, node: _Node, s: float) -> _Node:
         """The node at an earlier start of the same piece."""

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from sampling_design.observability.alignment import meet
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
 from sampling_design.observability.windows.bracket import require_moderate
+from sampling_design.observability.windows.deviations import left_of_sigma
 from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.observability.windows.window_record import asked
 from sampling_design.records.arrays import Array
+from sampling_design.records.budget import Budget
 from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
@@ -24,6 +27,8 @@ from sampling_design.uncertain.observability.windows_over_box import WindowsOver
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 RTOL = 0.01  # default width of the bracket, relative
+WIDER = 2.5  # times that: brackets of what late and lost samples leave, which say how steep the ground is
+BESIDE, LEAST_BESIDE = 10.0, 1.0  # times what the bracket took, of so many seconds: what late and lost samples may take
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -80,7 +85,7 @@ class WindowSigmaOverBox(SigmaBracket):
     }
     _plain = (
         "lower upper worst window_start samples closed status window from_time rtol cells rigorous slack time_unit "
-        "coordinates claim"
+        "coordinates deviations claim"
     )
 
     @property
@@ -136,14 +141,33 @@ def window_sigma_over_box(
     aligned = meet(plant.nominal, schedule)
     pieces, tolerance, seconds = asked(aligned, window, start, RTOL if rtol is None else rtol, budget)
     require_moderate(plant.nominal)
-    model = BoxModel.of(plant, "window_sigma")
-    found = _record(_searched(model, pieces, tolerance, seconds, progress), model, pieces, tolerance)
-    if not rigorous:
-        return found
-    from sampling_design.uncertain.observability.window_balls import prove_over_box
+    model, clock = BoxModel.of(plant, "window_sigma"), Budget(seconds)
+    found = _record(_searched(WindowsOverBox(model, pieces), tolerance, seconds, progress), model, pieces, tolerance)
+    left = min(clock.left, BESIDE * max(clock.spent, LEAST_BESIDE))
+    if rigorous:
+        from sampling_design.uncertain.observability.window_balls import prove_over_box
 
-    proof = prove_over_box(WindowsOverBox(model, pieces), aligned, found.lower, seconds)
-    return replace(in_balls(found, proof, BALL_ROOM), slack=proof.slack)
+        proof = prove_over_box(WindowsOverBox(model, pieces), aligned, found.lower, seconds)
+        found = replace(in_balls(found, proof, BALL_ROOM), slack=proof.slack)
+    wide = min(WIDER * tolerance, 0.5)
+    least, lost = partial(_least, model, wide), partial(_lost, model, wide, len(aligned))
+    beside = partial(
+        left_of_sigma, aligned, window, least, lost, plant.time_unit, sigma=found.lower, start=start, seconds=left
+    )
+    return replace(found, beside=beside)
+
+
+def _least(model: BoxModel, rtol: float, pieces: Pieces, seconds: float, _: float) -> tuple[float, float]:
+    """Proven sigma of pieces for all real times within their tolerance, and the least such bound of one plant."""
+    found = _searched(WindowsOverBox(model, pieces), rtol, seconds, None)
+    return found.lower, found.upper
+
+
+def _lost(model: BoxModel, rtol: float, samples: int, pieces: Pieces, limit: Budget) -> tuple[float, int]:
+    """Proven sigma if any one sample is lost, and whose loss leaves what is attained: all in one search."""
+    asked = WindowsOverBox(model, pieces, losing=True)
+    found = _searched(asked, rtol, limit.left, None)
+    return found.lower, int(asked.lost[found.piece]) % samples
 
 
 def _record(found: BoxBounds, model: BoxModel, pieces: Pieces, rtol: float) -> WindowSigmaOverBox:
@@ -154,13 +178,14 @@ def _record(found: BoxBounds, model: BoxModel, pieces: Pieces, rtol: float) -> W
     )  # fmt: skip
 
 
-def _searched(model: BoxModel, pieces: Pieces, rtol: float, seconds: float, progress: Progress | None) -> BoxBounds:
+def _searched(asked: WindowsOverBox, rtol: float, seconds: float, progress: Progress | None) -> BoxBounds:
     """The bracket over the box and all pieces."""
-    asked = WindowsOverBox(model, pieces)
+    model, pieces = asked.model, asked.pieces
     if not model.n:
         return BoxBounds(np.inf, np.inf, model.start, float(pieces.left[0]), 0, "no states", 0)
     few = asked.too_few()
     if few is not None:
         return BoxBounds(0.0, 0.0, model.start, float(pieces.left[few]), few, "too few samples", 0)
     ends = (pieces.left, pieces.right)
-    return branch(asked.cells(), asked.judge, asked.value, asked.unobservable, rtol, seconds, ends, progress)
+    value = None if pieces.timing_tolerance else asked.value
+    return branch(asked.cells(), asked.judge, value, asked.unobservable, rtol, seconds, ends, progress)

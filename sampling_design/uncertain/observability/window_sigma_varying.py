@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import meet
 from sampling_design.observability.sigma_bracket import coordinates_of
+from sampling_design.observability.windows.deviations import left_of_sigma, lost_one_by_one
+from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.observability.windows.window_record import WindowSigma, asked, record_of
 from sampling_design.records import checks
+from sampling_design.records.budget import Budget
 from sampling_design.records.progress import Progress
 from sampling_design.schedules.schedule import Schedule
 from sampling_design.uncertain.observability.bracket_varying import bracket_varying
+from sampling_design.uncertain.plants.time_table import MatrixTable
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
 
 RTOL = 0.01  # default width of the bracket, relative
@@ -27,6 +36,9 @@ def window_sigma_varying(
 ) -> WindowSigma:
     """Bound sigma over all positions of a window, rows C(tau) Phi(tau, t - T): see `window_sigma`.
 
+    `deviations` are of real times within the horizon; windows that are longer by it may begin before the horizon, of
+    the state at its beginning.
+
     Raises ArgumentError if balls are asked for, or the schedule is not finite or leaves the plant's horizon.
     """
     if rigorous:
@@ -42,5 +54,20 @@ def window_sigma_varying(
             f"`schedule` must lie within the plant's horizon [0, {plant.horizon:.6g}], got a sample at {outside[0]!r}."
         )
     pieces, tolerance, seconds = asked(aligned, window, start, RTOL if rtol is None else rtol, budget)
+    limit = Budget(seconds)
     bracket = bracket_varying(plant, pieces, tolerance, seconds)
-    return record_of(bracket, tolerance, plant.time_unit, coordinates_of(plant.has_scales))
+    found = record_of(bracket, tolerance, plant.time_unit, coordinates_of(plant.has_scales))
+    if not (plant.tabled and isinstance(plant.C, MatrixTable)):  # between samples C is only looked at
+        return found
+
+    def least(pieces: Pieces, seconds: float, _: float) -> tuple[float, float]:
+        # windows that are longer may begin before the horizon: the state is that at its beginning
+        left, right = np.maximum(pieces.left, 0.0), np.maximum(pieces.right, 0.0)
+        found = bracket_varying(plant, replace(pieces, left=left, right=right), tolerance, seconds)
+        return found.lower, found.witness.sigma
+
+    lost = partial(lost_one_by_one, least, len(plant.outputs), len(aligned))
+    beside = partial(
+        left_of_sigma, aligned, window, least, lost, plant.time_unit, sigma=found.lower, start=start, seconds=limit.left
+    )
+    return replace(found, beside=beside)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sampling_design.observability.windows.pieces import Pieces
@@ -16,9 +18,18 @@ from sampling_design.uncertain.box.model import BoxModel
 class WindowsOverBox:
     """Sigma of the windows of one schedule, for cells of a box."""
 
-    def __init__(self, model: BoxModel, pieces: Pieces) -> None:
+    def __init__(self, model: BoxModel, pieces: Pieces, *, losing: bool = False) -> None:
+        """With `losing` every piece once for each of its samples, without that: of the number `lost`."""
+        held = np.maximum(pieces.stop - pieces.first, 0) if losing else np.ones(len(pieces), dtype=np.intp)
+        piece = np.repeat(np.arange(len(pieces)), held)
+        self.lost = pieces.first[piece] + np.arange(piece.size) - np.repeat(np.cumsum(held) - held, held)
+        if losing:
+            left, right, first, stop = pieces.left[piece], pieces.right[piece], pieces.first[piece], pieces.stop[piece]
+            pieces = replace(pieces, left=left, right=right, first=first, stop=stop)
         self.model, self.pieces = model, pieces
         self.times, self.measured = _padded(pieces, len(model.C))
+        if losing:
+            self.measured[np.arange(len(pieces)), self.lost - pieces.first] = False
 
     def too_few(self) -> int | None:
         """A piece with fewer measurements than states."""
@@ -33,9 +44,10 @@ class WindowsOverBox:
         return BoxCells(box, box + 1, (pieces.left + pieces.right) / 2, half, np.arange(count))
 
     def judge(self, cells: BoxCells) -> tuple[Array, Array, Array]:
-        """Lower bounds, values at the centres, and what each direction matters."""
-        piece = cells.piece
-        found = least_sigma(self.model, cells, self.times[piece] - cells.s[:, None], self.measured[piece])
+        """Lower bounds, values at the centres, and what each direction matters; for all times that pieces allow."""
+        piece, late = cells.piece, self.pieces.timing_tolerance.radius
+        times = self.times[piece] - cells.s[:, None]
+        found = least_sigma(self.model, cells, times, self.measured[piece], late)
         return found.lower, found.centre, found.effect
 
     def value(self, u: Array, s: float, piece: int) -> float:

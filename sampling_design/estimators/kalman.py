@@ -20,7 +20,7 @@ from sampling_design.estimators.online.evidence import REMEMBERED
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.in_order import listed, triple
 from sampling_design.estimators.online.open_loop import OpenLoop
-from sampling_design.estimators.online.recorder import MeasuredSample, OpenLoopState, Recorder, SolveDetails
+from sampling_design.estimators.online.recorder import MeasuredSample, Recorder, SolvedSample
 from sampling_design.estimators.online.rounding import scaled_bound
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import ROUNDING, judged, overflowed, rounding_energy, too_large
@@ -119,24 +119,17 @@ class KalmanFilter(WindowedEstimator):
         self.loop.refuse_overflow(flow, x if np.isfinite(Y).all() else np.array([np.inf]), sample.t)
         root = weights.at(mask).y_root
         H, innovation = root @ self.plant.C, root @ (y - feedthrough - self.plant.C @ x)
-        details: SolveDetails = {"engine": "filter", "window_start": state.nodes[0].t}
+        measured, begun = MeasuredSample(sample, y, mask, feedthrough), state.nodes[0].t
         if means_of(sample):
-            return self._with_means(state, sample, (y, mask, feedthrough), (flow, drift))
+            return self._with_means(state, measured, (flow, drift))
         own = float(self.bounds.of_samples(mask[None])[0])
         terms = before + own
         if too_large(innovation):
             residual = np.where(mask > 0, y - feedthrough - self.plant.C @ x, 0.0)
             found, note = overflowed(self.weights, state.last, sample, residual, terms)
             x, Y, beta = self.loop.ahead(last, flow, drift)
-            found = found._replace(beta=beta)
-            return self.recorder.node(
-                state,
-                MeasuredSample(sample, y, mask, feedthrough),
-                OpenLoopState(x, Y, flow, drift),
-                found,
-                details,
-                note,
-            )
+            solved = SolvedSample(x, Y, found._replace(beta=beta), "filter", note)
+            return self.recorder.node(state, measured, (flow, drift), solved, begun)
         terms += rounding_energy(self.weights, y, x)
         spread, step, half = root_update(covariance_root(Y), H, innovation)
         Y, x = freeze(symmetrise(spread @ spread.T)), freeze(x + step)
@@ -147,20 +140,14 @@ class KalmanFilter(WindowedEstimator):
             found = found._replace(
                 contradiction=self._contradiction(sample, last.number + 1, (half, cost), (terms, own))
             )
-        details["cost"] = past + cost
-        return self.recorder.node(
-            state, MeasuredSample(sample, y, mask, feedthrough), OpenLoopState(x, Y, flow, drift), found, details
-        )
+        solved = SolvedSample(x, Y, found, "filter", cost=past + cost)
+        return self.recorder.node(state, measured, (flow, drift), solved, begun)
 
     def _with_means(
-        self,
-        state: EstimatorState,
-        sample: RecordRow,
-        measured: tuple[Array, Array, Array],
-        last_gap: tuple[GapFlow, Array],
+        self, state: EstimatorState, measured: MeasuredSample, last_gap: tuple[GapFlow, Array]
     ) -> HistoryNode:
         """Return the node of a composite sample: from the last node before anything that it overlaps, all at once."""
-        nodes, last = state.nodes, state.last
+        nodes, last, (sample, y, mask, feedthrough, _) = state.nodes, state.last, measured
         since = min(begun for _, begun, _ in means_of(sample))
         at = state.node_before(since)
         for node in reversed(nodes):
@@ -169,7 +156,7 @@ class KalmanFilter(WindowedEstimator):
                 at = state.node_before(begun)
         first = nodes[at]
         start = WindowStart(first.t, first.x, first.beta, covariance_root(first.Y), nodes[at + 1 :])
-        window = self._window(state, start, sample, measured)
+        window = self._window(state, start, sample, (y, mask, feedthrough))
         solution, passed = smooth(window), float(window.discount[0])
         terms = (
             scaled_bound(first.beta, passed)
@@ -186,11 +173,9 @@ class KalmanFilter(WindowedEstimator):
             name = self.plant.outputs.names[means[0][0]]
             found = found._replace(contradiction=Contradiction(last.number + 1, sample.t, name, factor))
         past = 0.0 if first.sample.y is None else first.estimate.cost * passed
-        details: SolveDetails = {"engine": "filter", "window_start": nodes[0].t, "cost": past + solution.cost}
-        y, mask, feedthrough = measured
         x, Y = freeze(solution.nodes[-1].copy()), freeze(symmetrise(solution.covariance))
-        taken = MeasuredSample(sample, y, mask, feedthrough)
-        return self.recorder.node(state, taken, OpenLoopState(x, Y, *last_gap), found, details)
+        solved = SolvedSample(x, Y, found, "filter", cost=past + solution.cost)
+        return self.recorder.node(state, measured, last_gap, solved, nodes[0].t)
 
     def _contradiction(
         self, sample: RecordRow, number: int, innovation: tuple[Array, float], bounds: tuple[float, float]

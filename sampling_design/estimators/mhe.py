@@ -27,7 +27,7 @@ from sampling_design.estimators.online.evidence import SUSPECTS
 from sampling_design.estimators.online.guarantee import choose_horizon
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.open_loop import OpenLoop
-from sampling_design.estimators.online.recorder import MeasuredSample, OpenLoopState, Recorder, SolveDetails
+from sampling_design.estimators.online.recorder import MeasuredSample, Recorder, SolvedSample
 from sampling_design.estimators.online.rounding import scaled_bound
 from sampling_design.estimators.online.schedule_watch import ScheduleClaim
 from sampling_design.estimators.online.verdict import (
@@ -41,7 +41,7 @@ from sampling_design.estimators.online.verdict import (
 from sampling_design.estimators.window.smoother import smooth
 from sampling_design.estimators.window.solution import Solution
 from sampling_design.estimators.window.window_problem import EstimationWindow
-from sampling_design.estimators.windowed_estimator import WindowedEstimator, WindowEstimate, WindowStart
+from sampling_design.estimators.windowed_estimator import WindowedEstimator, WindowStart
 from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import RowsAsked
@@ -255,7 +255,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         t = sample.t
         self._prepare(state, t)
         measured = y, mask, feedthrough = self.reader.read(state, sample)
-        flow, drift = last_gap = self.loop.between(state, state.last.t, t)
+        last_gap = self.loop.between(state, state.last.t, t)
         scheduled = self.claim.fits(state, t, mask)
         limits = self._limited(sample, feedthrough)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -264,14 +264,9 @@ class MovingHorizonEstimator(WindowedEstimator):
             solved = self._slid_window(state, start, t, measured, last_gap) if free else None
         if solved is None:
             solved = self._solved(state, start, sample, measured, last_gap, limits)
-        x, Y, found = solved.x, solved.Y, solved.found
-        x.flags.writeable = Y.flags.writeable = False
-        details: SolveDetails = {"window_start": start.s, "engine": solved.engine, "cost": solved.cost}
-        taken, after = (
-            MeasuredSample(sample, y, mask, feedthrough, limits),
-            OpenLoopState(x, Y, flow, drift, solved.precision),
-        )
-        node = self.recorder.node(state, taken, after, found, details, solved.note, scheduled)
+        solved.x.flags.writeable = solved.Y.flags.writeable = False
+        taken = MeasuredSample(sample, y, mask, feedthrough, limits)
+        node = self.recorder.node(state, taken, last_gap, solved, start.s, scheduled)
         self._histories.keep(node)
         return node
 
@@ -283,7 +278,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         measured: tuple[Array, Array, Array],
         last_gap: tuple[GapFlow, Array],
         limits: Array | None = None,
-    ) -> WindowEstimate:
+    ) -> SolvedSample:
         """Return what the window says, put together and solved as a whole."""
         last, (flow, drift), engine, cost = state.last, last_gap, "", np.nan
         self.loop.refuse_overflow(flow, self.loop.moved(last, flow, drift), sample.t)
@@ -310,7 +305,7 @@ class MovingHorizonEstimator(WindowedEstimator):
             x, Y, beta = self.loop.ahead(last, flow, drift)
             self.loop.refuse_overflow(flow, Y, sample.t)
             found = found._replace(beta=beta, sound=found.sound and found.status == "solver failed")
-        return WindowEstimate(x, Y, found, engine, note, cost)
+        return SolvedSample(x, Y, found, engine, note, cost)
 
     def _contradiction(
         self, window: EstimationWindow, terms: float, dual: float, numbers: dict[float, int]

@@ -18,8 +18,9 @@ from sampling_design.estimators.constraints.window_constraints import WindowCons
 from sampling_design.estimators.gap_flows.flows import GapFlow
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.estimators.online.linear_plant_estimator import LinearPlantEstimator
-from sampling_design.estimators.online.rounding import CovariancePrecision, rounding, scaled_bound
-from sampling_design.estimators.online.verdict import SolveVerdict, judged
+from sampling_design.estimators.online.recorder import SolvedSample
+from sampling_design.estimators.online.rounding import rounding, scaled_bound
+from sampling_design.estimators.online.verdict import judged
 from sampling_design.estimators.window.band_cache import BandCache
 from sampling_design.estimators.window.check_points import SAME_TIME_ULPS, CheckPoints, pieces
 from sampling_design.estimators.window.means import IntegralFlows, MeanReading, means_of
@@ -39,18 +40,6 @@ class WindowStart(NamedTuple):
     energy: float
     root: Array | None
     inside: tuple[HistoryNode, ...]
-
-
-class WindowEstimate(NamedTuple):
-    """What a window says of its last sample: state, covariance, what they are worth, and how they were found."""
-
-    x: Array
-    Y: Array
-    found: SolveVerdict
-    engine: str = ""
-    note: str = ""
-    cost: float = np.nan
-    precision: CovariancePrecision | None = None
 
 
 class WindowedEstimator(LinearPlantEstimator):
@@ -145,7 +134,7 @@ class WindowedEstimator(LinearPlantEstimator):
         t: float,
         measured: tuple[Array, Array, Array],
         last_gap: tuple[GapFlow, Array],
-    ) -> WindowEstimate | None:
+    ) -> SolvedSample | None:
         """Return what the window says, from what is remembered of it; None where that is no use or a constraint acts.
 
         Numbers that overflow are looked at, so that numpy need not tell of them.
@@ -191,7 +180,7 @@ class WindowedEstimator(LinearPlantEstimator):
         found = judged(self.weights, terms, optimum.dual, nodes[-1])
         if found.status == "bounds disproved" and nodes[-1].stands:
             return None
-        return WindowEstimate(optimum.x, optimum.Y, found, "banded", "", optimum.cost, optimum.precision)
+        return SolvedSample(optimum.x, optimum.Y, found, "banded", "", optimum.cost, optimum.precision)
 
     def _left_out(self, sample: RecordRow, start: WindowStart) -> str:
         """What is said of a mean that began before the window."""

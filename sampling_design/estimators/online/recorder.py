@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, TypedDict, Unpack
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,14 +27,6 @@ that of the ellipsoid."""
 OFF_SCHEDULE = "No a-priori claim: off the certificate's schedule."
 
 
-class SolveDetails(TypedDict, total=False):
-    """What an estimate says of its solve."""
-
-    engine: str
-    window_start: float
-    cost: float
-
-
 class MeasuredSample(NamedTuple):
     """A sample as the equations take it: y with 0 where it is missing, the mask of 0 and 1, D u, and its limits."""
 
@@ -45,13 +37,15 @@ class MeasuredSample(NamedTuple):
     limits: Array | None = None
 
 
-class OpenLoopState(NamedTuple):
-    """What is held after a sample: state, covariance, the flow and drift that led there, Y's precision where known."""
+class SolvedSample(NamedTuple):
+    """State and covariance after a sample, what they are worth, how they were found, Y's precision where known."""
 
     x: Array
     Y: Array
-    flow: GapFlow
-    drift: Array
+    found: SolveVerdict
+    engine: str = ""
+    note: str = ""
+    cost: float = np.nan
     precision: CovariancePrecision | None = None
 
 
@@ -103,7 +97,9 @@ class Recorder:
         scheduled: bool,
         contradiction: Contradiction | None = None,
         note: str = "",
-        **details: Unpack[SolveDetails],
+        engine: str = "",
+        window_start: float = np.nan,
+        cost: float = np.nan,
     ) -> Estimate:
         """Return an estimate with its two flags and, in words, why one is down."""
         if not sound:
@@ -121,21 +117,20 @@ class Recorder:
             note = f"{note} {self.claim.note or OFF_SCHEDULE}"
         return estimate_of(
             t=t, x=x, covariance=Y, radius=beta, status=status, certified=certified, on_schedule=scheduled,
-            note=note.strip(), contradiction=contradiction, **details,
+            note=note.strip(), contradiction=contradiction, engine=engine, window_start=window_start, cost=cost,
         )  # fmt: skip
 
     def node(
         self,
         state: EstimatorState,
         measured: MeasuredSample,
-        held: OpenLoopState,
-        found: SolveVerdict,
-        details: SolveDetails,
-        note: str = "",
+        gap: tuple[GapFlow, Array],
+        solved: SolvedSample,
+        window_start: float,
         scheduled: bool = False,
     ) -> HistoryNode:
-        """Return the node of a sample, with the estimate that is handed out; its rounding widens the radius."""
-        last, (x, Y, flow, drift, precision) = state.nodes[-1], held
+        """Return the node of a sample after a gap, with the estimate that is handed out; rounding widens its radius."""
+        last, (flow, drift), (x, Y, found, engine, note, cost, precision) = state.nodes[-1], gap, solved
         sample, y, mask, feedthrough, limits = measured
         none = self.loop.drift.none
         size, condition = in_units_of(Y, passed(last, flow, None if drift is none else drift, x), precision)
@@ -144,8 +139,9 @@ class Recorder:
         beta = beta * (1 + PROPAGATED * condition + loose) + moved(beta, size)
         t = sample.t
         estimate = self.estimate(
-            t, x, Y, beta, status, sound=sound, scheduled=scheduled, contradiction=contradiction, note=note, **details
-        )
+            t, x, Y, beta, status, sound=sound, scheduled=scheduled, contradiction=contradiction, note=note,
+            engine=engine, window_start=window_start, cost=cost,
+        )  # fmt: skip
         limited = t if sample.censored else last.limited
         size += 0.0 if math.isinf(flow.growth) else last.held / flow.growth
         branch = None if last.branch is None else last.branch.after(last.number)

@@ -277,34 +277,9 @@ def certify_family(
 
         Phi_h(P_u) + C'R~C >= P_v on every edge of the family's graph of gap words,    Phi_s(P_u) >= P2/lam
 
-    Parameters
-    ----------
-    plant : Plant
-    family : GapRange, SpacedWindows, LostSamples or Jitter
-        The last two with a PeriodicSchedule as nominal.
-    eta, P2, Qw, R, Qv, noise_gain
-        As for `certify`.
-    budget : float, optional [seconds]
-        Of the search. What is proven by then is returned; so it is where the search is interrupted.
-    memory : int, optional
-        How much of the past the graph remembers (0 the least). Default: as little as is enough.
-    progress : callable, optional
-        Called with (fraction, message).
-
-    Returns
-    -------
-    FamilyCertificate
-        Proven: its `verify()` has passed.
-
-    Raises
-    ------
-    ArgumentError
-        If an argument is out of range, or family and plant do not fit.
-    CertificateError
-        If some schedule of the family has no certificate: details `counterexample`, `gaps`, `eigenvalue`, `direction`.
-    UndecidedError
-        If neither a certificate nor such a schedule was found, or not within the budget: details say how far both
-        searches came.
+    Arguments as for `certify`. What is proven when the budget ends, or at an interrupt, is returned. Raises
+    ArgumentError if one is out of range or family and plant do not fit, CertificateError if some schedule has no
+    certificate (details `counterexample`, `gaps`, `eigenvalue`, `direction`), UndecidedError if neither was found.
 
     Notes
     -----
@@ -317,14 +292,6 @@ def certify_family(
     References
     ----------
     The paper, Assumption 7 and Theorem 17.
-
-    Examples
-    --------
-    >>> from sampling_design.schedules.gap_range import GapRange
-    >>> oscillator = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
-    >>> certificate = certify_family(oscillator, GapRange(0.5, 1.5), eta=0.1)
-    >>> certificate.lam < 2.0, certificate.verify().passed
-    (True, True)
     """
     report = progress or (lambda fraction, message: None)
     family = in_plant_terms(plant, family)

@@ -45,7 +45,9 @@ def deviations_of(
     def lost(pieces: Pieces, limit: Budget) -> tuple[float, int]:
         return lost_one_by_one(least, plant.n_outputs, len(schedule), pieces, limit)
 
-    found = left_of_sigma(schedule, window, least, lost, plant.time_unit, asked, sigma, start, seconds)
+    found = left_of_sigma(
+        schedule, window, least, lost, plant.time_unit, asked=asked, sigma=sigma, start=start, seconds=seconds
+    )
     if found is None or max(found.late, found.late_wider, found.lost) > 0:
         return found
     return None if _is_hidden(plant, schedule, window, start, asked) else found

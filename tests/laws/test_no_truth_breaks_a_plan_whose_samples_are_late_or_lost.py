@@ -41,13 +41,22 @@ class Flown(NamedTuple):
     seen: Mask
     at: int
 
-    def worst(self, times, seen, until):
-        """The largest ratio of an error to its tolerance that is flown from the first judged sample on."""
+    @property
+    def delays(self):
+        """How long a result of each output is out at most."""
+        delay = self.plan.problem.result_delay
+        return np.zeros(self.plan.plant.n_outputs) if delay is None else delay
+
+    def worst(self, times, seen, until, since=None):
+        """The largest ratio of an error to its tolerance that is flown from the first judged sample on.
+
+        Or from a time `since`, by which real times are known.
+        """
         plant, problem, (goal,) = self.plan.plant, self.plan.problem, self.plan.goals
-        delays = np.zeros(plant.n_outputs) if problem.result_delay is None else problem.result_delay
-        span, late = (self.times[self.at], until), problem.timing_tolerance.radius
+        late = problem.timing_tolerance.radius * (times > (-np.inf if since is None else since))
+        span = self.times[self.at] if since is None else since, until
         system = plant.A, plant.C, plant.G
-        error = oracle.worst_truth(system, times, seen, delays, goal.row, span, self.w, problem.v_bound, late)
+        error = oracle.worst_truth(system, times, seen, self.delays, goal.row, span, self.w, problem.v_bound, late)
         return error / goal.tolerance
 
 
@@ -148,6 +157,25 @@ def shares(seeds, name):
 def test_no_truth_breaks_a_claim_and_what_is_attained_is_flown(seed):
     for name, said, found in judged(seed):
         assert found >= 0.95 * said if is_attained(name) else found <= said * (1 + ROUNDED), name
+
+
+@pytest.mark.parametrize("seed", few(range(120), 27))
+def test_the_next_sample_keeps_the_tolerance_while_results_are_out(seed):
+    """Followed until some time, with what is in by then; the next sample comes as late as is said, then the plan."""
+    one = flown(seed)
+    plan, times, seen, names = one.plan, one.times, one.seen, one.plan.plant.outputs.names
+    now = float(np.random.default_rng(1000 + seed).uniform(*times[one.at : one.at + 2]))
+    past, known = times <= now, times[:, None] + one.delays <= now
+    read = [(t, np.where(mask, 0.0, np.nan), None) for t, mask in zip(times, seen & known, strict=True) if mask.any()]
+    out = [(times[k], names[j]) for k, j in np.argwhere(seen & ~known & past[:, None])]
+    found = sd.next_sample(plan, read[-30:], now=now, awaited=out)
+    if not (found.keeps and found.proven):
+        return
+    after = times > found.latest + ROUNDED
+    every = np.concatenate([times[past], [found.latest], times[after]])
+    masks = np.concatenate([seen[past], np.isin(names, found.outputs)[None], seen[after]])
+    until = found.latest + 2 * plan.schedule.period / plan.samples + one.delays.max()
+    assert one.worst(every, masks, until, now) <= 1 + ROUNDED
 
 
 @pytest.mark.long

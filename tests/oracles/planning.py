@@ -122,14 +122,15 @@ def flown(A, G, nodes, u):
 
 
 def worst_truth(system, planned, seen, delays, c, span, w, v, late=0.0, moved=4):
-    """The largest error of c'x within a time `span` that is flown, whatever the real times within `late` are.
+    """The largest error of c'x within a time `span` that is flown, whatever the real times within `late`, (K,), are.
 
     Looked at just before each result can come, at the latest, and between; at the worst of these the `moved` last
     samples come early, on time or late, one after the other, as long as that makes it worse.
     """
     A, C, G = system
     planned, seen, (since, until) = np.asarray(planned, float), np.asarray(seen, bool), span
-    comes = planned[:, None] + late + np.where(seen, delays, np.nan)
+    late = np.broadcast_to(late, planned.shape)
+    comes = (planned + late)[:, None] + np.where(seen, delays, np.nan)
     ends = np.append(comes[(comes > since) & (comes < until)], until) - 1e-9 * (until - since)
     ends = np.append(ends, since)
     ends = np.sort(np.append(ends, (ends[1:] + ends[:-1]) / 2))
@@ -148,8 +149,8 @@ def worst_truth(system, planned, seen, delays, c, span, w, v, late=0.0, moved=4)
 
     error, end = max((attained(out(end), end), float(end)) for end in ends)
     real = out(end)
-    for k in np.flatnonzero(planned <= end)[::-1][:moved] if late else ():
-        for e in (-late, 0.0, late):
+    for k in np.flatnonzero((planned <= end) & (late > 0))[::-1][:moved]:
+        for e in (-late[k], 0.0, late[k]):
             trial = np.where(np.arange(len(real)) == k, planned[k] + e, real)
             found = 0.0 if np.array_equal(trial, real) else attained(trial, end)
             error, real = (found, trial) if found > error else (error, real)

@@ -144,8 +144,9 @@ class ScheduleLog(TableRecord):
 
     def explain(self) -> str:
         """Say what the deviations cost."""
-        text = f"{self.missed.size} of {len(self.planned)} planned samples were missed, the others came within "
-        text += f"{spoken(self.largest_deviation, self.time_unit)}. "
+        missed, planned, near = self.missed.size, len(self.planned), spoken(self.largest_deviation, self.time_unit)
+        text = f"{missed} of {planned} planned samples were missed"
+        text += f", the others came within {near} of their times. " if missed < planned else ". "
         if self.decays:
             return text + "Every mode decays by itself, so that no window needs a sample and no sigma is compared."
         if self.planned_sigma is None or self.actual_sigma is None:

@@ -17,7 +17,12 @@ const STYLE = `
 .sd .stale { opacity: 0.3; } .sd svg:empty { display: none; }
 .sd .hint { color: #595959; font-size: 13px; }`;
 
-const short = (x) => (x === null || x === undefined ? "–" : Number(x).toPrecision(4).replace(/\.?0+($|e)/, "$1"));
+/* Four digits, of large numbers all before the point: a day of 86400 s has its samples at whole seconds. */
+function short(x) {
+  if (x === null || x === undefined) return "–";
+  const digits = Math.min(Math.max(4, Math.ceil(Math.log10(Math.abs(x) + 1))), 15);
+  return Number.isFinite(x) ? String(Number(Number(x).toPrecision(digits))) : String(x);
+}
 
 function node(kind, attributes, parent, text) {
   const made = document.createElementNS(SVG, kind);
@@ -105,7 +110,7 @@ export async function mount(element, ask) {
     for (const value of ticks(0, top).slice(0, 7)) {
       const h = y + height - (height * value) / top;
       node("line", { x1: LEFT, x2: WIDE - RIGHT, y1: h, y2: h, stroke: "#e4e4e4" }, svg);
-      node("text", { x: LEFT - 8, y: h + 4, "text-anchor": "end", class: "soft" }, svg, short(value) === "" ? "0" : short(value));
+      node("text", { x: LEFT - 8, y: h + 4, "text-anchor": "end", class: "soft" }, svg, short(value));
     }
   }
 

@@ -292,3 +292,13 @@ def test_the_page_is_ready_and_follows_quickly(explorer, page):
     print(f"ready after {ready:.0f} ms, a move is drawn after {follows:.1f} ms (medians of {len(opened)}, {len(took)})")
     assert ready < 5000
     assert follows < 1000
+
+
+def test_a_day_of_seconds_is_told_in_whole_seconds(explorer, page):
+    plant = sd.Plant([[0.0, 1e-4], [-1e-4, 0.0]], [[1.0, 0.0]], time_unit="s")
+    schedule = sd.PeriodicSchedule.from_times([12345.0, 61234.0], 86400.0, time_unit="s")
+    visit(page, explorer(Bench(plant, sd.Requirement(window=86400.0, period=86400.0), schedule)))
+    texts = page.locator("svg text").all_text_contents()
+    assert {"20000", "80000"} <= set(texts)
+    assert not [text for text in texts if "e+" in text]
+    assert page.locator(".mark title").first.text_content().endswith("at 12345 s")

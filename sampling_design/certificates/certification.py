@@ -34,6 +34,7 @@ from sampling_design.certificates.existence.periodic import certificate_exists, 
 from sampling_design.checkers.work import Work
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.numerics.linalg import symmetrise
+from sampling_design.observability.alignment import meet
 from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant
 from sampling_design.plants.rows import Wanted
@@ -186,10 +187,12 @@ def certify(
         it holds some; a second one ends the call.
     memory : int, optional
         For a family alone: how much of the past its graph remembers (0 the least). Default: as little as is enough.
-    timing_tolerance : float, or pair (early, late) [plant.time_unit]
+    timing_tolerance : float, pair (early, late), or dict of these by output [plant.time_unit]
         Other than 0: of one schedule, how early or late each sample may be. All such times are a `Jitter` family, about
         the schedule itself or, where early and late differ, half of their difference after it: its certificate is
-        returned. A first sample that could come before time 0 is refused.
+        returned. A first sample that could come before time 0 is refused. By output where each sample reads one output:
+        each about the middle of its own times, all within the largest radius, which is safe. Samples of several outputs
+        would fall apart, in any order, and are refused.
     progress : callable, optional
         Called with (fraction, message).
     of : str, sequence of str, or (k, n) array, optional
@@ -241,7 +244,7 @@ def certify(
     >>> certify(oscillator, PeriodicSchedule([0.5, 1.0]), w_bound=0.1, v_bound=0.2, initial_error=1.0).eta
     1.0
     """
-    schedule = _with_tolerance(schedule, timing_tolerance)
+    schedule = _with_tolerance(plant, schedule, timing_tolerance)
     bounded = any(bound is not None for bound in bounds.values())
     if bounded and any(weight is not None for weight in (P2, Qw, R, Qv)):
         raise ArgumentError("`w_bound`, `v_bound` and `initial_error` say the weights: leave out P2, Qw, R and Qv.")
@@ -278,10 +281,10 @@ def certify(
 
 
 def _with_tolerance(
-    schedule: AnySchedule | SamplingFamily | None, timing_tolerance: Timing
+    plant: OpenPlant, schedule: AnySchedule | SamplingFamily | None, timing_tolerance: Timing
 ) -> AnySchedule | SamplingFamily | None:
     """The family of all times within a tolerance of a schedule; without one, the schedule as it is."""
-    late = TimingTolerance.of(timing_tolerance)
+    late = TimingTolerance.of(timing_tolerance, plant.outputs.names if isinstance(plant, Plant) else None)
     if not late:
         return schedule
     if schedule is None or isinstance(schedule, SamplingFamily):
@@ -289,7 +292,7 @@ def _with_tolerance(
             f"`timing_tolerance` is for one schedule, got {checks.described(schedule)}: a family says itself which "
             "times its samples may have."
         )
-    return Jitter.around(schedule, late)
+    return Jitter.around(meet(plant, schedule) if late.apart and isinstance(plant, Plant) else schedule, late)
 
 
 def _of_schedule(

@@ -13,7 +13,7 @@ import numpy as np
 from sampling_design.checkers.strict import is_table
 from sampling_design.errors import ArgumentError
 from sampling_design.records import checks
-from sampling_design.records.arrays import Array
+from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import Seed
 from sampling_design.records.record import short
 from sampling_design.schedules.family import (
@@ -177,6 +177,20 @@ class TimingTolerance:
                 "are read together: give one number or a pair (early, late)."
             )
 
+    def of_samples(self, mask: Mask | None, what: str) -> tuple[float | Array, float]:
+        """How much later than planned the middle of each sample's times lies, and the largest radius of these times.
+
+        Outputs with tolerances of their own must be read one at a time. Raises ArgumentError if a sample reads several.
+        """
+        if not self.apart:
+            return self.shift, self.radius
+        every = np.ones((1, len(self.names)), dtype=bool) if mask is None else mask
+        if every.shape[1] != len(self.names) or every.sum(axis=1).max(initial=0) > 1:
+            self.require_together(what)
+        read = np.argmax(every, axis=1)
+        early, late = np.array(self.early)[read], np.array(self.late)[read]
+        return (late - early) / 2, float(np.max((early + late) / 2))
+
 
 ON_TIME = TimingTolerance()  # samples come when they are planned
 
@@ -203,18 +217,18 @@ def _pair(name: str, value: object, time: Callable[[str, object], float]) -> tup
     return both, both
 
 
-def moved(schedule: AnySchedule, by: float) -> AnySchedule:
-    """Return the schedule with every sample so much later (or earlier, if negative).
+def moved(schedule: AnySchedule, by: float | Array) -> AnySchedule:
+    """Return the schedule with every sample so much later (or earlier, if negative), or each by a time of its own.
 
     Raises ArgumentError if its first sample would come before time 0.
     """
-    if not by:
+    if not np.any(by):
         return schedule
     times = np.asarray(schedule.times) + by
     if times.size and times[0] < 0:
         raise ArgumentError(
             f"`timing_tolerance`: a first sample at {short(schedule.times[0])} cannot be so much earlier than late: "
-            f"plan it at {short(-by)} or later, or give one number."
+            f"plan it at {short(-float(np.min(by)))} or later, or give one number."
         )
     if not schedule.endless:
         return Schedule(times, schedule.outputs, **schedule._details())
@@ -272,14 +286,18 @@ class Jitter(SamplingFamily, kind="jitter"):
     def around(cls, schedule: AnySchedule, tolerance: TimingTolerance) -> Self:
         """Return the schedules whose samples are so early or late: those within the radius about their centres.
 
+        Where outputs have tolerances of their own and are read one at a time, each sample has the centre of its output,
+        and all have the largest radius of what is read.
+
         Raises
         ------
         ArgumentError
-            As for the family, or if outputs have tolerances of their own, or the first centre lies before time 0.
+            As for the family, or if outputs of one sample have tolerances of their own, or the first centre lies before
+            time 0.
         """
-        tolerance.require_together("a family of schedules")
         SamplingSet(schedule)
-        return cls(moved(schedule, tolerance.shift), tolerance.radius)
+        by, radius = tolerance.of_samples(schedule.outputs, "a family of schedules")
+        return cls(moved(schedule, by), radius)
 
     @property
     def time_unit(self) -> str | None:

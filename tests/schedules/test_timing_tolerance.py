@@ -54,7 +54,9 @@ def test_families_are_about_the_centre():
     assert family.contains(sd.PeriodicSchedule([1.0, 0.7], first=0.9))
     assert not family.contains(sd.PeriodicSchedule([1.0, 0.7], first=0.85))
     with pytest.raises(ArgumentError, match="fall apart, and a family of schedules is of samples"):
-        sd.Jitter.around(sd.PeriodicSchedule([1.0]), TimingTolerance.of({"y1": 0.1}))
+        sd.Jitter.around(sd.PeriodicSchedule([1.0]), TimingTolerance.of({"y1": 0.1, "y2": 0.2}))
+    one = sd.Jitter.around(sd.PeriodicSchedule([1.0]), TimingTolerance.of({"y1": (0.0, 0.2)}))
+    assert one.to_dict() == sd.Jitter.around(sd.PeriodicSchedule([1.0]), TimingTolerance.of((0.0, 0.2))).to_dict()
     with pytest.raises(ArgumentError, match="early and late, together less than the least gap 1"):
         sd.window_sigma(sd.Plant([[0.0]], [[1.0]]), sd.PeriodicSchedule([1.0]), 9.0, timing_tolerance=(0.3, 0.9))
 
@@ -95,3 +97,22 @@ def test_a_rule_for_windows_is_loosened():
     assert wide.lower <= said.upper
     with pytest.raises(ArgumentError, match="could change places"):
         sd.worst_case_sigma(plant, rule, timing_tolerance=0.3)
+
+
+def test_certificates_hold_for_outputs_that_are_read_one_at_a_time():
+    plant = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], np.eye(2), outputs=["a", "b"])
+    planned = sd.PeriodicSchedule([1.0, 0.7], first=0.4, outputs=[[True, False], [False, True]])
+    late = {"b": 0.02, "a": (0.0, 0.1)}
+    found = sd.certify(plant, planned, timing_tolerance=late, eta=0.3, P2=np.eye(2))
+    assert found.verify().passed
+    assert found.family.timing_tolerance == pytest.approx(0.05)
+    assert found.family.schedule.times == pytest.approx([0.45, 1.1])
+    for a in (0.0, 0.1):
+        for b in (-0.02, 0.02):
+            times = planned.times + np.array([a, b])
+            assert found.family.contains(sd.PeriodicSchedule.from_times(times, 1.7, planned.outputs))
+    early = sd.PeriodicSchedule.from_times(planned.times - np.array([0.02, 0.0]), 1.7, planned.outputs)
+    assert not found.family.contains(early)
+    both = sd.PeriodicSchedule([1.0, 0.7], first=0.4)
+    with pytest.raises(ArgumentError, match="fall apart, and a family of schedules is of samples"):
+        sd.certify(plant, both, timing_tolerance=late, eta=0.3)

@@ -161,26 +161,26 @@ def _from_gaps(
         return None, "No guarantee: one sample is no schedule that could be certified."
     gaps = np.diff(times)
     shortest, longest = float(gaps.min()), float(gaps.max())
-    seen = f"gaps from {short(shortest)} to {short(longest)} {plant.time_unit}"
-    seen += " between numbers, limits and means left out" if any(record.censored) else ""
+    span = f"gaps from {short(shortest)} to {short(longest)} {plant.time_unit}"
+    span += " between numbers, limits and means left out" if any(record.censored) else ""
     rate = _rate(plant, eta, longest, used)
     asked = plant.n_states <= FAMILY_STATES
     if asked and taken.all():
         family = GapRange(shortest, max(longest, float(times[0])), time_unit=plant.time_unit)
         try:
             found = certify(plant, family, eta=rate, progress=progress, **bounds)
-            return found, f"Guarantee for all schedules with {seen}."
+            return found, f"Guarantee for all schedules with {span}."
         except (MathematicsError, SolverError):
             pass  # not every schedule with these gaps can be certified: perhaps this one can
     if times.size > OWN_SAMPLES:
-        words = f"No guarantee beyond the ellipsoid: the file's own {times.size} times ({seen}) are more than the "
+        words = f"No guarantee beyond the ellipsoid: the file's own {times.size} times ({span}) are more than the "
         return None, words + f"{OWN_SAMPLES} that are certified in passing. Give a certificate or a schedule."
     try:
         own = Schedule(times, taken, time_unit=plant.time_unit)
         certificate = certify(plant, own, eta=rate, progress=progress, **bounds)
     except (MathematicsError, SolverError) as error:
-        return None, f"No guarantee beyond the ellipsoid: {seen} cannot be certified ({str(error).rstrip('.')})."
-    words = f"Guarantee for the file's own times only, certified to its last time ({seen})."
+        return None, f"No guarantee beyond the ellipsoid: {span} cannot be certified ({str(error).rstrip('.')})."
+    words = f"Guarantee for the file's own times only, certified to its last time ({span})."
     if not asked:
         words += f" For all schedules with such gaps ask `certify --gap-range`: {plant.n_states} states take it long."
     return certificate, words

@@ -182,9 +182,9 @@ class KalmanFilter(WindowedEstimator):
     ) -> Contradiction:
         """Return what is known of the sample that made the innovations cost more than the bounds allow."""
         (half, cost), (terms, own) = innovation, bounds
-        seen = np.isfinite(sample.y)
-        output = int(np.argmax(np.where(seen, np.abs(half), -1.0)))
-        rest = np.where(np.arange(seen.size) == output, 0.0, seen)
+        measured = np.isfinite(sample.y)
+        output = int(np.argmax(np.where(measured, np.abs(half), -1.0)))
+        rest = np.where(np.arange(measured.size) == output, 0.0, measured)
         # a bound on the norm is that of the sample: what one output leaves of it is all of it
         alone = own - float(self.bounds.of_samples(rest[None])[0])
         room = alone if alone > 0 else own

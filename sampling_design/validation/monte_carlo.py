@@ -33,7 +33,7 @@ class RunBlock:
 
 
 class MonteCarloTrials(NamedTuple):
-    """What was seen, one row per run.
+    """What was observed, one row per run.
 
     size : (r, R) |measure e| at every row of the map; promised : (r,) largest ratio of |e|^2 to what was promised;
     ellipsoid : (r, R) |e|^2_Pi / radius; plain : (blocks, R) largest Euclidean |e| of each block.

@@ -26,7 +26,7 @@ class TrajectoryPairs(NamedTuple):
 
 
 class WorstRatio(NamedTuple):
-    """The largest ratio of the two sides of (16), the start and the time where it was seen."""
+    """The largest ratio of the two sides of (16), the start and the time where it was found."""
 
     ratio: float
     start: float
@@ -57,10 +57,10 @@ def sides(line: Timeline, certificate: SampledCertificate, start: int, stop: int
         best = max(best, (float(np.max(left / total)), c + 1))
         j = samples.get(c + 1)
         if j is not None:
-            seen, v = line.masks[j] > 0, pairs.v[:, j]
+            measured, v = line.masks[j] > 0, pairs.v[:, j]
             y = x @ line.plant.C.T + v
-            total = total + np.einsum("ri,ij,rj->r", y, marginal(certificate.R, seen), y)
-            total = total + np.einsum("ri,ij,rj->r", v, marginal(certificate.Qv, seen), v)
+            total = total + np.einsum("ri,ij,rj->r", y, marginal(certificate.R, measured), y)
+            total = total + np.einsum("ri,ij,rj->r", v, marginal(certificate.Qv, measured), v)
             best = max(best, (float(np.max(left / total)), c + 1))
     return WorstRatio(best[0], float(line.times[start]), float(line.times[best[1]]))
 
@@ -101,9 +101,9 @@ def _forward(line: Timeline, certificate: SampledCertificate, start: int, stop: 
         before.append(Y)
         j = samples.get(c + 1)
         if j is not None:
-            seen = line.masks[j] > 0
+            measured = line.masks[j] > 0
             noise = np.linalg.inv(certificate.R) + np.linalg.inv(certificate.Qv)
-            Y = measurement_update(Y, whitened(line.plant.C[seen], noise[np.ix_(seen, seen)]))
+            Y = measurement_update(Y, whitened(line.plant.C[measured], noise[np.ix_(measured, measured)]))
         later.append(Y)
     return before, later
 
@@ -120,9 +120,9 @@ def _backward(line: Timeline, certificate: SampledCertificate, start: int, stop:
     for c in range(stop - 1, start - 1, -1):
         if c + 1 < stop and c + 1 in samples:
             j = samples[c + 1]
-            seen = line.masks[j] > 0
-            R, Qv = (marginal(M, seen)[np.ix_(seen, seen)] for M in (certificate.R, certificate.Qv))
-            v[0, j, seen] = -np.linalg.solve(R + Qv, R @ plant.C[seen] @ x)
+            measured = line.masks[j] > 0
+            R, Qv = (marginal(M, measured)[np.ix_(measured, measured)] for M in (certificate.R, certificate.Qv))
+            v[0, j, measured] = -np.linalg.solve(R + Qv, R @ plant.C[measured] @ x)
         gamma, unit = _cell_noise(line, certificate, c)
         dual = np.linalg.solve(before[c + 1 - start], x)
         w[0, c] = unit @ gamma.T @ dual

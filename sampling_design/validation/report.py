@@ -1,4 +1,4 @@
-"""What was promised beside what was seen: findings, and the report that collects them."""
+"""What was promised beside what was observed: findings, and the report that collects them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Finding(YesOrNo):
     strength : str
         "attained" where the observed value is the worst case itself, "sampled" where trials were drawn.
     note : str
-        What else was seen.
+        What else was observed.
     checked : bool
         False where the promise could not be judged; then it did not hold, and the note says why.
     """

@@ -43,11 +43,11 @@ class ScheduleLog(TableRecord):
     lacking : (N,) array of bool
         Taken, but without an output that was planned.
     planned_sigma, actual_sigma : WindowSigma or None
-        Over every position of the window; None where the log is shorter than the window, or no mode must be seen. Of a
-        long record (more than `STRETCH` samples) the profiles are those around its worst window.
+        Over every position of the window; None where the log is shorter than the window, or no mode must be observed.
+        Of a long record (more than `STRETCH` samples) the profiles are those around its worst window.
     time_unit : str
     decays : bool
-        No mode must be seen: every one decays by itself.
+        No mode must be observed: every one decays by itself.
     """
 
     planned: Schedule
@@ -186,7 +186,7 @@ def compare_schedule(
     outputs : (N, p) array of bool, optional
         Which outputs each sample measured; default all.
     retained : Plant, optional
-        The modes that must be seen; default the whole plant.
+        The modes that must be observed; default the whole plant.
     budget : float
         Seconds for each of the two sigmas.
     progress : callable, optional

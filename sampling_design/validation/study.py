@@ -151,24 +151,24 @@ class ValidationStudy:
         energies = largest_square(promise.prior, b.e0), largest_square(promise.w, b.w), np.array(heard)
         return promise.at_most(self.line, self.map.rows, energies)
 
-    def _judge(self, scenario: str, seen: MonteCarloTrials, strength: Strength = "sampled") -> None:
+    def _judge(self, scenario: str, trials: MonteCarloTrials, strength: Strength = "sampled") -> None:
         """Findings that every linear scenario leaves: a-priori bound, plain bound, ellipsoids."""
-        self.courses.append(ErrorCurve(scenario, seen.size.max(axis=0), np.median(seen.size, axis=0)))
+        self.courses.append(ErrorCurve(scenario, trials.size.max(axis=0), np.median(trials.size, axis=0)))
         if self.promise is not None:
-            worst, source = float(np.max(seen.promised)), self.promise.theorem
+            worst, source = float(np.max(trials.promised)), self.promise.theorem
             self._find(
-                "a-priori bound", scenario, 1.0, worst, source=source, strength=strength, note=_median_text(seen)
+                "a-priori bound", scenario, 1.0, worst, source=source, strength=strength, note=_median_text(trials)
             )
             if source == "improved horizon theorem":
-                self._plain(scenario, seen, strength)
-        self._ellipsoids(scenario, seen.ellipsoid, seen.ellipsoid[:, self.map.rows.samples], strength)
+                self._plain(scenario, trials, strength)
+        self._ellipsoids(scenario, trials.ellipsoid, trials.ellipsoid[:, self.map.rows.samples], strength)
 
-    def _plain(self, scenario: str, seen: MonteCarloTrials, strength: Strength) -> None:
+    def _plain(self, scenario: str, trials: MonteCarloTrials, strength: Strength) -> None:
         b, times = self.bounds, self.map.rows.times
         found = self._certified.error_bound(
             times, norm_of(b.e0), norm_of(b.w), norm_of(b.v), theorem="improved", length=self.horizon
         )
-        worst = float(np.max(ratio(seen.plain.max(axis=0), found)))
+        worst = float(np.max(ratio(trials.plain.max(axis=0), found)))
         self._find("Euclidean error bound", scenario, 1.0, worst, source=self.promise.theorem, strength=strength)  # type: ignore[union-attr]
 
     def _ellipsoids(self, scenario: str, ratios: Array, at_samples: Array, strength: Strength = "sampled") -> None:
@@ -192,10 +192,10 @@ class ValidationStudy:
         self._find("inequality (16)", "worst pair", 1.0, look.ratio, source=source, strength="attained", note=where)
 
     def _random(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
-        seen = monte_carlo(
+        trials = monte_carlo(
             self.map, self.bounds, self.promise, self.measure, seeds, workers, tell, journal=self.journal, name="random"
         )
-        self._judge("random noise", seen)
+        self._judge("random noise", trials)
 
     def _worst(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
         if self.promise is not None:
@@ -212,13 +212,13 @@ class ValidationStudy:
 
     def _resonant(self, seeds: Seeds, workers: Workers, tell: Progress) -> None:
         inputs, names = resonant_inputs(self.line, self.bounds)
-        seen = measured(self.map, self.promise, self.measure, inputs)
-        self._judge("resonant disturbance", seen)
+        trials = measured(self.map, self.promise, self.measure, inputs)
+        self._judge("resonant disturbance", trials)
         if self.line.times[-1] < SETTLED * self.horizon:
             self.skipped.append("growth under a resonant disturbance: the schedule ends within three horizons.")
             return
         early = self.map.rows.times <= self.line.times[-1] / 2
-        growth = ratio(seen.size[:, ~early].max(axis=1), seen.size[:, early].max(axis=1))
+        growth = ratio(trials.size[:, ~early].max(axis=1), trials.size[:, early].max(axis=1))
         at = int(np.argmax(growth))
         self._find(
             "error does not grow", "resonant disturbance", GROWTH_LIMIT, float(growth[at]), note=f"worst: {names[at]}"
@@ -235,7 +235,7 @@ class ValidationStudy:
         line = self._timeline(self.duration, float(estimator.horizon))
         found = build_error_map(line, estimator, self.bounds)
         promise = promise_of(self._certified, float(estimator.horizon), "paper")
-        seen = monte_carlo(
+        trials = monte_carlo(
             found,
             self.bounds,
             promise,
@@ -246,17 +246,17 @@ class ValidationStudy:
             journal=self.journal,
             name="paper",
         )
-        worst = float(np.max(seen.promised))
+        worst = float(np.max(trials.promised))
         self._find(
             "a-priori bound",
             "random noise, the paper's cost",
             1.0,
             worst,
             source=promise.theorem,
-            note=_median_text(seen),
+            note=_median_text(trials),
         )
         self._worst_energy(found, promise, "worst energy, the paper's cost")
-        self._ellipsoids("random noise, the paper's cost", seen.ellipsoid, seen.ellipsoid[:, found.rows.samples])
+        self._ellipsoids("random noise, the paper's cost", trials.ellipsoid, trials.ellipsoid[:, found.rows.samples])
 
     def _short(self) -> tuple[Timeline, ErrorMap]:
         """The timeline and map of the first samples, for runs of the real estimator."""
@@ -323,5 +323,5 @@ def _active(runs: list[EstimatedRun], found: ErrorMap) -> float:
     return float(np.mean([e.engine not in CLOSED_FORM for e in solves]))
 
 
-def _median_text(seen: MonteCarloTrials) -> str:
-    return f"median over the runs {short(np.median(seen.promised), 3)}"
+def _median_text(trials: MonteCarloTrials) -> str:
+    return f"median over the runs {short(np.median(trials.promised), 3)}"

@@ -101,12 +101,12 @@ def _promise_terms(found: ErrorMap, promise: Promise, row: int, parts: ErrorSour
     cost = np.where(inside, faded, np.inf)
     decay = np.exp(rate * np.maximum(t - line.times[line.samples], 0))
     unit = np.linalg.inv(promise.w)
-    seen = promise.sample_weights(line.masks)
+    weights = promise.sample_weights(line.masks)
     blank = np.einsum("ja,ab->jab", 1 - line.masks, np.eye(line.masks.shape[1]))
     return [
         (parts.e0, np.linalg.inv(promise.prior) * np.exp(rate * t) / promise.gain),
         (parts.w, unit / cost[:, None, None] / promise.gain),
-        (parts.v, np.linalg.inv(seen + blank) * decay[:, None, None] / promise.gain),
+        (parts.v, np.linalg.inv(weights + blank) * decay[:, None, None] / promise.gain),
     ]
 
 

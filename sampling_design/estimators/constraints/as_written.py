@@ -74,11 +74,11 @@ def problem_as_written(window: EstimationWindow, constraints: WindowConstraints)
 
 def _inside(cp: ModuleType, chosen: ConvexSet, z: Expression, mask: Array | None = None) -> list[Constraint]:
     """That z lies in a set, measured entries only where there is a mask."""
-    seen = np.ones(chosen.dimension, bool) if mask is None else mask > 0
-    low, up = seen & np.isfinite(chosen.lower), seen & np.isfinite(chosen.upper)
+    measured = np.ones(chosen.dimension, bool) if mask is None else mask > 0
+    low, up = measured & np.isfinite(chosen.lower), measured & np.isfinite(chosen.upper)
     found: list[Constraint] = [z[low] >= chosen.lower[low]] if low.any() else []
     found += [z[up] <= chosen.upper[up]] if up.any() else []
-    if not seen.all():
+    if not measured.all():
         return found
     if chosen.rows.shape[0]:
         found.append(z @ chosen.rows.T <= chosen.offsets)

@@ -14,7 +14,7 @@ from sampling_design.records.arrays import Array, Index, Mask
 
 @dataclass(frozen=True, eq=False)
 class ConstrainedSignal:
-    """A constrained signal at K places; entries not `seen` are free.
+    """A constrained signal at K places; entries not `measured` are free.
 
         value_k = base_k + here_k dx_j + before_k dx_{j-1} + own_k e_k,    j = at_k,
 
@@ -32,7 +32,7 @@ class ConstrainedSignal:
     here: Array | None = None
     before: Array | None = None
     own: Array | None = None
-    seen: Mask | None = None  # (K, k)
+    measured: Mask | None = None  # (K, k)
 
     @property
     def n(self) -> int:
@@ -66,8 +66,8 @@ class ConstrainedSignal:
         return total
 
     def groups(self) -> Iterator[tuple[ConvexSet, Index]]:
-        """Yield each set with the places at which all of its signal is seen: half-spaces and balls count only there."""
-        whole = np.arange(self.base.shape[0]) if self.seen is None else np.flatnonzero(self.seen.all(axis=1))
+        """Yield each set with the places where its whole signal is measured: half-spaces and balls count only there."""
+        whole = np.arange(self.base.shape[0]) if self.measured is None else np.flatnonzero(self.measured.all(axis=1))
         if len(self.sets) == 1:
             yield self.sets[0], whole
         else:
@@ -157,8 +157,8 @@ def rows_of(signal: ConstrainedSignal) -> Iterator[ConstraintRows]:
     lower[:] = [chosen.lower for chosen in signal.sets]
     upper[:] = [chosen.upper for chosen in signal.sets]
     kept = np.isfinite(lower) | np.isfinite(upper)
-    if signal.seen is not None:
-        kept &= signal.seen
+    if signal.measured is not None:
+        kept &= signal.measured
     places, entries = np.nonzero(kept)
     if places.size:
         yield ConstraintRows(signal, places, entries, lower[kept], upper[kept])

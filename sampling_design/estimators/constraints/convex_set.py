@@ -289,18 +289,18 @@ def convex_set(name: str, value: object, dimension: int) -> ConvexSet | None:
     return found
 
 
-def all_inside(chosen: ConvexSet, values: Array, seen: Mask | None = None) -> bool:
-    """Whether all (N, k) values lie in a set, of which entries not `seen` are free; nothing is checked.
+def all_inside(chosen: ConvexSet, values: Array, measured: Mask | None = None) -> bool:
+    """Whether all (N, k) values lie in a set, of which entries not `measured` are free; nothing is checked.
 
-    Half-spaces and balls count only where all of a value is seen.
+    Half-spaces and balls count only where all of a value is measured.
     """
     inside = (values >= chosen.lower) & (values <= chosen.upper)
-    seen = None if seen is None else np.asarray(seen, dtype=bool)
-    if not (inside if seen is None else inside | ~seen).all():
+    measured = None if measured is None else np.asarray(measured, dtype=bool)
+    if not (inside if measured is None else inside | ~measured).all():
         return False
     if chosen.is_box:
         return True
-    whole = values if seen is None else values[seen.all(axis=1)]
+    whole = values if measured is None else values[measured.all(axis=1)]
     return not len(whole) or chosen.excess(whole) <= 0
 
 

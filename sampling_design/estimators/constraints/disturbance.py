@@ -216,7 +216,7 @@ def _absolute_integrals(responses: DisturbanceResponses, d: float, gaps: Array, 
     bend = np.linalg.norm(first @ A, axis=2) * math.exp(responses.size * d / 2)
     second = bend[:, :, None, None] * norms
     upto = np.clip(gaps[:, None] - d * np.arange(K), 0.0, d)[:, None, :, None]
-    beyond = upto - d / 2  # the cell as seen from its middle: from -d/2 to here
+    beyond = upto - d / 2  # the cell counted from its middle: from -d/2 to here
     size, rise = np.abs(phi), np.abs(slope)
     turning = size < rise * (d / 2) + second * (d * d / 8)
     moments = (beyond * np.abs(beyond) + d * d / 4) / 2, (d * d / 4 - beyond**2) / 2  # of |s - m|, and of m - s

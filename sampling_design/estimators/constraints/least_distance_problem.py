@@ -67,8 +67,8 @@ class ConstraintDemands:
         by_signal, found = dict(zip(self.signals, values, strict=True)), []
         for rows in self.rows:
             value = by_signal[rows.signal]
-            seen, limit = rows.of(value), tolerance * rows.reach(rows.signal.sizes(value))
-            found.append((rows.lower - seen > limit) | (seen - rows.upper > limit))
+            value_there, limit = rows.of(value), tolerance * rows.reach(rows.signal.sizes(value))
+            found.append((rows.lower - value_there > limit) | (value_there - rows.upper > limit))
         return found
 
     def balls_hold(self, values: list[Array], tolerance: float) -> bool:

@@ -63,11 +63,11 @@ class WindowConstraints:
         if not self.keeps_v:
             return True
         y, masks, feedthrough = samples()
-        nodes, seen = path.nodes[-len(y) :], masks > 0
+        nodes, measured = path.nodes[-len(y) :], masks > 0
         v = self.noise(y, masks, nodes)
-        if self.v is not None and not all_inside(self.v, v, seen):
+        if self.v is not None and not all_inside(self.v, v, measured):
             return False
-        return self.y is None or all_inside(self.y, nodes @ self.plant.C.T + feedthrough + v, seen)
+        return self.y is None or all_inside(self.y, nodes @ self.plant.C.T + feedthrough + v, measured)
 
     def demands(self, window: EstimationWindow, free: Solution) -> ConstraintDemands:
         """Return what the constraints ask of all trajectories around the minimiser without them."""
@@ -105,8 +105,8 @@ class WindowConstraints:
 
     def _limited_signal(self, window: EstimationWindow, free: Solution, limits: Array) -> ConstrainedSignal:
         """C x where limits of detection were read."""
-        seen = np.isfinite(limits[:, 0]) | np.isfinite(limits[:, 1])
-        at, C = np.flatnonzero(seen.any(axis=1)), self.plant.C
+        measured = np.isfinite(limits[:, 0]) | np.isfinite(limits[:, 1])
+        at, C = np.flatnonzero(measured.any(axis=1)), self.plant.C
         known = np.sqrt(np.einsum("ij,jk,ik->i", C, free.covariance, C))
         return ConstrainedSignal(
             name="limits of detection",
@@ -117,7 +117,7 @@ class WindowConstraints:
             at=at,
             unit=np.where(known > 0, known, 1.0),
             here=np.broadcast_to(C, (at.size, *C.shape)),
-            seen=seen[at],
+            measured=measured[at],
         )
 
     def _noisy_signals(self, window: EstimationWindow, free: Solution) -> list[ConstrainedSignal]:
@@ -125,21 +125,20 @@ class WindowConstraints:
         plant, at, found, nodes = self.plant, window.samples, [], free.nodes
         unit = np.linalg.norm(self.weights.at(np.ones(plant.n_outputs)).v_root, axis=1)
         known = np.sqrt(np.einsum("ij,jk,ik->i", plant.C, free.covariance, plant.C))
-        times, names, seen = window.times[at], plant.outputs.names, window.masks[at] > 0
+        times, names, taken = window.times[at], plant.outputs.names, window.masks[at] > 0
         v = self.noise(window.y - window.feedthrough, window.masks, nodes)[at]
         kinds = self.weights.of(window.masks[at])
         here = -kinds.gain @ plant.C
         own = kinds.v_root / np.sqrt(window.discount[at])[:, None, None]
         if self.v is not None:
             found.append(
-                ConstrainedSignal("constraints.v", times, names, v, [self.v], at, unit, here, own=own, seen=seen)
+                ConstrainedSignal("constraints.v", times, names, v, [self.v], at, unit, here, own=own, measured=taken)
             )
         if self.y is not None:
-            y = nodes[at] @ plant.C.T + window.feedthrough[at] + v
+            y, wide = nodes[at] @ plant.C.T + window.feedthrough[at] + v, unit + known
+            both = plant.C + here
             found.append(
-                ConstrainedSignal(
-                    "constraints.y", times, names, y, [self.y], at, unit + known, plant.C + here, own=own, seen=seen
-                )
+                ConstrainedSignal("constraints.y", times, names, y, [self.y], at, wide, both, own=own, measured=taken)
             )
         return found
 

@@ -140,10 +140,10 @@ class CostWeights:
             found = self._kinds[key] = self._made(mask > 0)
         return found
 
-    def _made(self, seen: Mask) -> tuple[SampleWeights, tuple[float, float]]:
-        root, R, v = marginal_root(self.y, seen), marginal(self.R, seen), marginal(self.v, seen)
-        both = np.linalg.cholesky(R + v + np.diag(np.where(seen, 0.0, 1.0)))
-        half = np.linalg.solve(both, np.diag(seen.astype(np.float64)))
+    def _made(self, measured: Mask) -> tuple[SampleWeights, tuple[float, float]]:
+        root, R, v = marginal_root(self.y, measured), marginal(self.R, measured), marginal(self.v, measured)
+        both = np.linalg.cholesky(R + v + np.diag(np.where(measured, 0.0, 1.0)))
+        half = np.linalg.solve(both, np.diag(measured.astype(np.float64)))
         found = SampleWeights(root, root.T @ root, R, v, half.T @ (half @ R), half.T)
         one = np.ones(())
         return found, (_energy(v, one), _energy(found.y, one))
@@ -183,12 +183,12 @@ class CostWeights:
         return np.repeat(np.array(found), lengths)
 
 
-def marginal_root(weight: Array, seen: Mask) -> Array:
-    """Return U with |U r|^2 = min |z|^2_weight over all z that agree with r where `seen`; zero columns elsewhere.
+def marginal_root(weight: Array, measured: Mask) -> Array:
+    """Return U with |U r|^2 = min |z|^2_weight over all z that agree with r where `measured`; zero columns elsewhere.
 
-    The last block of the Cholesky factor of the weight with what is not seen put first.
+    The last block of the Cholesky factor of the weight with what is not measured put first.
     """
-    hidden, shown = np.flatnonzero(~seen), np.flatnonzero(seen)
+    hidden, shown = np.flatnonzero(~measured), np.flatnonzero(measured)
     order = np.concatenate([hidden, shown])
     factor = np.linalg.cholesky(weight[np.ix_(order, order)])
     root = np.zeros_like(weight)
@@ -196,11 +196,11 @@ def marginal_root(weight: Array, seen: Mask) -> Array:
     return root
 
 
-def marginal(weight: Array, seen: Mask) -> Array:
-    """Return the weight of the entries that are `seen`, the others being free: zero rows and columns for those."""
-    if seen.all():
+def marginal(weight: Array, measured: Mask) -> Array:
+    """Return the weight of the entries that are `measured`, the others being free: zero rows and columns for those."""
+    if measured.all():
         return weight
-    root = marginal_root(weight, seen)
+    root = marginal_root(weight, measured)
     return symmetrise(root.T @ root)
 
 

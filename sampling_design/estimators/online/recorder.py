@@ -64,8 +64,8 @@ class SampleReader:
         feedthrough = self._nothing if u is None else self.plant.D @ u
         if math.isfinite(sum(y.tolist())):
             return y, self._everything, feedthrough
-        seen = np.isfinite(y)
-        return np.where(seen, y, 0.0), seen.astype(np.float64), feedthrough
+        measured = np.isfinite(y)
+        return np.where(measured, y, 0.0), measured.astype(np.float64), feedthrough
 
 
 class Recorder:

@@ -62,8 +62,8 @@ def overflowed(
     if np.isinf(terms):
         return SolveVerdict(np.nan, "solver failed", last.stands, contradiction), words
     if contradiction is None:
-        seen = np.isfinite(sample.y)
-        output = int(np.argmax(np.where(seen, np.abs(residual), -1.0)))
+        measured = np.isfinite(sample.y)
+        output = int(np.argmax(np.where(measured, np.abs(residual), -1.0)))
         weight = float(np.max(np.abs(weights.y_root[:, output])))
         factor = weight * abs(float(residual[output])) / math.sqrt(terms) if terms > 0 else np.inf
         name = weights.plant.outputs.names[output]

@@ -77,7 +77,7 @@ def read_table(
 
 
 class _Clock:
-    """Turns dates into times since the origin, by default the first date seen.
+    """Turns dates into times since the origin, by default the first date.
 
     A date without a zone is one of `zone` (its IANA name), else of the origin's own offset, else of UTC; `naive` says
     whether there was one, and `place` where it was taken to be.
@@ -138,7 +138,7 @@ class MeasurementTable:
         self._blocks: list[tuple[Array, Array, Array, Index]] = []
         self._latest, self._held = -np.inf, np.full(plant.n_inputs, np.nan)
         self._rows: list[tuple[float, list[float], list[float], int]] = []  # that were read one by one
-        self._seen: dict[float, tuple[int, tuple[float, ...]]] | None = None
+        self._by_time: dict[float, tuple[int, tuple[float, ...]]] | None = None
 
     @property
     def assumed_zone(self) -> str:
@@ -160,7 +160,7 @@ class MeasurementTable:
 
     def add_block(self, lines: list[Numbered]) -> None:
         """Take in numbered lines: at once where all are plain rows in order of time, else one by one."""
-        plain = self._plain(lines) if self._seen is None else None
+        plain = self._plain(lines) if self._by_time is None else None
         if plain is not None:
             times, y, u = plain
             self._latest, self._held = float(times[-1]), u[-1]
@@ -244,13 +244,13 @@ class MeasurementTable:
         if np.isnan(outputs).all() and not censored and (span is not None or not inputs):
             return  # a visit that was missed, or is still to come
         content = _content(outputs, inputs, censored)
-        if self._seen is None and t <= self._latest:
-            self._seen = self._all_seen()
-        if self._seen is not None:
-            if t in self._seen:
-                _check_twin(self.where, line, content, self._seen[t])
+        if self._by_time is None and t <= self._latest:
+            self._by_time = self._all_by_time()
+        if self._by_time is not None:
+            if t in self._by_time:
+                _check_twin(self.where, line, content, self._by_time[t])
                 return
-            self._seen[t] = (line, content)
+            self._by_time[t] = (line, content)
         self._latest, self._held = max(t, self._latest), self._held if span is not None else np.array(inputs)
         self._rows.append((t, outputs, inputs, line))
         self.censored.append(tuple(censored))
@@ -284,14 +284,14 @@ class MeasurementTable:
             self._blocks.append((np.array(times), np.reshape(y, shapes[0]), np.reshape(u, shapes[1]), np.array(lines)))
             self._rows = []
 
-    def _all_seen(self) -> dict[float, tuple[int, tuple[float, ...]]]:
+    def _all_by_time(self) -> dict[float, tuple[int, tuple[float, ...]]]:
         """Every row so far by its time, for a file whose rows are not in order of time."""
         self._close()
-        seen: dict[float, tuple[int, tuple[float, ...]]] = {}
+        by_time: dict[float, tuple[int, tuple[float, ...]]] = {}
         for times, y, u, lines in self._blocks:
             for t, outputs, inputs, line in zip(*(each.tolist() for each in (times, y, u, lines)), strict=True):
-                seen[t] = (line, _content(outputs, inputs, list(self.censored[len(seen)])))
-        return seen
+                by_time[t] = (line, _content(outputs, inputs, list(self.censored[len(by_time)])))
+        return by_time
 
     def _since(self, line: int, t: float, cell: str) -> float | None:
         if cell == "":

@@ -162,11 +162,11 @@ def with_means(solution: Solution, reference: Array, means: MeanRows) -> Solutio
     half = np.linalg.solve(root, np.column_stack([solution.spread.rows(flat), left]))
     B, r = half[:, :-1], half[:, -1]
     U, s, Z = np.linalg.svd(B, full_matrices=False)
-    seen = U.T @ r
-    z = Z.T @ (s / (1 + s**2) * seen)
-    # |r|^2 - sum s^2/(1 + s^2) seen^2, without cancellation
-    beside = r - U @ seen
-    added = float(beside @ beside + np.sum(seen**2 / (1 + s**2)))
+    inside = U.T @ r
+    z = Z.T @ (s / (1 + s**2) * inside)
+    # |r|^2 - sum s^2/(1 + s^2) inside^2, without cancellation
+    beside = r - U @ inside
+    added = float(beside @ beside + np.sum(inside**2 / (1 + s**2)))
     shown = np.linalg.solve(root, means.target)
     spread = _ReducedSpread(solution.spread, Z, 1 - 1 / np.sqrt(1 + s**2))
     last = spread.maps()[-1]

@@ -42,7 +42,7 @@ update each. A lower share would show in the dual bound, whose margin counts wha
 
 FAR_OFF = 1e12
 """Sum of the references' squares, in units of their weights, over the least cost, from which on rounding of a reference
-may be seen in its ninth digit: nodes to come take their estimates for references then, too."""
+may show in its ninth digit: nodes to come take their estimates for references then, too."""
 
 
 class OutputInformation(NamedTuple):

@@ -54,9 +54,9 @@ def solve_square_root(window: EstimationWindow) -> Solution:
 def _absorb(window: EstimationWindow, j: int, root: Array, mean: Array, scale: float) -> tuple[Array, Array, float]:
     """Return root and mean after the sample at node j, and what the innovation costs."""
     weights = window.weights
-    seen = weights.at(window.masks[j]).y_root * scale
-    innovation = seen @ (window.residual[j] - weights.plant.C @ mean)
-    root, step, half = root_update(root, seen @ weights.plant.C, innovation)
+    weigh = weights.at(window.masks[j]).y_root * scale
+    innovation = weigh @ (window.residual[j] - weights.plant.C @ mean)
+    root, step, half = root_update(root, weigh @ weights.plant.C, innovation)
     return root, mean + step, float(half @ half)
 
 

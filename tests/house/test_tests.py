@@ -33,6 +33,28 @@ def test_what_takes_long_is_marked_in_the_words_by_which_it_is_found():
     assert {ast.unparse(node) for node in marks} == {"pytest.mark.long"}
 
 
+def unordered(cases):
+    """Whether they come out of a set, which has another order in each process."""
+    if isinstance(cases, ast.BinOp):
+        return unordered(cases.left) or unordered(cases.right)
+    if isinstance(cases, (ast.ListComp, ast.GeneratorExp)):
+        return unordered(cases.generators[0].iter)
+    if isinstance(cases, ast.Call):
+        name = ast.unparse(cases.func)
+        return name in ("set", "frozenset") or (name != "sorted" and any(map(unordered, cases.args)))
+    return isinstance(cases, (ast.Set, ast.SetComp))
+
+
+@pytest.mark.long
+def test_processes_that_share_a_run_have_the_cases_in_one_order():
+    assert unordered(ast.parse("few(set(MAKERS) - {'plan'}, 1)", mode="eval").body)
+    assert not unordered(ast.parse("[{'a'}, *sorted({'b'})]", mode="eval").body)
+    for path in FILES:
+        for node in nodes(path):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == "pytest.mark.parametrize":
+                assert not unordered(node.args[1]), f"{path}:{node.lineno}: sort the cases"
+
+
 @pytest.mark.long
 def test_every_law_is_a_sentence_in_a_file_of_its_own():
     for path in (TESTS / "laws").glob("*.py"):

@@ -66,6 +66,13 @@ def test_what_late_and_lost_samples_leave_of_every_plant_is_said_beside_sigma():
     assert left.explain() in found.explain()
     assert left._rows()[0] in found._rows()
     assert found.to_dict()["deviations"] == left.to_dict()
+    spent = replace(found, beside=lambda: None)
+    assert spent.deviations is None
+
+
+@pytest.mark.long
+def test_the_unit_of_time_changes_nothing_of_it_and_a_window_of_whole_gaps_keeps_nothing():
+    left = window_sigma(oscillator(), PeriodicSchedule([1.0, 0.7]), 3.6).deviations
     slow = UncertainPlant(
         Plant(OSCILLATOR.A * 1e-12, OSCILLATOR.C),
         [UncertainParameter("k", 0.81, 1.21, A=np.array(STIFF) * 1e-12, nominal=1.0)],
@@ -74,8 +81,6 @@ def test_what_late_and_lost_samples_leave_of_every_plant_is_said_beside_sigma():
     assert [same.late, same.lost] == pytest.approx([left.late, left.lost], rel=1e-9)
     cliff = window_sigma(oscillator(), PeriodicSchedule([1.0]), 2.0).deviations
     assert cliff.late == cliff.lost == 0.0 < cliff.late_wider
-    spent = replace(found, beside=lambda: None)
-    assert spent.deviations is None
 
 
 def test_a_schedule_that_misses_one_frequency_of_the_box_is_told_which():

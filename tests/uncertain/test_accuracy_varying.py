@@ -88,7 +88,7 @@ def test_units_change_nothing_but_the_unit():
         own.largest[1], sd.guaranteed_accuracy(STILL, SAMPLES, w_bound=0.02, v_bound=0.1).largest[1] * unit
     )
     assert own.proven
-    assert "Between them" in own.explain()
+    assert "Nothing is proven between these times" in own.explain()
 
 
 def test_bad_arguments_are_refused(monkeypatch):

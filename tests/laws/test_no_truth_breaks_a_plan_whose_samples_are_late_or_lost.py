@@ -180,9 +180,9 @@ def test_the_next_sample_keeps_the_tolerance_while_results_are_out(seed):
 
 @pytest.mark.long
 def test_most_plans_are_flown_to_within_a_twentieth_of_what_they_reach():
-    count, broken, near, median = shares(range(60, 90), "followed")
-    assert (count, broken) == (30, 0)
-    assert near >= 24
+    count, broken, near, median = shares(range(60, 70), "followed")
+    assert (count, broken) == (10, 0)
+    assert near >= 8
     assert median > 0.99
 
 

@@ -20,7 +20,7 @@ def test_every_promise_holds(name):
     assert report.passed, report.explain()
     assert not report.skipped
     found = {(f.claim, f.scenario): f for f in report.findings}
-    assert len(found) == len(report.findings) == 28
+    assert len(found) == len(report.findings) == 27
     worst = found["inequality (16)", "worst pair"]
     assert 0.98 < worst.observed <= 1.0  # tight: one pair nearly uses up what is promised
     ellipsoids = [f.observed for f in report.findings if f.claim == "online ellipsoid"]

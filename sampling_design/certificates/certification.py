@@ -284,7 +284,8 @@ def _with_tolerance(
     plant: OpenPlant, schedule: AnySchedule | SamplingFamily | None, timing_tolerance: Timing
 ) -> AnySchedule | SamplingFamily | None:
     """The family of all times within a tolerance of a schedule; without one, the schedule as it is."""
-    late = TimingTolerance.of(timing_tolerance, plant.outputs.names if isinstance(plant, Plant) else None)
+    known = plant if isinstance(plant, Plant) else None
+    late = TimingTolerance.of(timing_tolerance, None if known is None else known.outputs.names)
     if not late:
         return schedule
     if schedule is None or isinstance(schedule, SamplingFamily):
@@ -292,7 +293,7 @@ def _with_tolerance(
             f"`timing_tolerance` is for one schedule, got {checks.described(schedule)}: a family says itself which "
             "times its samples may have."
         )
-    return Jitter.around(meet(plant, schedule) if late.apart and isinstance(plant, Plant) else schedule, late)
+    return Jitter.around(schedule if known is None or not late.apart else meet(known, schedule), late)
 
 
 def _of_schedule(

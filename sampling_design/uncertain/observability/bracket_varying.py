@@ -53,8 +53,10 @@ class VaryingSearch:
     def __init__(self, plant: TimeVaryingPlant, pieces: Pieces) -> None:
         self.plant, self.pieces = plant, pieces
         self.unit = plant.states.scales
-        self.table = plant.A.in_units(self.unit, self.unit) if isinstance(plant.A, MatrixTable) else None
-        self.shown = plant.C.in_units(plant.outputs.scales, self.unit) if isinstance(plant.C, MatrixTable) else None
+        self.table, self.shown = (
+            part.in_units(unit, self.unit) if isinstance(part, MatrixTable) else None
+            for part, unit in ((plant.A, self.unit), (plant.C, plant.outputs.scales))
+        )
 
     def growth(self, a: float, b: float) -> tuple[float, float]:
         """Largest eigenvalues of the symmetric parts of A and of -A over [a, b]: proven of a table."""

@@ -92,6 +92,17 @@ def test_every_bound_exceeds_the_plain_sum(window, period, late):
             assert turns[origin] <= zone_bound(case, starts, Z, zones) ** 2 * (1 + 1e-8)
 
 
+def test_of_a_fast_plant_it_is_not_decided_without_end_who_is_late(monkeypatch):
+    """A million turns in a period: the multipliers are carried to no more than about a thousand times."""
+    turn = np.array([[0.0, 1e6], [-1e6, 0.0]])
+    case = DesignProblem(Plant(turn, np.eye(2)), 4.0, 4.0, 0.3, 4, np.zeros((0, 2)), np.zeros(0), (None,) * 2, late=0.1)
+    carried, own = [], bound._multipliers_over
+    monkeypatch.setattr(bound, "_multipliers_over", lambda *given: carried.append(given[3].size) or own(*given))
+    edges = np.linspace(0.0, 4.0, 40_001)
+    bound.profile(case, np.array([0.0, 1.7]), np.eye(2)[None] * np.full((2, 1, 1), 0.25), edges)
+    assert carried[0] <= 1000
+
+
 def test_what_windows_see_is_the_plain_sum_at_both_ends_of_every_piece():
     rng = np.random.default_rng(3)
     case = problem(window=9.0)

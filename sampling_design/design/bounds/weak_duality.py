@@ -32,6 +32,7 @@ ends."""
 
 _JUST_AFTER = 1e-9  # of the period: windows that start where something opens, or other outputs close, are moved by it
 _NODE = 0.5  # |A| times the distance of the nodes to which multipliers are carried
+_DECIDED = 960  # times per period, at most, at which it is decided anew whether a sample is early or late
 _LOOSE = 1e-7  # of the highest peak: pieces whose remainder may be worth more are looked at to a higher order
 _FAMILIES = 16  # of first cells in a cycle: more would be exact, at a cost that grows with the spacing
 
@@ -65,7 +66,8 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Pr
     jumps = jump_times(problem, starts)
     norm = float(np.linalg.norm(A, 2))
     apart = period if norm == 0.0 else _NODE / max(norm, float(np.linalg.norm(A, 1)) / 2)
-    turns = np.arange(0.0, period, apart) if problem.late else np.zeros(0)  # whether early or late is decided anew
+    anew = max(apart, period / _DECIDED)
+    turns = np.arange(0.0, period, anew) if problem.late else np.zeros(0)  # whether early or late is decided anew
     bases = np.unique(np.clip(np.concatenate([jumps, problem.breakpoints, turns]), 0.0, period))
     home = np.clip(np.searchsorted(bases, middle) - 1, 0, bases.size - 1)
     used, home = np.unique(home, return_inverse=True)

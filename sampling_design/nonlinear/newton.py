@@ -39,6 +39,22 @@ class Step(NamedTuple):
     rows: Array
 
 
+class Eliminated(NamedTuple):
+    """A quadratic model after w and v are eliminated, as affine functions of the state at their node, (dx, 1).
+
+    over (K, n+1, n+1+q): the next state; values (K+1, n+1, n+1): what lies ahead costs at least; the free ones move by
+    -w_gains (K, q, n+1) and -v_gains (K+1, r, n+1), active ones by to_w, to_v; first (n,): the move of the start.
+    """
+
+    over: Array
+    values: Array
+    w_gains: Array
+    v_gains: Array
+    to_w: Array
+    to_v: Array
+    first: Array
+
+
 class CondensedNewton:
     """Newton's method on the windows of one program.
 
@@ -58,8 +74,11 @@ class CondensedNewton:
 
     def solve(
         self, data: WindowData, guess: WindowSolution, columns: dict[str, Array]
-    ) -> tuple[WindowSolution, LocalForms] | None:
-        """Return the solution next to `guess` and the forms there; None where none is near or states reach bounds."""
+    ) -> tuple[WindowSolution, LocalForms, Array] | None:
+        """Return the solution next to `guess`, the forms there and what they carry over the intervals.
+
+        None where none is near or states reach bounds.
+        """
         try:
             with np.errstate(all="ignore"):  # what is not finite is not near
                 return self._solved(data, guess, columns)
@@ -68,7 +87,7 @@ class CondensedNewton:
 
     def _solved(
         self, data: WindowData, guess: WindowSolution, columns: dict[str, Array]
-    ) -> tuple[WindowSolution, LocalForms] | None:
+    ) -> tuple[WindowSolution, LocalForms, Array] | None:
         started, K = processor_seconds(), data.edges.size - 1
         root = np.zeros((data.prior.size, data.prior.size))
         root[np.triu_indices(data.prior.size)] = columns["P2"]
@@ -82,9 +101,10 @@ class CondensedNewton:
             before, (left, by_w, by_v) = left, window.left(forms, point, rows, active)
             if not np.isfinite(left) or (steps > 1 and left > max(FALLS * before, self.tolerance)):
                 return None
+            carried = forms.carried()
             if steps and left <= self.tolerance:
                 break
-            found = window.step(forms, point, active)
+            found = window.step(forms, point, active, carried)
             if found is None:
                 return None
             step, active = found
@@ -92,7 +112,11 @@ class CondensedNewton:
             point, rows = window.onto_bounds(point, active), step.rows
         else:
             return None
-        if not window.allows(point):
+        # a bound whose multiplier is within the tolerance of 0 may be left either way
+        held = ActiveBounds(
+            *(np.where(np.abs(by) > self.tolerance, side, 0) for by, side in zip((by_w, by_v), active, strict=True))
+        )
+        if not window.allows(point) or _Quadratic(window, forms, point, carried).eliminated(held) is None:
             return None
         solution = guess._replace(
             point=point,
@@ -106,7 +130,7 @@ class CondensedNewton:
             seconds=processor_seconds() - started,
             engine="newton",
         )
-        return solution, forms
+        return solution, forms, carried
 
 
 class _Window:
@@ -160,11 +184,11 @@ class _Window:
         steep = np.abs(forms.inside)
         size_z = (steep.transpose(0, 2, 1) @ np.abs(flat))[:, :, 0].reshape(point.z.shape)
         size_rows = (steep @ np.abs(z))[:, :, 0].reshape(point.z.shape)
-        before, pushed = (np.einsum("kij,ki->kj", part, flat[:, :, 0]) for part in (forms.first, forms.push))
+        by_before, through_w = (np.einsum("kij,ki->kj", part, flat[:, :, 0]) for part in (forms.before, forms.by_w))
         by_z[:, -1] += forms.gradient[1:, :n]
-        by_z[:-1, -1] += before[1:]
-        by_start = 2 * self.root.T @ (self.root @ (point.z0 - self.data.prior)) + forms.gradient[0, :n] + before[0]
-        by_w = np.einsum("kij,kj->ki", self.weights, point.w) + pushed
+        by_z[:-1, -1] += by_before[1:]
+        by_start = 2 * self.root.T @ (self.root @ (point.z0 - self.data.prior)) + forms.gradient[0, :n] + by_before[0]
+        by_w = np.einsum("kij,kj->ki", self.weights, point.w) + through_w
         by_v = forms.gradient[:, n:]
         parts = [forms.rows / np.maximum(size_rows, 1.0), by_z / np.maximum(size_z, 1.0), by_start]
         for side, slope in ((active.w, by_w), (active.v, by_v)):
@@ -172,9 +196,10 @@ class _Window:
         left = max(float(np.abs(part).max(initial=0.0)) for part in parts)
         return left, np.where(active.w == 0, 0.0, by_w), np.where(active.v == 0, 0.0, by_v)
 
-    def step(self, forms: LocalForms, point: ProgramPoint, active: ActiveBounds) -> tuple[Step, ActiveBounds] | None:
+    def step(
+        self, forms: LocalForms, point: ProgramPoint, active: ActiveBounds, carried: Array
+    ) -> tuple[Step, ActiveBounds] | None:
         """Return the step to the minimum of the quadratic model within the bounds of w and v, and what it holds."""
-        carried = forms.carried()
         quadratic = _Quadratic(self, forms, point, carried)
         for _ in range(MOST_CHANGES):
             found = quadratic.least(active)
@@ -190,7 +215,7 @@ class _Window:
         return None
 
     def _side(self, side: Array, value: Array, slope: Array, key: str) -> Array:
-        """Return what is active after a step: a bound that pulls is left, one that is passed is taken."""
+        """Return what is active after a step: no bound whose multiplier has the wrong sign, each that is passed."""
         low, high = getattr(self.lower, key), getattr(self.upper, key)
         free = np.where(value > high, 1, np.where(value < low, -1, 0))
         return np.where(side == 0, free, np.where(side * slope <= 0, side, 0))
@@ -210,10 +235,10 @@ class _Quadratic:
         own[..., one:] = np.eye(q)
         self.inside = np.concatenate([self.Z, own], axis=2)
         self.interval = np.matmul(self.inside.transpose(0, 1, 3, 2), np.matmul(forms.curve, self.inside)).sum(axis=1)
-        pull = np.einsum("kij,kj->ki", window.weights, point.w)
+        slope = np.einsum("kij,kj->ki", window.weights, point.w)
         self.interval[:, one:, one:] += window.weights
-        self.interval[:, one:, n] += pull
-        self.interval[:, n, one:] += pull
+        self.interval[:, one:, n] += slope
+        self.interval[:, n, one:] += slope
         kept = [*range(n), *range(one, one + r)]
         self.node = np.zeros((K + 1, one + r, one + r))
         self.node[np.ix_(range(K + 1), kept, kept)] = forms.bend
@@ -221,6 +246,21 @@ class _Quadratic:
 
     def least(self, active: ActiveBounds) -> Step | None:
         """Return the step to the least value where what is active goes to its bound; None where there is none."""
+        found = self.eliminated(active)
+        if found is None:
+            return None
+        K, one = len(self.point.w), self.point.z0.size + 1
+        moves = np.ones((K + 1, one))
+        moves[0, :-1] = found.first
+        closed = found.over[:, :, :one] - found.over[:, :, one:] @ found.w_gains
+        for k in range(K):
+            moves[k + 1] = closed[k].dot(moves[k])
+        dw = found.to_w - np.einsum("kij,kj->ki", found.w_gains, moves[:-1])
+        dv = found.to_v - np.einsum("kij,kj->ki", found.v_gains, moves)
+        return self._whole(moves, dw, dv, np.einsum("kij,kj->ki", found.values, moves))
+
+    def eliminated(self, active: ActiveBounds) -> Eliminated | None:
+        """Minimise over what is free from the last node to the first; None (or LinAlgError) if there is no minimum."""
         K, n = len(self.point.w), self.point.z0.size
         one, window = n + 1, self.window
         to_w, go_w = self._toward_bounds("w", active.w, one)
@@ -234,34 +274,25 @@ class _Quadratic:
             node = to_v.transpose(0, 2, 1) @ node @ to_v
             each = np.arange(one, node.shape[2])
             node[:, each, each] += active.v != 0
-        np.linalg.cholesky(node[:, one:, one:])  # raises where the model has no least value
-        shown = np.linalg.solve(node[:, one:, one:], node[:, one:, :one])
-        at = node[:, :one, :one] - node[:, :one, one:] @ shown
-        values, gains = np.empty((K + 1, one, one)), np.zeros((K, over.shape[2] - one, one))
+        np.linalg.cholesky(node[:, one:, one:])
+        v_gains = np.linalg.solve(node[:, one:, one:], node[:, one:, :one])
+        at = node[:, :one, :one] - node[:, :one, one:] @ v_gains
+        values, w_gains = np.empty((K + 1, one, one)), np.zeros((K, over.shape[2] - one, one))
         P = values[K] = at[K]
         for k in range(K - 1, -1, -1):
             M = over[k].T.dot(P.dot(over[k]))
             M += interval[k]
             P = M[:one, :one]
-            if gains.shape[1]:
-                _, gains[k], trouble = lapack.dposv(M[one:, one:], M[one:, :one])
+            if w_gains.shape[1]:
+                _, w_gains[k], trouble = lapack.dposv(M[one:, one:], M[one:, :one])
                 if trouble:
                     return None
-                P = P - M[:one, one:].dot(gains[k])
+                P = P - M[:one, one:].dot(w_gains[k])
             P = values[k] = P + at[k]
         start = 2 * window.root.T @ window.root
-        pull = P[:n, n] + start @ (self.point.z0 - window.data.prior)
-        _, first, trouble = lapack.dposv(P[:n, :n] + start, pull)
-        if trouble:
-            return None
-        moves = np.ones((K + 1, one))
-        moves[0, :n] = -first
-        closed = over[:, :, :one] - over[:, :, one:] @ gains
-        for k in range(K):
-            moves[k + 1] = closed[k].dot(moves[k])
-        dw = go_w - np.einsum("kij,kj->ki", gains, moves[:-1])
-        dv = go_v - np.einsum("kij,kj->ki", shown, moves)
-        return self._whole(moves, dw, dv, np.einsum("kij,kj->ki", values, moves))
+        slope = P[:n, n] + start @ (self.point.z0 - window.data.prior)
+        _, first, trouble = lapack.dposv(P[:n, :n] + start, slope)
+        return None if trouble else Eliminated(over, values, w_gains, v_gains, go_w, go_v, -first)
 
     def _toward_bounds(self, key: str, side: Array, one: int) -> tuple[Array, Array]:
         """Return the map of what is free to (dx, 1, d) with what is active moved to its bound, and that move."""
@@ -282,9 +313,9 @@ class _Quadratic:
         one = n + 1
         known = np.concatenate([moves[:-1], dw], axis=1)
         both = np.einsum("kdij,kj->kdi", self.inside, known)
-        pulled = np.einsum("kdij,kdj->kdi", self.forms.curve, both)[..., :n]
-        pulled[:, -1] += forces[1:, :n]
-        rows = -np.linalg.solve(self.forms.inside.transpose(0, 2, 1), pulled.reshape(K, d * n, 1))
+        by_z = np.einsum("kdij,kdj->kdi", self.forms.curve, both)[..., :n]
+        by_z[:, -1] += forces[1:, :n]
+        rows = -np.linalg.solve(self.forms.inside.transpose(0, 2, 1), by_z.reshape(K, d * n, 1))
         by_w = np.einsum("kij,kj->ki", self.interval[:, one:], known)
         by_w += np.einsum("kij,ki->kj", self.over[:, :, one:], forces[1:])
         by_v = np.einsum("kij,kj->ki", self.node[:, one:], np.concatenate([moves, dv], axis=1))

@@ -157,21 +157,22 @@ class WindowProgram:
         found = self.newton.solve(data, guess, self._columns(data))
         if found is None:
             return None
-        solution, forms = found
+        solution, forms, carried = found
         scale = self.plant.signals["outputs"].scales
         low, high = (side / scale for side in self.plant.bounds["outputs"])
         if np.any((data.mask > 0) & ((forms.shown < low) | (forms.shown > high))):
             return None
-        return solution, self._slopes(data, forms)
+        return solution, self._slopes(data, forms, carried)
 
     def linearised(self, data: WindowData, solution: WindowSolution) -> WindowSlopes:
         """Return the slopes of the intervals and the outputs at a solution, scaled."""
         still = np.zeros(solution.point.z.shape)
-        return self._slopes(data, self.functions.at(data, solution.point, still, self._columns(data)))
+        forms = self.functions.at(data, solution.point, still, self._columns(data))
+        return self._slopes(data, forms, forms.carried())
 
-    def _slopes(self, data: WindowData, forms: LocalForms) -> WindowSlopes:
+    def _slopes(self, data: WindowData, forms: LocalForms, carried: Array) -> WindowSlopes:
         n, p = self.plant.n_states, self.plant.n_outputs
-        both = forms.carried()[:, -n:]
+        both = carried[:, -n:]
         roots = np.zeros((len(both) + 1, p, p))
         for k, row in enumerate(data.mask):
             roots[k][self._fit_at] = self._fit_root(row) if row.any() else 0.0

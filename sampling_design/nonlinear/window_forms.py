@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class LocalForms(NamedTuple):
     """A window at one point, scaled: K intervals with d Radau points, K + 1 nodes, s = (x, w) and e = (x, v).
 
-    rows (K, d, n): what the collocation equations leave; inside (K, d n, d n), first (K, d n, n), push (K, d n, q):
+    rows (K, d, n): what the collocation equations leave; inside (K, d n, d n), before (K, d n, n), by_w (K, d n, q):
     their slopes by the states inside, the state before and w; curve (K, d, n + q, n + q): second derivatives by s of
     the rows at each point times their multipliers; cost, and by node its gradient (K+1, n + r) and second derivatives
     (K+1, n + r, n + r) by e; shown (K+1, p) and its slope H (K+1, p, n) by x.
@@ -25,8 +25,8 @@ class LocalForms(NamedTuple):
 
     rows: Array
     inside: Array
-    first: Array
-    push: Array
+    before: Array
+    by_w: Array
     curve: Array
     cost: float
     gradient: Array
@@ -37,7 +37,7 @@ class LocalForms(NamedTuple):
     def carried(self) -> Array:
         """Return dZ of (dx, 1, dw) such that the linearised rows hold, (K, d n, n + 1 + q)."""
         K, size = self.inside.shape[:2]
-        known = np.concatenate([self.first, self.rows.reshape(K, size, 1), self.push], axis=2)
+        known = np.concatenate([self.before, self.rows.reshape(K, size, 1), self.by_w], axis=2)
         return np.asarray(-np.linalg.solve(self.inside, known))
 
 
@@ -53,7 +53,7 @@ class WindowFunctions:
         self.points, self.capacity = points, capacity
         self._along = np.array(ca.collocation_coeff(list(points))[0])
         n, q = rate.size1_in(0), rate.size1_in(1)
-        self._first = np.kron(self._along[0][:, None], np.eye(n))
+        self._before = np.kron(self._along[0][:, None], np.eye(n))
         x, w, u, t = (ca.SX.sym(name, rate.size1_in(k)) for k, name in enumerate("xwut"))
         weigh, both = ca.SX.sym("weigh", n), ca.vertcat(x, w)
         value = rate(x, w, u, t)
@@ -87,14 +87,14 @@ class WindowFunctions:
         inside[:, :, each, :, each] = self._along[1:].T
         each = np.arange(d)
         inside[:, each, :, each] -= (h[:, None, None, None] * slope[..., :n]).transpose(1, 0, 2, 3)
-        push = -h[:, None, None] * slope[..., n:].reshape(K, d * n, q)
+        by_w = -h[:, None, None] * slope[..., n:].reshape(K, d * n, q)
         root, fit, v = (columns[key].reshape(N + 1, -1)[N - K :] for key in ("root", "fit", "v"))
         cost, gradient, bend, shown, H = self._at_node(nodes, point.v, data.inputs, data.edges, data.y, root, fit, v)
         return LocalForms(
             rows=along - h[:, None, None] * rate.reshape(K, d, n),
             inside=inside.reshape(K, d * n, d * n),
-            first=np.broadcast_to(self._first, (K, d * n, n)),
-            push=push,
+            before=np.broadcast_to(self._before, (K, d * n, n)),
+            by_w=by_w,
             curve=curve.reshape(K, d, n + q, n + q),
             cost=float(cost.sum()),
             gradient=gradient,

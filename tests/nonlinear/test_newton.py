@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
+from sampling_design.nonlinear import window_search
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant
@@ -77,3 +78,46 @@ def test_what_is_not_finite_is_not_near():
     shown = np.full((3, 1), 1e300)
     data = WindowData(edges, np.zeros((3, 0)), np.zeros((2, 0)), shown, shown * 0 + 1, np.zeros(2), np.eye(2))
     assert scheme.program.near(data, scheme.search.guess(edges, np.zeros((3, 2)))) is None
+
+
+def one_interval(shown, plant_bounds=None):
+    """An integrator over one interval, whose output is 0 at the end: cost z0^2 + w^2 + shown(x, v)^2 + 2 v^2."""
+    plant = NonlinearPlant(lambda x, u, w: [w[0]], lambda x, u, v: [shown(x[0], v[0])], {**SIZES, "states": 1})
+    scheme = NonlinearMovingHorizonEstimator(
+        plant.with_bounds(**(plant_bounds or {})),
+        horizon=1.0,
+        cost=CostFunction(P2=[[0.5]], Qw=[[0.5]], R=[[1.0]], Qv=[[1.0]]),
+        collocation=Collocation(w_step=1.0),
+    )
+    zero, mask = np.zeros((2, 1)), np.array([[0.0], [1.0]])
+    data = WindowData(np.arange(2.0), np.zeros((2, 0)), np.zeros((1, 0)), zero, mask, np.zeros(1), np.eye(1))
+    return scheme, data
+
+
+def test_a_step_onto_a_maximum_finds_no_solution():
+    def shown(x, v):  # the cost is 100 + 8 (-x^2 / 2 + x^3 - x^4 / 4), least over the start and w; convex at 1.5
+        return (100 - 4.5 * x**2 + 8 * x**3 - 2 * x**4) ** 0.5 + 1e-3 * v**2
+
+    scheme, data = one_interval(shown)
+    assert scheme.program.near(data, scheme.search.guess(data.edges, np.full((2, 1), 1.5))) is None
+
+
+def test_a_bound_without_a_multiplier_hides_no_descent():
+    scheme, data = one_interval(lambda x, v: 2.0 - v**2, {"noises": (0.0, 5.0)})
+    guess = scheme.search.guess(data.edges, np.zeros((2, 1)))
+    forced = guess.bound_multipliers._replace(v=np.array([[0.0], [-1.0]]))
+    assert scheme.program.near(data, guess._replace(bound_multipliers=forced)) is None  # v = 1 costs 3, v = 0 costs 4
+
+
+def test_what_newton_tried_in_vain_counts_as_time(monkeypatch):
+    now = [0.0]
+
+    def in_vain(*_):
+        now[0] += 7.0
+
+    monkeypatch.setattr(WindowProgram, "near", in_vain)
+    monkeypatch.setattr(window_search, "processor_seconds", lambda: now[0])
+    scheme = estimator()
+    for t, y in record(TIMES[:4]):
+        scheme.update(t, y)
+    assert [run.seconds > 7.0 for run in scheme.solves] == [False, True, False, True]  # the third is a pause

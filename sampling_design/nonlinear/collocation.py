@@ -91,8 +91,8 @@ class WindowSolver(Record):
 
     Examples
     --------
-    >>> WindowSolver(starts=2).explain()
-    'IPOPT to 1e-08 in at most 200 iterations, from up to 2 other starts where the cost is out of line with the noise.'
+    >>> WindowSolver(starts=0).explain()
+    "Newton's method where the last window is near, else IPOPT: to 1e-08 in at most 200 iterations."
     """
 
     tolerance: float = 1e-8
@@ -115,4 +115,5 @@ class WindowSolver(Record):
             if self.starts
             else ""
         )
-        return f"IPOPT to {self.tolerance:.3g} in at most {self.max_iterations} iterations{more}."
+        way = "Newton's method where the last window is near, else IPOPT"
+        return f"{way}: to {self.tolerance:.3g} in at most {self.max_iterations} iterations{more}."

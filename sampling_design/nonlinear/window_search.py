@@ -16,6 +16,7 @@ from sampling_design.nonlinear.weights import NonlinearWeights
 from sampling_design.nonlinear.window_records import WindowData, WindowSlopes, WindowSolution
 from sampling_design.nonlinear.window_spread import WindowSpread, spread_of
 from sampling_design.records.arrays import Array
+from sampling_design.records.budget import processor_seconds
 
 DEGREES = (2, 3, 5, 7, 9)  # Degrees that are tried in turn where the discretisation costs too much
 HALVINGS = 3  # after the last degree the pieces are halved so often
@@ -130,8 +131,13 @@ class WindowSearch:
             found = self.program.solve(data, guess, warm=False)
         else:
             start = moved(self.window, guess, self.program.points, self._points)
+            started = processor_seconds()
             near = self._near(data, start)
-            found, slopes = (self.program.solve(data, start, warm=True), None) if near is None else near
+            if near is not None:
+                found, slopes = near
+            else:
+                tried, found = processor_seconds() - started, self.program.solve(data, start, warm=True)
+                found = found._replace(seconds=tried + found.seconds)
             if found.status != "ok":
                 found, attempts = _added(found, self.program.solve(data, guess, warm=False)), 2
         if found.status != "ok" or self._out_of_line(data, found):

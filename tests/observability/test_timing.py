@@ -326,6 +326,37 @@ def least_seen(plant, times, late, rng, starts=20, grid=41):
     return found
 
 
+@pytest.mark.parametrize("rate", [1.5, 2.5, 2.8])
+def test_growth_hides_nothing_that_is_left_of_the_other_states(rate):
+    """Rows grow by up to e^17 within a window, its squares by more than the digits of a float."""
+    rng = np.random.default_rng(3)
+    turned = np.array([[1.0, 0.4, 0.1], [-0.3, 1.0, 0.2], [0.2, -0.5, 1.0]])
+    plant = sd.Plant(turned @ np.diag([rate, 0.4, 0.05]) @ np.linalg.inv(turned), [[1.0, 0.3, 0.5], [-0.4, 1.0, 0.2]])
+    schedule = sd.PeriodicSchedule([1.0, 1.0])
+    for tolerance in (0.02, {"y1": 0.02, "y2": 0.02}):
+        found = sd.window_sigma(plant, schedule, 6.1, timing_tolerance=tolerance)
+        assert found.lower > 0.85 * found.upper
+    for start in schedule.times[0] + np.array([1e-6, 0.4, 0.8]):
+        sure = np.arange(1, 12) + schedule.times[0]
+        sure = sure[(sure - 0.02 > start) & (sure + 0.02 < start + 6.1)]
+        assert found.lower <= least_of_both(plant, sure - start, 0.02, rng)
+
+
+def least_of_both(plant, lags, late, rng, starts=10, grid=21):
+    """The same as `least_seen` of two outputs that come at times of their own."""
+    at = np.linspace(-late, late, grid)
+    every = np.array([[plant.C @ plant.transition(lag + e) for e in at] for lag in lags])
+    every = every.transpose(0, 2, 1, 3).reshape(-1, grid, plant.n_states)
+    found = np.inf
+    for _ in range(starts):
+        chosen = every[np.arange(len(every)), rng.integers(grid, size=len(every))]
+        for _ in range(20):
+            _, now, turned = np.linalg.svd(chosen)
+            found = min(found, now[-1])
+            chosen = every[np.arange(len(every)), np.argmin(np.abs(every @ turned[-1]), axis=1)]
+    return found
+
+
 def test_half_an_hour_leaves_the_tide_something():
     plant, k = sd.named_plant("tidal_gauge"), np.arange(30)
     times = 24 * k + 7 + 12 * (k * (5**0.5 - 1) / 2 % 1)

@@ -9,6 +9,10 @@ Squared and added up over the window's samples, with (u - v)^2 >= (1 - k) u^2 - 
 (v_1 + ... + v_N)^2 <= sum of v_j^2/q_j for q_1 + ... + q_N = 1, that is y'My for one matrix M: whatever the times are,
 the window sees no less than the rows L' with LL' = M. They move with the window's start as the rows of samples do.
 The least eigenvalue of M is concave in k, which is sought by sections.
+
+Where the plant grows much within a window, v_N and the rounding of squares would hide what the window sees least. So y
+is taken in other coordinates: with O = Q S V' the singular values of the planned rows and D = min(S/s_n, `_SPREAD`),
+they are D^{-1} S V' y, and the rows are Q D there.
 """
 
 from __future__ import annotations
@@ -28,6 +32,8 @@ _LEAST_SHARE = 1e-3  # of q, however small a term is
 _FACTORS = (1e-7, 0.9)  # k lies between
 _SECTIONS = 14  # of log k: the last ones differ by two per cent
 _GOLDEN = (5**0.5 - 1) / 2  # what a section leaves
+_SPREAD = 1e3  # rows see the strongest direction at most that many times as well as the weakest
+_INEXACT = 1e-6  # share of what is lost that is left to the rounding of A in these coordinates
 _MOST_LOST = 1e100  # of rows of size one: beyond it nothing is left of them
 _GAIN = 1e-9  # relative: by less sigma does not fall in a turn
 _EPS = float(np.finfo(float).eps)
@@ -36,16 +42,27 @@ _EPS = float(np.finfo(float).eps)
 def rows_of_any_time(rows: Array, A: Array, tolerance: Array) -> Array:
     """Return rows (m, n, n) that see no more than `rows` (m, k, n) at times up to `tolerance` (k,) away, or zero."""
     sizes = 2.0 ** np.frexp(np.abs(rows).max(axis=(1, 2), initial=0.0))[1]  # squares of rows / sizes are numbers
-    rows = rows / sizes[:, None, None]
+    n, d = rows.shape[2], float(tolerance.max(initial=0.0))
+    Q, seen, right = np.linalg.svd(rows / sizes[:, None, None], full_matrices=False)
+    shown = seen[:, -1] > n * _EPS * seen[:, 0]
+    seen = np.where(shown[:, None], seen, 1.0)
+    kept = np.minimum(seen / seen[:, -1:], _SPREAD)
+    into, back = (seen / kept)[:, :, None] * right, np.swapaxes(right, 1, 2) / (seen / kept)[:, None, :]
     with np.errstate(over="ignore", invalid="ignore"):
-        lost = lost_to_time(rows, A, tolerance[:, None])
-    return np.asarray(rows_without(rows, lost) * sizes[:, None, None])
+        turned = into @ A @ back
+        size = np.linalg.norm(A) * np.linalg.norm(into, axis=(1, 2)) * np.linalg.norm(back, axis=(1, 2))
+        off = 8 * n * _EPS * d * size
+        off = off * np.exp(d * np.linalg.norm(turned, axis=(1, 2)) + off) * np.linalg.norm(kept, axis=1)
+        lost = lost_to_time(Q * kept[:, None], turned, tolerance[:, None]) / (1 - _INEXACT)
+        lost = lost + (off**2 / _INEXACT)[:, None, None] * np.eye(n)
+        lost[~shown] = np.inf
+    return np.asarray(rows_without(Q * kept[:, None], lost) @ into * sizes[:, None, None])
 
 
 def rows_without(rows: Array, lost: Array) -> Array:
     """Return rows (m, n, n) that see no more than `rows` (m, k, n) changed by any E with E'E <= `lost`, or zero.
 
-    Rows are of size one at most.
+    Squares of their entries are numbers.
     """
     n, count = rows.shape[2], max(rows.shape[1:])
     W = np.swapaxes(rows, 1, 2) @ rows

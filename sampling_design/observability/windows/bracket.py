@@ -111,12 +111,13 @@ class _Pieced:
                 [rows.reshape(len(tau), -1, n), np.zeros((len(tau), max(0, n - most * p), n))], axis=1
             )
             late = pieces.timing_tolerance
-            if late.apart:  # each row has a tolerance of its own
-                each = np.append(np.tile(late.radii, most), np.zeros(rows.shape[1] - most * p))
-                held = rows_of_any_time(rows, self.plant.A, each)
+            if late:
+                each = np.tile(np.broadcast_to(late.radii, p), most)
+                held = rows_of_any_time(
+                    rows, self.plant.A, np.append(each, np.full(rows.shape[1] - each.size, late.radius))
+                )
             else:
                 held = np.asarray(np.linalg.qr(rows, mode="r"))
-                held = rows_of_any_time(held, self.plant.A, np.full(n, late.radius)) if late else held
             _, singular[part], right[part] = np.linalg.svd(held)
             c = np.abs(self.plant.C).max(initial=np.finfo(float).tiny)
             f = np.abs(flow).max()  # no square of an entry of C/c or flow/f overflows, nor do all underflow

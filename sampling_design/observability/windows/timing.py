@@ -12,7 +12,9 @@ The least eigenvalue of M is concave in k, which is sought by sections.
 
 Where the plant grows much within a window, v_N and the rounding of squares would hide what the window sees least. So y
 is taken in other coordinates: with O = Q S V' the singular values of the planned rows and D = min(S/s_n, `_SPREAD`),
-they are D^{-1} S V' y, and the rows are Q D there.
+they are D^{-1} S V' y, and the rows are Q D there. And rows that are shortened see less: those far longer than sigma
+lose more to v_j than they hold of what is seen least. They are tried at most `_LENGTHS` times as long as sigma, where
+that proves more.
 """
 
 from __future__ import annotations
@@ -34,6 +36,8 @@ _SECTIONS = 14  # of log k: the last ones differ by two per cent
 _GOLDEN = (5**0.5 - 1) / 2  # what a section leaves
 _SPREAD = 1e3  # rows see the strongest direction at most that many times as well as the weakest
 _INEXACT = 1e-6  # share of what is lost that is left to the rounding of A in these coordinates
+_LENGTHS = (1e4, 1e3, 1e2)  # of sigma
+_ENOUGH = 0.95  # of sigma on time: where more is left, no row is shortened
 _MOST_LOST = 1e100  # of rows of size one: beyond it nothing is left of them
 _GAIN = 1e-9  # relative: by less sigma does not fall in a turn
 _EPS = float(np.finfo(float).eps)
@@ -42,8 +46,30 @@ _EPS = float(np.finfo(float).eps)
 def rows_of_any_time(rows: Array, A: Array, tolerance: Array) -> Array:
     """Return rows (m, n, n) that see no more than `rows` (m, k, n) at times up to `tolerance` (k,) away, or zero."""
     sizes = 2.0 ** np.frexp(np.abs(rows).max(axis=(1, 2), initial=0.0))[1]  # squares of rows / sizes are numbers
+    rows = rows / sizes[:, None, None]
+    held, sigma, lengths = _held(rows, A, tolerance), _least(rows), np.linalg.norm(rows, axis=2)
+    kept = _least(held)
+    for most in _LENGTHS:
+        poor = np.flatnonzero((kept < _ENOUGH * sigma) & (lengths.max(axis=1, initial=0.0) > most * sigma))
+        if poor.size:
+            shorter = np.minimum(1.0, most * sigma[poor, None] / np.maximum(lengths[poor], np.finfo(float).tiny))
+            tried = _held(rows[poor] * shorter[..., None], A, tolerance)
+            found = _least(tried)
+            better = found > kept[poor]
+            held[poor[better]], kept[poor[better]] = tried[better], found[better]
+    return np.asarray(held * sizes[:, None, None])
+
+
+def _least(rows: Array) -> Array:
+    return np.asarray(np.linalg.svd(rows, compute_uv=False)[:, -1])
+
+
+def _held(rows: Array, A: Array, tolerance: Array) -> Array:
+    """The same of rows of size one at most, as they are."""
     n, d = rows.shape[2], float(tolerance.max(initial=0.0))
-    Q, seen, right = np.linalg.svd(rows / sizes[:, None, None], full_matrices=False)
+    if np.all(tolerance == d):  # only their squares count
+        rows, tolerance = np.asarray(np.linalg.qr(rows, mode="r")), np.full(n, d)
+    Q, seen, right = np.linalg.svd(rows, full_matrices=False)
     shown = seen[:, -1] > n * _EPS * seen[:, 0]
     seen = np.where(shown[:, None], seen, 1.0)
     kept = np.minimum(seen / seen[:, -1:], _SPREAD)
@@ -56,7 +82,7 @@ def rows_of_any_time(rows: Array, A: Array, tolerance: Array) -> Array:
         lost = lost_to_time(Q * kept[:, None], turned, tolerance[:, None]) / (1 - _INEXACT)
         lost = lost + (off**2 / _INEXACT)[:, None, None] * np.eye(n)
         lost[~shown] = np.inf
-    return np.asarray(rows_without(Q * kept[:, None], lost) @ into * sizes[:, None, None])
+    return np.asarray(rows_without(Q * kept[:, None], lost) @ into)
 
 
 def rows_without(rows: Array, lost: Array) -> Array:

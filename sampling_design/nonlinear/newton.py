@@ -20,7 +20,7 @@ from sampling_design.records.budget import processor_seconds
 
 MOST_STEPS = 8  # linearisations of a window; from a near start three are enough
 MOST_CHANGES = 12  # of the active bounds between two linearisations
-FALLS = 0.5  # what is left of the conditions after a step, at most: beyond it the start was not near
+FALLS = 0.5  # what a step leaves of the residual, at most: beyond it the start was not near
 
 
 class ActiveBounds(NamedTuple):
@@ -43,15 +43,15 @@ class Eliminated(NamedTuple):
     """A quadratic model after w and v are eliminated, as affine functions of the state at their node, (dx, 1).
 
     over (K, n+1, n+1+q): the next state; values (K+1, n+1, n+1): what lies ahead costs at least; the free ones move by
-    -w_gains (K, q, n+1) and -v_gains (K+1, r, n+1), active ones by to_w, to_v; first (n,): the move of the start.
+    -w_gains (K, q, n+1) and -v_gains (K+1, r, n+1), active ones by w_moves, v_moves; first (n,): the move of the start.
     """
 
     over: Array
     values: Array
     w_gains: Array
     v_gains: Array
-    to_w: Array
-    to_v: Array
+    w_moves: Array
+    v_moves: Array
     first: Array
 
 
@@ -95,14 +95,14 @@ class CondensedNewton:
         window = _Window(data, root, weights, tuple(_last(box, K) for box in self.boxes))
         rows = guess.row_multipliers.reshape(guess.point.z.shape)
         point, active = window.first(guess)
-        left = np.inf
+        residual = np.inf
         for steps in range(self.most + 1):
             forms = self.functions.at(data, point, rows, columns)
-            before, (left, by_w, by_v) = left, window.left(forms, point, rows, active)
-            if not np.isfinite(left) or (steps > 1 and left > max(FALLS * before, self.tolerance)):
+            before, (residual, by_w, by_v) = residual, window.residual(forms, point, rows, active)
+            if not np.isfinite(residual) or (steps > 1 and residual > max(FALLS * before, self.tolerance)):
                 return None
             carried = forms.carried()
-            if steps and left <= self.tolerance:
+            if steps and residual <= self.tolerance:
                 break
             found = window.step(forms, point, active, carried)
             if found is None:
@@ -171,7 +171,7 @@ class _Window:
         start = np.all((low.z0 <= point.z0) & (point.z0 <= high.z0))
         return bool(start and np.all((low.z <= point.z) & (point.z <= high.z)))
 
-    def left(
+    def residual(
         self, forms: LocalForms, point: ProgramPoint, rows: Array, active: ActiveBounds
     ) -> tuple[float, Array, Array]:
         """Return how far the first-order conditions are from met, and the slopes of the cost by active w and v.
@@ -181,9 +181,9 @@ class _Window:
         K, n = len(rows), point.z0.size
         flat, z = rows.reshape(K, -1, 1), point.z.reshape(K, -1, 1)
         by_z = (forms.inside.transpose(0, 2, 1) @ flat)[:, :, 0].reshape(point.z.shape)
-        steep = np.abs(forms.inside)
-        size_z = (steep.transpose(0, 2, 1) @ np.abs(flat))[:, :, 0].reshape(point.z.shape)
-        size_rows = (steep @ np.abs(z))[:, :, 0].reshape(point.z.shape)
+        magnitude = np.abs(forms.inside)
+        size_z = (magnitude.transpose(0, 2, 1) @ np.abs(flat))[:, :, 0].reshape(point.z.shape)
+        size_rows = (magnitude @ np.abs(z))[:, :, 0].reshape(point.z.shape)
         by_before, through_w = (np.einsum("kij,ki->kj", part, flat[:, :, 0]) for part in (forms.before, forms.by_w))
         by_z[:, -1] += forms.gradient[1:, :n]
         by_z[:-1, -1] += by_before[1:]
@@ -193,8 +193,8 @@ class _Window:
         parts = [forms.rows / np.maximum(size_rows, 1.0), by_z / np.maximum(size_z, 1.0), by_start]
         for side, slope in ((active.w, by_w), (active.v, by_v)):
             parts += [np.where(side == 0, slope, np.maximum(side * slope, 0.0))]
-        left = max(float(np.abs(part).max(initial=0.0)) for part in parts)
-        return left, np.where(active.w == 0, 0.0, by_w), np.where(active.v == 0, 0.0, by_v)
+        residual = max(float(np.abs(part).max(initial=0.0)) for part in parts)
+        return residual, np.where(active.w == 0, 0.0, by_w), np.where(active.v == 0, 0.0, by_v)
 
     def step(
         self, forms: LocalForms, point: ProgramPoint, active: ActiveBounds, carried: Array
@@ -215,7 +215,7 @@ class _Window:
         return None
 
     def _side(self, side: Array, value: Array, slope: Array, key: str) -> Array:
-        """Return what is active after a step: no bound whose multiplier has the wrong sign, each that is passed."""
+        """Return what is active after a step: none with a multiplier of the wrong sign, each that is passed."""
         low, high = getattr(self.lower, key), getattr(self.upper, key)
         free = np.where(value > high, 1, np.where(value < low, -1, 0))
         return np.where(side == 0, free, np.where(side * slope <= 0, side, 0))
@@ -255,23 +255,23 @@ class _Quadratic:
         closed = found.over[:, :, :one] - found.over[:, :, one:] @ found.w_gains
         for k in range(K):
             moves[k + 1] = closed[k].dot(moves[k])
-        dw = found.to_w - np.einsum("kij,kj->ki", found.w_gains, moves[:-1])
-        dv = found.to_v - np.einsum("kij,kj->ki", found.v_gains, moves)
+        dw = found.w_moves - np.einsum("kij,kj->ki", found.w_gains, moves[:-1])
+        dv = found.v_moves - np.einsum("kij,kj->ki", found.v_gains, moves)
         return self._whole(moves, dw, dv, np.einsum("kij,kj->ki", found.values, moves))
 
     def eliminated(self, active: ActiveBounds) -> Eliminated | None:
         """Minimise over what is free from the last node to the first; None (or LinAlgError) if there is no minimum."""
         K, n = len(self.point.w), self.point.z0.size
         one, window = n + 1, self.window
-        to_w, go_w = self._toward_bounds("w", active.w, one)
-        to_v, go_v = self._toward_bounds("v", active.v, one)
+        w_map, w_moves = self._toward_bounds("w", active.w, one)
+        v_map, v_moves = self._toward_bounds("v", active.v, one)
         over, interval, node = self.over, self.interval, self.node
-        if go_w.any() or active.w.any():
-            over, interval = over @ to_w, to_w.transpose(0, 2, 1) @ interval @ to_w
+        if w_moves.any() or active.w.any():
+            over, interval = over @ w_map, w_map.transpose(0, 2, 1) @ interval @ w_map
             each = np.arange(one, over.shape[2])
             interval[:, each, each] += active.w != 0
-        if go_v.any() or active.v.any():
-            node = to_v.transpose(0, 2, 1) @ node @ to_v
+        if v_moves.any() or active.v.any():
+            node = v_map.transpose(0, 2, 1) @ node @ v_map
             each = np.arange(one, node.shape[2])
             node[:, each, each] += active.v != 0
         np.linalg.cholesky(node[:, one:, one:])
@@ -292,7 +292,7 @@ class _Quadratic:
         start = 2 * window.root.T @ window.root
         slope = P[:n, n] + start @ (self.point.z0 - window.data.prior)
         _, first, trouble = lapack.dposv(P[:n, :n] + start, slope)
-        return None if trouble else Eliminated(over, values, w_gains, v_gains, go_w, go_v, -first)
+        return None if trouble else Eliminated(over, values, w_gains, v_gains, w_moves, v_moves, -first)
 
     def _toward_bounds(self, key: str, side: Array, one: int) -> tuple[Array, Array]:
         """Return the map of what is free to (dx, 1, d) with what is active moved to its bound, and that move."""

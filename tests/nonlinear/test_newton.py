@@ -109,6 +109,31 @@ def test_a_bound_without_a_multiplier_hides_no_descent():
     assert scheme.program.near(data, guess._replace(bound_multipliers=forced)) is None  # v = 1 costs 3, v = 0 costs 4
 
 
+def test_a_solution_of_newton_that_the_noise_does_not_explain_is_looked_for_elsewhere():
+    """The output shows x = 0.5 and x = -1 alike; only as they decay is the prior's one proven wrong."""
+    plant = NonlinearPlant(
+        lambda x, u, w: [-0.3 * x[0] + w[0]], lambda x, u, v: [x[0] ** 2 + 0.5 * x[0] + v[0]], {**SIZES, "states": 1}
+    )
+    truth, found = 0.5 * np.exp(-0.3 * np.arange(3.0)), {}
+    for starts in (0, 4):
+        scheme = NonlinearMovingHorizonEstimator(
+            plant,
+            horizon=9.0,
+            prior=[-1.0],
+            cost=CostFunction(P2=[[0.5]], Qw=[[1e5]], R=[[1e4]], Qv=[[1e4]]),
+            collocation=Collocation(1.0),
+            solver=WindowSolver(starts=starts),
+        )
+        estimates = [scheme.update(float(t), [x**2 + 0.5 * x]) for t, x in enumerate(truth)]
+        found[starts] = [
+            (float(e.x[0]), e.engine, run.attempts) for e, run in zip(estimates, scheme.solves, strict=True)
+        ]
+    assert found[0][1][0] < 0.0
+    assert found[0][1][1:] == ("newton", 1)
+    assert found[4][1] == (pytest.approx(truth[1], abs=1e-3), "ipopt", 2)
+    assert found[4][2] == (pytest.approx(truth[2], abs=1e-3), "newton", 1)
+
+
 def test_what_newton_tried_in_vain_counts_as_time(monkeypatch):
     now = [0.0]
 

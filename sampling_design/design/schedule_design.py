@@ -165,7 +165,8 @@ class ScheduleDesign(PlainRecord):
             return False
         same = 0.001 if self.window is None else self.window.rtol
         proof = prove(self.split, self.schedule, self.requirement, same if rtol is None else rtol)
-        return proof.lower >= self.sigma * (1 - 1e-6) and self._bounds_hold()
+        holds = self.sigma * (1 - 1e-6) <= proof.lower <= self.sigma_attained * (1 + 1e-6)
+        return holds and self._bounds_hold()
 
     @property
     def _counts(self) -> str:
@@ -269,6 +270,12 @@ class ScheduleDesign(PlainRecord):
             )
             if self.upper_bound == 0:
                 return f"No admissible schedule with {many} makes {window} observable: sigma is 0 for all of them."
+            if asked and self.sigma_attained > 0:
+                return (
+                    f"No schedule with {many}, each {asked.describe(unit)}, is proven to make {window} observable: of "
+                    f"the one found no sigma below {short(self.sigma_attained)} is known, and none exceeds "
+                    f"{short(self.upper_bound)}. Ask for a smaller `timing_tolerance`."
+                )
             return (
                 f"No schedule with {many} was found that makes {window} observable; sigma of none exceeds "
                 f"{short(self.upper_bound)}, which does not show that there is none."

@@ -227,6 +227,7 @@ def test_a_tampered_design_does_not_verify():
     design = design_schedule(oscillator(), Requirement(window=4.0, spacing=0.5, samples=3), starts=2)
     assert design.verify()
     assert not replace(design, sigma=design.sigma * 1.02).verify()
+    assert not replace(design, sigma_attained=design.sigma_attained * 0.98).verify()
     assert not replace(design, upper_bound=design.upper_bound * 0.98).verify()
     crowded = PeriodicSchedule.from_times([0.0, 0.1, 2.0], 4.0, time_unit="s", output_names=("y1",))
     assert not replace(design, schedule=crowded).verify()

@@ -169,6 +169,15 @@ def test_a_tolerance_that_is_too_large_is_refused(changes, words):
         sd.design_schedule(OSCILLATOR, ASKED.replace(**changes))
 
 
+def test_a_tolerance_that_leaves_nothing_proven_is_not_called_unobservable():
+    fast = sd.Plant(6 * np.array(A), C)
+    asked = sd.Requirement(window=1.2, period=1.2, spacing=0.29, samples=4, timing_tolerance=0.14)
+    design = sd.design_schedule(fast, asked, starts=1, branches=0)
+    assert design.sigma == 0 < design.sigma_attained <= design.upper_bound
+    assert "each up to 0.14 s early or late, is proven to make every state in every window" in design.explain()
+    assert design.verify()
+
+
 def test_windows_are_named_as_they_were_typed():
     asked = sd.Requirement(window=TURN, period=TURN, spacing=1.0, samples=1, timing_tolerance=0.1)
     with pytest.raises(InfeasibleRequirementError, match=r"leave some window 6\.28319 with 0 samples"):

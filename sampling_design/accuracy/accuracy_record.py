@@ -13,7 +13,7 @@ from sampling_design.accuracy.projection import Projection, project_rows
 from sampling_design.accuracy.question import AccuracyQuestion
 from sampling_design.accuracy.search import ChainSearch
 from sampling_design.accuracy.timing import KEPT_ROOM, added, is_enough, keeps_times
-from sampling_design.accuracy.undetectable import DetectablePart
+from sampling_design.accuracy.undetectable import DetectablePart, modes_with
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
@@ -243,10 +243,10 @@ class Accuracy(AccuracyBracket, CurveRecord):
         return ", ".join(f"{short(delay)} {self.plant.time_unit} ({name})" for name, delay in found.items())
 
     def _why(self) -> str:
-        names = ", ".join(self.unknown)
-        if self.question.initial is not None:
-            return f"the samples do not determine the {_modes(self.unknown)} {names}"
-        return f"no sample shows the {_modes(self.unknown)} {names}"
+        modes = modes_with(self.unknown)
+        return (
+            f"the samples do not determine {modes}" if self.question.initial is not None else f"no sample shows {modes}"
+        )
 
     @property
     def notice(self) -> str:
@@ -300,8 +300,3 @@ class Accuracy(AccuracyBracket, CurveRecord):
             "sample": Variable(("sample",), profile.samples, time),
             "worst": Variable(("row",), self.worst, time),
         }
-
-
-def _modes(eigenvalues: tuple[str, ...]) -> str:
-    """What stands before the eigenvalues of modes."""
-    return "mode with eigenvalue" if len(eigenvalues) == 1 else "modes with eigenvalues"

@@ -17,7 +17,7 @@ from sampling_design.accuracy.outliers import left_out
 from sampling_design.accuracy.readings import Arrived, Readings, arrived, rows_of
 from sampling_design.accuracy.record_program import DISPROVED, SPREADS, RecordProgram, RowEnd
 from sampling_design.accuracy.record_readings import beginning, read_record
-from sampling_design.accuracy.undetectable import unseen_modes
+from sampling_design.accuracy.undetectable import modes_with, unseen_modes
 from sampling_design.accuracy.witness import KEPT
 from sampling_design.checkers.check import verdict
 from sampling_design.errors import ArgumentError
@@ -319,7 +319,7 @@ class Interval(TableRecord, PlainRecord):
         if not bounded.all():
             names = ", ".join(n for n, *_, known in ends if not known)
             modes = self.unseen_modes
-            why = f": no reading shows the modes with eigenvalues {', '.join(modes)}" if modes else ""
+            why = f": no reading shows {modes_with(modes)}" if modes else ""
             sentences.append(f"They leave {names} unbounded{why}.")
         return " ".join([*sentences, *([self.notice] if self.notice else [])])
 

@@ -196,3 +196,9 @@ def unobservable_directions(H: Array) -> Array:
         return np.zeros((H.shape[1], 0))
     values, right = np.linalg.svd(H[size > 0] / size[size > 0, None])[1:]
     return np.asarray(right[np.count_nonzero(values > HIDDEN) :].T)
+
+
+def modes_with(eigenvalues: tuple[str, ...]) -> str:
+    """Return "the mode with eigenvalue 0.1", "the modes with eigenvalues 0+1i, 0-1i"."""
+    what = "the mode with eigenvalue" if len(eigenvalues) == 1 else "the modes with eigenvalues"
+    return f"{what} {', '.join(eigenvalues)}"

@@ -177,7 +177,7 @@ def test_what_nothing_shows_is_unbounded_and_named():
     plant = sd.Plant(np.diag([0.1, -0.1]), [[0.0, 1.0]], states=["hidden", "seen"])
     found = state_interval(plant, [(0.0, [1.0], None)], w_bound=0.1, v_bound=0.1)
     assert np.isinf(found.radii[0])
-    assert "They leave hidden unbounded: no reading shows the modes with eigenvalues 0.1." in found.explain()
+    assert "They leave hidden unbounded: no reading shows the mode with eigenvalue 0.1." in found.explain()
     assert "seen from 0.9 to 1.1" in found.explain()
     assert found.unseen_modes == ("0.1",)
     only = state_interval(plant, [(0.0, [1.0], None)], w_bound=0.1, v_bound=0.1, of="hidden")
@@ -200,7 +200,7 @@ def test_exact_readings_say_that_the_program_is_degenerate():
 
 def test_one_zero_state_plant_of_no_dynamics_has_its_mode_named():
     found = state_interval(sd.Plant([[0.0]], [[0.0]]), [(0.0, [0.05], None)], w_bound=0.1, v_bound=0.1)
-    assert "no reading shows the modes with eigenvalues 0" in found.explain()
+    assert "no reading shows the mode with eigenvalue 0" in found.explain()
 
 
 @pytest.mark.parametrize("turned", [False, True], ids=["apart", "in other coordinates"])

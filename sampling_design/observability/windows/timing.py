@@ -47,13 +47,13 @@ def rows_of_any_time(rows: Array, A: Array, tolerance: Array) -> Array:
     """Return rows (m, n, n) that see no more than `rows` (m, k, n) at times up to `tolerance` (k,) away, or zero."""
     sizes = 2.0 ** np.frexp(np.abs(rows).max(axis=(1, 2), initial=0.0))[1]  # squares of rows / sizes are numbers
     rows = rows / sizes[:, None, None]
-    held, sigma, lengths = _held(rows, A, tolerance), _least(rows), np.linalg.norm(rows, axis=2)
+    held, sigma, lengths = _rows_as_they_are(rows, A, tolerance), _least(rows), np.linalg.norm(rows, axis=2)
     kept = _least(held)
     for most in _LENGTHS:
         poor = np.flatnonzero((kept < _ENOUGH * sigma) & (lengths.max(axis=1, initial=0.0) > most * sigma))
         if poor.size:
             shorter = np.minimum(1.0, most * sigma[poor, None] / np.maximum(lengths[poor], np.finfo(float).tiny))
-            tried = _held(rows[poor] * shorter[..., None], A, tolerance)
+            tried = _rows_as_they_are(rows[poor] * shorter[..., None], A, tolerance)
             found = _least(tried)
             better = found > kept[poor]
             held[poor[better]], kept[poor[better]] = tried[better], found[better]
@@ -64,7 +64,7 @@ def _least(rows: Array) -> Array:
     return np.asarray(np.linalg.svd(rows, compute_uv=False)[:, -1])
 
 
-def _held(rows: Array, A: Array, tolerance: Array) -> Array:
+def _rows_as_they_are(rows: Array, A: Array, tolerance: Array) -> Array:
     """The same of rows of size one at most, as they are."""
     n, d = rows.shape[2], float(tolerance.max(initial=0.0))
     if np.all(tolerance == d):  # only their squares count

@@ -86,7 +86,6 @@ def estimate(
     words = chosen.guarantee if certificate is None else f"Guarantee of {certificate_file}."
     for name, text in chosen.defaults_used.items():
         settings.notice(text if name == "notice" else f"--{name.replace('_', '-')} not given: {text}.")
-    settings.notice(words)
     tally = followed(settings, chosen.estimator, record, how, words, _used(plant, bounds))
     if tally.contradictions or tally.status["bounds disproved"]:
         if any(bound is None for bound in bounds.values()):

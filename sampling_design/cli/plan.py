@@ -85,7 +85,8 @@ def window_length(
         return positive("window", given)
     length = default_window(split) or 1.0
     if schedule is not None:
-        length = max(length, split.retained.n_states * schedule.d_max)
+        longest = schedule.d_max if schedule.endless else float(np.max(schedule.gaps, initial=0.0))  # from its first on
+        length = max(length, split.retained.n_states * longest)
     settings.notice(f"--window not given: {short(length)} {split.plant.time_unit} is used.")
     return length
 

@@ -31,6 +31,15 @@ def test_info_lists_modes_and_counts(shell):
     assert "--window not given: 5554 s is used." in result.err
 
 
+@pytest.mark.parametrize("start", [0.0, 1.7e9])
+def test_the_default_window_of_a_finite_schedule_counts_from_its_first_sample(shell, tmp_path, start):
+    """It is judged from there on: what passed on the clock before is no gap."""
+    path = sd.schedules.write_schedule(sd.Schedule(start + 3.5 * np.arange(8), time_unit="s"), tmp_path / "s.csv")
+    found = shell("sigma", plant("oscillator"), path)
+    assert found.code == 0
+    assert "--window not given: 7 s is used." in found.err
+
+
 def test_info_as_json_is_one_object(shell, tmp_path):
     result = shell("info", plant("oscillator"), "--json", "--window", "4", "-o", tmp_path)
     assert (tmp_path / "info.json").read_text() == result.out

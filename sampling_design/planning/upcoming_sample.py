@@ -20,7 +20,7 @@ from sampling_design.planning.sequence_deviation import SampleSequence, planned
 from sampling_design.planning.start import from_start, settled_from_start
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
-from sampling_design.records.record import Plain, Record, short
+from sampling_design.records.record import Plain, Record, moment, short
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.opening import WEEK
 
@@ -108,7 +108,7 @@ class NextSample(Record):
             return "never"
         date, before = self.date(t), None if since is None else self.date(since)
         if date is None:
-            return f"{short(t)} {self.plan.plant.time_unit}"
+            return f"{moment(t)} {self.plan.plant.time_unit}"
         near = before is not None and (date.date() - before.date()).days < WEEK
         return f"{date:%a %H:%M}" if near else f"{date:%a %d %b %H:%M}"
 
@@ -181,7 +181,7 @@ class NextSample(Record):
         if not self.keeps:
             text = f"A sample at {self._read_at(self.latest, self.outputs)} helps soonest"
             if self.exceeded is None:
-                late = "" if self.due is None else f": after one at {self._read_at(self.latest, self.outputs)} "
+                late = "" if self.due is None else f": with one at {self._read_at(self.latest, self.outputs)} "
                 late += "" if self.due is None else self._later(self.due)
                 text = f"No single sample keeps every tolerance from now on{late}"
             return f"{self._state()}{text}. Every tolerance is kept {self._again()}."

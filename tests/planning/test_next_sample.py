@@ -108,6 +108,17 @@ def drifting(tolerance, holidays):
     return proven_plan(problem, chosen, PlanBound((), None, None), "budget")
 
 
+def test_times_without_dates_are_told_to_the_step_however_large():
+    sensors = {"y": {"noise_bound": 0.1}}
+    wanted = sd.PlanRequirement({"level": 1.35}, grid=1.0, period=48.0, w_bound=0.01, sensors=sensors)
+    problem = pose_plan(sd.Plant([[0.0]], [[1.0]], states=["level"], outputs=["y"], time_unit="h"), wanted)
+    chosen = np.zeros_like(problem.allowed)
+    chosen[0] = True
+    found = sd.next_sample(proven_plan(problem, chosen, PlanBound((), None, None), "budget"), now=48.0 * 70_000)
+    assert found.latest >= 3_360_048
+    assert f"Next sample by {found.latest:.0f} h (y)" in found.explain()
+
+
 @pytest.mark.parametrize("holidays", few([[], ["2026-06-08"], ["2026-06-05", "2026-06-08"], ["2026-06-24"]], 0))
 def test_no_promise_rests_on_a_sample_on_a_day_that_is_known_to_be_closed(holidays):
     plan, taken = drifting(1.35, holidays), [9.0]
@@ -130,7 +141,7 @@ def test_a_closed_day_that_no_sample_makes_good_is_told_before_it_comes():
     assert found.latest == 57.0  # the plan's own: nothing more is asked for where it would not help
     assert found.kept_from == 8 * 24 + 9.0
     assert 180 <= found.due.time <= 188  # 75 h after Friday's sample at nine, or one more at four
-    assert "No single sample keeps every tolerance from now on: after one at Wed" in found.explain()
+    assert "No single sample keeps every tolerance from now on: with one at Wed" in found.explain()
     far = sd.next_sample(drifting(1.35, ["2026-09-09"]), now=9.0)
     assert far.date(far.judged_until).date().isoformat() == "2026-09-09"
 

@@ -133,6 +133,7 @@ def test_finite_schedule_of_a_single_window():
     result = window_sigma(OSCILLATOR, Schedule(times), 1.0)
     assert result.witness.samples.size == 3
     assert result.witness.side == "at"
+    assert "The worst window ends at 1 s with 3 samples." in result.explain()
     assert result.upper == pytest.approx(sigma_of_window(J, OSCILLATOR.C, times, None, 1.0, 1.0), rel=1e-12)
 
 

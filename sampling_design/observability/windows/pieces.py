@@ -57,8 +57,8 @@ class WindowWitness(Record):
 
     @property
     def position(self) -> str:
-        """The end of the window in words, such as 'just after 3'."""
-        return {"at": "", "after": "just after ", "before": "just before "}[self.side] + moment(self.t)
+        """The end of the window in words, such as 'at 3' or 'just after 3'."""
+        return {"at": "at ", "after": "just after ", "before": "just before "}[self.side] + moment(self.t)
 
     def explain(self) -> str:
         """Say which window it is and what it sees least."""

@@ -157,7 +157,7 @@ def clusters_of(form: SchurForm, error: float, cap: float) -> tuple[tuple[Eigenv
         index, projector, hidden = block_index(form, group, error)
         sure = wider.get(tuple(group)) == index and hidden <= scale / 10
         members.flags.writeable = False
-        doubt = error * form.speed * projector
+        doubt = float(error * form.speed * projector)
         found.append(
             EigenvalueCluster(_mean(members), len(group), index, radius(members), projector, doubt, sure, members)
         )

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numbers
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import MISSING, fields
 from typing import Any, TypeAlias, TypeGuard, TypeVar
 
@@ -68,6 +69,9 @@ def _as_reals(name: str, value: object) -> npt.NDArray[Any]:
         raise ArgumentError(f"`{name}` must be a rectangular array of numbers, got rows of unequal length.") from None
     except Exception:  # whatever a foreign object does when it is asked for an array
         raise ArgumentError(f"`{name}` must hold real numbers, got {described(value)}.") from None
+    if array.dtype == object and all(map(is_whole, array.flat)):  # whole numbers of more than 64 bits
+        with suppress(OverflowError):
+            array = array.astype(float)
     if array.dtype == object or array.dtype.kind not in "biufc":
         raise ArgumentError(f"`{name}` must hold real numbers, got {described(value)}.")
     if array.dtype.kind == "c":

@@ -252,7 +252,8 @@ class TableRecord(ListRecord[dict[str, object]]):
     def _entries(self) -> Sequence[dict[str, object]]:
         """Each row by the names of its columns."""
         names = tuple(found := self._columns())
-        return [dict(zip(names, row, strict=True)) for row in zip(*found.values(), strict=True)]
+        plain = (getattr(column, "tolist", lambda column=column: column)() for column in found.values())
+        return [dict(zip(names, row, strict=True)) for row in zip(*plain, strict=True)]
 
     def __bool__(self) -> bool:
         return True  # a result is there, however many rows it has

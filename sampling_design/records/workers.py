@@ -249,9 +249,7 @@ def _on_a_cluster(
                 result = future.result()
             except CancelledError:
                 raise ended("the Dask scheduler was lost") from None
-            except Exception as error:
-                if not isinstance(error, getattr(sys.modules.get("distributed"), "KilledWorker", ())):
-                    raise
+            except getattr(sys.modules.get("distributed"), "KilledWorker", ()):
                 killed += 1
                 continue
             done += 1

@@ -21,6 +21,14 @@ def test_real_array_accepts_numbers_of_any_real_kind():
         assert checks.real_array("x", value, 1).dtype == np.float64
 
 
+def test_whole_numbers_of_more_than_64_bits_are_numbers_as_far_as_a_double_holds_them():
+    assert checks.real_array("x", [1, 10**20], 1).tolist() == [1.0, 1e20]
+    assert checks.whole("k", 10**20) == 10**20
+    for value in ([10**400], [10**20, "a"], [10**20, None]):
+        with pytest.raises(ArgumentError, match="`x` must hold real numbers, got list"):
+            checks.real_array("x", value, 1)
+
+
 REFUSED = [
     (checks.word, ("x", "c", ("a", "b")), '`x` must be "a" or "b", got \'c\''),
     (checks.word, ("x", "d", ("a", "b", "c")), "`x` must be one of a, b, c, got 'd'"),

@@ -184,6 +184,7 @@ def test_a_record_of_rows_is_counted_indexed_and_iterated(kind):
     assert len(record) == len(listed) > 0
     if isinstance(record, TableRecord):
         assert [list(row) for row in listed] == [list(record._columns())] * len(record.to_frame())
+        assert not [each for row in listed for each in row.values() if isinstance(each, np.generic)]
     for place in (0, -1, len(record) - 1, np.int64(0), slice(1, None), slice(None, None, -1)):
         assert str(record[place]) == str(listed[place])
     for outside in (len(record), -len(record) - 1):

@@ -257,9 +257,8 @@ class _Dating:
         if start <= 0:
             return begun(self.plan, real, seen, self.clock)
         problem = self.plan.problem
-        whole = SampleSequence(
-            real, seen, len(real), self.clock, late=problem.lateness, result_delay=problem.result_delay
-        )
+        late, delay = problem.timing_tolerance, problem.result_delay
+        whole = SampleSequence(real, seen, len(real), self.clock, late=late, result_delay=delay)
         return replace(whole, first=departs_and_returns(self.plan, whole)[0])
 
     def added(self, level: float) -> list[DatedSample]:

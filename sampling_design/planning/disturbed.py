@@ -81,7 +81,7 @@ def without(plan: PlanFigures, k: int, count: int) -> SampleSequence:
 
 def _sequence(plan: PlanFigures, times: Array, seen: Mask, first: int) -> SampleSequence:
     problem = plan.problem
-    return SampleSequence(times, seen, first, late=problem.lateness, result_delay=problem.result_delay)
+    return SampleSequence(times, seen, first, late=problem.timing_tolerance, result_delay=problem.result_delay)
 
 
 def _around(plan: PlanFigures, k: int, count: int) -> tuple[tuple[Array, Mask], tuple[Array, Mask]]:

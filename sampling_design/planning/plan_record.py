@@ -189,7 +189,7 @@ class Plan(PlanFigures):
         rows = list[tuple[str, str]]()
         if self.bound.cost is not None:
             rows.append(("no plan keeps it for less than", short(self.bound.cost.value)))
-        rows += [("samples early or late", f"up to {self._late()}")] if self._late() else []
+        rows += [("samples come", self._late())] if self._late() else []
         for value, goal in zip(self.reached, self.goals, strict=True):
             unit = f" {goal.unit}" if goal.unit else ""
             text = f"{short(value, 4)} of {short(goal.tolerance)}{unit} ({goal.when()})"
@@ -212,9 +212,7 @@ class Plan(PlanFigures):
     def _late(self) -> str:
         """How early or late samples may be, in words."""
         late, unit = self.problem.timing_tolerance, self.plant.time_unit
-        each = [spoken(radius, unit) for radius in late.early]
-        named = [f"{time} ({name})" for time, name in zip(each, late.names, strict=True)] if late.apart else each
-        return ", ".join(named) if late else ""
+        return late.describe(say=lambda time: spoken(time, unit)) if late else ""
 
     def unsaid(self) -> str:
         """What was asked for and left out, in words."""
@@ -230,7 +228,7 @@ class Plan(PlanFigures):
         ]
         text = f"{counted(self.samples, 'sample')} every {spoken(self.schedule.period, self.plant.time_unit)}{unit} "
         text += "keeps " if self.samples == 1 else "keep "
-        text += ", ".join(parts) + (f", for samples up to {self._late()} early or late." if self._late() else ".")
+        text += ", ".join(parts) + (f", for samples {self._late()}." if self._late() else ".")
         if self.bound.cost is not None:
             text += f" No admissible plan keeps the tolerances for less than {short(self.bound.cost.value)}."
             text += self._for_less(self.bound.cost.value)

@@ -67,15 +67,10 @@ class PlanProblem:
     most_samples: float
     most_cost: float
     initial: InitialSet  # what is known of the state's error when the plan starts
-    # how early or late each output may be, both alike [the plant's time unit]; samples are farther apart than its span
+    # how early or late each output may be [the plant's time unit]; samples are farther apart than its span
     timing_tolerance: TimingTolerance = ON_TIME
     # (p, 2): how long after its sample a result comes at least and at most [the plant's time unit]; None: at once
     result_delays: Array | None = None
-
-    @property
-    def lateness(self) -> Array:
-        """How early or late a reading of each output may be (p,)."""
-        return np.broadcast_to(self.timing_tolerance.radii, self.plant.n_outputs)
 
     @property
     def result_delay(self) -> Array | None:
@@ -275,15 +270,17 @@ def _delays(
 
 
 def _tolerance(requirement: PlanRequirement, unit: str, plant: Plant, period: float) -> TimingTolerance:
-    """How early or late readings may be, both alike, in the plant's time unit."""
+    """How early or late readings may be, in the plant's time unit."""
     asked = requirement.early_or_late(unit, plant.outputs.names)
     if not asked:
         return ON_TIME
-    late = asked.scaled(time_factor(unit, plant.time_unit)).evenly
+    late = asked.scaled(time_factor(unit, plant.time_unit))
     if late.span >= period * (1 - WHOLE):
+        alike = late.early == late.late
+        limit = "less than half of" if alike else "early and late, together less than"
         raise ArgumentError(
-            f"`timing_tolerance` must be less than half of the period {spoken(period, plant.time_unit)}, got "
-            f"{spoken(late.radius, plant.time_unit)}: samples would change places."
+            f"`timing_tolerance` must be {limit} the period {spoken(period, plant.time_unit)}, got "
+            f"{spoken(late.span / (1 + alike), plant.time_unit)}: samples would change places."
         )
     if any(goal.kind == KINDS[1] for goal in requirement.accuracy.values()):
         raise ArgumentError("`timing_tolerance` is for goals that are guaranteed, not for standard deviations.")

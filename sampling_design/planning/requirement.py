@@ -117,9 +117,8 @@ class PlanRequirement(WrittenRecord):
         by name of the state. Default: nothing is known then.
     timing_tolerance : float or str, pair (early, late), or dict of these by output, optional
         How early or late each sample may be: tolerances that are guaranteed are then kept at all such times, and
-        samples lie more than twice as far apart as the largest says. Outputs with tolerances of their own may fall
-        apart by as much. A plan counts each output as early as late, by the larger of both, which is safe. Default:
-        samples come on time.
+        samples lie farther apart than the earliest and the latest reading of one may. Outputs with tolerances of their
+        own may fall apart by as much. Default: samples come on time.
 
     Raises
     ------

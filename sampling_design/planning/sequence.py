@@ -33,6 +33,7 @@ from sampling_design.planning.sequence_deviation import (
 from sampling_design.planning.transient_bound import settled_factors
 from sampling_design.planning.work_prices import BETWEEN, CHAIN, GAINS, STARTED
 from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.schedules.jitter import ON_TIME
 
 SHARPER = 40  # offsets of a gap that are solved, at most
 HOPELESS, FEW = 10.0, 4  # a bound so many times what is asked for, after so many solves, is not proven closer
@@ -90,7 +91,7 @@ def settling_time(plan: PlanFigures) -> float:
 def time_out(plan: PlanFigures) -> float:
     """A time that holds all samples whose results may be out at once, by whole periods of the plan; 0: none is."""
     out, period = longest_out(plan), plan.schedule.period
-    return (np.ceil((out + plan.problem.timing_tolerance.radius) / period) + 1) * period if out else 0.0
+    return (np.ceil((out + plan.problem.timing_tolerance.span) / period) + 1) * period if out else 0.0
 
 
 def worst_ratio(
@@ -164,8 +165,9 @@ def spans_of(plan: PlanFigures, sequence: SampleSequence) -> list[JudgedSpan]:
     if sequence.result_delay is None:
         knots = _knots(plan.oracle, sequence)
         return [
-            JudgedSpan(k, int(np.ceil(sequence.skipped(k) / step - WHOLE)), int(knots[k + 1] - knots[k]), times[k + 1])
-            for k in range(sequence.start, len(times) - 1)
+            JudgedSpan(k, int(np.ceil(max(skipped, 0.0) / step - WHOLE)), int(knots[k + 1] - knots[k]), times[k + 1])
+            for k, skipped in enumerate(sequence.since - times[:-1])
+            if k >= sequence.start
         ]
     comes = sequence.comes_after(np.isfinite(plan.problem.v_bound), late=False)
     first, found, tiny = float(times[0]), list[JudgedSpan](), WHOLE * step
@@ -281,7 +283,7 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, 
     that follow, since wider >= 1. Gains of the plan's proof reach back no farther than `settled`, and what they prove
     grows at most as their rest does.
     """
-    problem, schedule, times = plan.problem, plan.schedule, sequence.times
+    problem, schedule, times = plan.problem, plan.schedule, sequence.centres
     filtered, back, count = plan_chain(plan), looks_back(plan), len(schedule)
     work, n = plan.oracle.work, plan.plant.n_states
     work.add(CHAIN, len(times) * n**2)
@@ -349,7 +351,7 @@ def settled_since(plan: PlanFigures, sequence: SampleSequence) -> tuple[float, f
 
     The sequence ends with the plan, and that goes on.
     """
-    times, memory, since, wider = sequence.times, forgets(plan), -np.inf, 1.0
+    times, memory, since, wider = sequence.centres, forgets(plan), -np.inf, 1.0
     if plan.deviation is not None:
         wider, since = spread_of(plan).worst(sequence)[1], float(times[-1])
     if plan.accuracy is not None:
@@ -396,11 +398,9 @@ def known_at(plan: PlanFigures, history: SampleSequence, t: float) -> dict[str, 
     """
     found = {} if plan.deviation is None else spread_of(plan).at(history, t)
     if plan.accuracy is not None:
-        sure = history if not history.begins else replace(history, late=np.zeros(1), sure=np.zeros((0, 1)))
+        sure = history if not history.begins else replace(history, late=ON_TIME, sure=np.zeros((0, 2, 1)))
         bounds = _bounds_at(plan, sure, t, limited=False)
-        if (
-            history.begins and history.late.any()
-        ):  # a start of any size is not followed through samples that may be late
+        if history.begins and history.late:  # a start of any size is not followed through samples that may be late
             known = _bounds_at(plan, history, t, limited=True)
             bounds = {name: value if np.isinf(value) else known[name] for name, value in bounds.items()}
         found |= bounds
@@ -413,10 +413,10 @@ def _bounds_at(plan: PlanFigures, history: SampleSequence, t: float, *, limited:
     search.back = looks_back(plan)
     last = max(0, history.taken(t))
     if history.in_parts:
-        begins = np.array([float(history.times[0]) + span.time + span.begin for span in search.chain.spans])
+        begins = np.array([float(history.centres[0]) + span.time + span.begin for span in search.chain.spans])
         tiny = GRAIN * plan.schedule.period
         last = search.chain.spans[max(0, int(np.searchsorted(begins, t + tiny, side="right")) - 1)].node
-    since = t - float(history.times[search.chain.sample_of(last)])
+    since = t - float(history.centres[search.chain.sample_of(last)])
     return {goal.name: at_offset(search, goal.row, last, since) for goal in plan.goals if not goal.spread}
 
 

@@ -89,10 +89,10 @@ def sequence_chain(
     Raises UndecidedError as for `_chain_of_samples`.
     """
     chain, atoms = _chain_of_samples(plan, own, sequence, settles, limited=limited)
-    if sequence.result_delay is None and not sequence.lateness.any():
+    if sequence.result_delay is None and not sequence.late:
         return chain, atoms
     comes = sequence.comes_after(np.isfinite(plan.problem.v_bound), late=True)
-    chain = with_results_out(replace(chain, last=max(0.0, until - float(sequence.times[-1]))), comes)
+    chain = with_results_out(replace(chain, last=max(0.0, until - float(sequence.centres[-1]))), comes)
     return chain, with_branches(chain, atoms)
 
 
@@ -114,12 +114,12 @@ def _chain_of_samples(
     starting = count - settles if sequence.begins else 0
     usual = _usual_noise(plan, own, sequence)
     noise, found, since = usual, np.zeros_like(usual), 0
-    upto = min(count, sequence.first + AHEAD) if sequence.late.any() else count
+    upto = min(count, sequence.first + AHEAD) if sequence.late else count
     work, n = plan.oracle.work, plan.plant.n_states
     for _ in range(TURNS):
         part = sequence.until(upto)
         chain, atoms = _noisier_chain(plan, own, part, starting, noise, limited=limited)
-        if not sequence.late.any():
+        if not sequence.late:
             return chain, atoms
         work.add(CHAIN, upto * n**2)
         times = TimesOfSamples(plan, own, part, ChainSearch(chain, atoms, lambda: work.add(GAINS, FEWEST * n)))
@@ -136,10 +136,10 @@ def _chain_of_samples(
         tighter = tighter if enough else np.maximum(tighter, _fading(tighter[:upto], len(tighter)))
         since = int(np.argmax(np.any(tighter != noise, axis=1)))
         noise = tighter
-    late = spoken(float(sequence.late.max()), plan.plant.time_unit)
+    late = sequence.late.describe(say=lambda time: spoken(time, plan.plant.time_unit))
     raise UndecidedError(
-        f"undecided: nothing bounds what samples up to {late} early or late do where they are not the plan's. Ask for "
-        "a smaller `timing_tolerance`."
+        f"undecided: nothing bounds what samples {late} do where they are not the plan's. Ask for a smaller "
+        "`timing_tolerance`."
     )
 
 
@@ -158,7 +158,7 @@ def _usual_noise(plan: PlanFigures, own: SampleChain, sequence: SampleSequence) 
     if own_noise is None:
         return noise
     for k in range(len(noise)):
-        if sequence.lateness[k].any() or k < sequence.first:
+        if sequence.sides[k].any() or k < sequence.first:
             phase = _planned(plan, own, sequence, k)
             noise[k] = own_noise.max(axis=0) if phase is None else own_noise[phase]
     return noise
@@ -172,7 +172,8 @@ class TimesOfSamples:
         search.back = max(FEWEST, int(plan_chain(plan).forgetting.max(initial=0)))
         self.phases = [_planned(plan, own, sequence, k) for k in range(len(sequence.times))]
         self.known = [self._known(k) for k in range(len(self.phases))]
-        self.tables: dict[tuple[int, float], tuple[KnownIntegrals, KnownIntegrals]] = {}
+        self.tables: dict[tuple[int, float, bool], KnownIntegrals] = {}
+        self.aside = np.stack([sequence.forward, sequence.back], axis=1)
 
     def added(self, noise: Array, usual: Array, before: Array, since: int) -> Array:
         """What they add (K, p), from one sample on; 0 where the plan's noise is known to be enough."""
@@ -180,12 +181,11 @@ class TimesOfSamples:
         first = 0 if sequence.begins or sequence.wider > 1 else sequence.first
         plain = np.all(noise == usual, axis=1) & np.array([phase is not None for phase in self.phases])
         for k in range(max(first, since), len(noise)):
-            late = sequence.lateness[k].tolist()
             found[k] = 0.0
-            if not any(late) or self._settled(k, plain):
+            if not self.aside[k].any() or self._settled(k, plain):
                 continue
             for i in self.search.chain.samples[k].outputs.tolist():
-                found[k, i] = self._sample(k, i, late[i], float(usual[k, i])) if late[i] else 0.0
+                found[k, i] = self._sample(k, i, float(usual[k, i]))
         return found
 
     def _known(self, k: int) -> float:
@@ -206,14 +206,17 @@ class TimesOfSamples:
             return False
         run = self.phases[k - back : k + 1]
         follows = all(b == ((a or 0) + 1) % len(self.own) for a, b in pairwise(run))
-        gaps = np.diff(self.sequence.times[k - back : k + 1])
+        gaps = np.diff(self.sequence.centres[k - back : k + 1])
         usual = np.array([self.own.gaps[a or 0].length for a in run[:-1]])
         return follows and bool(np.all(np.abs(gaps - usual) <= GRAIN * self.plan.schedule.period))
 
-    def _sample(self, k: int, i: int, late: float, enough: float) -> float:
+    def _sample(self, k: int, i: int, enough: float) -> float:
         """The same of one output of a sample; by gains where the filter's are not enough, the plan's if they fit."""
         row, most = self.plan.plant.C[i], 0.0
-        for back, table in enumerate(self.tables.setdefault((i, late), ({}, {}))):
+        for back, late in enumerate(self.aside[k, :, i].tolist()):
+            if not late:
+                continue
+            table = self.tables.setdefault((i, late, bool(back)), {})
             opened = moved_row(self.search.chain, k, row, late, bool(back), table)
             known = BoundedDirections(self.search.atoms[k].basis, self.search.atoms[k].reach)
             value, mu = float(opened.bound(known)[1].max()), opened.mu[-1]
@@ -265,13 +268,14 @@ def proof_back(plan: PlanFigures, phase: int) -> int:
 @lru_cache(maxsize=512)
 def timing_gains(plan: PlanFigures, phase: int, i: int, back: bool) -> tuple[Array, ...]:
     """The gains by which a plan's proof bounds what the time of a sample adds to an output, the latest last."""
-    own, late = proof_chain(plan), float(plan.problem.lateness[i])
+    own, late = proof_chain(plan), plan.problem.timing_tolerance
+    side = float(np.broadcast_to(late.back if back else late.forward, plan.plant.n_outputs)[i])
     phase %= len(own)
     part = _proof_part(plan, phase)
     if part is None:
         return ()
     atoms = BoundedDirections.of(own.reach[phase], part.directions, part.gains, [0.0] * len(part.gains))
-    mu = moved_row(own, phase, plan.plant.C[i], late, back, {}).mu[-1]
+    mu = moved_row(own, phase, plan.plant.C[i], side, back, {}).mu[-1]
     return combined_gains(own, phase, mu, atoms)
 
 
@@ -280,7 +284,7 @@ def _noisier_chain(
 ) -> tuple[SampleChain, list[BoundedDirections]]:
     """The chain of a sequence whose samples have so much more noise, (K, p) at least; its first `starting` samples are
     in coordinates of their own."""
-    times, gaps = sequence.times, np.diff(sequence.times)
+    times, gaps = sequence.centres, np.diff(sequence.centres)
     refuse_growth(plan.plant, gaps)
     phases = [None if k < starting else _planned(plan, own, sequence, k) for k in range(len(times))]
     same = _same_gaps(plan, own, phases, gaps)
@@ -291,12 +295,12 @@ def _noisier_chain(
     samples: list[ChainSample] = []
     for k, phase in enumerate(phases):
         if phase is None:
-            free = UNKNOWN**2 if sequence.late.any() else DIFFUSE  # above the noise that samples have at such a start
+            free = UNKNOWN**2 if sequence.late else DIFFUSE  # above the noise that samples have at such a start
             P = start_covariance(plan.problem.initial, own.D, free) if k == 0 else np.zeros(0)
             if k:
                 P = propagate(L[-1] @ L[-1].T, *flows[k - 1])
             root, sample = _fresh(plan, own, P, sequence.seen[k], noise[k])
-            if sequence.begins and sequence.late.any() and k < starting and _is_close(plan, own, sequence, k, root):
+            if sequence.begins and sequence.late and k < starting and _is_close(plan, own, sequence, k, root):
                 phases[k + 1 :] = [_planned(plan, own, sequence, i) for i in range(k + 1, len(times))]
         else:
             root, sample = own.L[phase], _noisier(own.samples[phase], plan.problem.v_bound, noise[k])

@@ -20,6 +20,7 @@ from sampling_design.planning.filter_deviation import PERIODS, SETTLED, WIDE, ow
 from sampling_design.planning.problem import WHOLE, PlanProblem, RowGoal
 from sampling_design.planning.work_prices import SEQUENCE
 from sampling_design.records.arrays import Array, Mask
+from sampling_design.schedules.jitter import ON_TIME, TimingTolerance, shift_of
 from sampling_design.schedules.opening import PlanClock
 from sampling_design.schedules.schedule import PeriodicSchedule
 
@@ -46,10 +47,10 @@ class SampleSequence:
     ever leaves of it."""
     since: float = -np.inf
     """Nothing is judged before this time, though all that was measured then counts."""
-    late: Array = field(default_factory=lambda: np.zeros(1))
-    """How early or late a reading of each output may be (p,) or (1,)."""
-    sure: Array = field(default_factory=lambda: np.zeros((0, 1)))
-    """The same of the first samples (k, p) or (k, 1), where it is otherwise: 0 where the time is known."""
+    late: TimingTolerance = ON_TIME
+    """How early or late a reading of each output may be."""
+    sure: Array = field(default_factory=lambda: np.zeros((0, 2, 1)))
+    """How early and how late (k, 2, p) those of the first samples may be, if otherwise: 0 where the time is known."""
     result_delay: Array | None = None
     """How long after its sample a result of each output comes at most (p,); None: at once."""
     came: Array = field(default_factory=lambda: np.zeros((0, 0)))
@@ -61,35 +62,56 @@ class SampleSequence:
         return self.clock.shown(self.times)
 
     @cached_property
-    def lateness(self) -> Array:
-        """How early or late a reading of each output of each sample may be (K, p)."""
-        found = np.tile(self.late, self.seen.shape) if self.late.size == 1 else np.tile(self.late, (len(self.times), 1))
-        count = min(len(self.sure), len(found))
-        found[:count] = self.sure[:count]
+    def sides(self) -> Array:
+        """How early and how late a reading of each output of each sample may be (K, 2, p)."""
+        (count, p), both = self.seen.shape, np.array([self.late.early, self.late.late])
+        found = np.tile(np.broadcast_to(both, (2, p)), (count, 1, 1))
+        known = min(len(self.sure), count)
+        found[:known] = self.sure[:known]
         return found
+
+    @cached_property
+    def shift(self) -> Array:
+        """How long after its planned time the centre of each sample lies (K,), as that of a `TimingTolerance`."""
+        return shift_of(self.sides[:, 0], self.sides[:, 1])
+
+    @cached_property
+    def centres(self) -> Array:
+        """About when each sample is read (K,): from `back` before to `forward` after it."""
+        return np.asarray(self.times + self.shift)
+
+    @property
+    def back(self) -> Array:
+        """(K, p): how long before its centre each output of a sample may be read."""
+        return np.asarray(self.sides[:, 0] + self.shift[:, None])
+
+    @property
+    def forward(self) -> Array:
+        """(K, p): how long after its centre each output of a sample may be read."""
+        return np.asarray(self.sides[:, 1] - self.shift[:, None])
 
     @cached_property
     def taken_by(self) -> Array:
         """When each sample is taken, all that it measures, at the latest (K,)."""
-        return np.asarray(self.times + np.max(self.lateness, axis=1, where=self.seen, initial=0.0))
+        return np.asarray(self.times + np.max(self.sides[:, 1], axis=1, where=self.seen, initial=0.0))
 
     @property
     def in_parts(self) -> bool:
         """Whether what a sample measures may come in one after the other."""
-        return self.result_delay is not None or bool(np.ptp(self.late))
+        return self.result_delay is not None or bool(np.ptp(self.late.late))
 
     def comes_after(self, readable: Mask | np.bool_, *, late: bool) -> Array:
         """How long after its sample each result that tells something (p,) is in (K, p); infinite where none is read.
 
-        Where samples may be early or late (`late`), after its planned time, at the latest.
+        Where samples may be early or late (`late`), after their centres, at the latest; else after their planned times.
         """
         found = (
             np.zeros(self.seen.shape) if self.result_delay is None else np.tile(self.result_delay, (len(self.times), 1))
         )
-        found = found + self.lateness if late else found
+        found = found + self.forward if late else found
         count = min(len(self.came), len(self.times))
         if count:
-            known = self.came[:count] - self.times[:count, None]
+            known = self.came[:count] - (self.centres if late else self.times)[:count, None]
             found[:count] = np.where(np.isnan(known), found[:count], known)
         return np.where(self.seen & readable, found, np.inf)
 
@@ -118,8 +140,8 @@ class SampleSequence:
         return GRAIN * float(self.times[-1] - self.times[0])
 
     def skipped(self, k: int) -> float:
-        """How much of the gap after a sample is not judged."""
-        before = self.since - float(self.times[k])
+        """How much of what follows the centre of a sample is not judged."""
+        before = self.since - float(self.centres[k])
         return before if before > self._tiny else 0.0
 
 
@@ -150,16 +172,20 @@ def planned(plan: PlanFigures, start: float, stop: float, clock: PlanClock = ORD
 def begun(plan: PlanFigures, times: Array, seen: Mask, clock: PlanClock = ORDINARY) -> SampleSequence:
     """The plan from its start at time 0 on, with samples at real times (K,).
 
-    One that is planned at the start may come up to the tolerance after it: half as late as that, or early.
+    One whose centre would not lie after the start comes between that and the latest that it may, about their middle.
     """
-    late, sure, delay = plan.problem.lateness, np.zeros((1, 1)), plan.problem.result_delay
-    half = float(late.max()) / 2
-    if times.size and times[0] == 0 and half:
-        times, sure = np.append(half, times[1:]), np.array([[0.0], [half]])
+    late, p = plan.problem.timing_tolerance, plan.plant.n_outputs
+    sure = np.zeros((0, 2, p))
+    if late and times.size and times[0] + late.shift <= 0:
+        first, after = float(times[0]), np.broadcast_to(late.late, p)
+        before = np.minimum(np.broadcast_to(late.early, p), first)
+        middle = first + (after.max() - before.max()) / 2
+        sure = np.maximum([[middle - first + before, first + after - middle]], 0.0)
+        times = np.append(middle, times[1:])
     if not times.size or times[0] > 0:
-        times = np.append(0.0, times)
-        seen = np.concatenate([np.zeros((1, plan.plant.n_outputs), dtype=bool), seen])
-    sure = sure if half else np.zeros((0, 1))
+        times, sure = np.append(0.0, times), np.concatenate([np.zeros((1, 2, p)), sure])
+        seen = np.concatenate([np.zeros((1, p), dtype=bool), seen])
+    delay = plan.problem.result_delay
     return SampleSequence(times, seen, 0, clock, begins=True, late=late, sure=sure, result_delay=delay)
 
 
@@ -207,9 +233,9 @@ def asked(
     """Offsets after a sample, in its gap or a `span`, at which a goal of given times must hold on the plan's clock."""
     if goal.at != "given times":
         return []
-    problem, start = plan.problem, float(sequence.times[k])
+    problem, start = plan.problem, float(sequence.centres[k])
     begin, stop = sequence.taken_by[k : k + 2] - start if span is None else span
-    shown = sequence.shown[k] + np.array([0.0, stop])
+    shown = sequence.shown[k] + sequence.shift[k] + np.array([0.0, stop])
     phases = np.round(goal.steps) * problem.step
     periods = np.arange(np.floor(shown[0] / problem.period), np.ceil(shown.max() / problem.period) + 2) * problem.period
     offsets = np.sort(sequence.clock.elapsed((periods[:, None] + phases[None, :]).ravel())) - start

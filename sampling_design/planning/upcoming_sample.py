@@ -418,7 +418,7 @@ def _with_awaited(plan: Plan, taken: _Taken | None, awaited: list[tuple[float, s
         seen, _known = found.setdefault(t, (np.zeros(len(names), dtype=bool), np.zeros(len(names), dtype=bool)))
         if seen[j]:
             raise ArgumentError(f"`awaited` names {name} at {t!r}, which is in the record or named twice.")
-        seen[j] = t + delay + problem.lateness[j] > now + tiny  # else it is lost
+        seen[j] = t + delay > now + tiny  # else it is lost
     found = {t: masks for t, masks in sorted(found.items()) if masks[0].any()}
     both = np.array(list(found.values()), dtype=bool).reshape(-1, 2, len(names))
     return _Taken(np.array(list(found)), both[:, 0], both[:, 1])
@@ -429,7 +429,7 @@ def _out(plan: Plan, history: SampleSequence, now: float) -> tuple[AwaitedResult
     delays = plan.problem.result_delays
     if delays is None:
         return ()
-    comes, tiny = history.times[:, None] + history.comes_after(np.True_, late=True), 1e-6 * plan.problem.step
+    comes, tiny = history.centres[:, None] + history.comes_after(np.True_, late=True), 1e-6 * plan.problem.step
     pending = np.argwhere(np.isfinite(comes) & (comes > now + tiny) & (history.times[:, None] <= now + tiny))
     return tuple(
         AwaitedResult(plan.plant.outputs.names[j], t, t + float(delays[j, 0]), float(comes[k, j]))
@@ -444,7 +444,9 @@ def _history(plan: Plan, taken: _Taken | None, now: float) -> SampleSequence:
     span = (looks_back(plan) + 1) * mean + plan.schedule.period + time_out(plan)
     tiny = 1e-6 * plan.problem.step
     taken = taken if taken is not None and taken.times.size else None
-    until = now + tiny if taken is None else float(taken.times[0]) - tiny
+    late = plan.problem.timing_tolerance
+    # a sample of the plan that may be as late as the record's first one may be that one
+    until = now + tiny if taken is None else float(taken.times[0]) - max(late.late) - tiny
     since, wider = settled_from_start(plan) if until >= span else (np.inf, np.inf)
     if until - span < since:
         begun = from_start(plan, until, plan.clock)
@@ -455,28 +457,23 @@ def _history(plan: Plan, taken: _Taken | None, now: float) -> SampleSequence:
             np.concatenate([begun.times[before], taken.times]),
             np.concatenate([begun.seen[before], taken.seen]),
         )
-        sure = np.vstack([begun.lateness[before], np.zeros(taken.seen.shape)])
+        sure = np.concatenate([begun.sides[before], np.zeros((len(taken.seen), 2, plan.plant.n_outputs))])
         return replace(begun, times=times, seen=seen, sure=sure, came=_came(plan, int(before.sum()), taken, now))
-    problem, (times, seen) = plan.problem, planned(plan, until - span, until, plan.clock)
-    late, delay = problem.lateness, problem.result_delay
+    times, seen = planned(plan, until - span, until, plan.clock)
+    first, delay = _unchanged(plan, times), plan.problem.result_delay
+    followed = SampleSequence(times, seen, first, plan.clock, wider=wider, late=late, result_delay=delay)
     if taken is None:
-        first = _unchanged(plan, times)
-        return SampleSequence(times, seen, first, plan.clock, wider=wider, late=late, result_delay=delay)
+        return followed
     wanted = planned(plan, until, now + tiny, plan.clock)
     same, count = 0, times.size
     for t, mask, due, meant in zip(taken.times, taken.seen, wanted[0], wanted[1], strict=False):
-        if abs(t - due) > tiny or not np.array_equal(mask, meant):
+        if late.shift or abs(t - due) > tiny or not np.array_equal(mask, meant):  # the plan's own is about its centre
             break
         same += 1
     times, seen = np.concatenate([times, taken.times]), np.concatenate([seen, taken.seen])
-    first, sure = (
-        min(count + same, _unchanged(plan, times)),
-        np.vstack([np.tile(late, (count, 1)), np.zeros(taken.seen.shape)]),
-    )
-    came = _came(plan, count, taken, now)
-    return SampleSequence(
-        times, seen, first, plan.clock, wider=wider, late=late, sure=sure, result_delay=delay, came=came
-    )
+    first, came = min(count + same, _unchanged(plan, times)), _came(plan, count, taken, now)
+    sure = np.concatenate([followed.sides, np.zeros((len(taken.seen), 2, plan.plant.n_outputs))])
+    return replace(followed, times=times, seen=seen, first=first, sure=sure, came=came)
 
 
 def _came(plan: Plan, before: int, taken: _Taken, now: float) -> Array:

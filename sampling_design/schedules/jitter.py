@@ -108,8 +108,7 @@ class TimingTolerance:
     @property
     def shift(self) -> float:
         """How long after the planned time the centre lies."""
-        middle = (max(self.late) - max(self.early)) / 2
-        return min(max(middle, -min(self.early)), min(self.late))
+        return float(shift_of(np.array(self.early), np.array(self.late)))
 
     @property
     def radius(self) -> float:
@@ -136,12 +135,6 @@ class TimingTolerance:
         """(p,) or (1,): how long after the centre that middle lies; 0 where outputs come together."""
         return (np.array(self.late) - self.early) / 2 - self.shift
 
-    @property
-    def evenly(self) -> Self:
-        """The same with every output as early as late, by the larger of both: it holds all times that this one does."""
-        both = tuple(max(pair) for pair in zip(self.early, self.late, strict=True))
-        return type(self)(both, both, self.names)
-
     def scaled(self, factor: float) -> Self:
         """Return it in another unit of time."""
         early, late = (tuple(factor * x for x in side) for side in (self.early, self.late))
@@ -153,10 +146,10 @@ class TimingTolerance:
         each: list[EarlyLate] = [a if a == b else [a, b] for a, b in zip(self.early, self.late, strict=True)]
         return dict(zip(self.names, each, strict=True)) if self.apart else each[0]
 
-    def describe(self, unit: str = "") -> str:
-        """In words, such as "up to 2 min early or 20 min late"."""
-        unit = unit and f" {unit}"
-        sides = [_in_words(a, b, unit) for a, b in zip(self.early, self.late, strict=True)]
+    def describe(self, unit: str = "", say: Callable[[float], str] | None = None) -> str:
+        """In words, such as "up to 2 min early or 20 min late"; `say` puts a time in words, else it is short."""
+        each = say or (lambda time: f"{short(time)} {unit}".rstrip())
+        sides = [_in_words(a, b, each) for a, b in zip(self.early, self.late, strict=True)]
         return ", ".join(f"{side} ({n})" for n, side in zip(self.names, sides, strict=True)) if self.apart else sides[0]
 
     def require_order(self, least: float) -> None:
@@ -192,13 +185,19 @@ class TimingTolerance:
         return (late - early) / 2, float(np.max((early + late) / 2))
 
 
+def shift_of(early: Array, late: Array) -> Array:
+    """How long after the planned time (...,) the centre of outputs (..., p) lies that may be so early and late."""
+    middle = (late.max(axis=-1) - early.max(axis=-1)) / 2
+    return np.minimum(np.maximum(middle, -early.min(axis=-1)), late.min(axis=-1))  # type: ignore[no-any-return]
+
+
 ON_TIME = TimingTolerance()  # samples come when they are planned
 
 
-def _in_words(early: float, late: float, unit: str) -> str:
+def _in_words(early: float, late: float, say: Callable[[float], str]) -> str:
     if early == late:
-        return f"up to {short(early)}{unit} early or late" if early else "on time"
-    words = [f"up to {short(t)}{unit} {side}" for t, side in ((early, "early"), (late, "late")) if t]
+        return f"up to {say(early)} early or late" if early else "on time"
+    words = [f"up to {say(t)} {side}" for t, side in ((early, "early"), (late, "late")) if t]
     return " or ".join(words)
 
 

@@ -140,8 +140,8 @@ PAGE = MeasuredPage(
 (of the satellite, whose fixes are at least 100 s apart here, of the mean time). Windows are early and late together
 longer ([why](theory/sigma.md#late-samples)); a plan keeps its tolerances at all such times. Sigma, accuracy and bounds
 are proven; the bound is what no schedule under the same tolerance exceeds, or undercuts in cost. A plan holds
-for each output's own tolerance, early and late alike: what samples that are only late give away by that is no more than
-what lies between its row and the one on time.""",
+for each output's own tolerance, each side by its own length: samples that are up to 2 d late count as those that are
+up to d early or late about a time d later.""",
     "python -m tests.benchmarks.late_samples",
     "Rows that a run does not name stay as an earlier run left them. What is attained is sigma at real times that "
     "a search found: the truth of that schedule lies between.",

@@ -28,6 +28,7 @@ from tests.oracles import planning as oracle
 
 ROUNDED = 1e-6
 WORK = 6.0  # of what a plan bears, as it is counted
+UNEVEN = 120  # from that seed on samples are only late, or only early
 BEFORE, AFTER = 60, 4
 """Samples that are flown from rest until something is late or lost, and those judged from then on, at least."""
 
@@ -53,11 +54,11 @@ class Flown(NamedTuple):
         Or from a time `since`, by which real times are known.
         """
         plant, problem, (goal,) = self.plan.plant, self.plan.problem, self.plan.goals
-        late = problem.timing_tolerance.radius * (times > (-np.inf if since is None else since))
+        unknown, tolerance = times > (-np.inf if since is None else since), problem.timing_tolerance
+        early, late = (max(side) * unknown for side in (tolerance.early, tolerance.late))
         span = self.times[self.at] if since is None else since, until
-        system = plant.A, plant.C, plant.G
-        error = oracle.worst_truth(system, times, seen, self.delays, goal.row, span, self.w, problem.v_bound, late)
-        return error / goal.tolerance
+        known = (plant.A, plant.C, plant.G), times, seen, self.delays, goal.row, span, self.w, problem.v_bound
+        return oracle.worst_truth(*known, late, early) / goal.tolerance
 
 
 def drawn(seed):
@@ -74,9 +75,10 @@ def drawn(seed):
         if most:
             terms["result_delay"] = (0.4 * most, most) if rng.random() < 0.5 else most
     late = step * float(rng.choice([0.0, 0.02, 0.1, 0.2]))
+    late = late if seed < UNEVEN else [2 * late, 0.0] if seed % 5 == 0 else [0.0, 2 * late]
     goal = {"tolerance": 1.0, "row": np.eye(n)[0] + 0.3 * rng.normal(size=n)}
     w = rng.uniform(0.05, 0.2, size=plant.G.shape[1]).tolist()
-    given = {"period": steps * step, "grid": step, "w_bound": w, "timing_tolerance": late or None}
+    given = {"period": steps * step, "grid": step, "w_bound": w, "timing_tolerance": late}
     wanted = sd.PlanRequirement({"row": goal}, sensors=sensors, **given)
     chosen = np.zeros((steps, p), dtype=bool)
     chosen[rng.choice(steps, size=int(rng.integers(1, min(steps, 4))), replace=False)] = True
@@ -153,13 +155,13 @@ def shares(seeds, name):
     return len(ratios), int(broken.sum()), int(near.sum()), float(np.median(ratios))
 
 
-@pytest.mark.parametrize("seed", few(range(120), 27, 65, 69))
+@pytest.mark.parametrize("seed", few(range(200), 27, 65, 69))
 def test_no_truth_breaks_a_claim_and_what_is_attained_is_flown(seed):
     for name, said, found in judged(seed):
         assert found >= 0.95 * said if is_attained(name) else found <= said * (1 + ROUNDED), name
 
 
-@pytest.mark.parametrize("seed", few(range(120), 27))
+@pytest.mark.parametrize("seed", few(range(200), 27))
 def test_the_next_sample_keeps_the_tolerance_while_results_are_out(seed):
     """Followed until some time, with what is in by then; the next sample comes as late as is said, then the plan."""
     one = flown(seed)

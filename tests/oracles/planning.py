@@ -121,15 +121,17 @@ def flown(A, G, nodes, u):
     return np.array(found)
 
 
-def worst_truth(system, planned, seen, delays, c, span, w, v, late=0.0, moved=4):
-    """The largest error of c'x within a time `span` that is flown, whatever the real times within `late`, (K,), are.
+def worst_truth(system, planned, seen, delays, c, span, w, v, late=0.0, early=None, moved=4):
+    """The largest error of c'x within a time `span` that is flown, whatever the real times are.
 
-    Looked at just before each result can come, at the latest, and between; at the worst of these the `moved` last
-    samples come early, on time or late, one after the other, as long as that makes it worse.
+    Those lie within [planned - early, planned + late], (K,) each, `early` as late if not given. Looked at just
+    before each result can come, at the latest, and between; at the worst of these the `moved` last samples come early,
+    on time or late, one after the other, as long as that makes it worse.
     """
     A, C, G = system
     planned, seen, (since, until) = np.asarray(planned, float), np.asarray(seen, bool), span
     late = np.broadcast_to(late, planned.shape)
+    early = late if early is None else np.broadcast_to(early, planned.shape)
     comes = (planned + late)[:, None] + np.where(seen, delays, np.nan)
     ends = np.append(comes[(comes > since) & (comes < until)], until) - 1e-9 * (until - since)
     ends = np.append(ends, since)
@@ -149,8 +151,8 @@ def worst_truth(system, planned, seen, delays, c, span, w, v, late=0.0, moved=4)
 
     error, end = max((attained(out(end), end), float(end)) for end in ends)
     real = out(end)
-    for k in np.flatnonzero((planned <= end) & (late > 0))[::-1][:moved]:
-        for e in (-late[k], 0.0, late[k]):
+    for k in np.flatnonzero((planned <= end) & (early + late > 0))[::-1][:moved]:
+        for e in (-early[k], 0.0, late[k]):
             trial = np.where(np.arange(len(real)) == k, planned[k] + e, real)
             found = 0.0 if np.array_equal(trial, real) else attained(trial, end)
             error, real = (found, trial) if found > error else (error, real)

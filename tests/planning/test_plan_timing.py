@@ -9,10 +9,13 @@ import sampling_design as sd
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.planning import sequence_chain
 from sampling_design.planning.disturbed import without
+from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.figures import accuracy_of
 from sampling_design.planning.problem import pose_plan
+from sampling_design.planning.proven_choice import proven_plan
 from sampling_design.planning.requirement_file import plan_requirement_from_dict
 from sampling_design.planning.sequence import proven_ratio
+from sampling_design.planning.start import plan_start
 from sampling_design.records.budget import Budget, BudgetSpentError
 from tests.accuracy.test_timing import apart_from_rest
 
@@ -37,7 +40,7 @@ def test_no_real_times_break_a_tolerance(plan):
     assert plan.keeps
     assert plan.verify()
     assert "for samples up to 0.1 s early or late" in plan.explain()
-    assert ("samples early or late", "up to 0.1 s") in plan._rows()
+    assert ("samples come", "up to 0.1 s early or late") in plan._rows()
     rng = np.random.default_rng(2)
     for _ in range(1):
         schedule = plan.schedule
@@ -133,17 +136,62 @@ def test_what_is_said_of_the_next_sample_holds_at_all_real_times(plan):
 def test_samples_are_so_far_apart_that_they_keep_their_order():
     assert pose_plan(PLANT, WANTED.replace(timing_tolerance="200 ms")).spacing == 1
     assert pose_plan(PLANT, WANTED.replace(timing_tolerance="250 ms")).spacing == 2
-    for said in (("100 ms", "200 ms"), (0.0, 0.2), {"fix": 0.2}):  # early and late alike
+    for said, early, spacing in ((("100 ms", "200 ms"), 0.1, 1), ((0.0, 0.2), 0.0, 1), ({"fix": [0.3, 0.2]}, 0.3, 2)):
         wanted = WANTED.replace(timing_tolerance=said)
-        assert pose_plan(PLANT, wanted).lateness == pytest.approx([0.2])
+        posed = pose_plan(PLANT, wanted)
+        assert posed.timing_tolerance.early + posed.timing_tolerance.late == pytest.approx((early, 0.2))
+        assert posed.spacing == spacing
         assert plan_requirement_from_dict(wanted.to_dict()).to_dict() == wanted.to_dict()
     with pytest.raises(ArgumentError, match="unknown key 'fx'"):
         pose_plan(PLANT, WANTED.replace(timing_tolerance={"fx": 0.2}))
     with pytest.raises(ArgumentError, match="`timing_tolerance` must be less than half of the period 4 s, got 2 s"):
         pose_plan(PLANT, WANTED.replace(timing_tolerance=2.0))
+    with pytest.raises(ArgumentError, match="must be early and late, together less than the period 4 s, got 5 s"):
+        pose_plan(PLANT, WANTED.replace(timing_tolerance=(1.0, 4.0)))
     with pytest.raises(ArgumentError, match="`timing_tolerance` is for goals that are guaranteed"):
         pose_plan(PLANT, WANTED.replace(accuracy={"position": {"tolerance": 1.0, "kind": "standard deviation"}},
                                         timing_tolerance=0.1))  # fmt: skip
+
+
+def held(late, chosen=(0, 3, 6), **changes):
+    """The plan of some steps, proven for a tolerance."""
+    mask = np.isin(np.arange(8), chosen)[:, None]
+    problem = pose_plan(PLANT, WANTED.replace(accuracy={"position": 0.52}, timing_tolerance=late, **changes))
+    return proven_plan(problem, mask, PlanBound((), None, None), "budget")
+
+
+def moved_by(plan, early, late):
+    """The largest error that a truth attains where samples come so early and so late in turn."""
+    times = (plan.schedule.times + plan.schedule.period * np.arange(2)[:, None]).ravel()
+    real = times + np.where(np.arange(times.size) % 2, late, -early)
+    schedule = sd.PeriodicSchedule.from_times(real - real[0], 2 * plan.schedule.period)
+    return sd.guaranteed_accuracy(PLANT, schedule, w_bound=0.05, v_bound=0.2, of=["position"], rtol=0.02).lower[0]
+
+
+def test_samples_that_are_only_late_are_those_about_a_later_time_and_prove_more():
+    only, about, both = (held(late) for late in ((0.0, 0.2), 0.1, 0.2))
+    assert only.keeps
+    assert not both.keeps
+    assert only.reached == pytest.approx(about.reached, rel=1e-9)
+    assert only.accuracy.timing_tolerance == [0.0, 0.2]
+    assert only.accuracy.profile.edges == pytest.approx(about.accuracy.profile.edges + 0.1)
+    assert only.accuracy.lower[0] > 0.95 * only.reached[0]  # at real times
+    assert moved_by(only, 0.0, 0.2) <= only.reached[0] < 0.95 * moved_by(only, 0.2, 0.2)  # who is early breaks it
+
+
+@pytest.mark.long
+def test_what_only_late_samples_bear_is_what_those_about_a_later_time_do():
+    plans = [held(late, (0, 2, 4, 6), initial_error=0.5) for late in ((0.2, 0.0), 0.1, (0.05, 0.15))]
+    lost = [proven_ratio(plan, without(plan, 1, 1), {}) for plan in plans]
+    assert lost == pytest.approx([lost[0]] * 3, rel=1e-6)
+    begins = [plan_start(plan) for plan in plans]
+    assert np.isfinite([found.from_time for found in begins]).all()
+    rng, (early, _, _) = np.random.default_rng(7), plans
+    for _ in range(2):
+        times = (early.schedule.times + 4.0 * np.arange(4)[:, None]).ravel()
+        times = times[times < 7.0]
+        real = times - np.where(times > 0, rng.choice([0.0, 0.2], times.size), 0.0)
+        assert attained(real, begins[0].from_time, 7.0) <= begins[0].ratio * 0.52 * (1 + 1e-6)
 
 
 def test_where_nothing_bounds_what_late_samples_do_no_plan_is_made():
@@ -202,7 +250,8 @@ def test_each_output_has_the_tolerance_that_was_said_of_it(parted):
     largest, late, count = by_output(0.1), list(APART.values()), parted.samples
     assert parted.cost < largest.cost
     assert parted.verify()
-    assert ("samples early or late", "up to 0.1 s (fix), 0.01 s (speed)") in parted._rows()
+    said = "up to 0.1 s early or late (fix), up to 0.01 s early or late (speed)"
+    assert ("samples come", said) in parted._rows()
     found = max(searched(parted, late, last) for last in range(2 * count, 3 * count))
     assert 0.95 * parted.reached[0] < found <= parted.reached[0]
     wider = [0.1, 0.1]
@@ -267,4 +316,4 @@ def test_outputs_of_one_tolerance_are_samples_of_that_tolerance():
     assert each.upper == pytest.approx(one.upper, rel=1e-9)
     assert each.lower == pytest.approx(one.lower, rel=1e-9)
     assert nearer.upper < 0.99 * one.upper
-    assert nearer.timing_tolerance == {"fix": 0.1, "speed": 0.01}  # early and late alike
+    assert nearer.timing_tolerance == {"fix": 0.1, "speed": [0.0, 0.01]}

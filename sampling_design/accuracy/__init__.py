@@ -8,5 +8,6 @@ _NAMES = {
     "interval": ("state_interval",),
     "limit": ("accuracy_limit",),
     "recursion": ("PeriodicGains",),
+    "sample_counts": ("accuracy_by_count",),
 }
 __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)

@@ -4,3 +4,4 @@ from sampling_design.accuracy.deviation import standard_deviation as standard_de
 from sampling_design.accuracy.interval import state_interval as state_interval
 from sampling_design.accuracy.limit import accuracy_limit as accuracy_limit
 from sampling_design.accuracy.recursion import PeriodicGains as PeriodicGains
+from sampling_design.accuracy.sample_counts import accuracy_by_count as accuracy_by_count

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -11,11 +14,13 @@ import typer
 import sampling_design as sd
 from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.projection import Projection
+from sampling_design.accuracy.sample_counts import AccuracyByCount
 from sampling_design.cli import reading
-from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for
+from sampling_design.cli.plan import PlantFile, schedule_for
 from sampling_design.cli.settings import Settings, TimingOption, numbers, record_table, timing, timing_number
 from sampling_design.errors import ArgumentError
-from sampling_design.records.checks import positive
+from sampling_design.records.checks import positive, whole
+from sampling_design.schedules.family import AnySchedule
 from sampling_design.schedules.sensor import Sensor
 
 NUMBERS = "One number bounds the norm; numbers with commas between bound each entry; 0 for none."
@@ -33,6 +38,13 @@ WhiteNoise = Annotated[
 class TimeOptions:
     """When samples are taken, and when their results are in."""
 
+    samples: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N,N,...", help="Without SCHEDULE: so many, evenly spaced in --period; 0 for none at all."
+        ),
+    ] = None
+    period: Annotated[float | None, typer.Option(help="Of --samples [plant's time unit].")] = None
     timing_tolerance: TimingOption = None
     result_delay: Annotated[
         str | None,
@@ -44,12 +56,15 @@ class TimeOptions:
 
 
 ON_TIME = TimeOptions()
+ScheduleOrCounts = Annotated[
+    Path | None, typer.Argument(metavar="SCHEDULE", help="Schedule file: .csv or .json; none with --samples.")
+]
 
 
 def accuracy(
     settings: Settings,
     plant_file: PlantFile,
-    schedule_file: ScheduleFile,
+    schedule_file: ScheduleOrCounts = None,
     w_bound: Annotated[
         str | None, typer.Option("--w-bound", "--w", help=f"Bound on the disturbance w(t). {NUMBERS}")
     ] = None,
@@ -77,30 +92,74 @@ def accuracy(
 ) -> None:
     """Bracket the least error that any estimator can guarantee, at the worst time of a schedule.
 
+    With --samples 0,4,8 --period 7 in place of SCHEDULE: without samples, with 4 and with 8 in 7 units of time.
+
     Example: sampling-design accuracy examples/plants/oscillator.toml out/schedule.csv --w 0.02 --v 0.4
     """
     plant = reading.plant(plant_file)
-    schedule = schedule_for(settings, plant, schedule_file)
     names = [name.strip() for name in of.split(",") if name.strip()]
+    w = numbers("--w-bound", w_bound, plant.disturbances.names)
+    v = _noise(plant, numbers("--v-bound", v_bound, plant.outputs.names), times.result_delay)
+    seconds = None if budget is None else positive("budget", budget)
+    by_count = partial(sd.accuracy.accuracy_by_count, plant, w_bound=w, v_bound=v, rtol=rtol, budget=seconds)
+    idle = {"SCHEDULE": schedule_file, "--initial-error": initial_error, "--tolerance": tolerance}
+    idle |= {"--w-intensity": w_intensity, "--v-deviation": v_deviation, "--projection": projection or None}
+    if times.samples is not None or times.period is not None:
+        _finish_counts(settings, times, idle, partial(by_count, of=names or None))
+        return
+    schedule = _schedule(settings, plant, schedule_file)
     pair = _pair(projection)
     wanted = _wanted(numbers("--tolerance", tolerance), len(names) or plant.n_states)
     with settings.progress("accuracy") as progress:
         found = sd.guaranteed_accuracy(
             plant,
             schedule,
-            w_bound=numbers("--w-bound", w_bound, plant.disturbances.names),
-            v_bound=_noise(plant, numbers("--v-bound", v_bound, plant.outputs.names), times.result_delay),
-            of=names if names else None,
+            w_bound=w,
+            v_bound=v,
+            of=names or None,
             rtol=rtol,
             initial_error=numbers("--initial-error", initial_error, plant.states.names),
             w_intensity=numbers("--w-intensity", w_intensity, plant.disturbances.names),
             v_deviation=numbers("--v-deviation", v_deviation, plant.outputs.names),
             timing_tolerance=timing(times.timing_tolerance or "0", timing_number),
-            budget=None if budget is None else positive("budget", budget),
+            budget=seconds,
             progress=progress,
         )
         cast = None if pair is None else found.projection(*pair)
     _finish(settings, found, cast, wanted)
+
+
+def _schedule(settings: Settings, plant: sd.Plant, path: Path | None) -> AnySchedule:
+    """The schedule of a file, which must be given."""
+    if path is None:
+        raise ArgumentError(
+            "`SCHEDULE` is missing: give its file, or --samples 0,4,8 --period 7 for evenly spaced ones."
+        )
+    return schedule_for(settings, plant, path)
+
+
+def _finish_counts(
+    settings: Settings, times: TimeOptions, idle: Mapping[str, object], by_count: Callable[..., AccuracyByCount]
+) -> None:
+    """Write and print what samples buy; leave with 3 where it is not sharp, with 1 where a row has no bound at all."""
+    given = [name for name, value in idle.items() if value is not None]
+    given += [] if times.timing_tolerance is None else ["--timing-tolerance"]
+    if given:
+        raise ArgumentError(f"`--samples` are evenly spaced and come on time: leave {', '.join(given)} out.")
+    if times.samples is None or times.period is None:
+        lost = "--samples" if times.samples is None else "--period"
+        raise ArgumentError(f"`{lost}` is missing: so many samples in each period, as --samples 0,4,8 --period 7.")
+    counts = numbers("--samples", times.samples)
+    each = counts if isinstance(counts, list) else [counts]
+    found = by_count([whole("samples", count) for count in each], period=positive("period", times.period))
+    folder = settings.folder()
+    if folder is not None:
+        settings.write_json(folder / "accuracy.json", found.to_dict())
+    settings.show(found.to_dict(), record_table(found), found.explain())
+    if not found.closed:
+        raise typer.Exit(3)
+    if np.isinf(found.upper[-1]).any():
+        raise typer.Exit(1)
 
 
 def _noise(

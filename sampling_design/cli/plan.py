@@ -38,6 +38,9 @@ from sampling_design.schedules.time_stamps import parse_date
 PlantFile = Annotated[Path, typer.Argument(metavar="PLANT", help="Plant file: .toml, .json, .mat or .npz.")]
 ScheduleFile = Annotated[Path, typer.Argument(metavar="SCHEDULE", help="Schedule file: .csv or .json.")]
 
+SECONDS_BOUGHT = 1.0
+"""What `design` may take to say what samples buy, where none are needed."""
+
 
 def info(
     settings: Settings,
@@ -169,8 +172,31 @@ def design(
     folder, told = settings.folder(), list[str]()
     if folder is not None and result.schedule is not None and result.sigma > 0:
         told = [f"Next: sampling-design certify {plant_file} {folder / 'schedule.csv'} -o {folder}"]
+    if result.decay is not None:
+        told = _bought(result, plant_file)
     settings.show(result.to_dict(), record_table(result), *_samples(result), result.explain(), *told)
     end_unseen(result)
+
+
+def _bought(result: ScheduleDesign, plant_file: Path) -> list[str]:
+    """Where no samples are needed: the accuracy without any and with some, and the line for other bounds."""
+    decay, plant, sensors = result.decay, result.split.plant, result.requirement.sensors
+    assert decay is not None
+    known = {name: term.noise_bound for name, term in sensors.items()}
+    noise = list[float]()
+    for name, scale in zip(plant.outputs.names, plant.outputs.scales.tolist(), strict=True):
+        own = known.get(name)
+        noise.append(scale if own is None else own)
+    found = sd.accuracy.accuracy_by_count(
+        plant, decay.counts, period=decay.to_a_tenth, w_bound=plant.disturbances.scales, v_bound=noise,
+        of=result.requirement.of, budget=SECONDS_BOUGHT,
+    )  # fmt: skip
+    which = "the plant's scales, and the noise bounds of its sensors" if sensors else "the plant's scales"
+    line = (
+        f"sampling-design accuracy {plant_file} --samples {','.join(map(str, decay.counts))} "
+        f"--period {decay.to_a_tenth:g} --w-bound W --v-bound V"
+    )
+    return [f"{found.explain()} The bounds are typical sizes: {which}. With your own:", f"Next: {line}"]
 
 
 def _write_design(settings: Settings, result: ScheduleDesign, zero: str | None, zone: str | None) -> None:

@@ -178,10 +178,11 @@ class Settings:
         if not self.as_json:
             from rich.console import Console
 
-            console = Console(highlight=False, width=None if sys.stdout.isatty() else 110)
+            # units in brackets are no markup, which would take them out
+            console = Console(highlight=False, markup=False, width=None if sys.stdout.isatty() else 110)
             for table in tables:
                 if isinstance(table, str):  # a command to copy stays one line
-                    console.print(table, markup=False, soft_wrap=table.startswith("Next: "))
+                    console.print(table, soft_wrap=table.startswith("Next: "))
                 else:
                     console.print(table)
         sys.stdout.flush()  # a full disk is found out here, not on Python's way out

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +30,17 @@ from sampling_design.records.record import Plain, PlainRecord, counted, short
 from sampling_design.records.units import spoken
 from sampling_design.schedules.jitter import TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule
+
+
+class ErrorDecay(NamedTuple):
+    """How fast an error dies by itself, and which samples would show the slow modes."""
+
+    to_a_tenth: float  # [plant.time_unit]
+    decay_rate: float  # that retains the slow modes
+    window: float  # [plant.time_unit]
+    needed: int  # samples that determine the slow modes, wherever they lie in a window; 0 where none does
+    hidden: str  # modes that no output shows, in words
+    counts: tuple[int, ...]  # of samples in `to_a_tenth` whose accuracies say what samples buy
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -230,29 +242,43 @@ class ScheduleDesign(PlainRecord):
             rows.append(("cost of a period", short(self.cost) + ("" if limit is None else f" of {short(limit)}")))
         return rows
 
+    @cached_property
+    def decay(self) -> ErrorDecay | None:
+        """How fast an error dies by itself and which samples show the slow modes; None where samples are needed."""
+        slowest = max((float(each.value.real) for each in self.split.clusters), default=-np.inf)
+        if self.schedule is not None or not slowest > -np.inf:
+            return None
+        more = split_modes(self.split.plant, float(f"{-2.2 * slowest:.2g}"))
+        window, hidden = (
+            float(f"{default_window(more) or 1.0:.3g}"),
+            unobservable_modes(self.split.plant, more.decay_rate),
+        )
+        needed = 0 if len(hidden) else zero_count_bound(more.retained, window).samples_needed
+        lasts = float(f"{np.log(10) / -slowest:.3g}")
+        counts = (0, needed, 4 * needed) if needed else (0,)
+        return ErrorDecay(lasts, more.decay_rate, window, needed, hidden.describe() if len(hidden) else "", counts)
+
     def _unobserved(self) -> dict[str, str]:
         """Where no samples are needed: how fast an error dies by itself, what samples buy, and what to type."""
-        plant, unit = self.split.plant, self.plant.time_unit
-        slowest = max((float(each.value.real) for each in self.split.clusters), default=-np.inf)
-        if not slowest > -np.inf:
+        plant, unit, decay = self.split.plant, self.plant.time_unit, self.decay
+        if decay is None:
             return {"by itself": "there is no state"}
-        length = spoken(float(f"{np.log(10) / -slowest:.3g}"), unit)
         pushed = np.abs(np.linalg.solve(plant.A, plant.G)) @ plant.disturbances.scales
         left = [f"{name} {short(by, 3)}" for name, by in zip(plant.states.labels(), pushed, strict=True)]
-        more = split_modes(plant, float(f"{-2.2 * slowest:.2g}"))
-        window, hidden = default_window(more) or 1.0, unobservable_modes(plant, more.decay_rate)
-        with_samples = f"no output shows {hidden.describe()}, so that none helps against it"
-        if not len(hidden):
+        with_samples = f"no output shows {decay.hidden}, so that none helps against it"
+        if decay.needed:
             with_samples = (
-                f"{zero_count_bound(more.retained, window).samples_needed} in every {short(window, 3)} {unit}, "
-                f"wherever they lie, determine the slow modes: ask for them with decay_rate={more.decay_rate:g} "
-                f"(--decay-rate {more.decay_rate:g})"
+                f"{decay.needed} in every {spoken(decay.window, unit)}, wherever they lie, determine the slow "
+                f"modes: ask for them with decay_rate={decay.decay_rate:g} (--decay-rate {decay.decay_rate:g})"
             )
         return {
-            "an error falls by itself": f"to a tenth within {length}",
+            "an error falls by itself": f"to a tenth within {spoken(decay.to_a_tenth, unit)}",
             "disturbances of typical size that stay leave, without samples": ", ".join(left[:6]),
             "with samples": with_samples,
-            "how well the state is then known": "guaranteed_accuracy(plant, schedule, w_bound=..., v_bound=...)",
+            "what they buy": (
+                f"accuracy.accuracy_by_count(plant, {decay.counts}, period={decay.to_a_tenth:g}, w_bound=..., "
+                "v_bound=...)"
+            ),
         }
 
     def explain(self) -> str:

@@ -6,6 +6,9 @@ from pathlib import Path
 import pytest
 
 import sampling_design as sd
+from sampling_design.cli.accuracy import TimeOptions, _finish_counts, _schedule
+from sampling_design.cli.settings import Settings
+from sampling_design.errors import ArgumentError
 
 OSCILLATOR = Path(__file__).parents[2] / "examples" / "plants" / "oscillator.toml"
 
@@ -68,3 +71,66 @@ def test_tolerance_deviation_and_projection(shell, schedule, tmp_path):
     )
     assert three.code == 2
     assert "`--tolerance` must be one number or one for each of 2 rows" in three.err
+
+
+DECAYING = sd.Plant([[-0.05]], [[1.0]], time_unit="h", states=["level"])
+
+
+def test_what_samples_buy_is_said_by_the_design_of_a_plant_that_needs_none(shell, tmp_path, monkeypatch):
+    """Its numbers are those of the line that it says to type, for the plant's scales."""
+    monkeypatch.setattr("sampling_design.cli.plan.SECONDS_BOUGHT", 60.0)  # however busy the machine
+    sd.plants.write_plant(DECAYING, tmp_path / "plant.toml")
+    told = shell("design", tmp_path / "plant.toml")
+    assert told.code == 0
+    line = told.out.splitlines()[-1]
+    assert line.startswith("Next: sampling-design accuracy")
+    words = line.removeprefix("Next: sampling-design ").replace("-bound W", "-bound 1").replace("-bound V", "-bound 1")
+    found = shell(*words.split(), "--json", "-o", tmp_path / "out")
+    assert found.code == 0
+    data = json.loads(found.out)
+    assert (tmp_path / "out" / "accuracy.json").read_text() == found.out
+    assert data["counts"] == [0, 1, 4]
+    again = sd.accuracy.accuracy_by_count(DECAYING, data["counts"], period=46.1, w_bound=1, v_bound=1, rtol=0.01)
+    assert data["upper"] == again.upper.tolist()
+    assert f"Without samples: level {again.upper[0, 0]:.3g}." in told.out
+    for value in again.upper[1:, 0]:
+        assert f"level {value:.2g}" in told.out
+
+
+@pytest.mark.parametrize(
+    ("typed", "words"),
+    [
+        (("--samples", "0,2"), "`--period` is missing: so many samples in each period, as --samples"),
+        (("--period", "2"), "`--samples` is missing: so many"),
+        (("SCHEDULE", "--samples", "1", "--period", "2"), "are evenly spaced and come on time: leave SCHEDULE out"),
+        (
+            ("--samples", "1", "--period", "2", "--tolerance", "1", "--projection", "a,b"),
+            "--tolerance, --projection out",
+        ),
+        (("--samples", "1", "--period", "2", "--timing-tolerance", "1"), "leave --timing-tolerance out"),
+        (("--samples", "1.5", "--period", "2"), "`--samples` must be a whole number"),
+    ],
+)
+def test_counts_take_the_place_of_a_schedule_and_of_what_has_one(shell, typed, words):
+    result = shell("accuracy", OSCILLATOR, *typed, "--w", "0.02", "--v", "0.4")
+    assert result.code == 2
+    assert words in result.err
+
+
+def test_without_samples_an_oscillator_has_no_bound(shell):
+    bounds = ("--w", "0.02", "--v", "0.4")
+    never = shell("accuracy", OSCILLATOR, "--samples", "0", "--period", "2", *bounds)
+    assert never.code == 1
+    assert "position has no bound" in never.out
+    assert shell("accuracy", OSCILLATOR, "--samples", "0,4", "--period", "2", *bounds).code == 0
+    assert "`SCHEDULE` is missing: give its file" in shell("accuracy", OSCILLATOR, *bounds).err
+
+
+def test_refusals_of_counts_are_of_arguments():
+    """The same words, where they are raised."""
+    with pytest.raises(ArgumentError, match="`SCHEDULE` is missing: give its file, or --samples"):
+        _schedule(Settings(), DECAYING, None)
+    with pytest.raises(ArgumentError, match="are evenly spaced and come on time: leave"):
+        _finish_counts(Settings(), TimeOptions(samples="1"), {"SCHEDULE": "s.csv"}, list)
+    with pytest.raises(ArgumentError, match="is missing: so many samples in each period, as --samples"):
+        _finish_counts(Settings(), TimeOptions(samples="1"), {}, list)

@@ -19,6 +19,7 @@ import sampling_design as sd
 from sampling_design import plotting
 from sampling_design.accuracy.deviation import standard_deviation
 from sampling_design.accuracy.limit import accuracy_limit
+from sampling_design.accuracy.sample_counts import accuracy_by_count
 from sampling_design.certificates.compare.robustness import FamilyTrial, Robustness
 from sampling_design.certificates.compare.tradeoff import tradeoff_curve
 from sampling_design.certificates.exact.information import information_curve
@@ -84,6 +85,7 @@ MAKERS = {
     "Accuracy": lambda: sd.guaranteed_accuracy(OSCILLATOR, SCHEDULE, w_bound=0.1, v_bound=0.1, rtol=0.2),
     "StandardDeviation": lambda: standard_deviation(OSCILLATOR, SCHEDULE, w_intensity=0.1, v_deviation=0.1),
     "AccuracyLimit": lambda: accuracy_limit(OSCILLATOR, w_bound=0.1, v_bound=0.1),
+    "AccuracyByCount": lambda: accuracy_by_count(TANK, (0, 1), period=2.0, w_bound=0.1, v_bound=0.1),
     "AccuracyOverBox": lambda: sd.guaranteed_accuracy(
         sd.UncertainPlant(TANK, [sd.UncertainParameter("k", -0.1, 0.0, A=[[1.0]])]),
         sd.PeriodicSchedule([1.0], time_unit="h"),

@@ -9,7 +9,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import pairwise
 from operator import itemgetter
 from typing import Any, NamedTuple, TypeAlias, TypeVar
@@ -260,12 +260,6 @@ def _mean_input(inputs: Sequence[tuple[float, Array]], since: float | None, t: f
     return np.asarray(np.diff(marks) @ np.array(held).reshape(len(held), count) / (t - since))
 
 
-@lru_cache(maxsize=64)
-def _even_sizes(A: bytes, n: int) -> Array:
-    """Sizes of the states in which A is even; the same plant is asked for with every sample."""
-    return freeze(balanced_schur(np.frombuffer(A).reshape(n, n)).d)
-
-
 @dataclass(frozen=True, eq=False)
 class Readings:
     """All that is known of a plant up to some time."""
@@ -407,7 +401,7 @@ class Readings:
     @cached_property
     def _balance(self) -> Array:
         """Sizes of the states in which A is even."""
-        return _even_sizes(self.A.tobytes(), len(self.A))
+        return balanced_schur(self.A).d
 
     def cut(self, count: int) -> Readings:
         """Return the first `count` times alone."""

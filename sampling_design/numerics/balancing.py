@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sampling_design.records.arrays import Array, Index, Mask
+from sampling_design.records.kept import kept
 
 ROUNDS = 40  # of reweighted least squares: enough for the median of what the couplings ask of the scales
 FARTHEST = 1000.0  # |log2| of a scale: beyond, numbers end
@@ -20,6 +21,7 @@ class Balance(NamedTuple):
     speed: float
 
 
+@kept
 def balance(A: Array, C: Array | None = None) -> Balance:
     """Return scales d (powers of two) and an order of the states, with B = diag(d)^-1 A diag(d) of moderate entries.
 

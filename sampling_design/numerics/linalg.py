@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from sampling_design.numerics.balancing import balance
 from sampling_design.records.arrays import Array
+from sampling_design.records.kept import kept
 
 _TAYLOR_DEGREE = 18  # with the radius below, to rounding
 _TAYLOR_RADIUS = 1.0  # |A t / 2^s|_1 at which 18 terms leave a remainder below eps/4
@@ -48,9 +49,8 @@ def _squared(A: Array, norm: float, t: Array) -> Array:
     squarings = np.maximum(0, np.ceil(np.log2(size))).astype(int)
     terms = exponential_terms(A, norm, _TAYLOR_DEGREE + 1)
     coefficients = np.ones((len(terms), t.size))
-    scaled = np.ldexp(t * norm, -squarings)
-    for k in range(1, len(terms)):
-        np.multiply(coefficients[k - 1], scaled, out=coefficients[k])
+    coefficients[1:] = np.ldexp(t * norm, -squarings)
+    np.multiply.accumulate(coefficients, axis=0, out=coefficients)
     result = (coefficients.T @ terms.reshape(len(terms), -1)).reshape(-1, n, n)
     for s in range(int(squarings.max())):
         todo = np.flatnonzero(squarings > s)
@@ -80,6 +80,7 @@ def rows_ahead(C: Array, A: Array, times: Array) -> Array:
     return np.asarray((powers @ terms.reshape(_TAYLOR_DEGREE + 1, -1)).reshape(-1, *C.shape))
 
 
+@kept
 def exponential_terms(A: Array, norm: float, count: int = _GRAMIAN_DEGREE) -> Array:
     """Return (A/norm)^k / k! for k < `count`: e^{A h} is their sum with factors (norm h)^k."""
     terms = np.empty((count, *A.shape), dtype=A.dtype)
@@ -89,6 +90,7 @@ def exponential_terms(A: Array, norm: float, count: int = _GRAMIAN_DEGREE) -> Ar
     return terms
 
 
+@kept
 def gramian_terms(shifted: Array, noise: Array, norm: float) -> Array:
     """Return N_k/(k+1)! with N_0 = N = `noise`, N_{k+1} = (A_eta N_k + N_k A_eta')/norm, A_eta = `shifted`.
 
@@ -138,8 +140,13 @@ def _flow_and_gramian(A: Array, noise: Array, h: Array, eta: float) -> tuple[Arr
     F = expm_batch(shifted, step)
     for s in range(int(doublings.max())):
         todo = np.flatnonzero(doublings > s)
-        W[todo] = W[todo] + F[todo] @ W[todo] @ np.swapaxes(F[todo], 1, 2)
-        F[todo] = F[todo] @ F[todo]
+        if todo.size == h.size:
+            W = W + F @ W @ np.swapaxes(F, 1, 2)
+            F = F @ F
+        else:
+            part = F[todo]
+            W[todo] = W[todo] + part @ W[todo] @ np.swapaxes(part, 1, 2)
+            F[todo] = part @ part
     return plain, (W + np.swapaxes(W, 1, 2)) / 2
 
 

@@ -11,6 +11,7 @@ from scipy.linalg import lapack, rsf2csf, schur
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.balancing import balance, balanced
 from sampling_design.records.arrays import Array, Complex
+from sampling_design.records.kept import kept
 
 CLUSTER_CAP = 1e-2  # a group wider than this times |A| is never one eigenvalue, whatever its sensitivity says
 LINK = 8.0  # two groups are joined within this many times the spread of the wider one: on a ring that an error
@@ -39,6 +40,7 @@ class SchurForm:
     speed: float
 
 
+@kept
 def balanced_schur(A: Array, C: Array | None = None) -> SchurForm:
     """Return the real Schur form of the balanced A (scaling only, by powers of two, so without rounding).
 

@@ -275,7 +275,7 @@ def test_failing_riccati_equation_ends_the_sweep(monkeypatch):
     def fails(*_):
         raise np.linalg.LinAlgError("no")
 
-    monkeypatch.setattr(gain_sweep, "solve_continuous_are", fails)
+    monkeypatch.setattr(gain_sweep, "stationary_covariance", fails)
     with pytest.raises(SolverError, match="No observer gain of the sweep"):
         constants_from_proof(DOUBLE, EACH_SECOND)
 

@@ -3,6 +3,7 @@
 import mpmath
 import numpy as np
 import pytest
+from scipy.linalg import solve_continuous_are
 
 from sampling_design.numerics import filtering
 
@@ -109,3 +110,32 @@ def test_maps_in_turn_are_their_steps(sizes):
     size = np.sqrt(np.diag(stepped))
     for found in (maps[1](maps[0](Y)), maps[0].then(maps[1])(Y)):
         assert np.all(np.abs(found - stepped) <= 1e-12 * np.outer(size, size))
+
+
+@pytest.mark.parametrize("sizes", [ORDINARY, GRADED])
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_after_a_long_time_the_covariance_is_that_of_the_pencil(sizes, unit):
+    """scipy takes the extended pencil; and the equation holds to the last digits, with a filter that is stable."""
+    rng = np.random.default_rng(13)
+    A = rng.normal(size=(3, 3)) * sizes[:, None] / sizes
+    C, W = unit * rng.normal(size=(2, 3)) / sizes, np.diag([1.0, 2.0, 0.3]) * np.outer(sizes, sizes) / unit**2
+    found = filtering.stationary_covariance(A, C, W)
+    np.testing.assert_array_equal(found, found.T)
+    by_pencil, size = solve_continuous_are(A.T, C.T, W, np.eye(2)), np.sqrt(np.diag(found))
+    assert np.all(np.abs(found - by_pencil) <= 1e-8 * np.outer(size, size))
+    terms = np.array([A @ found, found @ A.T, W, -found @ C.T @ C @ found]) / np.outer(size, size)
+    assert np.abs(terms.sum(axis=0)).max() <= 1e-13 * np.abs(terms).sum(axis=0).max()
+    assert np.linalg.eigvals((A - found @ C.T @ C) * sizes / sizes[:, None]).real.max() < 0
+
+
+@pytest.mark.parametrize(
+    ("A", "C", "W", "words"),
+    [
+        ([[0.0, 1.0], [-1.0, 0.0]], [[0.0, 0.0]], np.zeros((2, 2)), "no n modes that decay"),
+        ([[0.5]], [[1e200]], [[1.0]], "leaves double precision"),
+        ([[0.5, 0.0], [0.0, -1.0]], [[0.0, 1.0]], np.eye(2), "Singular matrix|leaves double precision"),
+    ],
+)
+def test_a_covariance_that_never_settles_is_refused(A, C, W, words):
+    with pytest.raises(np.linalg.LinAlgError, match=words):
+        filtering.stationary_covariance(*map(np.array, (A, C, W)))

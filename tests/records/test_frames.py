@@ -117,13 +117,15 @@ MAKERS = {
         trials=tuple(FamilyTrial(sd.Jitter(SCHEDULE, late), lam, lam < 3) for late, lam in ((0.1, 2.0), (0.2, np.inf))),
         closed=True,
     ),
-    "ValidationReport": lambda: sd.validate(OSCILLATOR, SCHEDULE, certificate(), runs=2, rng=0, **BOUNDS),
+    "ValidationReport": lambda: sd.validate(
+        OSCILLATOR, SCHEDULE, certificate(), runs=1, rng=0, duration=3.2, scenarios=("random",), **BOUNDS
+    ),
     "Plan": plan,
     "PlanRobustness": lambda: plan().robustness,
     "PlanDates": lambda: plan("2026-03-23").dates(2),
     "PlanComparison": lambda: plan().compare(plan()),
     "EstimateRecord": estimates,
-    "ParetoFront": lambda: sd.pareto_front(OSCILLATOR, REQUIREMENT, [2, 3]),
+    "ParetoFront": lambda: sd.pareto_front(OSCILLATOR, REQUIREMENT, [2, 3], starts=1, branches=0),
     "SampleLosses": lambda: sd.sample_losses(design()),
     "FourHorizons": lambda: sd.certificates.four_horizons(OSCILLATOR, SCHEDULE, certificate()),
     "WindowSigma": lambda: sd.window_sigma(OSCILLATOR, SCHEDULE, 4.0),

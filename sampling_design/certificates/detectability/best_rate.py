@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_continuous_are, solve_continuous_lyapunov
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_continuous_lyapunov
 
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate, proven
 from sampling_design.certificates.form.constants import Constant, ConstantList
 from sampling_design.errors import ArgumentError, CertificateError, NotDetectableError, SolverError
 from sampling_design.numerics import conic_programs
+from sampling_design.numerics.filtering import stationary_covariance
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.observability.count.functional import part_for
 from sampling_design.observability.count.pbh import unobservable_modes
@@ -187,11 +188,9 @@ def _filter(plant: Plant, eta: float, ratio: float, floor: float) -> Array | Non
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows has no solution
         noise = ratio * (plant.G @ plant.G.T + np.diag(np.full(n, floor * (size_G or 1.0) ** 2)))
         try:
-            Y = _symmetric(solve_continuous_are(shifted.T, plant.C.T, noise, np.eye(plant.n_outputs)))
+            Y = stationary_covariance(shifted, plant.C, noise)
         except (LinAlgError, ValueError):
             return None
-    if not np.isfinite(Y).all():
-        return None
     stable = np.max(np.linalg.eigvals(shifted - Y @ plant.C.T @ plant.C).real) < 0
     return Y if stable and np.linalg.eigvalsh(Y)[0] > 0 else None
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import LinAlgError, solve_continuous_are, solve_continuous_lyapunov
+from scipy.linalg import LinAlgError, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
 from sampling_design.certificates.detectability.best_rate import _refuse_undetectable, detectability_from_proof
 from sampling_design.certificates.detectability.dissipation import DetectabilityCertificate
 from sampling_design.errors import SolverError
+from sampling_design.numerics.filtering import stationary_covariance
 from sampling_design.numerics.linalg import expm_batch, symmetrise
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
@@ -63,7 +64,7 @@ class _GainSearch:
         shifted = plant.A + np.exp(parameters[0]) * self.size * np.eye(n)
         noise = self.noise * np.exp(parameters[1] + np.r_[0.0, parameters[2 : n + 1]])
         Q = np.diag(np.exp(np.r_[0.0, parameters[n + 1 :]]))
-        Y = solve_continuous_are(shifted.T, plant.C.T, np.diag(noise), np.eye(plant.n_outputs))
+        Y = stationary_covariance(shifted, plant.C, np.diag(noise))
         gain = Y @ plant.C.T
         return gain, Q, symmetrise(solve_continuous_lyapunov((plant.A - gain @ plant.C).T, -Q))
 

@@ -1,7 +1,9 @@
 """Nonlinear plants in certificate files: cells of the region are proven, and a point where it fails is named."""
 
 import json
+from fractions import Fraction
 
+import numpy as np
 import pytest
 
 from sampling_design import GapRange, Plant, read_certificate
@@ -11,6 +13,8 @@ from sampling_design.checkers.claims import certificate
 from sampling_design.checkers.parts import digest
 from sampling_design.checkers.strict import BadFile
 from sampling_design.errors import ArgumentError, FileFormatError
+from sampling_design.numerics.balls import rational
+from sampling_design.uncertain.inclusion import region_balls
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
 from sampling_design.uncertain.plants.parameter import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
@@ -69,6 +73,20 @@ def test_the_region_decides(slopes):
     assert both(nonlinear(slopes, cubic, low=-1.2, high=1.0)) == "refuted"
     assert both(nonlinear(slopes, cubic, low=-1.0, high=3.0, rows=[[2.0]], offsets=[2.0])) == "proven"
     assert both(nonlinear(slopes, cubic, low=-1.0, high=3.0, rows=[[2.0]], offsets=[2.5])) == "refuted"
+
+
+@pytest.mark.parametrize("k", range(-3, 6))
+@pytest.mark.parametrize("ends", [(-1.0, 1.0), (-1.0, 2.0), (-3.0, -2.0), (0.5, 0.75), (0.0, 1.0), (-1e-9, 1e9)])
+def test_a_power_in_balls_holds_that_of_every_number(ends, k):
+    value, slope = region_balls.powered(region_balls.hull(*ends), float(k))
+    if k < 0 and ends[0] <= 0 <= ends[1]:
+        assert not value.is_finite()
+        return
+    for t in map(Fraction, np.linspace(*ends, 9).tolist()):
+        assert value.overlaps(rational(t**k))
+        assert slope.overlaps(rational(k * t ** (k - 1) if k else Fraction(0)))
+    if k > 0:
+        assert value.abs_upper() <= max(map(abs, ends)) ** k * (1 + 1e-6)
 
 
 def test_dependent_numbers_are_cut_into_cells(slopes):

@@ -270,15 +270,23 @@ def joined(name: str, a: tuple[Ball, Slopes], b: tuple[Ball, Slopes]) -> tuple[B
 
 def squared(x: Ball) -> Ball:
     """x^2, never negative."""
-    value = x * x
-    return value.nonnegative_part() if hasattr(value, "nonnegative_part") else value
+    value: Ball = (x * x).nonnegative_part()
+    return value
+
+
+def whole_power(x: Ball, k: int) -> Ball:
+    """x^k; python-flint's own is no number where the middle of x is zero."""
+    if k < 0:
+        return 1 / whole_power(x, -k)
+    half = squared(whole_power(x, k // 2)) if k > 1 else ball(1.0)
+    return half * x if k % 2 else half
 
 
 def powered(x: Ball, exponent: float) -> tuple[Ball, Ball]:
     """x to a constant."""
     if exponent == int(exponent):
         k = int(exponent)
-        return x**k, ball(exponent) * x ** (k - 1)
+        return whole_power(x, k), ball(exponent) * whole_power(x, k - 1)
     value = (ball(exponent) * x.log()).exp()
     return value, ball(exponent) * value / x
 

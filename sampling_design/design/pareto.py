@@ -26,7 +26,7 @@ from sampling_design.records.file_io import from_json, read_text, to_json, usabl
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import ListRecord, PlainRecord, counted, short
 from sampling_design.records.signatures import checked
-from sampling_design.records.workers import Workers, check_workers, mapped
+from sampling_design.records.workers import Workers, check_workers, numbered
 from sampling_design.schedules.jitter import TimingTolerance
 
 FORMAT = "sampling-design/pareto/1"
@@ -197,7 +197,7 @@ def pareto_front(
     given = Budget(seconds)
     rounds = [_rest(place, len(todo), workers) for place in range(len(todo))]
     jobs = [(plant, requirement, c, options, given, left) for c, left in zip(todo, rounds, strict=True)]
-    for done, point in enumerate(mapped(_point, jobs, workers, ordered=False)):
+    for done, (_, point) in enumerate(numbered(_point, jobs, workers)):
         known[point.samples] = point
         if resume is not None:
             done_by_now = ParetoFront(tuple(known[c] for c in sorted(known) if known[c].obstacle != NO_TIME))

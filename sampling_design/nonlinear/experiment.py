@@ -25,7 +25,7 @@ from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.file_io import from_json, read_text, write_text
 from sampling_design.records.signatures import checked
-from sampling_design.records.workers import Workers, check_workers, mapped
+from sampling_design.records.workers import Workers, check_workers, numbered
 
 FORMAT = "sampling-design/thyroid-runs/1"
 STEP = 2 / 24
@@ -222,7 +222,7 @@ def thyroid_experiment(
         casadi()  # before anything is written, and before others are asked to work without it
     if path is not None:
         _write(Path(path), settings, lines)  # a folder that cannot be written is found out before the work
-    for line in _solved(missing, settings, workers):
+    for _, line in _solved(missing, settings, workers):
         lines[line["case"], line["run"]] = line
         if path is not None:
             _write(Path(path), settings, lines)
@@ -233,11 +233,11 @@ def thyroid_experiment(
     return ThyroidReport(tuple(cases), count, settings["days"], settings["seed"], found, degree)
 
 
-def _solved(missing: list[tuple[str, int]], settings: Tree, workers: Workers) -> Iterator[Tree]:
-    """Yield the line of each missing run as it comes."""
+def _solved(missing: list[tuple[str, int]], settings: Tree, workers: Workers) -> Iterator[tuple[int, Tree]]:
+    """Yield the number and the line of each missing run as it comes."""
     jobs = [(case, run, settings) for case, run in missing]
     chosen = min(os.cpu_count() or 1, len(jobs)) if workers is None else workers
-    return mapped(_line, jobs, None if chosen == 1 or len(jobs) < 2 else chosen, ordered=False)
+    return numbered(_line, jobs, None if chosen == 1 or len(jobs) < 2 else chosen)
 
 
 def _line(job: tuple[str, int, Tree]) -> Tree:

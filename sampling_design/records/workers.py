@@ -81,39 +81,16 @@ def check_workers(workers: Workers) -> None:
         raise ArgumentError(f"`workers` must name a joblib backend, one of {', '.join(known)}, got {workers!r}.")
 
 
-def mapped(
-    function: Callable[[Item], Result], items: Sequence[Item], workers: Workers, ordered: bool = True
-) -> Iterator[Result]:
-    """Yield function(item) for every item, computed by `workers`; in order, or as they are finished.
-
-    A worker that is killed takes nothing with it: what was finished stays, the rest is done by new processes, by this
-    one where the executor is not ours to renew, or by the other workers of a Dask cluster. Raises ArgumentError as
-    `check_workers`; SolverError if processes keep being killed before they finish anything; if the scheduler of a
-    cluster is lost, or its last worker, or a job kills every worker that takes it up. What was finished by then has
-    been yielded.
-    """
-    found = numbered(function, items, workers)
-    if not ordered:
-        return (result for _, result in found)
-    return _in_order(found)
-
-
-def _in_order(found: Iterator[tuple[int, Result]]) -> Iterator[Result]:
-    waiting: dict[int, Result] = {}
-    due = 0
-    for k, result in found:
-        waiting[k] = result
-        while due in waiting:
-            yield waiting.pop(due)
-            due += 1
-
-
 def numbered(
     function: Callable[[Item], Result], items: Sequence[Item], workers: Workers
 ) -> Iterator[tuple[int, Result]]:
-    """Yield (number, function(item)) as they are finished; errors and workers as in `mapped`.
+    """Yield (number, function(item)) for every item, computed by `workers`, as they are finished.
 
-    Raises ArgumentError Likewise if a pool of processes cannot be told of the function.
+    A worker that is killed takes nothing with it: what was finished stays, the rest is done by new processes, by this
+    one where the executor is not ours to renew, or by the other workers of a Dask cluster. Raises ArgumentError as
+    `check_workers`, and if a pool of processes cannot be told of the function; SolverError if processes keep being
+    killed before they finish anything; if the scheduler of a cluster is lost, or its last worker, or a job kills every
+    worker that takes it up. What was finished by then has been yielded.
     """
     check_workers(workers)
     todo = dict(enumerate(items))

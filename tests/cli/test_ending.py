@@ -54,7 +54,8 @@ def test_processes_that_share_the_work_begin_deaf_to_interrupts(tmp_path):
     """Python's own traceback would be on the screen otherwise, once for each process that is still loading."""
     (tmp_path / "sitecustomize.py").write_text(WHO_LISTENS)
     code = (
-        "import math; from sampling_design.records.workers import mapped; print(list(mapped(math.sqrt, [4.0, 9.0], 2)))"
+        "import math; from sampling_design.records.workers import numbered; "
+        "print(sorted(numbered(math.sqrt, [4.0, 9.0], 2)))"
     )
     paths = os.pathsep.join([str(tmp_path), *sys.path])
     told = subprocess.run(
@@ -64,7 +65,7 @@ def test_processes_that_share_the_work_begin_deaf_to_interrupts(tmp_path):
         text=True,
         check=True,
     )
-    assert told.stdout == "[2.0, 3.0]\n"
+    assert told.stdout == "[(0, 2.0), (1, 3.0)]\n"
     assert (tmp_path / "deaf.txt").read_text() == "True True "
 
 

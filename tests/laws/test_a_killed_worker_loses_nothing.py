@@ -130,9 +130,9 @@ def test_a_cluster_that_dies_leaves_what_it_did(fate, workers, told, give, tmp_p
 
 def test_an_error_of_a_job_on_a_cluster_is_its_own():
     with pytest.raises(ZeroDivisionError, match="its own"):
-        list(workforces.mapped(eval, ["1"], Cluster([ZeroDivisionError("its own")])))
+        list(workforces.numbered(eval, ["1"], Cluster([ZeroDivisionError("its own")])))
     with pytest.raises(IndexError, match="list index out of range"):  # it cannot be sent
-        list(workforces.mapped(eval, ["1"], Cluster([])))
+        list(workforces.numbered(eval, ["1"], Cluster([])))
 
 
 @pytest.mark.long
@@ -159,8 +159,8 @@ def test_a_real_cluster_that_dies_leaves_what_it_did(dies, monkeypatch, tmp_path
             started[dies == "workers"].kill()
 
         with pytest.raises(SolverError, match=r"`workers`: the Dask (scheduler was lost|cluster has had no worker)"):
-            list(map(keep, workforces.mapped(eval, jobs, client)))
-        assert found == list(range(len(found)))
+            list(map(keep, workforces.numbered(eval, jobs, client)))
+        assert dict(found) == {k: k for k in range(len(found))}
         assert 0 < len(found) < 9
         client.close()
     finally:
@@ -174,7 +174,7 @@ def test_processes_are_renewed(tmp_path):
     mark = str(tmp_path / "killed")
     lethal = f"9 if __import__('os').path.exists({mark!r}) else (open({mark!r}, 'w'), __import__('os')._exit(1))"
     jobs = ["0", "1", "2**2", lethal, "4**2", "5**2"]
-    assert list(workforces.mapped(eval, jobs, 2)) == [k**2 for k in range(6)]
+    assert dict(workforces.numbered(eval, jobs, 2)) == {k: k**2 for k in range(6)}
     assert os.path.exists(mark)
 
 
@@ -183,7 +183,7 @@ def test_jobs_that_kill_every_process_are_an_error(monkeypatch):
     with pytest.raises(
         SolverError, match="processes were killed 1 times before they finished anything, with 2 jobs left"
     ):
-        list(workforces.mapped(os._exit, [1, 2], 1))
+        list(workforces.numbered(os._exit, [1, 2], 1))
 
 
 @pytest.mark.parametrize("whole", [0, 1, 2])

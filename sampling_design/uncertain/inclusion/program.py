@@ -7,6 +7,7 @@ gap: numbers about 1, whatever the units of the plant.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -82,6 +83,41 @@ class PosedProgram:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class InclusionSolution:
+    """A solution in inner coordinates, not proven: P at the nodes between s I and q I; T brings it to physical ones."""
+
+    posed: PosedProgram
+    P: Array
+    T: Array
+    diagonals: Array | None
+    gains: Array
+    record: SolverRecord
+
+    @cached_property
+    def ends(self) -> tuple[float, float]:
+        """s and q, the least and the largest eigenvalue over all nodes."""
+        values = np.linalg.eigvalsh(self.P)
+        return float(values[:, 0].min()), float(values[:, -1].max())
+
+    @property
+    def lam(self) -> float:
+        """q/s."""
+        low, high = self.ends
+        return high / low
+
+
+def in_coordinates(P: Array, root: Array) -> Array:
+    """P (N, n, n) in the coordinates in which root root' is I."""
+    own = np.linalg.solve(root, np.linalg.solve(root, P).swapaxes(1, 2))
+    return np.asarray((own + own.swapaxes(1, 2)) / 2)
+
+
+def worst_violated(least: Array, chosen: list[int], most: int) -> list[int]:
+    """Those of the least slack, at most so many, that are violated and not chosen yet."""
+    return [int(k) for k in np.argsort(least)[:most] if least[k] < 0 and int(k) not in chosen]
+
+
 def flow_scale(posed: PosedProgram) -> Array:
     """N^-1/2, N the size of A + A' where rates are fast, in all coordinates that flow conditions have; else I.
 
@@ -113,7 +149,9 @@ class InclusionProgram:
         self.gains_at = self.count * self.pairs + self.ends * len(posed.seen)
         self.open = posed.outputs.shape[1] > 1
         self.rows = posed.outputs.shape[2]
-        self.width = self.gains_at + self.open * posed.later.size * self.rows * n + 2
+        self.width = (
+            self.gains_at + self.open * posed.later.size * self.rows * n + 1
+        )  # the last one is what is maximised
         self.scale = flow_scale(posed)
         self.fixed = [*self._flow(), *self._jump()]
 
@@ -217,11 +255,9 @@ class InclusionProgram:
         shape = self.posed.later.size, self.rows, self.posed.n
         return np.asarray(x[self.gains_at : self.gains_at + int(np.prod(shape))].reshape(shape))
 
-    def _solved(self, cost: Array, blocks: list[Block]) -> tuple[Array | None, SolverRecord]:
+    def _solved(self, cost: Array, blocks: list[Block], fixed: list[Block]) -> tuple[Array | None, SolverRecord]:
         m, more = len(self.posed.seen) * self.ends, len(cost) - self.width
-        wider = [
-            (kind, sparse.hstack([A, sparse.csc_matrix((A.shape[0], more))]).tocsc(), b) for kind, A, b in self.fixed
-        ]
+        wider = [(kind, sparse.hstack([A, sparse.csc_matrix((A.shape[0], more))]).tocsc(), b) for kind, A, b in fixed]
         every: list[Block] = [*wider, *blocks]
         if m:
             signs = sparse.csc_matrix(
@@ -247,20 +283,20 @@ class InclusionProgram:
     def floor(self) -> tuple[float, Array | None, SolverRecord]:
         """The largest p with P >= p unit, and the solver's point; 0 and None where there is none."""
         cost = np.zeros(self.width)
-        cost[-2] = -1.0
+        cost[-1] = -1.0
         cap = (
             "nonnegative",
-            sparse.csc_matrix(([1.0], ([0], [self.width - 2])), shape=(1, self.width)),
+            sparse.csc_matrix(([1.0], ([0], [self.width - 1])), shape=(1, self.width)),
             np.array([1e6]),
         )
         one, unit = np.eye(self.pairs), vector(self.posed.unit)
         above = [
-            self._block([(i * self.pairs, one), (self.width - 2, -unit[:, None])], 0 * unit) for i in range(self.count)
+            self._block([(i * self.pairs, one), (self.width - 1, -unit[:, None])], 0 * unit) for i in range(self.count)
         ]
-        x, record = self._solved(cost, self._pinned([*above, cap], (self.width - 1,)))
-        if x is None or x[-2] < SMALLEST:
+        x, record = self._solved(cost, [*above, cap], self.fixed)
+        if x is None or x[-1] < SMALLEST:
             return 0.0, None, record
-        return float(x[-2]), x, record
+        return float(x[-1]), x, record
 
     def narrow(self, ratio: float, floor: float) -> tuple[Array | None, Array, SolverRecord]:
         """The point with the most t for which a W has W <= P <= ratio W - t I and W >= floor unit: x if t > 0, and W.
@@ -268,7 +304,7 @@ class InclusionProgram:
         Linear in P and W at once: turns of it, each with the ratio of the last, end at the least that any W has.
         """
         one, shape, unit = np.eye(self.pairs), vector(np.eye(self.posed.n)), vector(self.posed.unit)
-        t, W, more = self.width - 2, self.width, self.pairs
+        t, W, more = self.width - 1, self.width, self.pairs
         cost = np.zeros(self.width + more)
         cost[t] = -1.0
         blocks = [self._block([(W, one)], -floor * unit, more)]
@@ -276,7 +312,7 @@ class InclusionProgram:
             at = i * self.pairs
             blocks.append(self._block([(at, one), (W, -one)], 0 * shape, more))
             blocks.append(self._block([(W, ratio * one), (at, -one), (t, -shape[:, None])], 0 * shape, more))
-        x, record = self._solved(cost, self._pinned(blocks, (self.width - 1,), more))
+        x, record = self._solved(cost, blocks, self.fixed)
         if x is None:
             return None, np.eye(self.posed.n), record
         drawn = np.asarray(conic_programs.smat(x[W:]), dtype=np.float64)
@@ -290,8 +326,8 @@ class InclusionProgram:
         for i in range(self.count):
             at, one = i * self.pairs, np.eye(self.pairs)
             blocks.append(self._block([(at, -one)], MOST_SLACKEST * shape))
-            blocks.append(self._block([(at, one), (self.width - 2, -LEAST_SLACKEST * shape[:, None])], 0 * shape))
-        return self._with_slack(self._pinned(blocks, (self.width - 1,)))
+            blocks.append(self._block([(at, one), (self.width - 1, -LEAST_SLACKEST * shape[:, None])], 0 * shape))
+        return self._with_slack(blocks)
 
     def within(self, ratio: float) -> tuple[Array | None, float, SolverRecord]:
         """The same with a matrix W chosen too: W <= P <= ratio W and I/20 <= W <= I; W stands behind the point."""
@@ -301,37 +337,26 @@ class InclusionProgram:
             at = i * self.pairs
             blocks.append(self._block([(at, -one), (W, ratio * one)], 0 * shape, more))
             blocks.append(self._block([(at, one), (W, -one)], 0 * shape, more))
-        return self._with_slack(self._pinned(blocks, (self.width - 1,), more), more)
+        return self._with_slack(blocks, more)
 
     def bound(self, x: Array) -> Array | None:
         """The W of a point that has one."""
         return np.asarray(conic_programs.smat(x[self.width :]), dtype=np.float64) if len(x) > self.width else None
 
     def _with_slack(self, blocks: list[Block], more: int = 0) -> tuple[Array | None, float, SolverRecord]:
-        """The largest variable before the last of the width, which is taken from all flow conditions."""
+        """The largest slack, which is taken from all flow conditions."""
         n, size = self.posed.n, self.posed.dynamics.shape[2]
         one = np.zeros((size, size))
         one[:n, :n] = np.eye(n)
-        flows, at = len(self.posed.dynamics) * self.ends, self.width - 2
+        flows, at = len(self.posed.dynamics) * self.ends, self.width - 1
         column = sparse.csc_matrix(vector(one)[:, None])
-        fixed = [
-            (kind, sparse.hstack([A[:, :at], column if i < flows else A[:, [at]], A[:, at + 1 :],
-                                  sparse.csc_matrix((A.shape[0], more))]).tocsc(), right)
-            for i, (kind, A, right) in enumerate(self.fixed)
-        ]  # fmt: skip
+        taken = [(kind, sparse.hstack([A[:, :at], column]).tocsc(), right) for kind, A, right in self.fixed[:flows]]
         cost = np.zeros(self.width + more)
         cost[at] = -1.0
-        found = conic_programs.solve_cone_program(cost, [*fixed, *blocks], budget=self.budget)
-        point = np.asarray(found.x, dtype=np.float64)
-        good = conic_programs.usable(found.record) and point[at] > SMALLEST
-        return (point if good else None), float(point[at]) if good else 0.0, found.record
-
-    def _pinned(self, blocks: list[Block], columns: tuple[int, ...], more: int = 0) -> list[Block]:
-        """Unused variables are held at 0."""
-        for column in columns:
-            row = sparse.csc_matrix(([1.0], ([0], [column])), shape=(1, self.width + more))
-            blocks = [*blocks, ("zero", row, np.zeros(1))]
-        return blocks
+        x, record = self._solved(cost, blocks, [*taken, *self.fixed[flows:]])
+        if x is None or x[at] <= SMALLEST:
+            return None, 0.0, record
+        return x, float(x[at]), record
 
 
 def vector(matrix: Array) -> Array:

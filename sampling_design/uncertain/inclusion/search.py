@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,16 +14,18 @@ from sampling_design.certificates.rigorous.decide import judged_while_sought
 from sampling_design.errors import ArgumentError
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
-from sampling_design.records.evidence import SolverRecord
 from sampling_design.records.record import Plain
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
 from sampling_design.uncertain.inclusion.members import INFLATED, PosedMembers
 from sampling_design.uncertain.inclusion.program import (
     SMALLEST,
     InclusionProgram,
+    InclusionSolution,
     PosedProgram,
     flow_slacks,
+    in_coordinates,
     jump_slacks,
+    worst_violated,
 )
 from sampling_design.uncertain.inclusion.stiff import solve_stiff
 
@@ -40,25 +42,6 @@ ROOM = 1e-6  # by which P1 and P2 stand off from P, relatively
 Attempt = tuple[InclusionCertificate | None, Verification | None]
 
 
-@dataclass(frozen=True, eq=False)
-class InclusionSolution:
-    """A solution in inner coordinates, not proven: P at the nodes between s I and q I."""
-
-    posed: PosedProgram
-    P: Array
-    low: float
-    high: float
-    T: Array
-    diagonals: Array | None
-    gains: Array
-    record: SolverRecord
-
-    @property
-    def lam(self) -> float:
-        """q/s."""
-        return self.high / self.low
-
-
 class InclusionSearch(PosedMembers):
     """The programs of one plant, range of gaps and choice of weights, under a budget for lambda."""
 
@@ -66,23 +49,22 @@ class InclusionSearch(PosedMembers):
         """The narrowest P(tau) found; None if there is none. Members that it violates join until none does."""
         posed, T = self.inner(eta, pieces)
         if self.stiff:
-            fit = solve_stiff(self, eta, pieces, narrow)
-            if fit is None:
-                return None
-            turned = fit.posed.turned(fit.bound)
-            return InclusionSolution(
-                turned, fit.within(), *fit.ends, fit.T @ fit.bound, None, np.zeros((0, 0, 0)), fit.record
-            )
+            return solve_stiff(self, eta, pieces, narrow)
         for _ in range(ROUNDS):
             if self.budget.over:
                 return None
             found = self._solve_once(posed, T, narrow)
             if found is None:
                 return None
-            worst, unseen = self._violated(posed, found), self._most_violated_outputs(posed, found)
-            if not worst and not unseen:
+            own = replace(posed, dynamics=self.pushed(posed)).turned(np.asarray(np.linalg.solve(T, found.T)))
+            bad, hidden = list[int](), list[int]()
+            if len(self.chosen) < len(self.members.dynamics):
+                bad = worst_violated(flow_slacks(own, found.P), self.chosen, JOINING)
+            if len(self.shown) < posed.outputs.shape[1]:
+                hidden = worst_violated(jump_slacks(own, found.P, found.gains), self.shown, JOINING)
+            if not bad and not hidden:
                 return found
-            self.chosen, self.shown = sorted({*self.chosen, *worst}), sorted({*self.shown, *unseen})
+            self.chosen, self.shown = sorted({*self.chosen, *bad}), sorted({*self.shown, *hidden})
         return None
 
     def _solve_once(self, posed: PosedProgram, T: Array, narrow: bool) -> InclusionSolution | None:
@@ -93,8 +75,8 @@ class InclusionSearch(PosedMembers):
         if x is None:
             return None
         P = search.matrices(x)
-        best = self._solution(some, P, T, (search.diagonals(x), search.gains(x)), record)
-        if not best.low > 0:  # a solver that was inaccurate
+        best = InclusionSolution(some, P, T, search.diagonals(x), search.gains(x), record)
+        if not best.ends[0] > 0:  # a solver that was inaccurate
             return None
         if not narrow:
             return best
@@ -110,10 +92,9 @@ class InclusionSearch(PosedMembers):
                 break
             turn, P = np.asarray(np.linalg.cholesky(W)), search.matrices(x)
             current, basis = current.turned(turn), basis @ turn
-            own = np.linalg.solve(turn, np.linalg.solve(turn, P).swapaxes(1, 2))
-            free = search.diagonals(x), search.gains(x) @ np.linalg.inv(turn).T
-            found = self._solution(current, (own + own.swapaxes(1, 2)) / 2, T @ basis, free, record)
-            if not found.low > 0:
+            gains = search.gains(x) @ np.linalg.inv(turn).T
+            found = InclusionSolution(current, in_coordinates(P, turn), T @ basis, search.diagonals(x), gains, record)
+            if not found.ends[0] > 0:
                 break
             done = found.lam > NARROW_ENOUGH * best.lam
             best = found if found.lam < best.lam else best
@@ -121,32 +102,6 @@ class InclusionSearch(PosedMembers):
                 break
             search = InclusionProgram(current, self.budget.seconds_left())
         return best
-
-    @staticmethod
-    def _solution(
-        posed: PosedProgram, P: Array, T: Array, free: tuple[Array | None, Array], record: SolverRecord
-    ) -> InclusionSolution:
-        values = np.linalg.eigvalsh(P)
-        return InclusionSolution(posed, P, float(values[:, 0].min()), float(values[:, -1].max()), T, *free, record)
-
-    def _violated(self, posed: PosedProgram, found: InclusionSolution) -> list[int]:
-        """Members that the solution violates most, not yet in the program."""
-        if len(self.chosen) == len(self.members.dynamics):
-            return []
-        moved = replace(posed, dynamics=self.pushed(posed)).turned(self._to_coordinates(posed, found))
-        least = flow_slacks(moved, found.P)
-        return [int(k) for k in np.argsort(least)[:JOINING] if least[k] < 0 and int(k) not in self.chosen]
-
-    def _most_violated_outputs(self, posed: PosedProgram, found: InclusionSolution) -> list[int]:
-        """Outputs at which the solution's jump fails most, not yet in the program."""
-        if len(self.shown) == posed.outputs.shape[1]:
-            return []
-        least = jump_slacks(posed.turned(self._to_coordinates(posed, found)), found.P, found.gains)
-        return [int(k) for k in np.argsort(least)[:JOINING] if least[k] < 0 and int(k) not in self.shown]
-
-    def _to_coordinates(self, posed: PosedProgram, found: InclusionSolution) -> Array:
-        """The solution's coordinates in those of `posed`."""
-        return np.asarray(np.linalg.solve(self.coordinates(posed.eta / self.longest), found.T))
 
     # --- from a solution to a certificate -----------------------------------------------------------------------------
 
@@ -156,11 +111,8 @@ class InclusionSearch(PosedMembers):
         """The certificate in physical coordinates and short decimals."""
         nodes = self.layout(pieces).nodes
         P = rounded(found.T @ found.P @ found.T.T, digits)
-        shape = found.T @ found.T.T
-        P1, P2 = (
-            rounded((1 - ROOM) * found.low * shape, digits + 1),
-            rounded((1 + ROOM) * found.high * shape, digits + 1),
-        )
+        shape, (low, high) = found.T @ found.T.T, found.ends
+        P1, P2 = rounded((1 - ROOM) * low * shape, digits + 1), rounded((1 + ROOM) * high * shape, digits + 1)
         lam = float(f"{(1 + 10 * ROOM) * found.lam:.9g}")
         details: dict[str, Plain] = {
             "pieces": found.posed.pieces.size,

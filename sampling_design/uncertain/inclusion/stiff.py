@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,10 +19,13 @@ from sampling_design.records.evidence import SolverRecord
 from sampling_design.uncertain.inclusion.members import PosedMembers
 from sampling_design.uncertain.inclusion.program import (
     InclusionProgram,
+    InclusionSolution,
     PosedProgram,
     flow_scale,
     flow_slacks,
+    in_coordinates,
     jump_slacks,
+    worst_violated,
 )
 
 Posing = Callable[[Array], tuple[PosedProgram, Array]]
@@ -42,39 +44,14 @@ LEAST_SLACK = 0.05
 """A P(tau) of less slack is not drawn together further: its proof would need cells that are too small."""
 
 
-class FittedWeights(NamedTuple):
-    """A program's P(tau) at the nodes, in coordinates where their mean is I, the problem in them, and its slack."""
-
-    posed: PosedProgram
-    T: Array
-    P: Array
-    slack: float
-    record: SolverRecord
-    bound: Array
-    """L of the W = L L' with W <= P <= lambda W, up to a factor."""
-
-    def within(self) -> Array:
-        """P in coordinates where W is I."""
-        own = np.linalg.solve(self.bound, np.linalg.solve(self.bound, self.P).swapaxes(1, 2))
-        return np.asarray((own + own.swapaxes(1, 2)) / 2)
-
-    @property
-    def ends(self) -> tuple[float, float]:
-        """Least and largest eigenvalue over all nodes, there."""
-        values = np.linalg.eigvalsh(self.within())
-        return float(values[:, 0].min()), float(values[:, -1].max())
-
-    @property
-    def lam(self) -> float:
-        """Their ratio."""
-        low, high = self.ends
-        return high / low
-
-
 def fitted(
     search: PosedMembers, posing: Posing, T: Array, solve: Solver, share: float, join: bool
-) -> FittedWeights | None:
-    """Solve for the members chosen, drawn to their mean; those that the solution violates join until none does."""
+) -> tuple[InclusionSolution, float, Array] | None:
+    """Solve for the members chosen, drawn to their mean; those that the solution violates join until none does.
+
+    The solution, in coordinates where its bound W, with W <= P <= lambda W, is I; its slack; and the coordinates where
+    the mean of its P is I.
+    """
     for _ in range(ROUNDS):
         if search.budget.over:
             return None
@@ -90,10 +67,8 @@ def fitted(
         if not np.all(np.linalg.eigvalsh(P)[:, 0] > 0):
             return None
         if join:
-            bad, hidden = (
-                worst(flow_slacks(posed, P), search.chosen),
-                worst(jump_slacks(posed, P, program.gains(x)), search.shown),
-            )
+            bad = worst_violated(flow_slacks(posed, P), search.chosen, JOINING)
+            hidden = worst_violated(jump_slacks(posed, P, program.gains(x)), search.shown, JOINING)
             added = adversaries(search, posed, P, T)
             if len(added):
                 count = len(search.members.dynamics)
@@ -104,11 +79,10 @@ def fitted(
             if bad or hidden:
                 continue
         root, W = np.linalg.cholesky(np.mean(P, axis=0)), program.bound(x)
-        own = np.linalg.solve(root, np.linalg.solve(root, P).swapaxes(1, 2))
-        bound = np.eye(posed.n) if W is None else np.linalg.solve(root, np.linalg.cholesky(W))
-        return FittedWeights(
-            some.turned(root), T @ root, (own + own.swapaxes(1, 2)) / 2, slack, record, np.asarray(bound)
-        )
+        own = np.asarray(root if W is None else np.linalg.cholesky(W), dtype=np.float64)
+        gains = np.zeros((0, 0, 0))
+        found = InclusionSolution(some.turned(own), in_coordinates(P, own), T @ own, None, gains, record)
+        return found, slack, T @ root
     return None
 
 
@@ -157,35 +131,30 @@ def adversaries(search: PosedMembers, posed: PosedProgram, P: Array, T: Array) -
     return np.array(list(found.values())).reshape(len(found), *search.hull.middle.shape[1:])
 
 
-def worst(least: Array, chosen: list[int]) -> list[int]:
-    """Those that are violated most and not chosen yet."""
-    return [int(k) for k in np.argsort(least)[:JOINING] if least[k] < 0 and int(k) not in chosen]
-
-
-def solve_stiff(search: PosedMembers, eta: float, pieces: int, narrow: bool) -> FittedWeights | None:
+def solve_stiff(search: PosedMembers, eta: float, pieces: int, narrow: bool) -> InclusionSolution | None:
     """A P(tau) of large slack, or the narrowest that leaves some."""
 
     def posing(T: Array) -> tuple[PosedProgram, Array]:
         return search.inner(eta, pieces, T)
 
-    best: FittedWeights | None = None
+    best: InclusionSolution | None = None
+    T = search.inner(eta, pieces)[1]
     for share, join in STAGES:
         before = 0.0
         for _ in range(TURNS):
-            T = search.inner(eta, pieces)[1] if best is None else best.T
             found = fitted(search, posing, T, InclusionProgram.slackest, share, join)
             if found is None:
                 return None
-            best = found
-            if found.slack > SLACK_ENOUGH or found.slack < 1.2 * before:
+            best, slack, T = found
+            if slack > SLACK_ENOUGH or slack < 1.2 * before:
                 break
-            before = found.slack
+            before = slack
     power = DRAWN
     while narrow and best is not None and best.lam > 1.05 and power < LEAST_DRAWN:
         ratio = float(best.lam**power)
-        found = fitted(search, posing, best.T, partial(InclusionProgram.within, ratio=ratio), 1.0, True)
-        if found is None or found.slack < LEAST_SLACK or not found.lam < 0.98 * best.lam:
+        found = fitted(search, posing, T, partial(InclusionProgram.within, ratio=ratio), 1.0, True)
+        if found is None or found[1] < LEAST_SLACK or not found[0].lam < 0.98 * best.lam:
             power = float(np.sqrt(power))
         else:
-            best = found
+            best, _, T = found
     return best

@@ -30,7 +30,7 @@ _REGISTERED = {
     ("constants_from_proof", f"{__name__}.plants.inclusion.LinearInclusion"): (
         "inclusion.proof_constants:constants_over_inclusion"
     ),
-    ("read_certificate", "inclusion"): "inclusion.certificate_file:read_inclusion",
+    ("read_certificate", "inclusion"): "inclusion.inclusion_certificate:read_inclusion",
     ("read_plant", "sampling-design/uncertain-plant/1"): "plants.uncertain_plant:UncertainPlant",
     ("verify_rigorously", "inclusion"): "inclusion.inclusion_balls:inclusion",
 }

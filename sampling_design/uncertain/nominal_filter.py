@@ -30,7 +30,7 @@ from sampling_design.numerics.linalg import discounted_flow, forced_flow
 from sampling_design.plants.plant import Signals
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
-from sampling_design.uncertain.accuracy.accuracy_over_box import RANK
+from sampling_design.uncertain.accuracy.accuracy_over_box import mismatch, moved
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 STEP = 0.25  # |A| times a step within which the mismatch is bounded at once
@@ -254,8 +254,9 @@ class NominalFilter(KalmanFilter):
         )
         inside = CostFunction(P2=given.prior, Qw=block_diag(given.w, np.diag(q)), R=given.R, Qv=given.v, eta=given.eta)
         super().__init__(wide, cost=inside, input_side=input_side, maximum_delay=maximum_delay)
+        shown = np.array(moved(plant, _reach(plant), "C")).reshape(-1, *nominal.C.shape)
         no_disturbance = None if bound is None else np.zeros(wide.n_disturbances)
-        bounds = MismatchBounds(self.weights, no_disturbance, v_bound, initial_error, energy, _outputs(plant))
+        bounds = MismatchBounds(self.weights, no_disturbance, v_bound, initial_error, energy, shown)
         self.mismatch = MismatchLoop(self.table, bounds, rows, known, q)
         self.prepare(Recorder(self.mismatch, ScheduleClaim(NO_CLAIM), None), input_side)
         self.start(prior, prior_time)
@@ -273,30 +274,18 @@ class NominalFilter(KalmanFilter):
 
 def _channels(plant: UncertainPlant, w_bound: Array | None) -> tuple[Array, Array, Array]:
     """Columns (n, m + k) of the mismatch, the rows (m, n) of x that drive the first, sizes (k,) of the others."""
-    x, columns, rows = plant.nominal.states.scales, [], []
+    columns, rows = mismatch(plant, _reach(plant))
     others, sizes = [], []
-    for each in plant.parameters:
-        reach = max(each.high - each.nominal, each.nominal - each.low)
-        if each.A is not None and each.A.any() and reach:
-            U, s, V = np.linalg.svd(reach * each.A * x / x[:, None])
-            rank = int(np.sum(s > RANK * s[0]))
-            columns.append(x[:, None] * U[:, :rank])
-            rows.append(ROUNDING * s[:rank, None] * V[:rank] / x)
-        if each.G is not None and each.G.any() and reach and w_bound is not None:
-            moved = [k for k in range(each.G.shape[1]) if each.G[:, k].any()]
-            others.append(reach * each.G[:, moved])
-            sizes.append(np.broadcast_to(w_bound, (each.G.shape[1],))[moved])
+    if w_bound is not None:
+        for G in moved(plant, _reach(plant), "G"):
+            on = np.flatnonzero(G.any(axis=0))
+            others.append(G[:, on])
+            sizes.append(np.broadcast_to(w_bound, (G.shape[1],))[on])
     n = plant.n_states
     into = np.hstack([np.zeros((n, 0)), *columns, *others])
-    return into, np.vstack([np.zeros((0, n)), *rows]), np.concatenate([np.zeros(0), *sizes])
+    return into, ROUNDING * np.vstack([np.zeros((0, n)), *rows]), np.concatenate([np.zeros(0), *sizes])
 
 
-def _outputs(plant: UncertainPlant) -> Array:
-    """What the parameters add to C at their farthest (K, p, n)."""
-    shape = plant.nominal.C.shape
-    found = [
-        max(each.high - each.nominal, each.nominal - each.low) * each.C
-        for each in plant.parameters
-        if each.C is not None and each.C.any()
-    ]
-    return np.array(found).reshape(len(found), *shape)
+def _reach(plant: UncertainPlant) -> Array:
+    """How far each parameter may be from its nominal value."""
+    return np.array([max(each.high - each.nominal, each.nominal - each.low) for each in plant.parameters])

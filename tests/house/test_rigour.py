@@ -20,7 +20,7 @@ NO_MAKERS = {
     "certificates.exact.proof": {"_made"},
     "uncertain.inclusion.search": {"certificate"},
     "certificates.files": {"_sampled", "_of_family", "_detectable"},
-    "uncertain.inclusion.certificate_file": {"read_inclusion"},
+    "uncertain.inclusion.inclusion_certificate": {"read_inclusion"},
 }
 """Functions whose certificates are still to be proven by the maker that asked for them, or are read from a file."""
 

@@ -1,6 +1,7 @@
 """Sigma, counts, existence and accuracy over a box of constant parameters: proven, attained, refused."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -330,10 +331,10 @@ def test_a_parameter_that_is_known_changes_no_accuracy_in_whatever_unit():
 
 
 def test_accuracy_that_cannot_be_bounded_says_so(monkeypatch):
-    def one(plant, w, v, rows, rtol):
-        return np.zeros(len(rows)), np.full(len(rows), np.inf)
+    def one(plant, schedule, *, of, **others):
+        return SimpleNamespace(lower=np.zeros(len(of)), upper=np.full(len(of), np.inf))
 
-    monkeypatch.setattr(accuracy_over_box, "one_plant", lambda schedule: one)
+    monkeypatch.setattr(accuracy_over_box, "guaranteed_accuracy", one)
     monkeypatch.setattr(accuracy_over_box, "SECONDS", 0.0)
     with pytest.raises(UndecidedError, match="could not be bounded in"):
         guaranteed_accuracy(oscillator(), PeriodicSchedule([1.0]), w_bound=[1.0, 1.0], v_bound=1.0)

@@ -28,8 +28,7 @@ from sampling_design.schedules.jitter import TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.branching import BALL_ROOM, bisected
 from sampling_design.uncertain.box.expansion import BoxCells
-from sampling_design.uncertain.box.model import require_constant_box
-from sampling_design.uncertain.box.question import at_parameters
+from sampling_design.uncertain.box.model import at_parameters, require_constant_box
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 Both = tuple[Array, Array]
@@ -134,11 +133,14 @@ def accuracy_over_box(
     w = _entries("w_bound", w_bound, plant.nominal.n_disturbances)
     v = _entries("v_bound", v_bound, plant.nominal.n_outputs)
     rows = wanted_rows(plant.nominal, of)
-    one = one_plant(schedule)
     given = Budget(SECONDS if budget is None else checks.positive("budget", budget))
     middle, whole = plant.low / 2 + plant.high / 2, plant.high / 2 - plant.low / 2
     worst = [middle] * len(rows)
     start = BoxCells(middle[None], whole[None], np.zeros(1), np.zeros(1), np.zeros(1, dtype=int))
+
+    def one(member: Plant, w: Array, v: Array, rows: Array, rtol: float) -> Both:
+        found = guaranteed_accuracy(member, schedule, w_bound=w, v_bound=v, of=rows, rtol=rtol)
+        return found.lower, found.upper
 
     def enough(bound: Array, best: Array) -> Mask:
         return np.asarray(-bound * (1 - rtol) <= -best)
@@ -193,8 +195,8 @@ def _cell(
     """What the centre attains, and what holds for every plant of a cell; infinite where nothing is proven."""
     w, v = bounds
     centre = plant.at(np.clip(theta, plant.low, plant.high))
-    into, seen = _mismatch(plant, half)
-    shown, driven = (_moved(plant, half, key) for key in ("C", "G"))
+    into, seen = mismatch(plant, half)
+    shown, driven = (moved(plant, half, key) for key in ("C", "G"))
     matrix = np.vstack([rows.matrix, *seen, *shown])
     low, up = one(centre, w, v, matrix, rtol)
     count, moves = len(rows), sum(len(r) for r in seen)
@@ -213,7 +215,7 @@ def _cell(
     return low[:count], np.full(count, np.inf)
 
 
-def _mismatch(plant: UncertainPlant, half: Array) -> tuple[list[Array], list[Array]]:
+def mismatch(plant: UncertainPlant, half: Array) -> tuple[list[Array], list[Array]]:
     """What half-widths of A add as columns (n, rank) times rows (rank, n)."""
     into, seen = [], []
     for each, size in zip(plant.parameters, half.tolist(), strict=True):
@@ -227,7 +229,7 @@ def _mismatch(plant: UncertainPlant, half: Array) -> tuple[list[Array], list[Arr
     return into, seen
 
 
-def _moved(plant: UncertainPlant, half: Array, key: str) -> list[Array]:
+def moved(plant: UncertainPlant, half: Array, key: str) -> list[Array]:
     """What half-widths add to C or to G."""
     pairs = ((getattr(each, key), size) for each, size in zip(plant.parameters, half.tolist(), strict=True))
     return [size * M for M, size in pairs if M is not None and M.any() and size]
@@ -240,8 +242,8 @@ def _weights(plant: UncertainPlant) -> Array:
         M = np.abs(getattr(plant.nominal, key))
         size = max(float(np.linalg.norm(M)), 1e-300)
         for k, each in enumerate(plant.parameters):
-            moved = getattr(each, key)
-            found[k] += 0.0 if moved is None else float(np.linalg.norm(moved)) / size
+            own = getattr(each, key)
+            found[k] += 0.0 if own is None else float(np.linalg.norm(own)) / size
     return found
 
 
@@ -278,13 +280,3 @@ def refuse_others(where: str, **others: object) -> None:
         on_time = name == "timing_tolerance" and not TimingTolerance.of(value)
         if value is not None and not on_time:
             raise ArgumentError(f"`{name}` must be left out for accuracy {where}.")
-
-
-def one_plant(schedule: PeriodicSchedule) -> OnePlant:
-    """Both bounds of one plant of a box."""
-
-    def one(member: Plant, w: Array, v: Array, rows: Array, rtol: float) -> Both:
-        found = guaranteed_accuracy(member, schedule, w_bound=w, v_bound=v, of=rows, rtol=rtol)
-        return found.lower, found.upper
-
-    return one

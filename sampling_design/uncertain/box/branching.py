@@ -28,6 +28,13 @@ BALL_ROOM = 1.001
 """Of the tolerance: how much of it a bracket may be open, what balls give away included."""
 
 
+REASONS = {
+    "budget": "the budget ran out before the bracket closed; more time, or a smaller box, narrows it",
+    "interrupted": "the search was interrupted before the bracket closed",
+    "rounding": "rounding keeps the bracket open; scale the plant",
+}
+
+
 class BoxBounds(NamedTuple):
     """Lower and attained bound, where it is attained (u, window start, piece), why it ended, and the cells judged."""
 
@@ -112,6 +119,13 @@ def halved(cells: BoxCells, effect: Array) -> BoxCells:
     return parts[0].joined(parts[1])
 
 
+def least_near(value: Callable[[Array], float], x: Array, bounds: list[tuple[float, float]], most: int) -> Array:
+    """Where a descent without derivatives ends, from a small simplex at x, after so many values at most."""
+    simplex = np.vstack([x, x + np.diag(np.where(x > 0, -0.05, 0.05))])
+    options = {"maxfev": most, "xatol": 1e-13, "fatol": 0.0, "initial_simplex": simplex}
+    return np.asarray(optimize.minimize(value, x, method="Nelder-Mead", bounds=bounds, options=options).x)
+
+
 def descended(
     best: tuple[float, Array, float, int], value: Value, ends: tuple[Array, Array]
 ) -> tuple[float, Array, float, int]:
@@ -128,11 +142,6 @@ def descended(
         return x[: len(u)], min(max(left + span * float(x[-1]), left), right) if span > 0 else s
 
     x0 = np.clip(np.append(u, (s - left) / span) if span > 0 else u, [b[0] for b in bounds], [b[1] for b in bounds])
-    simplex = np.vstack([x0, *(x0 + np.where(x0[j] > 0, -0.05, 0.05) * np.eye(len(x0))[j] for j in range(len(x0)))])
-    found = optimize.minimize(
-        lambda x: value(*at(x), piece), x0, method="Nelder-Mead", bounds=bounds,
-        options={"maxfev": STEPS, "xatol": 1e-13, "fatol": 0.0, "initial_simplex": simplex},
-    )  # fmt: skip
-    u_new, s_new = at(found.x)
+    u_new, s_new = at(least_near(lambda x: value(*at(x), piece), x0, bounds, STEPS))
     reached = value(u_new, s_new, piece)
     return (reached, u_new, s_new, piece) if reached < best[0] else best

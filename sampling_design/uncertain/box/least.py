@@ -10,12 +10,10 @@ s later sees |O e^{A s} x|, and |x| is convex in s to first order: its ends deci
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from sampling_design.records.arrays import Array, Complex, Mask
-from sampling_design.uncertain.box.expansion import BoxCells, Expansion, expanded, signs
+from sampling_design.uncertain.box.expansion import BoxCells, expanded, signs
 from sampling_design.uncertain.box.model import BoxModel
 
 MOST_CORNERS = 6
@@ -25,34 +23,24 @@ LEAST_SHARE = 1e-3  # of the weights of two rests, however small one is
 LARGEST = 1e60  # a rest beyond it proves nothing
 
 
-class LeastSigma(NamedTuple):
-    """Of each cell: a proven lower bound, sigma at its centre, and how much parameters and position matter.
+def least_sigma(
+    model: BoxModel, cells: BoxCells, times: Array, measured: Mask, late: float
+) -> tuple[Array, Array, Array]:
+    """Of each cell: a proven lower bound of sigma, sigma at its centre, and how much parameters and position matter.
 
-    For samples that may be early or late `centre` is the bound of the centre alone: what smaller cells lead to.
+    For samples up to `late` early or late, of the centre the bound of it alone: what smaller cells lead to.
     """
-
-    lower: Array
-    centre: Array
-    effect: Array
-
-
-def least_sigma(model: BoxModel, cells: BoxCells, times: Array, measured: Mask, late: float = 0.0) -> LeastSigma:
-    """Bound sigma over every cell from below, for samples up to `late` early or late."""
-    return bounded(model, expanded(model, cells, times, measured, late), cells.h)
-
-
-def bounded(model: BoxModel, found: Expansion, h: Array) -> LeastSigma:
-    """The bounds of an expansion, for windows that begin up to h earlier or later."""
+    found = expanded(model, cells, times, measured, late)
     K, R, n = found.rows.shape
     if n > R:
-        return LeastSigma(np.zeros(K), np.zeros(K), np.ones((K, model.m + 1)))
+        return np.zeros(K), np.zeros(K), np.ones((K, model.m + 1))
     Q, S = np.linalg.qr(found.rows)
     diagonal = np.abs(np.einsum("kii->ki", S))
     sound = (diagonal > 0).all(axis=1) & np.isfinite(found.slopes).all(axis=(1, 2, 3))
     S = np.where(sound[:, None, None], S, np.eye(n))
     back = np.linalg.solve(S, np.broadcast_to(np.eye(n), S.shape))
     unit = model.unit[:, None] * back
-    turn = h[:, None, None] * (model.unit[:, None] * (found.A @ back))
+    turn = cells.h[:, None, None] * (model.unit[:, None] * (found.A @ back))
     centre = np.where(sound, 1 / np.linalg.norm(unit, 2, axis=(1, 2)), 0.0)
     turned = np.swapaxes(Q, 1, 2)[:, None] @ np.where(sound[:, None, None, None], found.slopes, 0.0) @ back[:, None]
     H = turned + np.swapaxes(turned, 2, 3)
@@ -82,7 +70,7 @@ def bounded(model: BoxModel, found: Expansion, h: Array) -> LeastSigma:
             k = np.flatnonzero(close)
             reached = _lower(H[k], N[k], (unit[k], turn[k], beyond[k]), rounding[k])
             lower[k] = np.maximum(lower[k], np.where(np.isfinite(reached), reached, 0.0))
-    return LeastSigma(np.minimum(lower, centre), centre, whole)
+    return np.minimum(lower, centre), centre, whole
 
 
 def _together(one: Array, other: Array) -> Array:

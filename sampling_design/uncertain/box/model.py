@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.numerics.balancing import balance
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Integers
+from sampling_design.records.record import short
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 
@@ -87,6 +89,11 @@ class BoxModel:
             each = self.plant.parameters[k]
             found[each.name] = float(np.clip(value, each.low, each.high))
         return found
+
+
+def at_parameters(values: Mapping[str, float]) -> str:
+    """The parameters in words, such as "omega^2 = 1.21"."""
+    return ", ".join(f"{name} = {short(value)}" for name, value in values.items()) or "the nominal plant"
 
 
 def require_constant_box(plant: UncertainPlant, name: str) -> None:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import optimize
 
 from sampling_design.certificates.existence.periodic import ExistenceAnswer, certificate_exists, judged
 from sampling_design.errors import UndecidedError
@@ -20,10 +19,9 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 from sampling_design.records.record import short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-from sampling_design.uncertain.box.branching import halved
+from sampling_design.uncertain.box.branching import halved, least_near
 from sampling_design.uncertain.box.expansion import UP, BoxCells, expanded, signs
-from sampling_design.uncertain.box.model import BoxModel
-from sampling_design.uncertain.box.question import at_parameters
+from sampling_design.uncertain.box.model import BoxModel, at_parameters
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 Margin = Callable[[Plant], tuple[bool, float, str]]  # of a plant: whether a certificate exists, how clearly, and why
@@ -33,6 +31,7 @@ PERIODS, SETTLED = 400, 1e-6
 SECONDS = 60.0
 SMALLEST = 1e-9
 """BoxCells below this share of the box are not halved further."""
+STEPS = 60  # of a descent, for each parameter
 LOOKS = 8  # cells judged between two looks for a plant without certificate
 
 
@@ -67,11 +66,7 @@ class ExistenceOverBox(ExistenceAnswer):
         "`certificate_exists` of the plant `.worst`",
     )
 
-    def _rows(self) -> list[tuple[str, str]]:
-        return [
-            ("at", at_parameters(self.worst)),
-            ("reason", self.reason),
-        ]
+    _table = {"at": "{worst:or the nominal plant}", "reason": "{reason}"}
 
     def explain(self) -> str:
         """Say why."""
@@ -162,10 +157,7 @@ def descended(model: BoxModel, margin: Margin, best: CellAnswer) -> CellAnswer:
         found = here if found[1] and (not here[1] or here[0] < found[0]) else found
         return here[0] if found[1] else 0.0  # a plant without certificate ends the descent
 
-    u = np.clip(best[2], -1.0, 1.0)
-    simplex = np.vstack([u, u + np.diag(np.where(u > 0, -0.05, 0.05))])
-    options = {"maxfev": 60 * model.m, "xatol": 1e-13, "fatol": 0.0, "initial_simplex": simplex}
-    optimize.minimize(value, u, method="Nelder-Mead", bounds=[(-1.0, 1.0)] * model.m, options=options)
+    least_near(value, np.clip(best[2], -1.0, 1.0), [(-1.0, 1.0)] * model.m, STEPS * model.m)
     return found
 
 

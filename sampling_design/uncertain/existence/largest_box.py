@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,13 +22,15 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 from sampling_design.uncertain.box.branching import TOGETHER, bisected
 from sampling_design.uncertain.box.branching import descended as descended_sigma
 from sampling_design.uncertain.box.expansion import BoxCells
-from sampling_design.uncertain.box.model import BoxModel
-from sampling_design.uncertain.box.question import at_parameters
+from sampling_design.uncertain.box.model import BoxModel, at_parameters
 from sampling_design.uncertain.existence.existence_over_box import GainedGaps, descended, looked_at, margin_on
 from sampling_design.uncertain.observability.windows_over_box import WindowsOverBox
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 Judged = tuple[Mask, Mask, Array]
+Search = tuple[Callable[[BoxCells], Judged], Callable[[BoxCells], Array | None]]
+"""Which cells are proven, which fail at their centre, what each direction matters; a plant near a cell that fails."""
+GAINED_TOGETHER = 32  # cells judged together by gains, those nearest to the nominal values
 SAME = 1e-9
 """BoxCells below this share of the ranges are not halved further."""
 LOOKS = 6  # rounds between two searches for a plant that fails
@@ -67,8 +69,6 @@ class LargestBox(PlainRecord):
     @property
     def box(self) -> UncertainPlant:
         """The plant with the ranges that are proven, the same nominal values."""
-        from dataclasses import replace
-
         parts = [replace(each, low=self.low[each.name], high=self.high[each.name]) for each in self.plant.parameters]
         return UncertainPlant(self.plant.nominal, parts)
 
@@ -155,7 +155,7 @@ def largest_box(
         asked = WindowsOverBox(model, window_pieces(aligned, checks.positive("window", window)))
         question = f"sigma is above {short(least)} in every window of {short(window)} {plant.time_unit}"
         cells = asked.cells()
-        judge: _BySigma | _ByGains = _BySigma(asked, least)
+        search, together = _by_sigma(asked, least), TOGETHER
         if asked.too_few() is not None:
             return _found(model, 0.0, 0.0, model.start, False, question, 0)
     else:
@@ -165,56 +165,45 @@ def largest_box(
         rate = checks.nonnegative("eta", eta)
         question = f"a certificate with rate {short(rate)} exists"
         cells = BoxCells.whole(model.m)
-        judge = _ByGains(model, repeated, rate)
-    return _searched(model, cells, judge, tolerance, checks.positive("budget", budget), question)
+        search, together = _by_gains(model, repeated, rate), GAINED_TOGETHER
+    return _searched(model, cells, search, together, tolerance, checks.positive("budget", budget), question)
 
 
-class _BySigma:
+def _by_sigma(asked: WindowsOverBox, floor: float) -> Search:
     """Sigma of every window above a number."""
 
-    together = TOGETHER
+    def judge(cells: BoxCells) -> Judged:
+        lower, centre, effect = asked.judge(cells)
+        lost, k = np.asarray(centre <= floor), int(np.argmin(centre))
+        lost[k] |= asked.unobservable(cells.u[k], float(cells.s[k]), int(cells.piece[k]))
+        return lower > floor, lost, effect
 
-    def __init__(self, asked: WindowsOverBox, least: float) -> None:
-        self.asked, self.floor = asked, least
-
-    def judge(self, cells: BoxCells) -> Judged:
-        """Which cells are proven, which fail at their centre, and what each direction matters."""
-        lower, centre, effect = self.asked.judge(cells)
-        lost, k = np.asarray(centre <= self.floor), int(np.argmin(centre))
-        lost[k] |= self.asked.unobservable(cells.u[k], float(cells.s[k]), int(cells.piece[k]))
-        return lower > self.floor, lost, effect
-
-    def failing(self, cell: BoxCells) -> Array | None:
-        """A plant near the cell that fails."""
-        pieces = self.asked.pieces
+    def failing(cell: BoxCells) -> Array | None:
         start = (np.inf, cell.u[0], float(cell.s[0]), int(cell.piece[0]))
-        value, u, s, piece = descended_sigma(start, self.asked.value, (pieces.left, pieces.right))
-        return u if value <= self.floor or self.asked.unobservable(u, s, piece) else None
+        value, u, s, piece = descended_sigma(start, asked.value, (asked.pieces.left, asked.pieces.right))
+        return u if value <= floor or asked.unobservable(u, s, piece) else None
+
+    return judge, failing
 
 
-class _ByGains:
+def _by_gains(model: BoxModel, schedule: PeriodicSchedule, eta: float) -> Search:
     """Certificates that exist."""
+    gaps, margin = GainedGaps(model, schedule, eta), margin_on(schedule, eta)
 
-    together = 32
-    """BoxCells judged together, those nearest to the nominal values."""
-
-    def __init__(self, model: BoxModel, schedule: PeriodicSchedule, eta: float) -> None:
-        self.model, self.gaps, self.margin = model, GainedGaps(model, schedule, eta), margin_on(schedule, eta)
-
-    def judge(self, cells: BoxCells) -> Judged:
-        """Which cells are proven, which fail at their centre, and what each direction matters."""
+    def judge(cells: BoxCells) -> Judged:
         every = cells.each()
-        proven = np.array([self.gaps.contract(cell) for cell in every])
+        proven = np.array([gaps.contract(cell) for cell in every])
         lost = [
-            not good and not self.margin(self.model.plant.at(self.model.values(cell.u[0])))[0]
+            not good and not margin(model.plant.at(model.values(cell.u[0])))[0]
             for good, cell in zip(proven.tolist(), every, strict=True)
         ]
-        return proven, np.array(lost), np.concatenate([self.gaps.effect(cell) for cell in every])
+        return proven, np.array(lost), np.concatenate([gaps.effect(cell) for cell in every])
 
-    def failing(self, cell: BoxCells) -> Array | None:
-        """A plant near the cell that fails."""
-        found = descended(self.model, self.margin, looked_at(self.model, self.margin, cell.u[0], None))
+    def failing(cell: BoxCells) -> Array | None:
+        found = descended(model, margin, looked_at(model, margin, cell.u[0], None))
         return None if found[1] else found[2]
+
+    return judge, failing
 
 
 def _level(model: BoxModel, u: Array) -> Array:
@@ -225,10 +214,10 @@ def _level(model: BoxModel, u: Array) -> Array:
 
 
 def _searched(
-    model: BoxModel, cells: BoxCells, question_of: _BySigma | _ByGains, rtol: float, seconds: float, question: str
+    model: BoxModel, cells: BoxCells, search_of: Search, together: int, rtol: float, seconds: float, question: str
 ) -> LargestBox:
     """BoxCells from the nominal values outwards."""
-    worst, rounds = model.start, 0
+    worst, rounds, (judge, failing) = model.start, 0, search_of
 
     def begin(cells: BoxCells) -> Array:
         return _level(model, np.clip(model.start, cells.u - cells.half, cells.u + cells.half))[:, None]
@@ -240,9 +229,9 @@ def _searched(
 
     def judged(near: BoxCells) -> tuple[Array, Array]:
         nonlocal rounds
-        proven, lost, effect = question_of.judge(near)
+        proven, lost, effect = judge(near)
         if rounds % LOOKS == LOOKS - 1 and not proven[0]:
-            found = question_of.failing(near.take(np.array([0])))
+            found = failing(near.take(np.array([0])))
             if found is not None:
                 fails(found)
         rounds += 1
@@ -254,9 +243,7 @@ def _searched(
         parts, parents = bisected(cells, effect)
         return None if model.m and parts.half.max(axis=1).min() < SAME else (parts, parents)
 
-    search = LeastOverCells(
-        cells, begin(cells), within(rtol), Budget(seconds), together=question_of.together, begin=begin
-    )
+    search = LeastOverCells(cells, begin(cells), within(rtol), Budget(seconds), together=together, begin=begin)
     closed = search.run(judged, cut) == "closed"
     share, failed = min(1.0, float(search.lower[0])), float(search.best[0])
     return _found(model, share, failed, worst, closed, question, search.judged)

@@ -9,17 +9,24 @@ import numpy.typing as npt
 
 from sampling_design.certificates.exact.certificate import SampledCertificate, times_to_dict
 from sampling_design.certificates.families.path_complete import PathCompleteGraph
+from sampling_design.certificates.files import graph_from, times_from_dict, values_of
 from sampling_design.certificates.form.digest import INCLUSION_CLAIM
+from sampling_design.checkers.inclusion_file import Inclusion
+from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError
+from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import Plain, short
-from sampling_design.schedules.family import SamplingFamily
+from sampling_design.schedules.family import SamplingFamily, period_of
+from sampling_design.schedules.family_files import family_from_dict
 from sampling_design.schedules.gap_range import GapRange
 from sampling_design.schedules.schedule import PeriodicSchedule
 from sampling_design.uncertain.inclusion.layout import Schedules, graph_for
 from sampling_design.uncertain.plants.inclusion import LinearInclusion
+from sampling_design.uncertain.plants.plant_files import parts_of_model
+from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -179,3 +186,18 @@ class InclusionCertificate(SampledCertificate):
             f"its horizon is longer than {short(self.horizon('arrival').minimum)} {unit} with the arrival weight "
             f"P(tau), and than {short(self.horizon().minimum)} {unit} with P2."
         )
+
+
+def read_inclusion(data: Tree, plant: Plant, found: Inclusion) -> InclusionCertificate:
+    """Return the certificate of an inclusion in plain data that the auditor read as `found`."""
+    model = None
+    if found.model.kind != "nonlinear":
+        nominal, parameters, vertices, varying = parts_of_model(plant, data["model"])
+        model = UncertainPlant(nominal, parameters, vertices=vertices, varying=varying)
+    periodic = data["times"]["kind"] == "periodic"
+    times = period_of(times_from_dict(data["times"])) if periodic else family_from_dict(data["times"])
+    graph = graph_from(data["graph"]["words"], found.graph) if "graph" in data else None
+    return InclusionCertificate(
+        plant, times, **values_of(data), graph=graph, model=model, model_data=data["model"], nodes=found.nodes,
+        P=found.P, multipliers=found.multipliers,
+    )  # fmt: skip

@@ -20,9 +20,8 @@ from sampling_design.records.evidence import Claim
 from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
-from sampling_design.uncertain.box.branching import BALL_ROOM, BoxBounds, branch
-from sampling_design.uncertain.box.model import BoxModel
-from sampling_design.uncertain.box.question import REASONS, at_parameters
+from sampling_design.uncertain.box.branching import BALL_ROOM, REASONS, BoxBounds, branch
+from sampling_design.uncertain.box.model import BoxModel, at_parameters
 from sampling_design.uncertain.observability.windows_over_box import WindowsOverBox
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
@@ -142,7 +141,12 @@ def window_sigma_over_box(
     pieces, tolerance, seconds = asked(aligned, window, start, RTOL if rtol is None else rtol, budget)
     require_moderate(plant.nominal)
     model, clock = BoxModel.of(plant, "window_sigma"), Budget(seconds)
-    found = _record(_searched(WindowsOverBox(model, pieces), tolerance, seconds, progress), model, pieces, tolerance)
+    best = _searched(WindowsOverBox(model, pieces), tolerance, seconds, progress)
+    found = WindowSigmaOverBox(
+        lower=best.lower, upper=best.upper, worst=model.values(best.u), window_start=best.s,
+        samples=pieces.samples(best.piece), status=best.status, window=pieces.window, rtol=tolerance, cells=best.cells,
+        plant=plant, from_time=pieces.start, coordinates=coordinates_of(plant.nominal.has_scales),
+    )  # fmt: skip
     left = min(clock.left, BESIDE * max(clock.spent, LEAST_BESIDE))
     if rigorous:
         from sampling_design.uncertain.observability.window_balls import prove_over_box
@@ -168,14 +172,6 @@ def _lost(model: BoxModel, rtol: float, samples: int, pieces: Pieces, limit: Bud
     asked = WindowsOverBox(model, pieces, losing=True)
     found = _searched(asked, rtol, limit.left, None)
     return found.lower, int(asked.lost[found.piece]) % samples
-
-
-def _record(found: BoxBounds, model: BoxModel, pieces: Pieces, rtol: float) -> WindowSigmaOverBox:
-    return WindowSigmaOverBox(
-        lower=found.lower, upper=found.upper, worst=model.values(found.u), window_start=found.s,
-        samples=pieces.samples(found.piece), status=found.status, window=pieces.window, rtol=rtol, cells=found.cells,
-        plant=model.plant, from_time=pieces.start, coordinates=coordinates_of(model.plant.nominal.has_scales),
-    )  # fmt: skip
 
 
 def _searched(asked: WindowsOverBox, rtol: float, seconds: float, progress: Progress | None) -> BoxBounds:

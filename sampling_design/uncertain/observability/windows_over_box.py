@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from sampling_design.observability.windows.pieces import Pieces
-from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.uncertain.box.branching import UNSEEN
 from sampling_design.uncertain.box.expansion import BoxCells
@@ -18,7 +17,7 @@ from sampling_design.uncertain.box.model import BoxModel
 class WindowsOverBox:
     """Sigma of the windows of one schedule, for cells of a box."""
 
-    def __init__(self, model: BoxModel, pieces: Pieces, *, losing: bool = False) -> None:
+    def __init__(self, model: BoxModel, pieces: Pieces, *, losing: bool = False, unseen: float = UNSEEN) -> None:
         """With `losing` every piece once for each of its samples, without that: of the number `lost`."""
         held = np.maximum(pieces.stop - pieces.first, 0) if losing else np.ones(len(pieces), dtype=np.intp)
         piece = np.repeat(np.arange(len(pieces)), held)
@@ -26,7 +25,7 @@ class WindowsOverBox:
         if losing:
             left, right, first, stop = pieces.left[piece], pieces.right[piece], pieces.first[piece], pieces.stop[piece]
             pieces = replace(pieces, left=left, right=right, first=first, stop=stop)
-        self.model, self.pieces = model, pieces
+        self.model, self.pieces, self.unseen = model, pieces, unseen
         self.times, self.measured = _padded(pieces, len(model.C))
         if losing:
             self.measured[np.arange(len(pieces)), self.lost - pieces.first] = False
@@ -47,8 +46,7 @@ class WindowsOverBox:
         """Lower bounds, values at the centres, and what each direction matters; for all times that pieces allow."""
         piece, late = cells.piece, self.pieces.timing_tolerance.radius
         times = self.times[piece] - cells.s[:, None]
-        found = least_sigma(self.model, cells, times, self.measured[piece], late)
-        return found.lower, found.centre, found.effect
+        return least_sigma(self.model, cells, times, self.measured[piece], late)
 
     def value(self, u: Array, s: float, piece: int) -> float:
         """Sigma of one plant and window."""
@@ -57,13 +55,12 @@ class WindowsOverBox:
     def unobservable(self, u: Array, s: float, piece: int) -> bool:
         """Whether one plant has a direction that its window does not show, in whatever units."""
         least = np.linalg.svd(self._rows(u, s, piece), compute_uv=False)[self.model.n - 1]
-        return bool(least <= UNSEEN * np.linalg.norm(self.model.C))
+        return bool(least <= self.unseen * np.linalg.norm(self.model.C))
 
     def _rows(self, u: Array, s: float, piece: int) -> Array:
         """The rows of one plant and window, in balanced coordinates."""
-        A, C = self.model.at(u[None])
-        at = self.pieces.samples(piece) - s
-        return np.asarray((C[0] @ Plant(A[0], C[0]).transition(at))[self.measured[piece][: at.size]])
+        plant, at = self.model.balanced_at(u), self.pieces.samples(piece) - s
+        return np.asarray((plant.C @ plant.transition(at))[self.measured[piece][: at.size]])
 
 
 def _padded(pieces: Pieces, outputs: int) -> tuple[Array, Mask]:

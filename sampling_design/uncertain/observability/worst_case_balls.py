@@ -45,49 +45,33 @@ def prove_worst_over_box(
     """
 
     def begin(clock: Budget) -> Callable[[float], bool]:
-        return SpacedCells(model, family, (one, rtol), cells, clock).proves
+        box, known = BallBox(model), dict[tuple[float, ...], float]()
+
+        def reaches(u: Array, plant: Plant, needed: float) -> bool:
+            clock.check()
+            at = tuple(u.tolist())
+            if known.get(at, 0.0) < needed < np.inf:
+                lower, _, worst = one(plant, rtol, np.inf)
+                left = clock.left
+                if lower >= needed:
+                    known[at] = prove_worst_sigma(plant, family, needed * UP, worst, left, (0.0,)).lower
+            return known.get(at, 0.0) >= needed
+
+        def proves(mu: float) -> bool:
+            def proven(cell: BoxCells) -> list[BoxCells] | None:
+                points = points_of(cell)
+                plants = [model.plant.at(model.values(u)) for u in points]
+                needed = _needed(box, cell, (points, plants), family, mu)
+                if all(reaches(u, plant, needed) for u, plant in zip(points, plants, strict=True)):
+                    return []
+                small = cell.half.max(initial=0.0) < SMALLEST
+                return None if small else parts_of(model, cell, family).each()
+
+            return all_proven([cell for part in cells for cell in part.each()], proven, clock)
+
+        return proves
 
     return nearest_proven(guess, seconds, begin, shaves=SHAVES[:1])
-
-
-class SpacedCells:
-    """Cells of parameters, each judged by a few of its plants."""
-
-    def __init__(
-        self,
-        model: BoxModel,
-        family: SpacedWindows,
-        search: tuple[SigmaOfOne, float],
-        cells: list[BoxCells],
-        clock: Budget,
-    ) -> None:
-        self.model, self.family, self.search, self.cells, self.clock = model, family, search, cells, clock
-        self.box, self.known = BallBox(model), dict[tuple[float, ...], float]()
-
-    def proves(self, mu: float) -> bool:
-        """Whether sigma >= mu is proven for all plants and schedules."""
-
-        def proven(cell: BoxCells) -> list[BoxCells] | None:
-            points = points_of(cell)
-            plants = [self.model.plant.at(self.model.values(u)) for u in points]
-            needed = _needed(self.box, cell, (points, plants), self.family, mu)
-            if all(self.reaches(u, plant, needed) for u, plant in zip(points, plants, strict=True)):
-                return []
-            small = cell.half.max(initial=0.0) < SMALLEST
-            return None if small else parts_of(self.model, cell, self.family).each()
-
-        return all_proven([cell for part in self.cells for cell in part.each()], proven, self.clock)
-
-    def reaches(self, u: Array, plant: Plant, needed: float) -> bool:
-        """Whether sigma >= needed is proven of one plant."""
-        self.clock.check()
-        at, (one, rtol) = tuple(u.tolist()), self.search
-        if self.known.get(at, 0.0) < needed < np.inf:
-            lower, _, worst = one(plant, rtol, np.inf)
-            left = self.clock.left
-            if lower >= needed:
-                self.known[at] = prove_worst_sigma(plant, self.family, needed * UP, worst, left, (0.0,)).lower
-        return self.known.get(at, 0.0) >= needed
 
 
 def _needed(box: BallBox, one: BoxCells, judged: tuple[Array, list[Plant]], family: SpacedWindows, mu: float) -> float:

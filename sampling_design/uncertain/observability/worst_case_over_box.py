@@ -25,10 +25,9 @@ from sampling_design.records.progress import Progress
 from sampling_design.records.record import short
 from sampling_design.schedules.jitter import Timing, TimingTolerance
 from sampling_design.schedules.spaced_windows import SpacedWindows
-from sampling_design.uncertain.box.branching import BALL_ROOM
+from sampling_design.uncertain.box.branching import BALL_ROOM, REASONS
 from sampling_design.uncertain.box.expansion import UP, BoxCells
-from sampling_design.uncertain.box.model import BoxModel
-from sampling_design.uncertain.box.question import REASONS, at_parameters
+from sampling_design.uncertain.box.model import BoxModel, at_parameters
 from sampling_design.uncertain.observability.worst_case_cells import (
     FINER,
     WIDE,

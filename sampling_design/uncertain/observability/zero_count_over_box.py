@@ -9,20 +9,20 @@ import numpy as np
 
 from sampling_design.errors import NotObservableError, UndecidedError
 from sampling_design.observability.count.zero_count import SampleCount, samples_above
-from sampling_design.plants.plant import Plant
+from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim
 from sampling_design.records.record import short
 from sampling_design.uncertain.box.branching import BoxBounds, branch
 from sampling_design.uncertain.box.expansion import UP, BoxCells, bases, signs
-from sampling_design.uncertain.box.least import least_sigma
-from sampling_design.uncertain.box.model import BoxModel
-from sampling_design.uncertain.box.question import at_parameters
+from sampling_design.uncertain.box.model import BoxModel, at_parameters
+from sampling_design.uncertain.observability.windows_over_box import WindowsOverBox
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 SLOWEST = 1e-3  # frequencies below this share of |A| are not told from none: the count is taken with this much more
 CLOSE = 1e-3  # relative width of a bracket of frequencies
+SEEN = 1e-12  # what is below this share of the outputs counts as unseen: short windows see slow modes little
 SECONDS = 60.0  # of each bracket, which the count needs only to the next whole number
 
 
@@ -141,28 +141,23 @@ def require_every_plant_observable(model: BoxModel) -> None:
     Raises NotObservableError if a plant was found that is not seen, however long the outputs are watched;
     UndecidedError if neither was shown.
     """
-    n, p = model.n, len(model.C)
+    n, start = model.n, np.zeros(1)
     fastest = float(np.max(np.abs(np.linalg.eigvals(model.A)), initial=0.0)) or 1.0
-    times = np.linspace(0.0, 1.0, 2 * n + 1)[None] * n / fastest
-    measured = np.ones((1, times.size, p), dtype=bool)
-
-    def judge(cells: BoxCells) -> tuple[Array, Array, Array]:
-        count = len(cells.s)
-        found = least_sigma(model, cells, np.tile(times, (count, 1)), np.tile(measured, (count, 1, 1)))
-        return found.lower, found.centre, found.effect
-
-    def rows(u: Array) -> Array:
-        A, C = model.at(u[None])
-        return np.asarray(C[0] @ Plant(A[0], C[0]).transition(times[0])).reshape(-1, n)
-
-    def value(u: Array, s: float, piece: int) -> float:
-        return float(np.linalg.svd(rows(u) / model.unit, compute_uv=False)[n - 1])
-
-    def unobservable(u: Array, s: float, piece: int) -> bool:
-        return bool(np.linalg.svd(rows(u), compute_uv=False)[n - 1] <= SEEN * np.linalg.norm(model.C))
-
-    ends = (np.zeros(1), np.zeros(1))
-    found = branch(BoxCells.whole(model.m), judge, value, unobservable, 0.9, SECONDS, ends, None)
+    times = np.linspace(0.0, 1.0, 2 * n + 1) * n / fastest
+    place = np.zeros(1, dtype=int)
+    window = Pieces(
+        start,
+        start,
+        place,
+        place + times.size,
+        times=times,
+        mask=None,
+        window=float(times[-1]),
+        tolerance=0.0,
+        start=0.0,
+    )
+    asked = WindowsOverBox(model, window, unseen=SEEN)
+    found = branch(asked.cells(), asked.judge, asked.value, asked.unobservable, 0.9, SECONDS, (start, start), None)
     if found.lower > 0:
         return
     values = model.values(found.u)
@@ -176,6 +171,3 @@ def require_every_plant_observable(model: BoxModel) -> None:
         f"{at_parameters(values)}. Try a smaller box.",
         parameters=values,
     )
-
-
-SEEN = 1e-12  # what is below this share of the outputs counts as unseen: short windows see slow modes little

@@ -98,13 +98,10 @@ def parts_of_tree(data: Mapping[str, object], where: str) -> UncertainParts:
         if key not in matrices:
             continue
         rows: list[list[Ends]] = matrices[key]
-        middles[key] = [[low if low == high else low / 2 + high / 2 for low, high in row] for row in rows]
-        for i, j in [(i, j) for i, row in enumerate(rows) for j, (low, high) in enumerate(row) if low < high]:
-            one = np.zeros((len(rows), len(rows[0])))
-            one[i, j] = 1.0
-            parts: dict[str, Array] = {key: one}
-            low, high = rows[i][j]
-            parameters.append(_parameter(f"{key}[{i}, {j}]", low, high, middles[key][i][j], parts))
+        low, high = (np.array([[ends[k] for ends in row] for row in rows], dtype=np.float64) for k in (0, 1))
+        middle, own = entry_parameters(key, low, high)
+        middles[key] = middle.tolist()
+        parameters += own
     for key in ("B", "D"):
         if key in matrices:
             middles[key] = np.asarray(matrices[key]).tolist()
@@ -112,19 +109,24 @@ def parts_of_tree(data: Mapping[str, object], where: str) -> UncertainParts:
     nominal = plant_from_dict({**kept, "format": PLANT_FORMAT, "matrices": middles}, where)
     listed = found.get("parameters", [])
     for each in listed:
-        low, high = each["range"]
-        moved = {key: each[key] for key in ("A", "C", "G") if key in each}
-        parameters.append(_parameter(each["name"], low, high, each.get("nominal"), moved))
+        moved = [each.get(key) for key in ("A", "C", "G")]
+        parameters.append(UncertainParameter(each["name"], *each["range"], *moved, nominal=each.get("nominal")))
     corners = found.get("vertices", [])
     vertices = [Plant(v["A"], v["C"], G=v.get("G"), time_unit=nominal.time_unit) for v in corners]
     return nominal, parameters, vertices, bool(found.get("varying", False))
 
 
-def _parameter(
-    name: str, low: float, high: float, nominal: float | None, moved: Mapping[str, Array]
-) -> UncertainParameter:
-    parts = [moved.get(key) for key in ("A", "C", "G")]
-    return UncertainParameter(name, low, high, *parts, nominal=nominal)
+def entry_parameters(key: str, low: Array, high: Array) -> tuple[Array, list[UncertainParameter]]:
+    """The matrix at the middle of a lower and an upper one, and a parameter for each entry where they differ."""
+    middle = np.where(low == high, low, low / 2 + high / 2)
+    found = []
+    for i, j in np.argwhere(low < high).tolist():
+        one = np.zeros(low.shape)
+        one[i, j] = 1.0
+        ends = float(low[i, j]), float(high[i, j])
+        moved = [one if key == each else None for each in ("A", "C", "G")]
+        found.append(UncertainParameter(f"{key}[{i}, {j}]", *ends, *moved, nominal=float(middle[i, j])))
+    return middle, found
 
 
 def tree_of(parts: UncertainParts) -> dict[str, Plain]:
@@ -148,8 +150,4 @@ def parts_of_model(plant: Plant, model: Tree) -> UncertainParts:
         stacks = [np.array(model[key], dtype=np.float64) for key in ("A", "C", "G")]
         vertices = [Plant(A, C, G=G, time_unit=plant.time_unit) for A, C, G in zip(*stacks, strict=True)]
         return plant, (), vertices, varying
-    parameters, listed = [], model["parameters"]
-    for each in listed:
-        moved = {key: np.array(each[key], dtype=np.float64) for key in ("A", "C", "G") if key in each}
-        parameters.append(_parameter(each["name"], each["low"], each["high"], each["nominal"], moved))
-    return plant, parameters, (), varying
+    return plant, [UncertainParameter(**each) for each in model["parameters"]], (), varying

@@ -22,7 +22,7 @@ from sampling_design.records.file_io import read_tree, usable, write_tree
 from sampling_design.records.record import Plain, PlainRecord, short
 from sampling_design.uncertain.plants.inclusion import BoxColumns, InclusionMembers, LinearInclusion
 from sampling_design.uncertain.plants.parameter import UncertainParameter
-from sampling_design.uncertain.plants.plant_files import parts_of_tree, tree_of
+from sampling_design.uncertain.plants.plant_files import entry_parameters, parts_of_tree, tree_of
 
 _MOVED = ("A", "C", "G")
 MOST_CORNERS = 10
@@ -129,18 +129,11 @@ class UncertainPlant(LinearInclusion, PlainRecord):
         sides = {
             key: _lower_and_upper(key, value) for key, value in (("A", A), ("C", C), ("G", G)) if value is not None
         }
-        middle = {key: low / 2 + high / 2 for key, (low, high) in sides.items()}
+        found = {key: entry_parameters(key, low, high) for key, (low, high) in sides.items()}
+        middle = {key: each for key, (each, _) in found.items()}
         known = {"time_unit": time_unit, "name": name}
         nominal = Plant(middle["A"], middle["C"], G=middle.get("G"), states=states, outputs=outputs, **known)
-        parameters = []
-        for key, (low, high) in sides.items():
-            for i, j in np.argwhere(low < high).tolist():
-                one = np.zeros(low.shape)
-                one[i, j] = 1.0
-                ends = (f"{key}[{i}, {j}]", float(low[i, j]), float(high[i, j]))
-                at = float(middle[key][i, j])
-                parameters.append(UncertainParameter(*ends, **{key: one}, nominal=at))  # type: ignore[arg-type]
-        return cls(nominal, parameters, varying=varying)
+        return cls(nominal, [each for _, own in found.values() for each in own], varying=varying)
 
     @property
     def n_states(self) -> int:

@@ -429,7 +429,7 @@ def _by_roots(rooted: RootedPeriod, start: Array) -> tuple[list[Array], list[Arr
     return [X @ X.T for X in [flown[-1], *flown[:-1]]], after
 
 
-def make_gap(table: GapTable, h: float, L: Array, following: Array, F: Array) -> ChainGap:
+def make_gap(table: GapTable, h: float, L: Array, following: Array, F: Array, loss: float = CELL_LOSS) -> ChainGap:
     """Return one gap from coordinates L to those of `following`; `table` keeps what gaps of one length share.
 
     Raises UndecidedError if what is between its panels has no bound in doubles.
@@ -442,7 +442,7 @@ def make_gap(table: GapTable, h: float, L: Array, following: Array, F: Array) ->
     back = np.asarray(np.linalg.inv(following).T, dtype=np.float64)
     panels = GapPanels(np.linspace(0.0, h, len(M)), M, bend, flow.third, back)
     through = np.asarray(np.linalg.solve(following, F @ L), dtype=np.float64)
-    return ChainGap(h, through, panels, *_cells(table.A, table.G, following, panels, CELL_LOSS))
+    return ChainGap(h, through, panels, *_cells(table.A, table.G, following, panels, loss))
 
 
 def _cells(A: Array, G: Array, following: Array, panels: GapPanels, loss: float) -> tuple[Array, Array]:

@@ -19,14 +19,16 @@ import numpy as np
 from sampling_design.accuracy.adversary_program import Adversary, ConeWindow
 from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, open_row
 from sampling_design.accuracy.gains import Gains
+from sampling_design.accuracy.gap_table import GapTable
 from sampling_design.accuracy.question import AccuracyQuestion
-from sampling_design.accuracy.sample_chain import SampleChain
+from sampling_design.accuracy.sample_chain import ChainGap, SampleChain, make_gap
 from sampling_design.accuracy.search import TOLERANCE, ChainSearch, RowAdversary, RowSearch
 from sampling_design.accuracy.start import ErrorReach
 from sampling_design.accuracy.undetectable import DetectablePart
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, physical
 from sampling_design.accuracy.worst_witness import admissible
 from sampling_design.errors import ArgumentError, UndecidedError
+from sampling_design.numerics.linalg import expm_batch
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 from sampling_design.records.checks import freeze
@@ -186,12 +188,13 @@ def moved_witness(
     count = len(search.chain.nodes(j, search.deep))
     gains, adversary = search.both_sides(j, found.opened[j].mu[offset])
     chain, at, shift, until = search.chain, j, np.zeros(1), float(found.opened[j].d[offset])
+    gaps = MovedGaps(chain, search.cell_loss)
     best: AccuracyWitness | None = None
     for _ in range(MOVED):
         ahead = open_row(chain, at, found.row, until).mu[-1] @ np.linalg.solve(chain.L[at], chain.G)
         shift = _worst_times(chain, at, gains, adversary, ahead, question.timing_tolerance, shift)
         moved, at = _moved_question(question, j, count, shift)
-        chain = moved.sample_chain(moved.plant).refined(search.cell_loss)
+        chain = gaps.chain(moved)
         until = float(found.opened[j].d[offset]) - shift[-1]
         opened = open_row(chain, at, found.row, until)
         nodes = chain.nodes(at, count)
@@ -204,6 +207,37 @@ def moved_witness(
         best = replace(witness, last=at % len(question.bounds.v))
     assert best is not None  # the first turn keeps one
     return best
+
+
+class MovedGaps:
+    """A chain with other gaps between its samples, in its own coordinates: gaps of one length are made once."""
+
+    def __init__(self, planned: SampleChain, loss: float):
+        self.planned, self.loss = planned, loss
+        self._table = GapTable(planned.A, planned.G, np.ones(len(planned.A)))
+        self._made: dict[tuple[int, int], ChainGap] = {}
+
+    def chain(self, moved: AccuracyQuestion) -> SampleChain:
+        """The chain of a question whose samples are moved, of some periods of the planned one or of a finite one."""
+        planned, number = self.planned, len(self.planned)
+        ends = moved.nodes if moved.initial is not None else np.append(moved.nodes, moved.end)
+        tiny, at = 8 * float(np.spacing(np.abs(ends).max())), np.arange(len(moved.nodes)) % number
+        gaps = [self._gap(k % number, h, tiny) for k, h in enumerate(np.diff(ends).tolist())]
+        return replace(
+            planned, bounds=moved.bounds, L=planned.L[at], samples=tuple(planned.samples[j] for j in at.tolist()),
+            gaps=tuple(gaps), last=moved.end - float(moved.nodes[-1]), known_spans=(), again=(), before=(),
+        )  # fmt: skip
+
+    def _gap(self, j: int, h: float, tiny: float) -> ChainGap:
+        """One gap after sample j, so long."""
+        planned = self.planned
+        if abs(planned.gaps[j].length - h) <= tiny:
+            return planned.gaps[j]
+        key = j, round(h / tiny)
+        if key not in self._made:
+            L, following = planned.L[j], planned.L[(j + 1) % len(planned)]
+            self._made[key] = make_gap(self._table, h, L, following, expm_batch(planned.A, [h])[0], self.loss)
+        return self._made[key]
 
 
 def _worst_times(

@@ -132,7 +132,7 @@ def _stiffness(share: float = 1.0) -> sd.UncertainParameter:
 @functools.cache
 def _small_plan() -> Any:
     return sd.plan_samples(
-        things()["plant"], things()["wanted"], search_seconds=2.0, certificate=False, robustness=False
+        things()["plant"], things()["wanted"], search_seconds=2.0, certificate=False, robustness=False, start=False
     )
 
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, lapack
+from scipy.linalg import lapack
 
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.records.arrays import Array
@@ -44,7 +44,7 @@ def stationary_covariance(A: Array, C: Array, W: Array) -> Array:
         joint[:n, :n], joint[:n, n:], joint[n:, :n], joint[n:, n:] = A.T, -C.T @ C, -W, -A
         size = np.abs(joint)
         if not np.isfinite(size.sum()):
-            raise LinAlgError("The Hamiltonian matrix leaves double precision.")
+            raise np.linalg.LinAlgError("The Hamiltonian matrix leaves double precision.")
         np.fill_diagonal(size, 0.0)
         power = np.log2(lapack.dgebal(size, scale=1, permute=0)[3])
         half = np.exp2(np.rint((power[:n] - power[n:]) / 2))
@@ -53,10 +53,10 @@ def stationary_covariance(A: Array, C: Array, W: Array) -> Array:
             lambda real, _: real < 0, joint * scale / scale[:, None], sort_t=1
         )
         if trouble or count != n:
-            raise LinAlgError("The Hamiltonian matrix has no n modes that decay.")
+            raise np.linalg.LinAlgError("The Hamiltonian matrix has no n modes that decay.")
         Y = np.linalg.solve(basis[:n, :n].T, basis[n:, :n].T) / half[:, None] / half
     if not np.isfinite(Y).all():
-        raise LinAlgError("The Hamiltonian matrix leaves double precision.")
+        raise np.linalg.LinAlgError("The Hamiltonian matrix leaves double precision.")
     return symmetrise(Y)
 
 

@@ -76,6 +76,7 @@ def plan_samples(
     search_seconds: float | None = 60.0,
     certificate: bool = True,
     robustness: bool = True,
+    start: bool = True,
     progress: Progress | None = None,
 ) -> Plan:
     """Choose when to measure what, so that wanted accuracies are kept at the least cost, or are best for a cost.
@@ -89,13 +90,15 @@ def plan_samples(
     search_seconds : float, optional
         Work of the search for choices, in seconds of an ordinary processor core, counted from the sizes of what it
         solves and never by a clock: the same plan on every machine, however busy. When it is spent, or three quarters
-        of it once something is held, the status says "budget". What follows (its proof, the bounds, then certificate
-        and robustness) may take as much again and two seconds, and what does not fit in is left out, and said
+        of it once something is held, the status says "budget". What follows (its proof, the bounds, then certificate,
+        robustness and start) may take as much again and two seconds, and what does not fit in is left out, and said
         (`left_out`). None: no limit.
     certificate : bool
         Also certify the samples, where they show the whole state.
     robustness : bool
         Also prove how late samples may be, and how many may be lost, before a tolerance breaks.
+    start : bool
+        Also prove from when on the tolerances are kept after the plan's start; `dates` does where it is not said.
     progress : callable, optional
         Called with the fraction done and a message: the best plan so far (the densest one before any is found), what
         none costs less than, as soon as that is proven, and the gap.
@@ -164,7 +167,7 @@ def plan_samples(
 
     certified = room_for("certificate", plan_certificate) if certificate else None
     bears = room_for("robustness", plan_robustness) if robustness else None
-    begins = room_for("start", plan_start)
+    begins = room_for("start", plan_start) if start else None
     return replace(found, certificate=certified, start=begins, robustness=bears, left_out=tuple(left_out))
 
 

@@ -17,7 +17,7 @@ from sampling_design.planning.sequence_chain import plan_chain
 from sampling_design.planning.sequence_deviation import SampleSequence, planned
 from tests.cases import few
 
-BARE = {"certificate": False, "robustness": False}
+BARE = {"certificate": False, "robustness": False, "start": False}
 
 
 def deviating(plan, times, seen, resume):

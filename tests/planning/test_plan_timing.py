@@ -27,7 +27,7 @@ WANTED = sd.PlanRequirement(
 
 def made(seconds=1.0, **changes):
     wanted = WANTED.replace(**changes)
-    return sd.plan_samples(PLANT, wanted, search_seconds=seconds, certificate=False, robustness=False)
+    return sd.plan_samples(PLANT, wanted, search_seconds=seconds, certificate=False, robustness=False, start=False)
 
 
 @pytest.fixture(scope="module")
@@ -92,9 +92,9 @@ def real_times(schedule, rng, late, stop):
 @pytest.mark.long
 def test_the_start_and_a_lost_sample_hold_at_all_real_times(plan):
     rng = np.random.default_rng(5)
-    gaps = {}
+    gaps, start = {}, plan_start(plan)
     proven_ratio(plan, without(plan, 1, 1), gaps)
-    for lost, since, worst in ((None, plan.start.from_time, plan.start.ratio), (4, 4.0, max(gaps.values()))):
+    for lost, since, worst in ((None, start.from_time, start.ratio), (4, 4.0, max(gaps.values()))):
         assert np.isfinite([since, worst]).all()
         times = real_times(plan.schedule, rng, 0.1, 7.0)
         times = times if lost is None else np.delete(times, lost)
@@ -211,14 +211,14 @@ BOTH = sd.PlanRequirement(
 APART = {"fix": 0.1, "speed": 0.01}
 
 
-def by_output(late):
+def by_output(late, start=False):
     wanted = BOTH.replace(timing_tolerance=late)
-    return sd.plan_samples(TWO, wanted, search_seconds=1.0, certificate=False, robustness=False)
+    return sd.plan_samples(TWO, wanted, search_seconds=1.0, certificate=False, robustness=False, start=start)
 
 
 @pytest.fixture(scope="module")
 def parted():
-    return by_output(APART)
+    return by_output(APART, True)
 
 
 def searched(plan, late, last, lost=(), periods=3):

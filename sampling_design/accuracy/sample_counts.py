@@ -148,7 +148,7 @@ def accuracy_by_count(
     >>> plant = Plant([[-0.1]], [[1.0]], time_unit="h", states=["level"])
     >>> found = accuracy_by_count(plant, (0, 1, 4), period=8.0, w_bound=0.1, v_bound=0.2)
     >>> print(found.upper[:, 0].round(2))
-    [1.   0.66 0.35]
+    [1.   0.64 0.35]
     """
     many = sorted({checks.whole("counts", each) for each in counts})
     if not many:

@@ -4,11 +4,10 @@ from sampling_design.records.lazy import lazy
 
 _NAMES = {
     "collocation": ("Collocation",),
-    "conversion": ("from_linear",),
     "detectability": ("DetectabilityEvidence", "check_detectability"),
     "experiment": ("thyroid_experiment",),
     "mhe": ("NonlinearMovingHorizonEstimator",),
-    "model": ("NonlinearPlant",),
+    "model": ("NonlinearPlant", "from_linear"),
     "report": ("ThyroidReport",),
     "time_varying": ("plant_along",),
 }

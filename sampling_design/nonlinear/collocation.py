@@ -55,13 +55,8 @@ class Collocation(Record):
     _table = {"degree": "{degree}", "pieces": "{w_step:or M/60}", "capacity": "{capacity}"}
 
     def __post_init__(self) -> None:
-        if self.w_step is not None:
-            object.__setattr__(self, "w_step", checks.positive("w_step", self.w_step))
-        if self.capacity is not None:
-            object.__setattr__(self, "capacity", checks.whole("capacity", self.capacity, 1))
-        object.__setattr__(self, "degree", checks.whole("degree", self.degree, 1))
-        if self.accuracy is not None:
-            object.__setattr__(self, "accuracy", checks.positive("accuracy", self.accuracy))
+        self._check(w_step=checks.positive, capacity=checks.at_least_one, accuracy=checks.positive)
+        self._hold(degree=checks.whole("degree", self.degree, 1))
         checks.word("inputs", self.inputs, BETWEEN)
 
     def explain(self) -> str:
@@ -104,16 +99,13 @@ class WindowSolver(Record):
     _table = {"tolerance": "{tolerance}", "max_iterations": "{max_iterations}", "starts": "{starts}"}
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "tolerance", checks.positive("tolerance", self.tolerance))
-        object.__setattr__(self, "max_iterations", checks.whole("max_iterations", self.max_iterations, 1))
-        object.__setattr__(self, "starts", checks.whole("starts", self.starts))
+        most, starts = checks.whole("max_iterations", self.max_iterations, 1), checks.whole("starts", self.starts)
+        self._hold(tolerance=checks.positive("tolerance", self.tolerance), max_iterations=most, starts=starts)
 
     def explain(self) -> str:
         """Say how a window is solved."""
-        more = (
-            f", from up to {self.starts} other starts where the cost is out of line with the noise"
-            if self.starts
-            else ""
-        )
+        more = f", from up to {self.starts} other starts where the cost is out of line with the noise"
         way = "Newton's method where the last window is near, else IPOPT"
-        return f"{way}: to {self.tolerance:.3g} in at most {self.max_iterations} iterations{more}."
+        return (
+            f"{way}: to {self.tolerance:.3g} in at most {self.max_iterations} iterations{more if self.starts else ''}."
+        )

@@ -283,7 +283,7 @@ class DetectabilityStudy:
         found = PairOutcome(float(ratio[j]), float(grid[j]), x[j], 1 / float(grown[k]), float(grid[k]))
         if not near:
             return found
-        scale = {key: signals.scales for key, signals in self.plant.signals.items()}
+        scale = self.plant.scales
         first = [part * scale[key] for part, key in zip(one, ("states", "disturbances", "noises"), strict=False)]
         tight = self.tightest.along(SampledTrajectory(grid, first[0], first[1], first[2], self.u, measured), P1)
         least, most = min(found, tight, key=itemgetter(0)), max(found, tight, key=itemgetter(3))
@@ -308,7 +308,7 @@ class DetectabilityStudy:
                     x[j + 1] = self.integrator.step(x[j], self.u, w[j], t, grid[j + 1])
                 except SolverError:
                     return None
-        scale = {key: signals.scales for key, signals in plant.signals.items()}
+        scale = plant.scales
         return x / scale["states"], w / scale["disturbances"], v / scale["noises"], y / scale["outputs"]
 
     def _noise(self, key: str, rows: int, rng: np.random.Generator) -> Array:

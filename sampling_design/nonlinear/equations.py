@@ -77,10 +77,7 @@ class PlantEquations(Record):
     def _functions(self) -> PlantFunctions:
         ca = casadi()
         t = ca.SX.sym("t")
-        x, u, w, v = (
-            ca.SX.sym(k, self.sizes[s])
-            for k, s in zip("xuwv", ("states", "inputs", "disturbances", "noises"), strict=True)
-        )
+        x, u, w, v = self._symbols()
         built = []
         for label, function, arguments, size in (
             ("dynamics", self.dynamics, (x, u, w), self.sizes["states"]),
@@ -148,6 +145,29 @@ class PlantEquations(Record):
             If the plant varies in time.
         """
         return self._without_time(self.shown_casadi, "noises")
+
+    @cached_property
+    def slopes_casadi(self) -> Function:
+        """df/dx, df/du, df/dw, dh/dx, dh/du and dh/dv as a casadi Function of (x, u, w, v, t)."""
+        ca, (x, u, w, v) = casadi(), self._symbols()
+        t = ca.SX.sym("t")
+        f, h = self.rate_casadi(x, u, w, t), self.shown_casadi(x, u, v, t)
+        slopes = [ca.densify(ca.jacobian(y, z)) for y, own in ((f, (x, u, w)), (h, (x, u, v))) for z in own]
+        found: Function = ca.Function("slopes", [x, u, w, v, t], slopes)
+        return found
+
+    @cached_property
+    def adds_noise(self) -> bool:
+        """Whether v is added to y, one to each output, or there is none."""
+        ca, count = casadi(), self.n_noises
+        slope = self.slopes_casadi(*self._symbols(), ca.SX.sym("t"))[5]
+        constant = slope.shape == (count, count) and slope.is_constant()
+        return not count or bool(constant and np.array_equal(np.array(ca.DM(slope)), np.eye(count)))
+
+    def _symbols(self) -> list[SX]:
+        """Symbols of x, u, w and v."""
+        named = zip("xuwv", ("states", "inputs", "disturbances", "noises"), strict=True)
+        return [casadi().SX.sym(letter, self.sizes[key]) for letter, key in named]
 
     def _without_time(self, function: Function, last: str) -> Function:
         if self.varies:
@@ -219,6 +239,11 @@ class PlantEquations(Record):
         found: Signals = self.signals["disturbances"]
         return found
 
+    @cached_property
+    def scales(self) -> dict[str, Array]:
+        """Scales of the five vectors."""
+        return {key: each.scales for key, each in self.signals.items()}
+
     def f(self, x: npt.ArrayLike, u: npt.ArrayLike = (), w: npt.ArrayLike | None = None, t: float = 0.0) -> Array:
         """Return x' = f(x, u, w, t), shape (n,); w defaults to zero."""
         return self._evaluate(self.rate_casadi, "disturbances", x, u, w, t)
@@ -250,25 +275,11 @@ class PlantEquations(Record):
         ArgumentError
             If x or u has the wrong length, or the derivatives are not finite there.
         """
-        ca = casadi()
         n, m = self.sizes["states"], self.sizes["inputs"]
         point = checks.vector("x", x, n)
         control = checks.vector("u", _input_or_zero(u, m), m)
-        xs, us, ws, vs = (
-            ca.SX.sym(k, self.sizes[s])
-            for k, s in zip("xuwv", ("states", "inputs", "disturbances", "noises"), strict=True)
-        )
-        when = checks.number("t", t)
-        fx, hx = self.rate_casadi(xs, us, ws, when), self.shown_casadi(xs, us, vs, when)
-        wanted = [
-            ca.jacobian(fx, xs),
-            ca.jacobian(fx, us),
-            ca.jacobian(fx, ws),
-            ca.jacobian(hx, xs),
-            ca.jacobian(hx, us),
-        ]
-        values = ca.Function("derivatives", [xs, us, ws, vs], wanted)(point, control, 0, 0)
-        A, B, G, C, D = (np.array(value) for value in values)
+        values = self.slopes_casadi(point, control, 0, 0, checks.number("t", t))
+        A, B, G, C, D, _ = (np.array(value) for value in values)
         kept = {key: self.signals[key] for key in ("states", "inputs", "disturbances", "outputs")}
         return Plant(
             A, C, B=B.reshape(n, m), D=D.reshape(C.shape[0], m), G=G.reshape(n, self.sizes["disturbances"]),

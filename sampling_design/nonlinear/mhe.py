@@ -21,7 +21,6 @@ from sampling_design.nonlinear.nlp import WindowProgram
 from sampling_design.nonlinear.open_loop import NonlinearLoop
 from sampling_design.nonlinear.outliers import Outliers, beyond
 from sampling_design.nonlinear.promise import InclusionPromise, WindowTrajectory, cost_for
-from sampling_design.nonlinear.recorder import NonlinearRecorder
 from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.simulation import require_inside
 from sampling_design.nonlinear.smoothed import SmoothedWindow, smoothed_window
@@ -191,8 +190,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         self._scale = plant.signals["states"].scales
         self.outliers = Outliers() if outliers is None else outliers
         self._region = StateRegion(*plant.bounds["states"]) if self.promise is None else self.promise.region
-        self.loop = NonlinearLoop(plant, self.scaled, self.promise, given.inputs == "linear")
-        self.recorder = NonlinearRecorder(self.loop, claim_note)
+        self.loop = NonlinearLoop(plant, self.scaled, self.promise, given.inputs == "linear", claim_note)
         state = self.initial_state(prior, prior_time)
         warn_of_scales(plant, "states", [state.last.x, *plant.bounds["states"]])
         settings = WindowSolver() if solver is None else solver
@@ -236,7 +234,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
             raise ArgumentError(f"`prior` must keep the plant's limits, got limit {k + 1} = {over[k]:.6g} above 0.")
         plant.f(x, still, t=t)
         plant.h(x, still, t=t)
-        return EstimatorState((self.recorder.prior(t, x),))
+        return EstimatorState((self.loop.prior(t, x),))
 
     def _restart(self, state: EstimatorState) -> None:
         self.state = state
@@ -246,7 +244,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         self._seen = False
 
     def _predict(self, state: EstimatorState, t: float) -> Estimate:
-        return self.recorder.predicted(state, t)
+        return self.loop.predicted(state, t)
 
     def _advance(self, state: EstimatorState, sample: RecordRow) -> HistoryNode:
         if not self._seen:
@@ -262,18 +260,8 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
                 break
             refined = True
         solution = answer.solution
-        self.solves.append(
-            SolverRun(
-                sample.t,
-                solution.status,
-                solution.iterations,
-                solution.seconds,
-                data.edges.size - 1,
-                answer.attempts,
-                self.search.degree,
-                answer.error,
-            )
-        )
+        took = sample.t, solution.status, solution.iterations, solution.seconds
+        self.solves.append(SolverRun(*took, data.edges.size - 1, answer.attempts, self.search.degree, answer.error))
         details = {"window_start": float(data.edges[0]), "engine": solution.engine}
         counted, scheduled = self._counted(state, taken)
         if solution.status != "ok" or answer.spread is None:
@@ -281,7 +269,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
             note = f"The solver says: {solution.message}; open-loop prediction instead. {trouble} {gated}".strip()
             if counted == sample.t and self.promise is not None:
                 counted = state.last.counted  # nothing was learned from it
-            return self.recorder.node(taken, x, solution.status, Y, square, counted, note, scheduled, **details)
+            return self.loop.node(taken, x, solution.status, Y, square, counted, note, scheduled, **details)
         self._latest = data, answer
         x = solution.last * self._scale
         Y = answer.spread.last * self._scale * self._scale[:, None]
@@ -293,7 +281,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
             )
         square = self._bound(state, data, answer, start, counted == sample.t)
         note = " ".join(filter(None, (*words, gated)))
-        return self.recorder.node(taken, x, "ok", Y, square, counted, note, scheduled, cost=solution.cost, **details)
+        return self.loop.node(taken, x, "ok", Y, square, counted, note, scheduled, cost=solution.cost, **details)
 
     def _counted(self, state: EstimatorState, sample: RecordRow) -> tuple[float, bool]:
         """When the last sample that the proof takes was, this one included, and whether all gaps are certified."""

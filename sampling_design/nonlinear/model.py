@@ -13,6 +13,7 @@ from sampling_design.nonlinear.jacobians import hull_of, linearisations_of, memb
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
 from sampling_design.records.record import Plain
+from sampling_design.records.signatures import checked
 from sampling_design.uncertain.plants.inclusion import InclusionMembers, LinearInclusion, MemberHull
 
 
@@ -73,12 +74,6 @@ class NonlinearPlant(PlantEquations, LinearInclusion):
     """
 
     @classmethod
-    def of_linear(cls, plant: Plant, noises: bool = True) -> NonlinearPlant:
-        """Return a linear plant as a nonlinear one (`from_linear`)."""
-        f, h, sizes, signals = linear_model(plant, noises)
-        return cls(f, h, sizes, time_unit=plant.time_unit, name=plant.name, source=plant.source, signals=signals)
-
-    @classmethod
     def _foreign(cls, system: object) -> Callable[[object, str], NonlinearPlant] | None:
         """How the door makes one of a linear plant or of a system of another library; None: it is neither."""
         made = Plant._foreign(system)
@@ -86,7 +81,7 @@ class NonlinearPlant(PlantEquations, LinearInclusion):
             return None
 
         def linear(value: object, unit: str) -> NonlinearPlant:
-            return cls.of_linear(value if made is None else made(value, unit))  # type: ignore[arg-type]
+            return from_linear(value if made is None else made(value, unit))  # type: ignore[arg-type]
 
         return linear
 
@@ -121,3 +116,30 @@ class NonlinearPlant(PlantEquations, LinearInclusion):
     def constant_members(self, rng: np.random.Generator) -> list[tuple[str, Plant]]:
         """Linearisations at points of the region, corners first."""
         return linearisations_of(self, rng)
+
+
+@checked
+def from_linear(plant: Plant, *, noises: bool = True) -> NonlinearPlant:
+    """Return a linear plant as a nonlinear one.
+
+        f = A x + B u + G w,    h = C x + D u + v
+
+    Parameters
+    ----------
+    plant : Plant
+    noises : bool
+        False leaves v out.
+
+    Returns
+    -------
+    NonlinearPlant
+
+    Examples
+    --------
+    >>> plant = from_linear(Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]]))
+    >>> plant.f([1.0, 2.0]).tolist()
+    [2.0, -1.0]
+    """
+    f, h, sizes, signals = linear_model(plant, noises)
+    known = {"time_unit": plant.time_unit, "name": plant.name, "source": plant.source}
+    return NonlinearPlant(f, h, sizes, signals=signals, **known)

@@ -56,7 +56,7 @@ class WindowProgram:
         self.region, self.huber = region, huber
         self.tolerance, self.max_iterations = tolerance, max_iterations
         self.points = np.array(ca.collocation_points(degree, "radau"))
-        self.keeps_v = not (_additive(plant) and _unbounded(plant, "noises") and _unbounded(plant, "outputs"))
+        self.keeps_v = not (plant.adds_noise and _unbounded(plant, "noises") and _unbounded(plant, "outputs"))
         self.n_noises = plant.n_noises if self.keeps_v else 0
         self.bounds_y = not _unbounded(plant, "outputs")
         self._upper = np.triu_indices(plant.n_states)
@@ -109,8 +109,7 @@ class WindowProgram:
 
     def _rate(self) -> Function:
         """Return the scaled x' of (x, w, u, t)."""
-        ca, plant = casadi(), self.plant
-        scale = {key: plant.signals[key].scales for key in plant.sizes}
+        ca, plant, scale = casadi(), self.plant, self.plant.scales
         x, w = ca.SX.sym("x", plant.n_states), ca.SX.sym("w", plant.n_disturbances)
         u, t = ca.SX.sym("u", plant.n_inputs), ca.SX.sym("t")
         rate = plant.rate_casadi(x * scale["states"], u, w * scale["disturbances"], t) / scale["states"]
@@ -119,8 +118,7 @@ class WindowProgram:
 
     def _node(self) -> Function:
         """Return the cost at a node and the scaled output, of (x, v, u, t, y, root, fit, v_weight)."""
-        ca, plant, p = casadi(), self.plant, self.plant.n_outputs
-        scale = {key: plant.signals[key].scales for key in plant.sizes}
+        ca, plant, p, scale = casadi(), self.plant, self.plant.n_outputs, self.plant.scales
         x, v = ca.SX.sym("x", plant.n_states), ca.SX.sym("v", self.n_noises)
         u, t, y = ca.SX.sym("u", plant.n_inputs), ca.SX.sym("t"), ca.SX.sym("y", p)
         entries, fit, v_weight = ca.SX.sym("root", self._fit_at[0].size), ca.SX.sym("fit"), ca.SX.sym("v_weight")
@@ -239,7 +237,7 @@ class WindowProgram:
 
     def _fit_weight(self) -> Array:
         """Return the weight of y - h in scaled outputs; with v eliminated where v has no box."""
-        own, scale = self.weights, {key: self.plant.signals[key].scales for key in ("outputs", "noises")}
+        own, scale = self.weights, self.plant.scales
         if self.keeps_v or not self.plant.n_noises:
             return own.R
         # min over v of c|v|^2_Qv + |e - v|^2_R = |e|^2 with weight (R^-1 + (c Qv)^-1)^-1, v like e in scaled outputs
@@ -284,7 +282,7 @@ class WindowProgram:
         N, plant = self.capacity, self.plant
         sides = []
         for k in (0, 1):
-            x, w, v = (plant.bounds[key][k] / plant.signals[key].scales for key in ("states", "disturbances", "noises"))
+            x, w, v = (plant.bounds[key][k] / plant.scales[key] for key in ("states", "disturbances", "noises"))
             own = (self.region.lower, self.region.upper)[k] / plant.signals["states"].scales
             x = np.minimum(x, own) if k else np.maximum(x, own)
             v = v if self.keeps_v else v[:0]
@@ -369,17 +367,6 @@ class WindowProgram:
 def _padded_in_front(idle: int, fill: Array, rows: Array) -> Array:
     """Return `rows` behind `idle` rows of `fill`."""
     return np.vstack([np.broadcast_to(fill, (idle, fill.size)), rows])
-
-
-def _additive(plant: NonlinearPlant) -> bool:
-    """Whether v is added to y, one noise to each output."""
-    ca = casadi()
-    if plant.n_noises == 0:
-        return True
-    x, u, v = ca.SX.sym("x", plant.n_states), ca.SX.sym("u", plant.n_inputs), ca.SX.sym("v", plant.n_noises)
-    slope = ca.jacobian(plant.shown_casadi(x, u, v, ca.SX.sym("t")), v)
-    square = slope.shape[0] == slope.shape[1]
-    return square and slope.is_constant() and bool(np.array_equal(np.array(ca.DM(slope)), np.eye(plant.n_noises)))
 
 
 def _unbounded(plant: NonlinearPlant, key: str) -> bool:

@@ -1,21 +1,28 @@
-"""The open loop of a nonlinear plant: what holds between samples, before any, and where a solve failed."""
+"""The open loop of a nonlinear plant: what holds between samples, before any, and where a solve failed.
+
+Each sample becomes a node of the history, its estimate with the proven radius, or the covariance to first order.
+"""
 
 from __future__ import annotations
 
 from bisect import bisect_right
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from sampling_design.accuracy.readings import RecordRow
 from sampling_design.errors import SolverError
+from sampling_design.estimators.online.estimate import Estimate, Status
 from sampling_design.estimators.online.history import EstimatorState, HistoryNode
 from sampling_design.nonlinear.model import NonlinearPlant
-from sampling_design.nonlinear.promise import InclusionPromise
+from sampling_design.nonlinear.promise import UNCOVERED, InclusionPromise
 from sampling_design.nonlinear.simulation import Integrator, SpreadIntegrator, unknown
 from sampling_design.nonlinear.weights import NonlinearWeights
 from sampling_design.records.arrays import Array
+from sampling_design.records.checks import freeze
 
+NOTE = "No radius: no certificate was given."
 EDGE = 1e-6  # states within this share of their scale of the edge of X are in it: the solver ends there
 
 
@@ -29,13 +36,20 @@ class OpenLoopPrediction(NamedTuple):
 
 
 class NonlinearLoop:
-    """The flow between samples with w = 0, the covariance to first order, and the proven bound on V.
+    """The flow between samples with w = 0, the covariance to first order, the proven bound on V, and their estimates.
 
-    `ramps`: an input goes in a straight line to the next one, else it is held.
+    `ramps`: an input goes in a straight line to the next one, else it is held. `claim_note` says what a horizon costs.
     """
 
-    def __init__(self, plant: NonlinearPlant, scaled: NonlinearWeights, promise: InclusionPromise | None, ramps: bool):
-        self.plant, self.scaled, self.promise, self.ramps = plant, scaled, promise, ramps
+    def __init__(
+        self,
+        plant: NonlinearPlant,
+        scaled: NonlinearWeights,
+        promise: InclusionPromise | None,
+        ramps: bool,
+        claim_note: str,
+    ):
+        self.plant, self.scaled, self.promise, self.ramps, self.claim_note = plant, scaled, promise, ramps, claim_note
         self._build()
 
     def _build(self) -> None:
@@ -127,3 +141,89 @@ class NonlinearLoop:
             k = int(np.argmax(over))
             words = f"{words} The open loop leaves X: limit {k + 1} is {over[k]:.6g}, above 0.".strip()
         return kept, words
+
+    def prior(self, t: float, x: Array) -> HistoryNode:
+        """Return the first node, before any sample: x at t with the weight P2."""
+        scaled, scale = self.scaled, self.plant.signals["states"].scales
+        inverse = np.linalg.solve(scaled.twice * scaled.P2, np.eye(x.size))
+        square = np.inf if self.promise is None else self.promise.largest(t, t, prior=True)
+        return self.node(RecordRow(t), x, "prior", inverse * scale * scale[:, None], square, t)
+
+    def node(
+        self,
+        sample: RecordRow,
+        x: Array,
+        status: Status,
+        Y: Array,
+        square: float,
+        counted: float,
+        note: str = "",
+        scheduled: bool = True,
+        **details: Any,
+    ) -> HistoryNode:
+        """Return a snapshot with the linearised covariance Y and the bound on V; what is linear only is empty."""
+        x, Y = freeze(x), freeze(Y)
+        estimate = self.estimate(sample.t, x, status, Y, square, counted, note, scheduled, **details)
+        y = np.zeros(self.plant.n_outputs) if sample.y is None else np.nan_to_num(sample.y)
+        mask = np.zeros(y.size) if sample.y is None else np.isfinite(sample.y).astype(np.float64)
+        nothing = np.zeros(0)
+        return HistoryNode(
+            t=sample.t,
+            y=y,
+            mask=mask,
+            feedthrough=nothing,
+            x=x,
+            Y=Y,
+            beta=square,
+            flow=None,
+            drift=nothing,
+            scheduled=scheduled,
+            sound=True,
+            estimate=estimate,
+            sample=sample,
+            counted=counted,
+        )
+
+    def estimate(
+        self,
+        t: float,
+        x: Array,
+        status: Status,
+        Y: Array,
+        square: float,
+        counted: float,
+        note: str,
+        scheduled: bool,
+        **details: Any,
+    ) -> Estimate:
+        """Return an estimate: with its radius where one is proven, else with the covariance to first order."""
+        promise = self.promise
+        if promise is None or not np.isfinite(square):
+            why = NOTE if promise is None else f"No radius: {promise.trouble or UNCOVERED}."
+            note = " ".join(filter(None, (note, why)))
+            return Estimate(t, freeze(x), freeze(Y), status=status, note=note, **details)
+        covariance = np.linalg.solve(promise.weight(t, counted), np.eye(x.size))
+        return Estimate(
+            t,
+            freeze(x),
+            freeze((covariance + covariance.T) / 2),
+            square,
+            status,
+            certified=True,
+            on_schedule=scheduled and not self.claim_note,
+            note=" ".join(filter(None, (note, self.claim_note))),
+            **details,
+        )
+
+    def predicted(self, state: EstimatorState, t: float) -> Estimate:
+        """Return the estimate at t, open loop from the last node at or before it."""
+        node = state.nodes[state.node_before(t)]
+        if node.t == t:
+            return node.estimate
+        x, Y, square, trouble = self.ahead(state, node, t)
+        status: Status = "solver failed" if "fails" in trouble else "predicted"
+        last = self.since(node, t)
+        scheduled = node.scheduled and (self.promise is None or bool(np.isfinite(self.promise.age(t, last))))
+        if self.promise is not None and last != node.counted and np.isfinite(square):
+            square = self.promise.ahead(self.promise.largest(node.t, last, prior=True), node.t, t)
+        return self.estimate(t, x, status, Y, square, last, trouble, scheduled)

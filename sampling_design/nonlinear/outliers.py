@@ -54,11 +54,8 @@ class Outliers(Record):
     _table = {"huber": "{huber:or -}", "gate": "{gate:or -}", "patience": "{patience}"}
 
     def __post_init__(self) -> None:
-        for key in ("huber", "gate"):
-            value = getattr(self, key)
-            if value is not None:
-                object.__setattr__(self, key, checks.positive(key, value))
-        object.__setattr__(self, "patience", checks.whole("patience", self.patience, 1))
+        self._check(huber=checks.positive, gate=checks.positive)
+        self._hold(patience=checks.whole("patience", self.patience, 1))
 
     def explain(self) -> str:
         """Say what happens to a large residual."""

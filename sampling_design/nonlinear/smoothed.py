@@ -101,7 +101,7 @@ def smoothed_window(
     """Return the physical trajectory of a window that was solved."""
     assert answer.slopes is not None
     assert answer.spread is not None
-    scale = {key: plant.signals[key].scales for key in plant.sizes}
+    scale = plant.scales
     covariance = smoothed_covariances(answer.spread, answer.slopes, data.edges, weights.eta)
     seen = np.where(data.mask > 0, data.y - answer.slopes.shown, np.nan)
     return SmoothedWindow(

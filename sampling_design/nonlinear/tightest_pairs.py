@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.simulation import SpreadIntegrator
 from sampling_design.nonlinear.weights import NonlinearWeights
@@ -59,16 +58,10 @@ class TightestPairs:
     """
 
     def __init__(self, plant: NonlinearPlant, weights: NonlinearWeights) -> None:
-        ca = casadi()
         self.plant, self.weights = plant, weights
-        self.scale = {key: plant.signals[key].scales for key in plant.sizes}
+        self.scale = plant.scales
         noise: Array = np.asarray(np.linalg.solve(weights.Qw, np.eye(len(weights.Qw))), dtype=np.float64)
         self._loud, self._quiet = (SpreadIntegrator(plant, part, weights.eta, TOLERANCE) for part in (noise, 0 * noise))
-        x, u = ca.SX.sym("x", plant.n_states), ca.SX.sym("u", plant.n_inputs)
-        v, t = ca.SX.sym("v", plant.n_noises), ca.SX.sym("t")
-        y = plant.shown_casadi(x, u, v, t)
-        slopes = [ca.densify(ca.jacobian(y, x)), ca.densify(ca.jacobian(y, v))]
-        self._slopes = ca.Function("slopes", [x, u, v, t], slopes)
 
     def along(self, path: SampledTrajectory, P1: Array) -> PairOutcome:
         """Return the tightest of all times along a trajectory."""
@@ -117,7 +110,8 @@ class TightestPairs:
     def _sampled(self, Y: Array, path: SampledTrajectory, j: int) -> Array:
         """Y after the sample at a grid time."""
         scale, weights, mask = self.scale, self.weights, path.measured[j]
-        C, E = (np.array(part) for part in self._slopes(path.x[j], path.u, path.v[j], path.grid[j]))
+        slopes = self.plant.slopes_casadi(path.x[j], path.u, path.w[j], path.v[j], path.grid[j])
+        C, E = np.array(slopes[3]), np.array(slopes[5])
         C, E = C * scale["states"] / scale["outputs"][:, None], E * scale["noises"] / scale["outputs"][:, None]
         spread = np.linalg.solve(weights.R, np.eye(len(weights.R))) + E @ np.linalg.solve(weights.Qv, E.T)
         return measurement_update(Y, whitened(C[mask], spread[np.ix_(mask, mask)]))

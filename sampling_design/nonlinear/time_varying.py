@@ -9,7 +9,6 @@ import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
 from sampling_design.errors import SolverError
-from sampling_design.nonlinear._casadi import casadi
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
@@ -61,25 +60,11 @@ def plant_along(plant: NonlinearPlant, start: npt.ArrayLike, horizon: float, u: 
         )
     if not path.success:
         raise SolverError("the nominal trajectory cannot be followed to the horizon.", status="integration failed")
-    ca = casadi()
-    x, t = ca.SX.sym("x", plant.n_states), ca.SX.sym("t")
-    w, v = ca.SX.sym("w", plant.n_disturbances), ca.SX.sym("v", plant.n_noises)
-    f, h = plant.rate_casadi(x, control, w, t), plant.shown_casadi(x, control, v, t)
-    slopes = [
-        ca.Function("slope", [x, t], [ca.densify(ca.substitute(ca.jacobian(y, by), z, ca.SX.zeros(z.numel())))])
-        for y, by, z in ((f, x, w), (h, x, v), (f, w, w))
-    ]
 
     def at(which: int) -> MatrixOfTime:
-        return lambda t: np.array(slopes[which](path.sol(t) * scale, t))
+        return lambda t: np.array(plant.slopes_casadi(path.sol(t) * scale, control, 0, 0, t)[which])
 
     return TimeVaryingPlant(
-        at(0),
-        at(1),
-        at(2) if plant.n_disturbances else None,
-        horizon=end,
-        time_unit=plant.time_unit,
-        states=plant.states,
-        outputs=plant.outputs,
-        name=plant.name,
-    )
+        at(0), at(3), at(2) if plant.n_disturbances else None, horizon=end, time_unit=plant.time_unit,
+        states=plant.states, outputs=plant.outputs, name=plant.name,
+    )  # fmt: skip

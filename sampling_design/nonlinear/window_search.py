@@ -59,7 +59,7 @@ class WindowSearch:
         self.solver = solver
         self.w_step = horizon / 60 if collocation.w_step is None else collocation.w_step
         self.degree, self.halvings, self.builds = collocation.degree, 0, 0
-        self.scales = {key: plant.signals[key].scales for key in plant.sizes}
+        self.scales = plant.scales
         self.integrator = Integrator(plant)
         pieces = int(np.ceil(horizon / self.w_step * (1 - WHOLE))) + 1
         self.build(collocation.capacity or pieces)

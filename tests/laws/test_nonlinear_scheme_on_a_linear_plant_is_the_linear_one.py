@@ -7,9 +7,8 @@ import pytest
 import sampling_design as sd
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver
-from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
-from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.nonlinear.model import NonlinearPlant, from_linear
 from tests.cases import few
 
 OSCILLATOR = sd.Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])

@@ -12,9 +12,9 @@ import pytest
 import sampling_design as sd
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver
-from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.detectability import check_detectability
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
+from sampling_design.nonlinear.model import from_linear
 from tests.cases import few
 from tests.rescale import Units
 

@@ -7,10 +7,9 @@ from sampling_design import PeriodicSchedule, Plant, certify
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.nonlinear import thyroid
-from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.detectability import check_detectability, ratios
 from sampling_design.nonlinear.experiment import paper_weights
-from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.nonlinear.model import NonlinearPlant, from_linear
 from sampling_design.nonlinear.simulation import simulate
 from sampling_design.nonlinear.weights import NonlinearWeights
 from tests.oracles import nonlinear as oracle

@@ -12,13 +12,12 @@ from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.estimators.online.estimator import EstimateRecord, Estimator
 from sampling_design.nonlinear import thyroid
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver
-from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.experiment import paper_weights
 from sampling_design.nonlinear.jacobians import model_of
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
-from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.nonlinear.model import NonlinearPlant, from_linear
+from sampling_design.nonlinear.open_loop import NOTE
 from sampling_design.nonlinear.promise import InclusionPromise
-from sampling_design.nonlinear.recorder import NOTE
 from sampling_design.nonlinear.simulation import simulate
 from tests.oracles import nonlinear as oracle
 

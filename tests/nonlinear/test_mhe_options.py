@@ -11,10 +11,9 @@ import sampling_design as sd
 from sampling_design.errors import ArgumentError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver
-from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.examples import stirred_reactor
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
-from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.nonlinear.model import NonlinearPlant, from_linear
 from sampling_design.nonlinear.outliers import Outliers
 from sampling_design.nonlinear.simulation import simulate
 from sampling_design.nonlinear.weights import ScaleWarning

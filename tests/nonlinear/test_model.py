@@ -6,8 +6,7 @@ import pytest
 
 from sampling_design import Plant
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.nonlinear.conversion import from_linear
-from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.nonlinear.model import NonlinearPlant, from_linear
 from sampling_design.nonlinear.thyroid import TRUE_START, thyroid
 from sampling_design.plants.plant import Signals
 

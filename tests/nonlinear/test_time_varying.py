@@ -8,8 +8,7 @@ from scipy.linalg import expm
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, SolverError
-from sampling_design.nonlinear.conversion import from_linear
-from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.nonlinear.model import NonlinearPlant, from_linear
 from sampling_design.nonlinear.time_varying import plant_along
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
 

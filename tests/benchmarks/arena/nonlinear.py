@@ -20,9 +20,8 @@ import numpy as np
 from sampling_design import CostFunction, Plant
 from sampling_design.nonlinear import examples
 from sampling_design.nonlinear.collocation import Collocation
-from sampling_design.nonlinear.conversion import from_linear
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
-from sampling_design.nonlinear.model import NonlinearPlant
+from sampling_design.nonlinear.model import NonlinearPlant, from_linear
 from sampling_design.uncertain.nominal_filter import NominalFilter
 from sampling_design.uncertain.plants.parameter import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from sampling_design.checkers.strict import is_list, is_table
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.nonlinear._casadi import casadi
-from sampling_design.nonlinear.functions import PlainFunction, PlantFunctions, TimedFunction, takes_time
+from sampling_design.nonlinear.functions import KeptFunction, PlantFunctions, takes_time
 from sampling_design.nonlinear.region import StateRegion, own_box
 from sampling_design.plants.plant import Plant, Signals, signals_of
 from sampling_design.records import checks
@@ -115,9 +115,9 @@ class PlantEquations(Record):
         return self._functions.rate
 
     @property
-    def shown_casadi(self) -> Function:
+    def output_casadi(self) -> Function:
         """h as a casadi Function of (x, u, v, t)."""
-        return self._functions.shown
+        return self._functions.output
 
     @property
     def limits_casadi(self) -> Function:
@@ -144,14 +144,14 @@ class PlantEquations(Record):
         ArgumentError
             If the plant varies in time.
         """
-        return self._without_time(self.shown_casadi, "noises")
+        return self._without_time(self.output_casadi, "noises")
 
     @cached_property
     def slopes_casadi(self) -> Function:
         """df/dx, df/du, df/dw, dh/dx, dh/du and dh/dv as a casadi Function of (x, u, w, v, t)."""
         ca, (x, u, w, v) = casadi(), self._symbols()
         t = ca.SX.sym("t")
-        f, h = self.rate_casadi(x, u, w, t), self.shown_casadi(x, u, v, t)
+        f, h = self.rate_casadi(x, u, w, t), self.output_casadi(x, u, v, t)
         slopes = [ca.densify(ca.jacobian(y, z)) for y, own in ((f, (x, u, w)), (h, (x, u, v))) for z in own]
         found: Function = ca.Function("slopes", [x, u, w, v, t], slopes)
         return found
@@ -181,8 +181,8 @@ class PlantEquations(Record):
         """The plant as data: functions as casadi's own, which can be pickled."""
         kept = {key: value for key, value in self.__dict__.items() if key in self.__dataclass_fields__}
         made = self._functions
-        kept["dynamics"] = TimedFunction(made.rate) if made.varies else PlainFunction(made.rate)
-        kept["measurement"] = TimedFunction(made.shown) if made.varies else PlainFunction(made.shown)
+        kept["dynamics"] = KeptFunction(made.rate, made.varies)
+        kept["measurement"] = KeptFunction(made.output, made.varies)
         kept["limits"] = None if self.limits is None else made.limits
         return kept
 
@@ -250,7 +250,7 @@ class PlantEquations(Record):
 
     def h(self, x: npt.ArrayLike, u: npt.ArrayLike = (), v: npt.ArrayLike | None = None, t: float = 0.0) -> Array:
         """Return y = h(x, u, v, t), shape (p,); v defaults to zero."""
-        return self._evaluate(self.shown_casadi, "noises", x, u, v, t)
+        return self._evaluate(self.output_casadi, "noises", x, u, v, t)
 
     def _evaluate(self, function: Function, last: str, x: object, u: object, z: object, t: float) -> Array:
         x = checks.vector("x", x, self.sizes["states"])

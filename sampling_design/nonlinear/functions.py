@@ -23,35 +23,27 @@ class PlantFunctions(NamedTuple):
     """f, h and g as casadi Functions, and whether time is an argument of f or h."""
 
     rate: Function
-    shown: Function
+    output: Function
     limits: Function
     varies: bool
 
 
 @dataclass(frozen=True)
-class TimedFunction:
-    """A casadi Function of (x, u, z, t), called like the function that a user wrote."""
+class KeptFunction:
+    """A casadi Function of (x, u, z, t), called like the function that a user wrote: with the time if it matters."""
 
     function: Function
+    timed: bool
 
-    def __call__(self, x: SX, u: SX, z: SX, t: SX) -> SX:
+    def __call__(self, x: SX, u: SX, z: SX, t: SX | float = 0.0) -> SX:
         found: SX = self.function(x, u, z, t)
-        return found
-
-
-@dataclass(frozen=True)
-class PlainFunction:
-    """A casadi Function of (x, u, z, t) whose time does not matter, called without it."""
-
-    function: Function
-
-    def __call__(self, x: SX, u: SX, z: SX) -> SX:
-        found: SX = self.function(x, u, z, 0)
         return found
 
 
 def takes_time(function: object) -> bool:
     """Whether a function of a user has a fourth argument without a default: the time."""
+    if isinstance(function, KeptFunction):
+        return function.timed
     try:
         parameters = inspect.signature(function).parameters.values()  # type: ignore[arg-type]
     except (TypeError, ValueError):

@@ -241,14 +241,14 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         self.solves: list[SolverRun] = []
         self.search.forget()
         self._latest: tuple[WindowData, WindowAnswer] | None = None
-        self._seen = False
+        self._scales_checked = False
 
     def _predict(self, state: EstimatorState, t: float) -> Estimate:
         return self.loop.predicted(state, t)
 
     def _advance(self, state: EstimatorState, sample: RecordRow) -> HistoryNode:
-        if not self._seen:
-            self._seen = True
+        if not self._scales_checked:
+            self._scales_checked = True
             warn_of_scales(self.plant, "outputs", [sample.y])
         taken, gated = self._without_outliers(state, sample)
         refined, allowed = False, self.search.collocation.accuracy or np.inf
@@ -330,7 +330,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         taken = {node.t for node in start.inside if node.counted == node.t} | ({data.edges[-1]} if counts else set())
         counted = np.array([t in taken for t in data.edges.tolist()])
         scale = self.plant.signals["outputs"].scales
-        misfit = np.where(data.mask > 0, data.y - answer.slopes.shown, 0.0) * scale
+        misfit = np.where(data.mask > 0, data.y - answer.slopes.outputs, 0.0) * scale
         if self.search.program.keeps_v:
             misfit = misfit + solution.point.v * self.plant.signals["noises"].scales
         w = solution.point.w * self.plant.signals["disturbances"].scales

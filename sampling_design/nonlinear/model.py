@@ -141,5 +141,4 @@ def from_linear(plant: Plant, *, noises: bool = True) -> NonlinearPlant:
     [2.0, -1.0]
     """
     f, h, sizes, signals = linear_model(plant, noises)
-    known = {"time_unit": plant.time_unit, "name": plant.name, "source": plant.source}
-    return NonlinearPlant(f, h, sizes, signals=signals, **known)
+    return NonlinearPlant(f, h, sizes, time_unit=plant.time_unit, name=plant.name, source=plant.source, signals=signals)

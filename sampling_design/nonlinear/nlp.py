@@ -123,7 +123,7 @@ class WindowProgram:
         u, t, y = ca.SX.sym("u", plant.n_inputs), ca.SX.sym("t"), ca.SX.sym("y", p)
         entries, fit, v_weight = ca.SX.sym("root", self._fit_at[0].size), ca.SX.sym("fit"), ca.SX.sym("v_weight")
         physical_v = v * scale["noises"] if self.keeps_v else ca.SX.zeros(plant.n_noises)
-        shown = plant.shown_casadi(x * scale["states"], u, physical_v, t) / scale["outputs"]
+        shown = plant.output_casadi(x * scale["states"], u, physical_v, t) / scale["outputs"]
         root = ca.SX(p, p)
         for k, (row, column) in enumerate(zip(*self._fit_at, strict=True)):
             root[int(row), int(column)] = entries[k]
@@ -158,7 +158,7 @@ class WindowProgram:
         solution, forms, carried = found
         scale = self.plant.signals["outputs"].scales
         low, high = (side / scale for side in self.plant.bounds["outputs"])
-        if np.any((data.mask > 0) & ((forms.shown < low) | (forms.shown > high))):
+        if np.any((data.mask > 0) & ((forms.outputs < low) | (forms.outputs > high))):
             return None
         return solution, self._slopes(data, forms, carried)
 
@@ -174,7 +174,7 @@ class WindowProgram:
         roots = np.zeros((len(both) + 1, p, p))
         for k, row in enumerate(data.mask):
             roots[k][self._fit_at] = self._fit_root(row) if row.any() else 0.0
-        return WindowSlopes(both[:, :, :n], both[:, :, n + 1 :], forms.H, forms.shown, roots)
+        return WindowSlopes(both[:, :, :n], both[:, :, n + 1 :], forms.H, forms.outputs, roots)
 
     def _limited(self) -> Function:
         """Return the rows of (z, u) that must not be positive: g, and the half-spaces of the region."""
@@ -243,7 +243,7 @@ class WindowProgram:
         # min over v of c|v|^2_Qv + |e - v|^2_R = |e|^2 with weight (R^-1 + (c Qv)^-1)^-1, v like e in scaled outputs
         ratio = scale["outputs"] / scale["noises"]
         Qv = own.twice * own.Qv * ratio * ratio[:, None]
-        fit = np.asarray(own.R @ np.linalg.solve(own.R + Qv, Qv))
+        fit: Array = np.asarray(own.R @ np.linalg.solve(own.R + Qv, Qv), dtype=np.float64)
         return (fit + fit.T) / 2
 
     def _fit_root(self, mask: Array) -> Array:

@@ -111,7 +111,7 @@ class TightestPairs:
         """Y after the sample at a grid time."""
         scale, weights, mask = self.scale, self.weights, path.measured[j]
         slopes = self.plant.slopes_casadi(path.x[j], path.u, path.w[j], path.v[j], path.grid[j])
-        C, E = np.array(slopes[3]), np.array(slopes[5])
+        C, E = (np.array(slopes[k]) for k in (3, 5))
         C, E = C * scale["states"] / scale["outputs"][:, None], E * scale["noises"] / scale["outputs"][:, None]
         spread = np.linalg.solve(weights.R, np.eye(len(weights.R))) + E @ np.linalg.solve(weights.Qv, E.T)
         return measurement_update(Y, whitened(C[mask], spread[np.ix_(mask, mask)]))

@@ -20,7 +20,7 @@ class LocalForms(NamedTuple):
     rows (K, d, n): what the collocation equations leave; inside (K, d n, d n), before (K, d n, n), by_w (K, d n, q):
     their slopes by the states inside, the state before and w; curve (K, d, n + q, n + q): second derivatives by s of
     the rows at each point times their multipliers; cost, and by node its gradient (K+1, n + r) and second derivatives
-    (K+1, n + r, n + r) by e; shown (K+1, p) and its slope H (K+1, p, n) by x.
+    (K+1, n + r, n + r) by e; outputs (K+1, p) and its slope H (K+1, p, n) by x.
     """
 
     rows: Array
@@ -31,7 +31,7 @@ class LocalForms(NamedTuple):
     cost: float
     gradient: Array
     bend: Array
-    shown: Array
+    outputs: Array
     H: Array
 
     def carried(self) -> Array:
@@ -61,9 +61,9 @@ class WindowFunctions:
         inside = ca.Function("inside", [x, w, u, t, weigh], [ca.densify(part) for part in parts])
         self._inside = _Buffered(inside.map(capacity * points.size), capacity * points.size)
         arguments = [ca.SX.sym(f"a{k}", node.size1_in(k)) for k in range(node.n_in())]
-        cost, shown = node(*arguments)
+        cost, outputs = node(*arguments)
         bend, gradient = ca.hessian(cost, ca.vertcat(*arguments[:2]))
-        parts = [cost, gradient, bend, shown, ca.jacobian(shown, arguments[0])]
+        parts = [cost, gradient, bend, outputs, ca.jacobian(outputs, arguments[0])]
         at_node = ca.Function("at_node", arguments, [ca.densify(part) for part in parts])
         self._at_node = _Buffered(at_node.map(capacity + 1), capacity + 1)
         self.sizes = n, q, node.size1_in(1), node.size1_out(1)
@@ -89,7 +89,7 @@ class WindowFunctions:
         inside[:, each, :, each] -= (h[:, None, None, None] * slope[..., :n]).transpose(1, 0, 2, 3)
         by_w = -h[:, None, None] * slope[..., n:].reshape(K, d * n, q)
         root, fit, v = (columns[key].reshape(N + 1, -1)[N - K :] for key in ("root", "fit", "v"))
-        cost, gradient, bend, shown, H = self._at_node(nodes, point.v, data.inputs, data.edges, data.y, root, fit, v)
+        cost, gradient, bend, outputs, H = self._at_node(nodes, point.v, data.inputs, data.edges, data.y, root, fit, v)
         return LocalForms(
             rows=along - h[:, None, None] * rate.reshape(K, d, n),
             inside=inside.reshape(K, d * n, d * n),
@@ -99,7 +99,7 @@ class WindowFunctions:
             cost=float(cost.sum()),
             gradient=gradient,
             bend=bend.reshape(K + 1, n + r, n + r),
-            shown=shown,
+            outputs=outputs,
             H=H.reshape(K + 1, n, p).transpose(0, 2, 1),
         )
 

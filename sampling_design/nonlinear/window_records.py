@@ -65,11 +65,11 @@ class WindowSlopes(NamedTuple):
     """A window linearised at its solution, scaled.
 
     F (K, n, n) and G (K, n, q) carry a state and w over each interval; H (K+1, p, n) is the slope of the outputs at the
-    nodes, shown (K+1, p) what they are; roots (K+1, p, p) of their weights, zero where nothing was measured.
+    nodes, outputs (K+1, p) what they are; roots (K+1, p, p) of their weights, zero where nothing was measured.
     """
 
     F: Array
     G: Array
     H: Array
-    shown: Array
+    outputs: Array
     roots: Array

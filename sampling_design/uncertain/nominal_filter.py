@@ -54,9 +54,9 @@ class MismatchBounds(ErrorBounds):
         v_bound: npt.ArrayLike | None,
         initial_error: npt.ArrayLike | None,
         energy: float,
-        shown: Array,
+        output_mismatch: Array,
     ):
-        self.shown = shown
+        self.output_mismatch = output_mismatch
         super().__init__(weights, w_bound, v_bound, initial_error)
         self.disturbance = energy
 
@@ -65,13 +65,15 @@ class MismatchBounds(ErrorBounds):
 
     def of_samples(self, masks: Array) -> Array:
         """What noise and mismatch of samples cost at most."""
-        if self.before is None or not len(self.shown) or self.v is None:
+        if self.before is None or not len(self.output_mismatch) or self.v is None:
             return super().of_samples(masks)
         x, Y, beta = self.before
         if not np.isfinite(beta):
             return np.full(len(masks), np.inf)
-        spread = np.sqrt(np.maximum(np.einsum("kpi,ij,kpj->kp", self.shown, Y, self.shown), 0.0) * max(beta, 0.0))
-        more = ROUNDING * np.sum(np.abs(self.shown @ x) + spread, axis=0)
+        spread = np.sqrt(
+            np.maximum(np.einsum("kpi,ij,kpj->kp", self.output_mismatch, Y, self.output_mismatch), 0.0) * max(beta, 0.0)
+        )
+        more = ROUNDING * np.sum(np.abs(self.output_mismatch @ x) + spread, axis=0)
         wider = self.v + (more if self.v.ndim else float(np.linalg.norm(more)))
         return self.weights.sample_energy(np.asarray(wider), False, masks)
 
@@ -254,9 +256,9 @@ class NominalFilter(KalmanFilter):
         )
         inside = CostFunction(P2=given.prior, Qw=block_diag(given.w, np.diag(q)), R=given.R, Qv=given.v, eta=given.eta)
         super().__init__(wide, cost=inside, input_side=input_side, maximum_delay=maximum_delay)
-        shown = np.array(moved(plant, _reach(plant), "C")).reshape(-1, *nominal.C.shape)
+        output_mismatch = np.array(moved(plant, _reach(plant), "C")).reshape(-1, *nominal.C.shape)
         no_disturbance = None if bound is None else np.zeros(wide.n_disturbances)
-        bounds = MismatchBounds(self.weights, no_disturbance, v_bound, initial_error, energy, shown)
+        bounds = MismatchBounds(self.weights, no_disturbance, v_bound, initial_error, energy, output_mismatch)
         self.mismatch = MismatchLoop(self.table, bounds, rows, known, q)
         self.prepare(Recorder(self.mismatch, ScheduleClaim(NO_CLAIM), None), input_side)
         self.start(prior, prior_time)

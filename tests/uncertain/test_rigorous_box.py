@@ -27,7 +27,7 @@ from tests.cases import few
 from tests.observability.test_rigorous_sigma import sigma_at
 from tests.oracles.boxes import drawn_values, matrices, random_box
 
-KEYS = ("rate", "size", "moved", "seen", "shown")
+KEYS = ("rate", "size", "moved", "output_size", "output_moved")
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
 FREQUENCY = UncertainParameter("omega^2", 0.81, 1.21, A=[[0.0, 0.0], [-1.0, 0.0]], nominal=1.0)
 GAIN = UncertainParameter("gain", 0.9, 1.1, C=[[1.0, 0.0]], nominal=1.0)

@@ -195,11 +195,11 @@ def _cell(
     """What the centre attains, and what holds for every plant of a cell; infinite where nothing is proven."""
     w, v = bounds
     centre = plant.at(np.clip(theta, plant.low, plant.high))
-    into, seen = mismatch(plant, half)
-    shown, driven = (moved(plant, half, key) for key in ("C", "G"))
-    matrix = np.vstack([rows.matrix, *seen, *shown])
+    into, driving = mismatch(plant, half)
+    moved_outputs, driven = (moved(plant, half, key) for key in ("C", "G"))
+    matrix = np.vstack([rows.matrix, *driving, *moved_outputs])
     low, up = one(centre, w, v, matrix, rtol)
-    count, moves = len(rows), sum(len(r) for r in seen)
+    count, moves = len(rows), sum(len(r) for r in driving)
     if not np.all(np.isfinite(up)):
         return low[:count], np.full(count, np.inf)
     extra = np.hstack([centre.G, *into, *driven])
@@ -207,7 +207,7 @@ def _cell(
     for factor in GUESSES:
         beta = factor * up[count:]
         noise = v + sum(
-            (beta[moves + k * len(v) : moves + (k + 1) * len(v)] for k in range(len(shown))), np.zeros(len(v))
+            (beta[moves + k * len(v) : moves + (k + 1) * len(v)] for k in range(len(moved_outputs))), np.zeros(len(v))
         )
         _, found = one(wide, np.concatenate([w, beta[:moves], *[w for _ in driven]]), noise, matrix, rtol)
         if np.all(found[count:] < beta) or not len(beta):
@@ -217,7 +217,7 @@ def _cell(
 
 def mismatch(plant: UncertainPlant, half: Array) -> tuple[list[Array], list[Array]]:
     """What half-widths of A add as columns (n, rank) times rows (rank, n)."""
-    into, seen = [], []
+    into, driving = [], []
     for each, size in zip(plant.parameters, half.tolist(), strict=True):
         if each.A is None or not each.A.any() or not size:
             continue
@@ -225,8 +225,8 @@ def mismatch(plant: UncertainPlant, half: Array) -> tuple[list[Array], list[Arra
         U, s, V = np.linalg.svd(size * each.A * x / x[:, None])
         rank = int(np.sum(s > RANK * s[0]))
         into.append(x[:, None] * U[:, :rank])
-        seen.append(s[:rank, None] * V[:rank] / x)
-    return into, seen
+        driving.append(s[:rank, None] * V[:rank] / x)
+    return into, driving
 
 
 def moved(plant: UncertainPlant, half: Array, key: str) -> list[Array]:

@@ -96,8 +96,8 @@ class BallBox:
         if rate is None:
             return None
         m, zero = self.m, flint().arb(0)
-        moved, shown = sum(norms[1 : m + 1], zero), sum(norms[m + 2 : 2 * m + 2], zero)
-        found = CellNorms(rate, norms[0], moved.upper(), norms[m + 1], shown.upper(), BALLS)
+        moved, output_moved = sum(norms[1 : m + 1], zero), sum(norms[m + 2 : 2 * m + 2], zero)
+        found = CellNorms(rate, norms[0], moved.upper(), norms[m + 1], output_moved.upper(), BALLS)
         return CellMetric(W, found, norms[-1])
 
 

@@ -132,14 +132,14 @@ def norms_in(
     model: BoxModel, cells: BoxCells, A: Array, C: Array, T: Complex, inverse: Complex
 ) -> tuple[CellNorms[Array], Array, Array]:
     """The norms of cells in coordinates T, and what each parameter (K, m) by itself does to A and to C there."""
-    B, seen = inverse @ A @ T, np.linalg.norm(C @ T, 2, axis=(1, 2))
+    B, output_size = inverse @ A @ T, np.linalg.norm(C @ T, 2, axis=(1, 2))
     size = np.linalg.norm(B, 2, axis=(1, 2))
     rate = np.linalg.eigvalsh((B + np.conj(np.swapaxes(B, 1, 2))) / 2)[:, -1]
     rate = rate + 64 * len(model.A) * EPS * np.linalg.cond(T) * size
     parts = np.linalg.norm(inverse[:, None] @ model.parts_A @ T[:, None], 2, axis=(2, 3))
-    shown = np.linalg.norm(model.parts_C @ T[:, None], 2, axis=(2, 3))
-    moved, more = (UP * np.sum(cells.half * each, axis=1)[:, None] for each in (parts, shown))
-    return CellNorms(rate[:, None], size[:, None], moved, seen[:, None], more, FLOATS), parts, shown
+    output_moves = np.linalg.norm(model.parts_C @ T[:, None], 2, axis=(2, 3))
+    moved, more = (UP * np.sum(cells.half * each, axis=1)[:, None] for each in (parts, output_moves))
+    return CellNorms(rate[:, None], size[:, None], moved, output_size[:, None], more, FLOATS), parts, output_moves
 
 
 def _rest(
@@ -149,13 +149,15 @@ def _rest(
 
     `own` is A, C, T and the inverse of T.
     """
-    norms, parts, shown = norms_in(model, cells, *own)
+    norms, parts, output_moves = norms_in(model, cells, *own)
     with np.errstate(over="ignore", invalid="ignore"):
         first, rest = norms.rows(r, norms.rate)
         rest = UP * (rest + norms.displaced(r, norms.rate, first + rest, late) if late else rest)
         squared = np.sum(np.where(there, rest, 0.0) ** 2, axis=1)
         beyond = UP * norms.turned(cells.h[:, None])[:, 0]
-    effect = cells.half * (parts * r.max(axis=1, initial=0.0)[:, None] + shown / np.maximum(norms.seen, 1e-300))
+    effect = cells.half * (
+        parts * r.max(axis=1, initial=0.0)[:, None] + output_moves / np.maximum(norms.output_size, 1e-300)
+    )
     return squared, beyond, np.column_stack([effect, norms.size[:, 0] * cells.h])
 
 
@@ -168,10 +170,10 @@ def bases(A: Array, C: Array, longest: Array) -> list[Complex]:
     vectors = vectors.astype(complex)
     fine = np.linalg.cond(vectors) < WORST_BASIS
     if fine.any():
-        seen = np.linalg.norm(C @ vectors, axis=1)
-        most = seen.max(axis=1, keepdims=True)
-        seen = np.where(seen > 1e-6 * most, seen, np.where(most > 0, most, 1.0))
-        found.append(np.where(fine[:, None, None], vectors / seen[:, None, :], identity))
+        output_size = np.linalg.norm(C @ vectors, axis=1)
+        most = output_size.max(axis=1, keepdims=True)
+        output_size = np.where(output_size > 1e-6 * most, output_size, np.where(most > 0, most, 1.0))
+        found.append(np.where(fine[:, None, None], vectors / output_size[:, None, :], identity))
     if not fine.all() or n > 1:
         found.append(np.array([_schur(M, float(t)) for M, t in zip(A, longest, strict=True)]))
     return found

@@ -1,9 +1,9 @@
 """What the plants of a cell are beside its middle, in the norm of one metric: the same in floats and in balls.
 
-With A(theta) = A + E, |E| <= moved, C(theta) = C + F, |F| <= shown, and |e^{A r}| <= e^{rate r},
+With A(theta) = A + E, |E| <= moved, C(theta) = C + F, |C| <= c, |F| <= f, and |e^{A r}| <= e^{rate r},
 
     |C(theta) e^{A(theta) r} - C e^{A r}|  <=  first + second,    b(x) = e^x - 1 - x,
-    first = e^{rate r} (seen moved r + shown),    second = e^{rate r} (seen b(moved r) + shown (moved r + b(moved r))),
+    first = e^{rate r} (c moved r + f),    second = e^{rate r} (c b(moved r) + f (moved r + b(moved r))),
 
 the first order linear in E and F. A window that begins s later turns all rows by one e^{A(theta) s}.
 """
@@ -45,15 +45,16 @@ class CellNorms(Generic[Number]):
     rate: Number  # |e^{A r} x| <= e^{rate r} |x| for the centre's A, r >= 0
     size: Number  # |A x| <= size |x|
     moved: Number  # |(A(theta) - A) x| <= moved |x|
-    seen: Number  # |C x| <= seen |x|, outputs in the plain norm
-    shown: Number  # |(C(theta) - C) x| <= shown |x|
+    output_size: Number  # c: |C x| <= c |x|, outputs in the plain norm
+    output_moved: Number  # f: |(C(theta) - C) x| <= f |x|
     arithmetic: Arithmetic[Number]
 
     def rows(self, r: Number, rate: Number) -> tuple[Number, Number]:
         """First order, and what is beyond it, of a sample r >= 0 after the window's start."""
         along, grown = self.moved * r, self.arithmetic.exp(rate * r)
         beyond = self.arithmetic.beyond_first(along)
-        return grown * (self.seen * along + self.shown), grown * (self.seen * beyond + self.shown * (along + beyond))
+        c, f = self.output_size, self.output_moved
+        return grown * (c * along + f), grown * (c * beyond + f * (along + beyond))
 
     def displaced(self, r: Number, rate: Number, other: Number, late: float) -> Number:
         """What times up to `late` off do to the rows of samples at r beyond what they do to the centre's.
@@ -62,7 +63,7 @@ class CellNorms(Generic[Number]):
         terms of its series differ from the centre's by those of e^{(size + moved) |e|} - e^{size |e|} at most.
         """
         whole, own = (self.arithmetic.exp(x * late) for x in (self.size + self.moved, self.size))
-        return self.seen * self.arithmetic.exp(rate * r) * (whole - own) + other * (whole - 1)
+        return self.output_size * self.arithmetic.exp(rate * r) * (whole - own) + other * (whole - 1)
 
     def turned(self, h: Number) -> Number:
         """What |e^{A(theta) s} - I - A s| stays below for |s| <= h."""

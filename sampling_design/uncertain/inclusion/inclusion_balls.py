@@ -154,39 +154,39 @@ def jumps(c: Inclusion, P: list[Matrix], Rt: Matrix, clock: Budget) -> float:
     """The jump condition for every member: tangents from below, as in `checkers/jumps.py`."""
     slack = 1.0
     for pattern in sorted(set(map(tuple, c.jumps.seen.tolist()))):
-        seen = np.array(pattern, bool)
-        Y = of_some(Rt, seen)
+        measured = np.array(pattern, bool)
+        Y = of_some(Rt, measured)
         every = [
             (P[i], P[j], float(c.nodes[i]))
             for i, j, row in zip(c.jumps.later, c.jumps.base, c.jumps.seen, strict=True)
-            if np.array_equal(row, seen)
+            if np.array_equal(row, measured)
         ]
-        if not seen.any():
+        if not measured.any():
             for later, base, tau in every:
                 slack = min(slack, decided(JUMP, later - base, diagonal(later + base), tau))
         elif c.model.kind == "nonlinear":
-            rows = np.flatnonzero(seen).tolist()
+            rows = np.flatnonzero(measured).tolist()
 
             def forms(
                 C: Matrix, B: Matrix, Y: Matrix = Y, every: Jumps = every, rows: list[int] = rows
             ) -> Iterator[Matrix]:
                 kept, about = (flint().arb_mat([M.tolist()[k] for k in rows]) for M in (C, B))
-                shown = tangent(kept, about, Y)
-                return (later - base + shown for later, base, _ in every)
+                information = tangent(kept, about, Y)
+                return (later - base + information for later, base, _ in every)
 
             JacobianCells(c, c.model, clock).prove(JUMP, forms, False)
             slack = 0.0
         else:
-            sets = OutputSets(c, seen)
+            sets = OutputSets(c, measured)
             slack = min([slack, *(sets.over(jump, Y, clock) for jump in every)])
     return slack
 
 
-def of_some(X: Matrix, seen: Mask) -> Matrix:
-    """((X^-1) restricted to what is seen)^-1."""
-    if seen.all() or not seen.any():
+def of_some(X: Matrix, measured: Mask) -> Matrix:
+    """((X^-1) restricted to what is measured)^-1."""
+    if measured.all() or not measured.any():
         return X
-    own, other = np.flatnonzero(seen).tolist(), np.flatnonzero(~seen).tolist()
+    own, other = np.flatnonzero(measured).tolist(), np.flatnonzero(~measured).tolist()
     rows = X.tolist()
 
     def part(left: list[int], right: list[int]) -> Matrix:
@@ -205,8 +205,8 @@ def tangent(C: Matrix, B: Matrix, Y: Matrix) -> Matrix:
 class OutputSets:
     """The C of a box or a list: sets of them, named by their points, that are halved."""
 
-    def __init__(self, c: Inclusion, seen: Mask) -> None:
-        self.c, self.seen = c, seen
+    def __init__(self, c: Inclusion, measured: Mask) -> None:
+        self.c, self.measured = c, measured
         assert c.model.kind != "nonlinear"
         self.model = c.model
         if c.model.kind == "vertices":
@@ -217,13 +217,13 @@ class OutputSets:
         self.points = np.array(corners).reshape(len(corners), len(self.acting))
 
     def at(self, point: Array) -> Matrix:
-        """The rows of C that are seen."""
+        """The rows of C that are measured."""
         if self.model.kind == "box":
-            found = matrix(self.c.plant.C[self.seen])
+            found = matrix(self.c.plant.C[self.measured])
             for each, value in zip(self.acting, point.tolist(), strict=True):
-                found += matrix(each.C[self.seen]) * (ball(value) - ball(each.nominal))
+                found += matrix(each.C[self.measured]) * (ball(value) - ball(each.nominal))
             return found
-        parts = (matrix(C[self.seen]) * ball(x) for C, x in zip(self.model.C, point.tolist(), strict=True))
+        parts = (matrix(C[self.measured]) * ball(x) for C, x in zip(self.model.C, point.tolist(), strict=True))
         first = next(parts)
         return sum(parts, first)
 
@@ -236,7 +236,7 @@ class OutputSets:
             first[i] = second[j] = points[i] / 2 + points[j] / 2
             return [first, second]
         low, high = points.min(axis=0), points.max(axis=0)
-        sizes = [float(np.abs(each.C[self.seen]).max(initial=0.0)) for each in self.acting]
+        sizes = [float(np.abs(each.C[self.measured]).max(initial=0.0)) for each in self.acting]
         k = int(np.argmax((high - low) * np.array(sizes)))
         middle = low[k] / 2 + high[k] / 2
         sides = [sorted({a, b}) for a, b in zip(low.tolist(), high.tolist(), strict=True)]

@@ -26,12 +26,12 @@ DECIMALS = 10  # of the nodes that are chosen here; the ends of gaps stay what t
 
 
 class WordLayout(NamedTuple):
-    """The nodes of all words, one after the other; each jump leads from node `later` to node `base` and sees `seen`."""
+    """The nodes of all words, one after the other; each jump leads from node `later` to node `base`, by outputs."""
 
     nodes: Array
     later: Index
     base: Index
-    seen: Mask
+    measured: Mask
 
     @property
     def pieces(self) -> Index:
@@ -76,8 +76,10 @@ def layout_of(graph: PathCompleteGraph, pieces: int) -> WordLayout:
         times = nodes[edge.source - words[0]]
         for at in np.flatnonzero((times >= edge.low) & (times <= edge.high)).tolist():
             found[begins[edge.source] + at, begins[edge.target], edge.outputs] = None
-    later, base, seen = zip(*found, strict=True)
-    return WordLayout(np.concatenate(nodes), np.array(later, np.intp), np.array(base, np.intp), np.array(seen, bool))
+    later, base, measured = zip(*found, strict=True)
+    return WordLayout(
+        np.concatenate(nodes), np.array(later, np.intp), np.array(base, np.intp), np.array(measured, bool)
+    )
 
 
 def grid(top: float, ends: list[float], count: int) -> Array:

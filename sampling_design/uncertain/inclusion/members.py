@@ -33,7 +33,7 @@ FASTEST = 1e3  # rates per longest gap beyond which a plant is stiff
 class PosedMembers:
     """Linear plants that stand for one that is not exactly known, those in the program, and how it is posed.
 
-    `chosen` and `shown` are the members (A, G) and C in the program: those that bind.
+    `chosen` and `chosen_outputs` are the members (A, G) and C in the program: those that bind.
     """
 
     def __init__(
@@ -54,10 +54,10 @@ class PosedMembers:
         self.columns, self.sizes = plant.columns, np.zeros(0)
         if self.columns is not None:  # multipliers stand for all members
             self.members = self.members._replace(dynamics=self.columns.middle[None], complete=True)
-        self.chosen, self.shown = extreme(self.members.dynamics), extreme(self.members.outputs)
+        self.chosen, self.chosen_outputs = extreme(self.members.dynamics), extreme(self.members.outputs)
         self.inflation = 0.0 if self.members.complete else INFLATED[0]
         self._roots: dict[float, Array] = {}
-        self._sampled = (self.members, self.chosen, self.shown)
+        self._sampled = (self.members, self.chosen, self.chosen_outputs)
         self.hull: MemberHull | None = None
 
     def inner(self, eta: float, pieces: int, T: Array | None = None) -> tuple[PosedProgram, Array]:
@@ -66,28 +66,28 @@ class PosedMembers:
         T = self.coordinates(eta) if T is None else T
         inverse = np.linalg.inv(T)
         root_w = np.linalg.cholesky(self.weights.Qw)
-        patterns, pattern = np.unique(layout.seen, axis=0, return_inverse=True)
+        patterns, pattern = np.unique(layout.measured, axis=0, return_inverse=True)
         n = self.centre.n_states
         M = self.members.dynamics
         A = b * (T.T @ M[:, :, :n] @ inverse.T)
         G = np.sqrt(b) * (T.T @ M[:, :, n:] @ np.linalg.inv(root_w).T)
-        outputs = np.array([self.shares(seen) @ self.members.outputs @ inverse.T for seen in patterns])
+        outputs = np.array([self.shares(measured) @ self.members.outputs @ inverse.T for measured in patterns])
         unit = inverse @ np.diag(1 / self.centre.states.scales**2) @ inverse.T
         size = float(np.linalg.norm(unit, 2))
         if not 1 / FAR <= size <= FAR:  # then p of P >= p unit is none that the solver tells from 0 or bounds
             unit /= max(size, np.finfo(float).tiny)
         q = G.shape[2]
-        columns = seen = np.zeros((0, 0))
+        columns = multiplied = np.zeros((0, 0))
         if self.columns is not None:
             to_w = np.linalg.inv(root_w).T / np.sqrt(b)  # of inner disturbances in physical ones
             axes = np.vstack([np.hstack([inverse.T, np.zeros((n, q))]), np.hstack([np.zeros((q, n)), to_w])])
-            seen = axes[list(self.columns.at)]
-            self.sizes = np.linalg.norm(seen, axis=1)
-            columns, seen = b * (T.T @ self.columns.add) * self.sizes, seen / self.sizes[:, None]
+            multiplied = axes[list(self.columns.at)]
+            self.sizes = np.linalg.norm(multiplied, axis=1)
+            columns, multiplied = b * (T.T @ self.columns.add) * self.sizes, multiplied / self.sizes[:, None]
         posed = PosedProgram(
             dynamics=np.concatenate([A, G], axis=2), outputs=outputs, Qw=np.eye(q), unit=unit, eta=eta * b,
             nodes=layout.nodes / b, pieces=layout.pieces, later=layout.later, base=layout.base, pattern=pattern.ravel(),
-            columns=columns, seen=seen,
+            columns=columns, multiplied=multiplied,
         )  # fmt: skip
         return posed, T
 
@@ -108,12 +108,12 @@ class PosedMembers:
         """Nodes and jumps with so many pieces."""
         return layout_of(self.graph, pieces)
 
-    def shares(self, seen: Mask) -> Array:
-        """S with S'S the information of the outputs that are seen: (V restricted to them)^-1, V = R^-1 + Qv^-1."""
-        found = np.zeros((len(seen), len(seen)))
-        if seen.any():
-            V = np.linalg.inv(output_information(self.weights.R, self.weights.Qv))[np.ix_(seen, seen)]
-            found[np.ix_(seen, seen)] = np.linalg.inv(np.linalg.cholesky(V))
+    def shares(self, measured: Mask) -> Array:
+        """S with S'S the information of the outputs that are measured: (V restricted to them)^-1, V = R^-1 + Qv^-1."""
+        found = np.zeros((len(measured), len(measured)))
+        if measured.any():
+            V = np.linalg.inv(output_information(self.weights.R, self.weights.Qv))[np.ix_(measured, measured)]
+            found[np.ix_(measured, measured)] = np.linalg.inv(np.linalg.cholesky(V))
         return found
 
     def coordinates(self, eta: float) -> Array:
@@ -164,16 +164,16 @@ class PosedMembers:
         hull = self.plant.hull(HALVINGS if self.stiff else 0, size)
         if hull is None or not len(hull.moves):
             return False
-        self._sampled = (self.members, self.chosen, self.shown)
+        self._sampled = (self.members, self.chosen, self.chosen_outputs)
         self.hull = hull
         outputs = corners(hull.output, hull.output_moves)
         self.members = InclusionMembers(hull.middle, outputs, ("a cell of the region",) * len(hull.middle), False)
-        self.chosen, self.shown = extreme(hull.middle), extreme(outputs)
+        self.chosen, self.chosen_outputs = extreme(hull.middle), extreme(outputs)
         return True
 
     def leave_hull(self) -> None:
         """Take the sampled members again."""
-        self.members, self.chosen, self.shown = self._sampled
+        self.members, self.chosen, self.chosen_outputs = self._sampled
         self.hull = None
 
     def moved(self, moves: Array, T: Array) -> Array:

@@ -51,7 +51,7 @@ class PosedProgram:
     margin: float = MARGIN
     columns: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """(n, m): what uncertain columns add, for multipliers; the dynamics are then those of the middle alone."""
-    seen: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    multiplied: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """(m, n + q): the combination of (x, w) that each of them multiplies."""
 
     @property
@@ -72,11 +72,15 @@ class PosedProgram:
         A, G = self.dynamics[:, :, :n], self.dynamics[:, :, n:]
         dynamics = np.concatenate([T.T @ A @ inverse.T, T.T @ G], axis=2) if q else T.T @ A @ inverse.T
         unit = inverse @ self.unit @ inverse.T
-        seen = np.hstack([self.seen[:, :n] @ inverse.T, self.seen[:, n:]]) if len(self.seen) else self.seen
+        multiplied = (
+            np.hstack([self.multiplied[:, :n] @ inverse.T, self.multiplied[:, n:]])
+            if len(self.multiplied)
+            else self.multiplied
+        )
         return replace(
             self,
-            columns=T.T @ self.columns if len(self.seen) else self.columns,
-            seen=seen,
+            columns=T.T @ self.columns if len(self.multiplied) else self.columns,
+            multiplied=multiplied,
             dynamics=dynamics,
             outputs=self.outputs @ inverse.T,
             unit=(unit + unit.T) / 2,
@@ -123,7 +127,7 @@ def flow_scale(posed: PosedProgram) -> Array:
 
     A congruence with it changes no definiteness. Rates up to `BEARABLE` per longest gap are left as they are.
     """
-    n, full = posed.n, np.eye(posed.dynamics.shape[2] + len(posed.seen))
+    n, full = posed.n, np.eye(posed.dynamics.shape[2] + len(posed.multiplied))
     A = posed.dynamics[:, :, :n].mean(axis=0)
     if np.max(np.abs(np.linalg.eigvalsh((A + A.T) / 2)), initial=0.0) > BEARABLE:
         full[:n, :n] = scaling_of(A)
@@ -146,7 +150,7 @@ class InclusionProgram:
         self.basis = np.asarray(conic_programs.smat(np.eye(self.pairs)), dtype=np.float64)
         self.count = posed.nodes.size
         self.ends = 2 * posed.pieces.size
-        self.gains_at = self.count * self.pairs + self.ends * len(posed.seen)
+        self.gains_at = self.count * self.pairs + self.ends * len(posed.multiplied)
         self.open = posed.outputs.shape[1] > 1
         self.rows = posed.outputs.shape[2]
         self.width = (
@@ -169,7 +173,7 @@ class InclusionProgram:
 
     def _padded(self, corner: Array, side: Array | None = None) -> Array:
         """svec of [corner, side; side', 0] for each of a stack, as columns."""
-        n, m = self.posed.n, self.posed.dynamics.shape[2] + len(self.posed.seen)
+        n, m = self.posed.n, self.posed.dynamics.shape[2] + len(self.posed.multiplied)
         full = np.zeros((len(corner), m, m))
         full[:, :n, :n] = corner
         if side is not None:
@@ -179,7 +183,7 @@ class InclusionProgram:
 
     def _flow(self) -> list[Block]:
         p, n = self.posed, self.posed.n
-        q, m = p.dynamics.shape[2] - n, len(p.seen)
+        q, m = p.dynamics.shape[2] - n, len(p.multiplied)
         right = np.zeros((n + q + m, n + q + m))
         right[:n, :n] = -p.margin * np.eye(n)
         right[n : n + q, n : n + q] = (1 - p.margin) * p.Qw
@@ -200,12 +204,12 @@ class InclusionProgram:
 
     def _own(self, end: int) -> list[tuple[int, Array]]:
         """What the multipliers of one end add: p_k^2 - z_k^2."""
-        p, m = self.posed, len(self.posed.seen)
+        p, m = self.posed, len(self.posed.multiplied)
         if not m:
             return []
         size = p.dynamics.shape[2]
         full = np.zeros((m, size + m, size + m))
-        full[:, :size, :size] = -p.seen[:, :, None] * p.seen[:, None, :]
+        full[:, :size, :size] = -p.multiplied[:, :, None] * p.multiplied[:, None, :]
         for k in range(m):
             full[k, size + k, size + k] = 1.0
         scaled = self.scale.T @ full @ self.scale
@@ -256,7 +260,7 @@ class InclusionProgram:
         return np.asarray(x[self.gains_at : self.gains_at + int(np.prod(shape))].reshape(shape))
 
     def _solved(self, cost: Array, blocks: list[Block], fixed: list[Block]) -> tuple[Array | None, SolverRecord]:
-        m, more = len(self.posed.seen) * self.ends, len(cost) - self.width
+        m, more = len(self.posed.multiplied) * self.ends, len(cost) - self.width
         wider = [(kind, sparse.hstack([A, sparse.csc_matrix((A.shape[0], more))]).tocsc(), b) for kind, A, b in fixed]
         every: list[Block] = [*wider, *blocks]
         if m:
@@ -276,7 +280,7 @@ class InclusionProgram:
 
     def diagonals(self, x: Array) -> Array:
         """Multipliers per piece and end."""
-        m = len(self.posed.seen)
+        m = len(self.posed.multiplied)
         start = self.count * self.pairs
         return np.maximum(x[start : start + self.ends * m], 0.0).reshape(self.ends // 2, 2, m)
 

@@ -60,16 +60,16 @@ class InclusionSearch(PosedMembers):
             bad, hidden = list[int](), list[int]()
             if len(self.chosen) < len(self.members.dynamics):
                 bad = worst_violated(flow_slacks(own, found.P), self.chosen, JOINING)
-            if len(self.shown) < posed.outputs.shape[1]:
-                hidden = worst_violated(jump_slacks(own, found.P, found.gains), self.shown, JOINING)
+            if len(self.chosen_outputs) < posed.outputs.shape[1]:
+                hidden = worst_violated(jump_slacks(own, found.P, found.gains), self.chosen_outputs, JOINING)
             if not bad and not hidden:
                 return found
-            self.chosen, self.shown = sorted({*self.chosen, *bad}), sorted({*self.shown, *hidden})
+            self.chosen, self.chosen_outputs = sorted({*self.chosen, *bad}), sorted({*self.chosen_outputs, *hidden})
         return None
 
     def _solve_once(self, posed: PosedProgram, T: Array, narrow: bool) -> InclusionSolution | None:
         dynamics = self.pushed(posed)[self.chosen]
-        some = replace(posed, dynamics=dynamics, outputs=posed.outputs[:, self.shown])
+        some = replace(posed, dynamics=dynamics, outputs=posed.outputs[:, self.chosen_outputs])
         search = InclusionProgram(some, self.budget.seconds_left())
         floor, x, record = search.floor()
         if x is None:

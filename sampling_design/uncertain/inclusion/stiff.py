@@ -58,7 +58,7 @@ def fitted(
         posed, _T = posing(T)
         posed = drawn(search, posed, share)
         some = replace(posed, dynamics=posed.dynamics[search.chosen] if share else posed.dynamics[:1],
-                       outputs=posed.outputs[:, search.shown])  # fmt: skip
+                       outputs=posed.outputs[:, search.chosen_outputs])  # fmt: skip
         program = InclusionProgram(some, search.budget.seconds_left())
         x, slack, record = solve(program)
         if x is None:
@@ -68,14 +68,17 @@ def fitted(
             return None
         if join:
             bad = worst_violated(flow_slacks(posed, P), search.chosen, JOINING)
-            hidden = worst_violated(jump_slacks(posed, P, program.gains(x)), search.shown, JOINING)
+            hidden = worst_violated(jump_slacks(posed, P, program.gains(x)), search.chosen_outputs, JOINING)
             added = adversaries(search, posed, P, T)
             if len(added):
                 count = len(search.members.dynamics)
                 everyone = np.concatenate([search.members.dynamics, added])
                 search.members = search.members._replace(dynamics=everyone)
                 bad += range(count, len(everyone))
-            search.chosen, search.shown = sorted({*search.chosen, *bad}), sorted({*search.shown, *hidden})
+            search.chosen, search.chosen_outputs = (
+                sorted({*search.chosen, *bad}),
+                sorted({*search.chosen_outputs, *hidden}),
+            )
             if bad or hidden:
                 continue
         root, W = np.linalg.cholesky(np.mean(P, axis=0)), program.bound(x)

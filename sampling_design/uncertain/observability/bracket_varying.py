@@ -53,7 +53,7 @@ class VaryingSearch:
     def __init__(self, plant: TimeVaryingPlant, pieces: Pieces) -> None:
         self.plant, self.pieces = plant, pieces
         self.unit = plant.states.scales
-        self.table, self.shown = (
+        self.table, self.outputs = (
             part.in_units(unit, self.unit) if isinstance(part, MatrixTable) else None
             for part, unit in ((plant.A, self.unit), (plant.C, plant.outputs.scales))
         )
@@ -104,12 +104,12 @@ class VaryingSearch:
     def moved(self, t: float, mask: Mask | None) -> float:
         """How far the rows of a sample planned at t may be from those there, times within the horizon; of tables."""
         assert self.table is not None
-        assert self.shown is not None
+        assert self.outputs is not None
         d, keep = self.pieces.timing_tolerance.radius, slice(None) if mask is None else mask
         ends = max(t - d, 0.0), min(t + d, self.plant.horizon)
-        C = self.shown(t)[keep]
+        C = self.outputs(t)[keep]
         grown = max(float(np.linalg.norm(self.table(at), 2)) for at in self.table.knots(*ends)) * d
-        off = max(float(np.linalg.norm(self.shown(at)[keep] - C, 2)) for at in self.shown.knots(*ends))
+        off = max(float(np.linalg.norm(self.outputs(at)[keep] - C, 2)) for at in self.outputs.knots(*ends))
         return (float(np.linalg.norm(C, 2)) * float(np.expm1(grown)) + off * float(np.exp(grown))) * MOVED
 
     def before(self, node: _Node, s: float) -> _Node:

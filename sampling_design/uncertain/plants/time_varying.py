@@ -205,18 +205,18 @@ class TimeVaryingPlant(Record):
             raise ArgumentError(f"`times` must lie in [0, {self.horizon:.6g}].")
         spread = None if w_spread is None or self.G is None else checks.vector("w_spread", w_spread, None) ** 2
         n, unit = self.n_states, self.states.scales
-        shown = np.array([np.asarray(self.C(t), dtype=float) for t in grid.tolist()]) * unit
-        shown = shown / self.outputs.scales[:, None]
+        outputs = np.array([np.asarray(self.C(t), dtype=float) for t in grid.tolist()]) * unit
+        outputs = outputs / self.outputs.scales[:, None]
         if isinstance(self.A, MatrixTable):
             own = self.A.in_units(unit, unit)
             driven = self.G.in_units(unit, np.ones(len(self.disturbances))) if isinstance(self.G, MatrixTable) else None
             gaps = zip(grid[:-1].tolist(), grid[1:].tolist(), strict=True)
             found = [table_flow(own, None if spread is None else driven, spread, a, b) for a, b in gaps]
             F, W = (np.array([part[k] for part in found]).reshape(-1, n, n) for k in (0, 1))
-            return TransitionTable(F, W, shown, np.array([part[2] for part in found]), True)
+            return TransitionTable(F, W, outputs, np.array([part[2] for part in found]), True)
         coarse, fine = (self._flow_along(grid, spread, tolerance) for tolerance in (TOLERANCE, CLOSER * TOLERANCE))
         errors = np.linalg.norm(fine[:, :n] - coarse[:, :n], ord=2, axis=(1, 2))
-        return TransitionTable(fine[:, :n], fine[:, n:], shown, errors, False)
+        return TransitionTable(fine[:, :n], fine[:, n:], outputs, errors, False)
 
     def _flow_along(self, grid: Array, spread: Array | None, tolerance: float) -> Array:
         """Phi over W for each gap, scaled, (K-1, 2n, n)."""

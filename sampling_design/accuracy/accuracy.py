@@ -209,15 +209,15 @@ def _bracketed(search: ChainSearch, row: Array, tolerance: float) -> RowSearch:
 
 
 def _witness(
-    side: ChainSearch, question: AccuracyQuestion, shown: RowSearch, moves: bool, rounding: float
+    side: ChainSearch, question: AccuracyQuestion, searched: RowSearch, moves: bool, rounding: float
 ) -> tuple[AccuracyWitness, int, int]:
     """The strongest witness of a row, its node and offset; at real times that are sought, if samples may move.
 
     At rest where it attains `rounding` alone.
     """
-    witness, j, offset = strongest_witness(side, shown.row, question, shown)
+    witness, j, offset = strongest_witness(side, searched.row, question, searched)
     if moves and j < len(side.chain):  # where some results are out, it stays at planned times
-        witness = max(witness, moved_witness(side, question, shown, j, offset), key=lambda found: found.value)
+        witness = max(witness, moved_witness(side, question, searched, j, offset), key=lambda found: found.value)
     return witness if witness.value > rounding else witness.within(np.inf, 0.0), j, offset
 
 
@@ -267,12 +267,12 @@ def _record(
         again = finder.opened(search.row)  # with what was found for the rows after it
         at_samples[k] = _at_samples(question, finder.chain, again)
         above[k] = np.concatenate(list(again.panels.values()))
-        side, shown = (finder, again) if planned is None else (planned, planned.row(search.row, rtol, MOST_SOLVES))
-        below[k] = np.concatenate([side.below(shown, j)[:-1] for j in shown.opened])
+        side, searched = (finder, again) if planned is None else (planned, planned.row(search.row, rtol, MOST_SOLVES))
+        below[k] = np.concatenate([side.below(searched, j)[:-1] for j in searched.opened])
         if not np.isfinite(at_samples[k]).any() and not np.isfinite(above[k]).any():
             continue
         upper[k] = finder.top(again)[0] * (1 + MARGIN)
-        witness, j, offset = _witness(side, question, shown, side is planned and not known.modes, KEPT * upper[k])
+        witness, j, offset = _witness(side, question, searched, side is planned and not known.modes, KEPT * upper[k])
         witnesses[k], lower[k] = witness, witness.value * (1 - KEPT)
         worst[k] = question.time_of(finder.chain, j) + again.opened[j].d[offset]
         if plain:

@@ -243,12 +243,12 @@ class _Curves:
             "assumed at the start. Give a shorter schedule."
         )
 
-    def _sizes(self, roots: list[Array], seen: bool = True) -> Array:
+    def _sizes(self, roots: list[Array], observable: bool = True) -> Array:
         """Standard deviations at the nodes of what the samples determine, or of what they do not."""
         found = []
         for atoms, L, root in zip(self._atoms, self._L, roots, strict=True):
             r, whole = atoms.basis.shape[1], np.linalg.svd(atoms.basis)[0]
-            chosen = whole[:, :r] if seen else whole[:, r:]
+            chosen = whole[:, :r] if observable else whole[:, r:]
             found.append(np.linalg.norm(chosen.T @ np.linalg.solve(L, root), axis=1))
         return np.concatenate(found)
 

@@ -128,13 +128,13 @@ def finite_atoms(chain: SampleChain, given: Sequence[Array] = ()) -> list[Bounde
     assert start is not None
     n = chain.D.size
     free = start.free(n)
-    seen: list[Array] = []
+    observed: list[Array] = []
     found: list[BoundedDirections] = []
     known: list[Array | None] = []
     for j in range(len(chain)):
         free = chain.gaps[j - 1].F @ free if j else free
-        seen.append(chain.samples[j].H @ free)
-        basis = _determined(free, seen)
+        observed.append(chain.samples[j].H @ free)
+        basis = _determined(free, observed)
         reach = given[j] if j < len(given) else filtered_bounds(chain, j, start, known, basis)
         found.append(BoundedDirections(basis, reach))
         known.append(found[j].reach if j and basis.shape[1] == n else None)
@@ -144,16 +144,16 @@ def finite_atoms(chain: SampleChain, given: Sequence[Array] = ()) -> list[Bounde
 def determined_at(chain: SampleChain, path: list[int]) -> Array:
     """Orthonormal columns that span what the samples of a path from the start determine at its last node."""
     assert chain.start is not None
-    free, seen = chain.start.free(chain.D.size), list[Array]()
+    free, observed = chain.start.free(chain.D.size), list[Array]()
     if not free.shape[1]:
         return np.eye(len(free))
     for k, node in enumerate(path):
         free = chain.gap(path[k - 1]).F @ free if k else free
-        seen.append(chain.samples[node].H @ free)
-    return _determined(free, seen)
+        observed.append(chain.samples[node].H @ free)
+    return _determined(free, observed)
 
 
-def _determined(free: Array, seen: list[Array]) -> Array:
+def _determined(free: Array, observed: list[Array]) -> Array:
     """Orthonormal columns that span what nothing free and unseen touches.
 
     Raises UndecidedError if something free has decayed so far that rounding hides whether it is seen, or where it
@@ -162,7 +162,7 @@ def _determined(free: Array, seen: list[Array]) -> Array:
     n = len(free)
     if not free.shape[1]:
         return np.eye(n)
-    rows = np.vstack(seen)
+    rows = np.vstack(observed)
     rows = rows / np.maximum(1.0, np.linalg.norm(rows, axis=1, keepdims=True))
     shown = np.linalg.norm(rows, axis=0)
     sizes, right = _strengths(rows)

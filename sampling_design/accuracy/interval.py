@@ -17,7 +17,7 @@ from sampling_design.accuracy.outliers import left_out
 from sampling_design.accuracy.readings import Arrived, Readings, arrived, rows_of
 from sampling_design.accuracy.record_program import DISPROVED, SPREADS, RecordProgram, RowEnd
 from sampling_design.accuracy.record_readings import beginning, read_record
-from sampling_design.accuracy.undetectable import modes_with, unseen_modes
+from sampling_design.accuracy.undetectable import modes_with, unobservable_modes
 from sampling_design.accuracy.witness import KEPT
 from sampling_design.checkers.check import verdict
 from sampling_design.errors import ArgumentError
@@ -74,7 +74,7 @@ class Disproof(PlainRecord):
         shares = np.zeros(len(self.readings.times))
         np.add.at(shares, self.readings.nodes, np.abs(self.gains["all"]) * self.readings.size)
         if not shares.any():
-            np.add.at(shares, self.readings.nodes, np.abs(self.gains["all"] * self.readings.shown))
+            np.add.at(shares, self.readings.nodes, np.abs(self.gains["all"] * self.readings.residuals))
         order = np.argsort(-shares, kind="stable")
         count = int(np.searchsorted(np.cumsum(shares[order]), MOSTLY * shares.sum())) + 1
         return np.asarray(order[:count])
@@ -318,7 +318,7 @@ class Interval(TableRecord, PlainRecord):
         sentences = [f"The data prove {', '.join(said)}."] if said else []
         if not bounded.all():
             names = ", ".join(n for n, *_, known in ends if not known)
-            modes = self.unseen_modes
+            modes = self.unobservable_modes
             why = f": no reading shows {modes_with(modes)}" if modes else ""
             sentences.append(f"They leave {names} unbounded{why}.")
         return " ".join([*sentences, *([self.notice] if self.notice else [])])
@@ -338,10 +338,10 @@ class Interval(TableRecord, PlainRecord):
         )
 
     @property
-    def unseen_modes(self) -> tuple[str, ...]:
+    def unobservable_modes(self) -> tuple[str, ...]:
         """Eigenvalues that no output that was read shows, in words."""
         measured = {row.H.tobytes(): row.H for rows in self.readings.rows for row in rows if not row.below}
-        return unseen_modes(self.plant.A, np.array(list(measured.values())).reshape(-1, self.plant.n_states))
+        return unobservable_modes(self.plant.A, np.array(list(measured.values())).reshape(-1, self.plant.n_states))
 
 
 @checked

@@ -375,7 +375,7 @@ class Readings:
         return np.asarray(x[: self.plant.n_states])
 
     @cached_property
-    def shown(self) -> Array:
+    def residuals(self) -> Array:
         """(R,) what was read less what the nominal state would show."""
         return np.asarray(self.y - np.einsum("rn,rn->r", self.H, self.nominal[self.nodes]))
 

@@ -11,7 +11,7 @@ from sampling_design.records.arrays import Array
 
 
 class RecordCones:
-    """States count as x = path + D L z, readings (`shown`) from `path`; `H` and `path` in D coordinates, in `unit`.
+    """States count as x = path + D L z, residuals of readings from `path`; `H` and `path` in D coordinates, in `unit`.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class RecordCones:
         tolerance: float,
     ):
         self._readings, self._unit = readings, unit
-        self._shown = readings.shown - np.einsum("rn,rn->r", H, path[readings.nodes])
+        self._residuals = readings.residuals - np.einsum("rn,rn->r", H, path[readings.nodes])
         self._K, self._n, self._q = len(readings.times), len(D), readings.G.shape[1]
         root = readings.start.root
         self._starts = 0 if root is None else root.shape[1]
@@ -81,7 +81,7 @@ class RecordCones:
     def _pose_readings(self, table: ConeTable, H: Array) -> None:
         """Readings and bounds: first what is exact, then what is linear, then what is round."""
         read = self._readings
-        y, size = self._shown / self._unit, read.size / self._unit
+        y, size = self._residuals / self._unit, read.size / self._unit
         columns = self._starts + read.nodes[:, None] * self._n + np.arange(self._n)
         self._exact_at = table.block(self._exact, columns, H, y)
         table.end("zero")

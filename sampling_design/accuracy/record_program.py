@@ -73,9 +73,9 @@ class RowEnd:
 
 @dataclass(frozen=True, eq=False)
 class GainCost:
-    """What gains cost: 0 <= shown + start + w + v for the row 0; `fixed` is in units of no bound."""
+    """What gains cost: 0 <= residuals + start + w + v for the row 0; `fixed` is in units of no bound."""
 
-    shown: float
+    residuals: float
     start: float
     w: float
     v: float
@@ -390,7 +390,7 @@ class RecordProgram:
         """
         path = np.zeros((len(self.readings.times), len(self.table.D)))
         with np.errstate(over="ignore", invalid="ignore"):
-            path[0] = self._free.start(self.readings.shown)
+            path[0] = self._free.start(self.readings.residuals)
             for k, F in enumerate(self.F):
                 path[k + 1] = F @ path[k]
         return path if np.isfinite(path).all() else np.zeros_like(path)
@@ -407,11 +407,11 @@ class RecordProgram:
 
     def _terms(self, c: Array, gains: Array) -> float:
         """The size of the terms that what is left of the start is a difference of."""
-        terms = np.abs(gains) @ self._shown_sizes if gains.size else 0.0
+        terms = np.abs(gains) @ self._residual_sizes if gains.size else 0.0
         return float(np.linalg.norm(self.L.T @ c) + terms)
 
     @cached_property
-    def _shown_sizes(self) -> Array:
+    def _residual_sizes(self) -> Array:
         return np.asarray(np.linalg.norm(self.H @ self.L, axis=1))
 
     def upper(self, t: float, row: Array, gains: Array) -> RowEnd:
@@ -423,12 +423,12 @@ class RecordProgram:
         c, added = self._ahead(t, row)
         spent = self.budget(c, gains)
         nominal = self.readings.nominal_at(t)
-        value = float(row @ nominal) + spent.shown
+        value = float(row @ nominal) + spent.residuals
         width = (added + spent.start + spent.w + spent.v) * (1 + ROUNDING)
         read = self.readings
-        terms = np.abs(row) @ np.abs(nominal) + np.abs(gains) @ (np.abs(read.y) + np.abs(read.shown))
+        terms = np.abs(row) @ np.abs(nominal) + np.abs(gains) @ (np.abs(read.y) + np.abs(read.residuals))
         end = value + width + HELD * float(terms)
-        return RowEnd(end if np.isfinite(end) else np.inf, spent.shown + width, width, gains)
+        return RowEnd(end if np.isfinite(end) else np.inf, spent.residuals + width, width, gains)
 
     def budget(self, c: Array, gains: Array) -> GainCost:
         """Return what gains cost for a target (n,) in D coordinates at the last time."""
@@ -441,7 +441,7 @@ class RecordProgram:
             start = read.start.support((rest / self.table.D)[: read.plant.n_states])
         else:
             start = 0.0 if self._closed(c, gains, rest) else np.inf
-        return GainCost(float(gains @ read.shown), start, w, self._noise(gains))
+        return GainCost(float(gains @ read.residuals), start, w, self._noise(gains))
 
     def _noise(self, gains: Array) -> float:
         read = self.readings
@@ -474,8 +474,8 @@ class RecordProgram:
         fixed = {"all": 0.0, "w": spent.start + spent.v, "v": spent.start + spent.w}[which]
         grown = {"all": spent.start + spent.w + spent.v, "w": spent.w, "v": spent.v}[which]
         read = self.readings
-        error = HELD * float(np.abs(gains) @ (np.abs(read.y) + np.abs(read.shown)))
-        needed = -spent.shown - fixed * (1 + ROUNDING) - error
+        error = HELD * float(np.abs(gains) @ (np.abs(read.y) + np.abs(read.residuals)))
+        needed = -spent.residuals - fixed * (1 + ROUNDING) - error
         if needed <= 0:
             return 0.0
         return needed / (grown * (1 + ROUNDING)) if grown > 0 else np.inf

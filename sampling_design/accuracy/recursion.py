@@ -55,7 +55,7 @@ class PeriodicEstimate(PlainRecord):
 class _Phase:
     """What one update at one sample of the period needs."""
 
-    seen: Index
+    outputs: Index
     F: Array  # to this sample from the one before, inputs as further columns
     C: Array  # (p_j, n + m) over the noise, inputs as further columns
     size: Array
@@ -143,7 +143,7 @@ class PeriodicGains:
         self._start: StartSet = start.scaled(chain.D[:, None] * chain.L[first % len(chain)], chain.D, TINY)
         self._x = np.array(checks.vector("prior", np.zeros(plant.n_states) if prior is None else prior, plant.n_states))
         self._x = self._x + start.centre
-        self._seen = np.zeros(2 * self._back * self._p)
+        self._innovations = np.zeros(2 * self._back * self._p)
         self._at = self._back * self._p
         self._count, self._j = 0, first % len(chain)
         self._time = float(schedule.times[self._j])
@@ -179,17 +179,17 @@ class PeriodicGains:
         joint = np.concatenate([x, self._u])
         if self._count:
             joint[:n] = phase.F @ joint + phase.drift
-        innovation = read[phase.seen] / phase.size - phase.C @ joint - phase.shift
+        innovation = read[phase.outputs] / phase.size - phase.C @ joint - phase.shift
         if not np.isfinite(innovation).all():
             raise ArgumentError(
                 f"`y` must be finite where the schedule measures, got {read.tolist()!r} at {self._time!r}."
             )
         self._x = joint[:n] + phase.K @ innovation
-        if self._at == self._seen.size:
-            self._seen[: self._back * self._p] = self._seen[self._back * self._p :]
+        if self._at == self._innovations.size:
+            self._innovations[: self._back * self._p] = self._innovations[self._back * self._p :]
             self._at = self._back * self._p
-        self._seen[self._at : self._at + self._p] = 0.0
-        self._seen[self._at + phase.seen] = innovation
+        self._innovations[self._at : self._at + self._p] = 0.0
+        self._innovations[self._at + phase.outputs] = innovation
         self._at += self._p
         value = self.rows.matrix @ self._x
         radii = phase.radii
@@ -197,7 +197,7 @@ class PeriodicGains:
         if self._passed is not None:
             radii = self._early(phase)
         if self._count > self._back:
-            value = value + phase.weights @ self._seen[self._at - self._back * self._p : self._at]
+            value = value + phase.weights @ self._innovations[self._at - self._back * self._p : self._at]
         estimate = PeriodicEstimate(self._time, value, radii)
         self._u = kept
         self._j = (self._j + 1) % len(self._phases)
@@ -233,7 +233,7 @@ def _phase(search: ChainSearch, plant: Plant, found: Accuracy, j: int) -> _Phase
     parts = [_on_innovations(search, j, column, one) for column, one in zip(mu.T, made, strict=True)]
     shift = np.zeros(len(sample.H)) if bounds.v_centre is None else bounds.v_centre[j, sample.outputs] / sample.size
     return _Phase(
-        seen=sample.outputs,
+        outputs=sample.outputs,
         F=freeze(flow[:, : n + m]),
         C=freeze(np.hstack([plant.C, plant.D])[sample.outputs] / sample.size[:, None]),
         size=sample.size,

@@ -28,7 +28,7 @@ class ResultsIn(NamedTuple):
     end: float
     samples: Index  # those of which something measured may be out or is just in, in order; the last has something in
     times: Array
-    seen: Mask  # (k, p): what of them is in
+    arrived: Mask  # (k, p): what of them is in
 
 
 def results_in(times: Array, delays: Array, *, period: float | None = None, end: float = np.inf) -> list[ResultsIn]:
@@ -50,7 +50,7 @@ def with_results_out(chain: SampleChain, delays: Array) -> SampleChain:
     spans, again, before, samples = list[KnownSpan](), list[int](), list[int](), list(chain.samples)
     for arrival in arrivals:
         measured = np.isfinite(delays[arrival.samples])
-        part = np.flatnonzero(np.any(measured & ~arrival.seen, axis=1))
+        part = np.flatnonzero(np.any(measured & ~arrival.arrived, axis=1))
         node, first = int(arrival.samples[-1]), int(part[0]) if part.size else len(arrival.samples)
         for k in range(first, len(arrival.samples)):
             j = int(arrival.samples[k])
@@ -58,7 +58,7 @@ def with_results_out(chain: SampleChain, delays: Array) -> SampleChain:
                 len(samples) - 1 if k > first else (j - 1 if chain.start is not None else (j - 1) % len(chain))
             )
             again.append(j)
-            samples.append(_without(chain.samples[j], arrival.seen[k]))
+            samples.append(_without(chain.samples[j], arrival.arrived[k]))
             node = len(samples) - 1
         time = float(arrival.times[-1])
         spans.append(KnownSpan(node, time, arrival.begin - time, arrival.end - time))
@@ -121,9 +121,9 @@ def _filter_of(chain: SampleChain, path: list[int]) -> Callable[[int, Array], Ar
     return lambda k, rest: chain.samples[path[k]].K.T @ rest
 
 
-def _without(sample: ChainSample, seen: Mask) -> ChainSample:
+def _without(sample: ChainSample, arrived: Mask) -> ChainSample:
     """A sample of which only some outputs are in."""
-    keep = seen[sample.outputs]
+    keep = arrived[sample.outputs]
     return ChainSample(sample.outputs[keep], sample.size[keep], sample.H[keep], sample.exact[keep], sample.K[:, keep])
 
 
@@ -172,8 +172,8 @@ def _each(
     found = list[ResultsIn]()
     for begin, end, first, last in zip(marks.tolist(), ends.tolist(), firsts.tolist(), lasts.tolist(), strict=True):
         part = slice(first, last + 1)
-        seen = measured[part] & (comes[part] <= begin + tiny)
-        found.append(ResultsIn(begin, end, index[part], times[part], seen))
+        arrived = measured[part] & (comes[part] <= begin + tiny)
+        found.append(ResultsIn(begin, end, index[part], times[part], arrived))
     return found
 
 

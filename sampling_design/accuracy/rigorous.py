@@ -294,7 +294,7 @@ class _BallTrajectory:
     def gap(self, k: int) -> tuple[Ball, Ball] | None:
         """By how much sample k and the gap behind it exceed their bounds, and the row at its end; None: not decided."""
         witness, a, b = self.witness, self.ends[k], self.ends[k + 1]
-        most, blocks, ahead = self._shown(k), [], matrix(np.eye(self.n))
+        most, blocks, ahead = self._largest_reading(k), [], matrix(np.eye(self.n))
         if most is None:
             return None
         for cell in range(b - 1, a - 1, -1):
@@ -325,7 +325,7 @@ class _BallTrajectory:
         reached = zip(witness.row, _entries(state), self.D, strict=True)
         return most, sum((ball(c) * z * d for c, z, d in reached), ball(0.0))
 
-    def _shown(self, k: int) -> Ball | None:
+    def _largest_reading(self, k: int) -> Ball | None:
         """The largest ratio of C x to its bound at sample k; None if an exact sensor shows anything."""
         witness, v = self.witness, self.bounds.v
         ratios = [ball(0.0)]

@@ -331,7 +331,7 @@ def endless_chain(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Array
     F, W = discounted_flow(A, G @ G.T, gaps)
     W = W * float(np.mean(gaps))
     rows, sizes, exact = noise_units(plant.C * balance, bounds, W)
-    D = state_scales(F, W, rows if moving is None else _seen_between(A, gaps, rows))
+    D = state_scales(F, W, rows if moving is None else _rows_between(A, gaps, rows))
     A, G = A * D / D[:, None], G / D[:, None]
     F, W = F * D / D[:, None], W / np.outer(D, D)
     rows = [H * D for H in rows]
@@ -360,7 +360,7 @@ def endless_chain(plant: Plant, gaps: Array, bounds: SignalBounds, moving: Array
     return SampleChain(plant, bounds, balance * D, L, A, G, tuple(samples), tuple(steps), hidden=len(A) - r)
 
 
-def _seen_between(A: Array, gaps: Array, rows: list[Array]) -> list[Array]:
+def _rows_between(A: Array, gaps: Array, rows: list[Array]) -> list[Array]:
     """Rows of the samples and of times between them, for sizes: what samples alone hide must not look small."""
     flows = [expm_batch(A, h * np.array(BETWEEN)) for h in gaps]
     return [np.vstack([H, *(H @ E)]) for H, E in zip(rows, flows, strict=True)]

@@ -108,7 +108,7 @@ def open_modes(A: Array, U: Array) -> tuple[str, ...]:
     return tuple(found)
 
 
-def unseen_modes(A: Array, C: Array) -> tuple[str, ...]:
+def unobservable_modes(A: Array, C: Array) -> tuple[str, ...]:
     """Return the eigenvalues of A, in words, that some direction has which no row of C shows (Hautus)."""
     d = balanced_schur(A).d
     A, C = A * d / d[:, None], C * d

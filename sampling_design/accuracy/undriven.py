@@ -29,7 +29,7 @@ class UndrivenMotions:
     scale: Array  # (n,): of the states; balances A
     modes: Complex  # (n, m): eigenvectors of length one, in that scale
     # (p, m): what outputs show of each at most, in units of the least noise that a sample of the period bounds them by
-    shown: Array
+    output_sizes: Array
     ball: bool  # whether the noise of a sample is bounded in the Euclidean norm
 
     @classmethod
@@ -48,8 +48,8 @@ class UndrivenMotions:
         modes[np.abs(modes) < LASTS] = 0.0
         size_of = np.abs(plant.C * scale @ modes)
         with np.errstate(divide="ignore"):
-            shown = np.divide(size_of, v[:, None], out=np.zeros_like(size_of), where=size_of > 0)
-        return cls(scale, modes, shown, bounds.v_ball)
+            output_sizes = np.divide(size_of, v[:, None], out=np.zeros_like(size_of), where=size_of > 0)
+        return cls(scale, modes, output_sizes, bounds.v_ball)
 
     def _shares(self, x: Array) -> Complex:
         return np.asarray(np.linalg.lstsq(self.modes, (x / self.scale).astype(complex))[0])
@@ -63,14 +63,17 @@ class UndrivenMotions:
         from scipy.optimize import linprog
 
         reached = (row * self.scale) @ self.modes
-        finite = np.isfinite(self.shown).all(axis=0)
-        sizes, shown = np.abs(reached) * finite, np.where(finite, self.shown, 0.0)
-        seen = shown.max(axis=0, initial=0.0)
+        finite = np.isfinite(self.output_sizes).all(axis=0)
+        sizes, output_sizes = np.abs(reached) * finite, np.where(finite, self.output_sizes, 0.0)
+        seen = output_sizes.max(axis=0, initial=0.0)
         unit = np.where(seen > 0, seen, 1.0)
         if not np.any(sizes * seen):
             return np.zeros(row.size)
         found = linprog(
-            -sizes / unit, A_ub=shown / unit, b_ub=np.ones(len(shown)), bounds=[(0.0, float(s > 0)) for s in seen]
+            -sizes / unit,
+            A_ub=output_sizes / unit,
+            b_ub=np.ones(len(output_sizes)),
+            bounds=[(0.0, float(s > 0)) for s in seen],
         )
         return np.asarray(self.scale * (self.modes @ (found.x / unit * np.exp(-1j * np.angle(reached)))).real)
 
@@ -81,5 +84,5 @@ class UndrivenMotions:
         if np.linalg.norm(z - self.modes @ shares) > AMONG * np.linalg.norm(z):
             return np.inf
         with np.errstate(invalid="ignore"):
-            sizes = np.where(np.abs(shares) > 0, self.shown * np.abs(shares), 0.0).sum(axis=1)
+            sizes = np.where(np.abs(shares) > 0, self.output_sizes * np.abs(shares), 0.0).sum(axis=1)
         return float(np.linalg.norm(sizes) if self.ball else np.max(sizes, initial=0.0))

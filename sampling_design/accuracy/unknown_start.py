@@ -116,7 +116,7 @@ class FreeStart:
                     return True
         return False
 
-    def start(self, shown: Array) -> Array:
+    def start(self, residuals: Array) -> Array:
         """Return a start (n,) that shows about what two-sided rows showed.
 
         Only in the directions in which it must, to come within `NEAR` of them: where little is seen of one, noise alone
@@ -128,7 +128,7 @@ class FreeStart:
             return np.zeros(len(size))
         size = np.where(size > 0, size, 1.0)
         left, seen, right = np.linalg.svd(rows / size, full_matrices=False)
-        part = left.T @ (shown / self._unit)
+        part = left.T @ (residuals / self._unit)
         needed = (seen > CUT * seen.max(initial=0.0)) & (np.abs(part) > NEAR)
         return np.asarray(np.where(needed, part / np.where(needed, seen, 1.0), 0.0) @ right / size)
 

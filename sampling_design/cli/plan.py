@@ -17,7 +17,7 @@ from sampling_design.cli.settings import (
     Settings,
     TimingOption,
     end_bracket,
-    end_unseen,
+    end_unobservable,
     record_table,
     table,
     timing,
@@ -175,7 +175,7 @@ def design(
     if result.decay is not None:
         told = _bought(result, plant_file)
     settings.show(result.to_dict(), record_table(result), *_samples(result), result.explain(), *told)
-    end_unseen(result)
+    end_unobservable(result)
 
 
 def _bought(result: ScheduleDesign, plant_file: Path) -> list[str]:

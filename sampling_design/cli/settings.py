@@ -396,7 +396,7 @@ def end_bracket(settings: Settings, result: WindowSigma | WorstCaseSigma, name: 
         raise typer.Exit(1)
 
 
-def end_unseen(design: ScheduleDesign) -> None:
+def end_unobservable(design: ScheduleDesign) -> None:
     """Leave with 1 where no schedule sees every state, and with 3 where only none was found."""
     if not design.sigma > 0:
         raise typer.Exit(1 if design.upper_bound == 0 else 3)

@@ -19,7 +19,7 @@ from sampling_design.cli.settings import (
     Settings,
     TimingOption,
     end_bracket,
-    end_unseen,
+    end_unobservable,
     record_table,
     timing,
     timing_number,
@@ -132,7 +132,7 @@ def losses(
         )
     if result is None:
         settings.show({"without": []}, design.explain())
-        end_unseen(design)
+        end_unobservable(design)
         return
     folder = settings.folder()
     if folder is not None:

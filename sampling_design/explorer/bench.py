@@ -246,7 +246,7 @@ class Bench:
         told = self._rules()
         if not self.split.retained.n_states:
             return {"t": [], "sigma": [], "piece": [], "lower": None, "told": [*told, self.split.explain()]}
-        shown = self._shown(self.schedule)
+        shown = self._window_sigma(self.schedule)
         profile = shown.profile
         broken = [] if shown.lower > self.clear else self._broken(shown, moving)
         return {
@@ -263,7 +263,7 @@ class Bench:
             "broken": bool(broken),
         }
 
-    def _shown(self, schedule: PeriodicSchedule) -> WindowSigma:
+    def _window_sigma(self, schedule: PeriodicSchedule) -> WindowSigma:
         """Sigma of a schedule for the times that the requirement allows, as long as its samples keep their order."""
         kept = self._kept(self.requirement.timing_tolerance, schedule)
         return window_sigma(self.split.retained, schedule, self.window, budget=LIVE_BUDGET, timing_tolerance=kept)
@@ -336,7 +336,7 @@ class Bench:
                     marks = [{"t": float(t), "on": row.tolist()} for t, row in zip(moved, on, strict=True)]
                     if not 0 <= moved[k] < self.period or np.unique(moved).size < moved.size:
                         continue
-                    found = self._shown(self._scheduled(marks))
+                    found = self._window_sigma(self._scheduled(marks))
                     tried.append((found.lower, sign * share * step, k))
         best = max((sigma for sigma, _, _ in tried), default=0.0)
         if not best > 0:

@@ -42,8 +42,9 @@ class KeptFunction:
 
 def takes_time(function: object) -> bool:
     """Whether a function of a user has a fourth argument without a default: the time."""
-    if isinstance(function, KeptFunction):
-        return function.timed
+    match function:
+        case KeptFunction(timed=timed):
+            return timed
     try:
         parameters = inspect.signature(function).parameters.values()  # type: ignore[arg-type]
     except (TypeError, ValueError):

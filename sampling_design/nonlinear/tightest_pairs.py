@@ -113,7 +113,8 @@ class TightestPairs:
         slopes = self.plant.slopes_casadi(path.x[j], path.u, path.w[j], path.v[j], path.grid[j])
         C, E = (np.array(slopes[k]) for k in (3, 5))
         C, E = C * scale["states"] / scale["outputs"][:, None], E * scale["noises"] / scale["outputs"][:, None]
-        spread = np.linalg.solve(weights.R, np.eye(len(weights.R))) + E @ np.linalg.solve(weights.Qv, E.T)
+        noise = np.linalg.solve(weights.R, np.eye(len(weights.R))) + E @ np.linalg.solve(weights.Qv, E.T)
+        spread: Array = np.asarray(noise, dtype=np.float64)
         return measurement_update(Y, whitened(C[mask], spread[np.ix_(mask, mask)]))
 
 

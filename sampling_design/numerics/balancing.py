@@ -43,7 +43,7 @@ def balance(A: Array, C: Array | None = None) -> Balance:
     n = A.shape[0]
     d = np.ones(n)
     if not A.any():
-        return Balance(_shown(A, C, d), np.arange(n), 0.0)
+        return Balance(_scaled_by_outputs(A, C, d), np.arange(n), 0.0)
     top = int(np.floor(np.log2(np.max(np.abs(A)))))
     moderate = np.ldexp(A, -top)  # neither 1e200 nor 1e-200 squared is a number
     count, part = connected_components(csr_array(A != 0), directed=True, connection="strong")
@@ -64,7 +64,9 @@ def balance(A: Array, C: Array | None = None) -> Balance:
     np.maximum.at(size, (part[:, None], part), entries)
     np.fill_diagonal(size, -np.inf)
     d *= np.exp2(np.rint(_between(size - goal))[part])
-    return Balance(_shown(A, C, d), np.argsort(_depth(np.isfinite(size))[part] * count + part, kind="stable"), fastest)
+    return Balance(
+        _scaled_by_outputs(A, C, d), np.argsort(_depth(np.isfinite(size))[part] * count + part, kind="stable"), fastest
+    )
 
 
 def balanced(A: Array, d: Array) -> Array:
@@ -81,7 +83,7 @@ def balanced_rows(C: Array, d: Array) -> Array:
     return np.ldexp(C, np.where(C != 0, np.clip(power - top, -4000, 4000), 0))
 
 
-def _shown(A: Array, C: Array | None, d: Array) -> Array:
+def _scaled_by_outputs(A: Array, C: Array | None, d: Array) -> Array:
     """Scales d times one factor for each set of states that no coupling leaves, by the size of C diag(d) there."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components

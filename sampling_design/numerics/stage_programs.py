@@ -77,7 +77,7 @@ class StageProgram:
         self._rows = np.vstack([S, *H])
         self._stage = np.repeat(np.arange(self.K + 1), [len(S), *map(len, H)]) - 1
         self._stage[: len(S)] = 0
-        self._seen = np.cumsum([len(S), *map(len, H)])
+        self._reading_ends = np.cumsum([len(S), *map(len, H)])
         self._F = np.array(F).reshape(-1, self.n, self.n)
         self._widths = [X.shape[1] for X in B]
         self._places = np.concatenate([[0], np.cumsum(self._widths)]).astype(int)
@@ -122,7 +122,7 @@ class StageProgram:
             found[gaps] = (B @ u[spots][:, :, None])[:, :, 0]
         return found
 
-    def _shown(self, p: Array) -> Array:
+    def _input_slopes(self, p: Array) -> Array:
         """B'p of each gap, in one row."""
         found = np.empty(self._places[-1])
         for gaps, spots, B in self._groups:
@@ -189,7 +189,7 @@ class StageProgram:
         return self._solution(z, t, self.signed(m), p, size, gap)
 
     def _solution(self, z: Array, t: Array, q: Array, p: Array, size: float, gap: float) -> StageSolution:
-        at = self._many + self._seen
+        at = self._many + self._reading_ends
         seen = [size * q[i:j] for i, j in pairwise(at)]
         u = [t[i:j] for i, j in pairwise(self._places)]
         return StageSolution(z, tuple(u), tuple(seen), size * p, size * q[self._many : at[0]], gap)
@@ -197,12 +197,12 @@ class StageProgram:
     def _first(self, p: Array, target: Array, gains: Array) -> Array:
         """First multipliers, which balance those of a guess; their costates are written to p."""
         q = np.zeros(self._entries)
-        q[self._many + self._seen[0] :] = gains
+        q[self._many + self._reading_ends[0] :] = gains
         g, pull = target[-1], self._gathered(q[self._many :])
         for k in range(self.K - 2, -1, -1):
             p[k] = g - pull[k + 1]
             g = self._F[k].T @ p[k]
-        q[: self._many] = self._shown(p)
+        q[: self._many] = self._input_slopes(p)
         level = max(float(np.mean(np.abs(q))), 1e-3 / q.size)
         return np.concatenate([np.maximum(q, 0) + level, np.maximum(-q, 0) + level])
 
@@ -221,7 +221,7 @@ class StageProgram:
         rest[:-1] -= (p[:, None, :] @ self._F)[:, 0, :]
         if self._at_rest:
             rest[0] = 0.0
-        w = self._shown(p) - q[: self._many]
+        w = self._input_slopes(p) - q[: self._many]
         return max(float(np.max(np.abs(rest))), float(np.max(np.abs(w), initial=0.0)))
 
     def factorised(self, D: Array) -> tuple[Array, Index]:
@@ -248,7 +248,7 @@ class StageProgram:
         x, _ = dgbtrs(system[0], self._width, self._width, blocks.ravel()[: self._size], system[1])
         blocks = np.concatenate([x, np.zeros(n)]).reshape(K, 2, n)
         dz, p = blocks[:, 0], blocks[:-1, 1]
-        dt = np.concatenate([(self._shown(p) - aimed[:many]) / D[:many], self._looked(dz)])
+        dt = np.concatenate([(self._input_slopes(p) - aimed[:many]) / D[:many], self._looked(dz)])
         return dz, p, dt
 
 

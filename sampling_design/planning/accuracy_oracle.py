@@ -138,7 +138,7 @@ class AccuracyOracle:
         length = int(np.floor(each.end - last + WHOLE))
         if begin > length:
             return None
-        return GridSpan(first + last, begin, length, (first + np.round(each.times).astype(np.intp), each.seen))
+        return GridSpan(first + last, begin, length, (first + np.round(each.times).astype(np.intp), each.arrived))
 
     def elsewhere(self, chosen: Mask, trajectory: HiddenTrajectory, level: float) -> list[HiddenTrajectory]:
         """The strongest one against a goal that is broken in a gap, for each gap but that in which a known one ends."""

@@ -179,7 +179,7 @@ def spans_of(plan: PlanFigures, sequence: SampleSequence) -> list[JudgedSpan]:
         begin = int(np.floor((since - at) / step + WHOLE)) + (since > tiny)  # what comes in at a step is in after it
         length = int(np.floor((each.end - at) / step + WHOLE))
         if begin <= length:
-            found.append(JudgedSpan(k, begin, length, each.end + first, each.seen))
+            found.append(JudgedSpan(k, begin, length, each.end + first, each.arrived))
     return found
 
 

@@ -26,7 +26,7 @@ def draw_worst_case(result: WorstCaseSigma, ax: Axes | None = None) -> Axes:
     """Draw what the worst schedule sees of the worst state over the window."""
     ax = style.new_axes(ax)
     profile = result.profile
-    ax.plot(profile.times, profile.seen, color=style.ALLOWED, label="|C exp(As) x| of the worst state")
+    ax.plot(profile.times, profile.output_norm, color=style.ALLOWED, label="|C exp(As) x| of the worst state")
     ax.vlines(profile.samples, 0.0, profile.at_samples, color=style.MEASURED, linewidth=1.8)
     ax.plot(profile.samples, profile.at_samples, "o", color=style.MEASURED, label="output at the worst times")
     ax.set_ylim(bottom=0.0)

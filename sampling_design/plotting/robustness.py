@@ -43,7 +43,7 @@ def _radii(result: Robustness, ax: Axes) -> Axes:
     if bad:
         ax.plot(
             [t.family.timing_tolerance for t in bad],
-            _shown(result, [t.lam for t in bad]),
+            _heights(result, [t.lam for t in bad]),
             "x",
             color=style.FAILED,
             label="not proven",
@@ -58,7 +58,7 @@ def _radii(result: Robustness, ax: Axes) -> Axes:
 def _losses(result: Robustness, ax: Axes) -> Axes:
     for d in sorted({loss.family.most for loss in result.losses}):
         mine = [loss for loss in result.losses if loss.family.most == d]
-        heights = _shown(result, [loss.lam for loss in mine])
+        heights = _heights(result, [loss.lam for loss in mine])
         for loss, height in zip(mine, heights, strict=True):
             colour = style.PROVEN if loss.survives else style.FAILED
             ax.plot([loss.family.of], [height], "o" if loss.survives else "x", color=colour)
@@ -72,7 +72,7 @@ def _losses(result: Robustness, ax: Axes) -> Axes:
     return ax
 
 
-def _shown(result: Robustness, lams: Sequence[float]) -> list[float]:
+def _heights(result: Robustness, lams: Sequence[float]) -> list[float]:
     """Lambdas to draw; where none was found, a mark above the limit."""
     return [lam if np.isfinite(lam) else 1.5 * result.limit for lam in lams]
 

@@ -110,7 +110,7 @@ class _InUnit(MaxNLocator):
         return [float(mark) / self.factor for mark in super().tick_values(vmin * self.factor, vmax * self.factor)]
 
 
-def _shown_unit(ax: matplotlib.axes.Axes, unit: str | None) -> tuple[str | None, float]:
+def _unit_label(ax: matplotlib.axes.Axes, unit: str | None) -> tuple[str | None, float]:
     """The unit in which the time axis of what is drawn counts, and how much of it `unit` is."""
     low, high = ax.get_xlim()
     own, shown = SECONDS.get(unit or "", np.inf), unit
@@ -124,7 +124,7 @@ def moment(ax: matplotlib.axes.Axes, t: float, unit: str | None, digits: int = 5
     """Return a time in the unit that its axis shows, or as a date; to be called when everything is drawn."""
     if origin is not None and unit is not None:
         return f"{parse_date('origin', origin, None) + timedelta(seconds=float(t) * SECONDS[unit]):%a %d %b %H:%M}"
-    shown, factor = _shown_unit(ax, unit)
+    shown, factor = _unit_label(ax, unit)
     return f"{short(t * factor, digits)} {shown or ''}".rstrip()
 
 
@@ -133,7 +133,7 @@ def time_axis(ax: matplotlib.axes.Axes, unit: str | None, what: str = "time", or
 
     To be called when everything is drawn.
     """
-    shown, factor = _shown_unit(ax, unit)
+    shown, factor = _unit_label(ax, unit)
     ax.set_xlabel(time_label(shown, what))
     if shown != unit:
         ax.xaxis.set_major_locator(_InUnit(factor))

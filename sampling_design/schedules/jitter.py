@@ -158,7 +158,7 @@ class TimingTolerance:
             equal = self.early == self.late and not self.apart
             limit = "less than half of" if equal else "early and late, together less than"
             raise ArgumentError(
-                f"`timing_tolerance` must be {limit} the least gap {short(least)}, got {_shown(self)}: samples could "
+                f"`timing_tolerance` must be {limit} the least gap {short(least)}, got {_said(self)}: samples could "
                 "change places."
             )
 
@@ -201,7 +201,7 @@ def _in_words(early: float, late: float, say: Callable[[float], str]) -> str:
     return " or ".join(words)
 
 
-def _shown(tolerance: TimingTolerance) -> str:
+def _said(tolerance: TimingTolerance) -> str:
     plain = tolerance.plain
     return short(plain) if isinstance(plain, float) else f"{plain}"
 

@@ -79,7 +79,7 @@ def test_no_sample_next_to_a_knot_sees_less_than_is_said_of_any_state_of_a_box(s
     at_all = np.broadcast_to(np.arange(cells + 1), (1, 3, cells + 1))
     table, _, at = tables.at(cells, at_all)
     centre, half = rng.uniform(-1, 1, (1, n)), np.full((1, n), 0.02)
-    said = table.least_seen(centre, half, at)[0]
+    said = table.least_observed(centre, half, at)[0]
     knots = tables.knot(cells, np.arange(cells + 1))
     z = centre + half * np.vstack([rng.uniform(-1, 1, (60, n)), np.sign(rng.normal(size=(20, n)))])
     loose = []
@@ -105,7 +105,7 @@ def test_no_time_of_a_schedule_is_ruled_out_for_its_own_worst_state(seed):
         slacks -= slacks[0]  # the state is taken at the first sample
         lam, x = eigenpair(rows.A, rows.C, rows.times(slacks))
         z = np.linalg.solve(tables.basis, x)[None]
-        dead = table.least_seen(z, np.zeros((1, n)), at)[0] > np.sqrt(lam) * tables.longest(z, np.zeros((1, n)))[0]
+        dead = table.least_observed(z, np.zeros((1, n)), at)[0] > np.sqrt(lam) * tables.longest(z, np.zeros((1, n)))[0]
         w = np.clip(np.searchsorted(knots, slacks), 0, cells)
         assert not dead[np.arange(k), w].any()
         assert not dead[np.arange(k), np.maximum(w - 1, 0)].any()

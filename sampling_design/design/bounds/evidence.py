@@ -340,12 +340,12 @@ def alone_part(problem: DesignProblem) -> BoundPart:
     """Bound of one sample a period: the window, counted from the sample, that sees some state least."""
     all_outputs = np.ones((1, problem.plant.n_outputs), dtype=bool)
     chosen = all_outputs if problem.chosen is None else problem.chosen
-    return _least_seen(without_hours(problem), "alone", np.zeros(1), chosen)
+    return _least_observable(without_hours(problem), "alone", np.zeros(1), chosen)
 
 
 def fixed_part(problem: DesignProblem) -> BoundPart:
     """Bound where every sample is fixed: the window of this one schedule that sees some state least."""
-    return _least_seen(problem, "placed", problem.fixed, problem.measured(problem.fixed))
+    return _least_observable(problem, "placed", problem.fixed, problem.measured(problem.fixed))
 
 
 def _placed_by_itself(problem: DesignProblem) -> list[tuple[BoundPart, ...]]:
@@ -361,7 +361,7 @@ def _placed_by_itself(problem: DesignProblem) -> list[tuple[BoundPart, ...]]:
     return found
 
 
-def _least_seen(problem: DesignProblem, method: Method, times: Array, mask: Mask) -> BoundPart:
+def _least_observable(problem: DesignProblem, method: Method, times: Array, mask: Mask) -> BoundPart:
     """The part of one window: that in which samples at `times` see some state least."""
     P = problem.period
     beside = (times[:, None] + np.array([-JUST_BESIDE, 0.0, JUST_BESIDE]) * P).ravel()

@@ -62,7 +62,7 @@ def relax_local(
     sigma2, half = sigma**2, (zones[:, 1] - zones[:, 0]) / 2
     every = tied_windows(problem, zones)
     terms = terms_of(problem, zones, every)
-    shown = _shown(problem, terms, _against(problem, terms, len(every), sigma2))
+    shown = _observed_rows(problem, terms, _against(problem, terms, len(every), sigma2))
     grams, slopes, own, own_slopes = _linear(problem, terms, len(every), shown)
     if not sigma2 > _NOTHING * float(np.abs(grams).max()):
         return None  # what is aimed at is nothing beside what is seen: there is no scale to be linear in
@@ -124,17 +124,17 @@ def _against(problem: DesignProblem, terms: Terms, count: int, sigma2: float) ->
     for each in range(len(problem.moves)):
         moved = np.full(terms.lag.shape, each)
         for _ in range(_AGAINST if len(problem.moves) > 1 else 0):
-            grams, _, own, _ = _linear(problem, terms, count, _shown(problem, terms, moved))
+            grams, _, own, _ = _linear(problem, terms, count, _observed_rows(problem, terms, moved))
             T, least = _balanced(grams / max(sigma2, _NOTHING), own)
             found.append((least, moved))
-            moved = _least_shown(problem, terms, T[..., -1:])
+            moved = _least_observed(problem, terms, T[..., -1:])
     if not found:
         return np.zeros(terms.lag.shape, dtype=np.intp)
     best = np.argmax([least for least, _ in found], axis=0)
     return np.asarray(np.array([moved for _, moved in found])[best[terms.window], np.arange(terms.lag.size)])
 
 
-def _least_shown(problem: DesignProblem, terms: Terms, roots: Array) -> Index:
+def _least_observed(problem: DesignProblem, terms: Terms, roots: Array) -> Index:
     """Which move of each term shows least of the roots F_m of its window's multiplier, at the middle of the box."""
     if len(problem.moves) == 1:
         return np.zeros(terms.lag.shape, dtype=np.intp)
@@ -217,7 +217,7 @@ def _forms(problem: DesignProblem, terms: Terms, roots: Array) -> _Forms:
     third = A @ second + second @ A.T
     with np.errstate(over="ignore"):
         spread = np.exp(2 * float(np.linalg.norm(A, 2)) * terms.reach)
-    C = _shown(problem, terms, _least_shown(problem, terms, roots))
+    C = _observed_rows(problem, terms, _least_observed(problem, terms, roots))
     y, dy, ddy = C @ F, C @ AF, C @ AAF
     value = np.einsum("spr,spr->s", y, y)
     rounded = _rounding(A, C, E, roots[terms.window], value, terms.lag)
@@ -234,7 +234,7 @@ def _forms(problem: DesignProblem, terms: Terms, roots: Array) -> _Forms:
     return _Forms(value, change, bend, most, rest=2 * rounded * turned * (1 + turned))
 
 
-def _shown(problem: DesignProblem, terms: Terms, moved: Index) -> Array:
+def _observed_rows(problem: DesignProblem, terms: Terms, moved: Index) -> Array:
     """What each term shows of a state, as rows of one number: outputs, or the whole state of a window's own term.
 
     Outputs are those of the sample `moved` by one of the problem's moves: of early or late samples any will do.
@@ -302,7 +302,7 @@ def _extremes(problem: DesignProblem, terms: Terms, roots: Array) -> tuple[Array
     at = terms.low + np.linspace(0.0, 1.0, _PLACES)[:, None] * (terms.high - terms.low)
     E = expm_batch(A, at.ravel()).reshape(*at.shape, n, n)
     F = E @ roots[terms.window]
-    C = _shown(problem, terms, _least_shown(problem, terms, roots))
+    C = _observed_rows(problem, terms, _least_observed(problem, terms, roots))
     AF = A @ F
     y, dy, ddy = C @ F, C @ AF, C @ A @ AF
     value = np.sum(y**2, axis=(2, 3))

@@ -179,7 +179,7 @@ class ScaledRows:
             return self.least(grams)[0]
         return np.asarray(np.maximum(np.linalg.eigvalsh(self.R.T @ grams @ self.R)[..., 0], 0.0))
 
-    def least_seen(self, grams: Array, count: int) -> Array:
+    def least_observable(self, grams: Array, count: int) -> Array:
         """The `count` directions z of each Gram matrix that it sees least against z'S'Sz, (..., n, count)."""
         values, vectors = np.linalg.eigh(grams)
         floored = np.maximum(values, _FLOOR * np.maximum(values[..., -1:], _NOTHING))

@@ -48,9 +48,9 @@ class SlidingSums:
             reach *= 2
         return np.asarray(total)
 
-    def _heads(self, seen: Array) -> Array:
+    def _heads(self, grams: Array) -> Array:
         """Sums from the start of a block to each sample in it, seen from the block's start; spans double."""
-        total, reach, index = seen, 1, np.arange(self.s.shape[1])
+        total, reach, index = grams, 1, np.arange(self.s.shape[1])
         while reach < index.size:
             earlier = np.maximum(index - reach, 0)
             same = (self.block[:, earlier] == self.block) & (index >= reach)

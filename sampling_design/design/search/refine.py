@@ -69,7 +69,7 @@ def _step(problem: DesignProblem, times: Array, sigma2: float, trust: float, bud
     values, _ = rows.least(grams)
     kept = np.argsort(values, kind="stable")[:_MOST_WINDOWS]
     kept = kept[values[kept] <= _KEPT * max(sigma2, float(values[kept[0]]), 1e-300)]
-    V = rows.least_seen(grams[kept], _SUBSPACE)
+    V = rows.least_observable(grams[kept], _SUBSPACE)
     W, roof = np.swapaxes(V, 1, 2) @ grams[kept] @ V, np.swapaxes(V, 1, 2) @ rows.N @ V
     unit = max(float(np.trace(W, axis1=1, axis2=2).max()), 1e-300)
     slopes = _slopes(problem, times, where, kept, V)

@@ -68,7 +68,7 @@ class ScheduleWatch:
         wanted = self.nominal.outputs
         if wanted is not None and not bool(np.all(mask[wanted[k % len(self.nominal)]] > 0)):
             return False
-        missed = k - self._next_due(before, first)
+        missed = k - self._next_scheduled(before, first)
         return missed == 0 or (0 < missed <= self.losses[0] and self._few_lost(times, k, first))
 
     def nothing_missed(self, before: float, t: float, first: bool) -> bool:
@@ -77,7 +77,7 @@ class ScheduleWatch:
             longest = np.inf if self.family is None else self.family.d_max
             return t - before <= longest + self._room(t)
         before, t = before - self.zero, t - self.zero
-        last = self._next_due(before, first) + self.losses[0]
+        last = self._next_scheduled(before, first) + self.losses[0]
         if not self.nominal.endless and last >= len(self.nominal):
             return False
         return self._planned(last) >= t - self._room(t)
@@ -112,7 +112,7 @@ class ScheduleWatch:
         near = [k for k in (after - 1, after) if k >= 0]
         return min(near, key=lambda k: abs(self._planned(k) - t))
 
-    def _next_due(self, before: float, first: bool) -> int:
+    def _next_scheduled(self, before: float, first: bool) -> int:
         """Number of the sample due after the one taken at `before` (at or after a prior there)."""
         if first:
             return self._first_from(before - self._room(before) + self.tolerance)
@@ -123,7 +123,7 @@ class ScheduleWatch:
         """Whether few enough of the samples planned up to number k were lost, among those still remembered."""
         most, of = self.losses
         taken = {self._nearest(float(t)) for t in times[1 if first else 0 :]}
-        start = self._next_due(float(times[0]), True)
+        start = self._next_scheduled(float(times[0]), True)
         lost = np.array([j not in taken for j in range(max(start, k - 2 * of), k + 1)], dtype=int)
         total = np.concatenate([[0], np.cumsum(lost)])
         return bool(np.all(total[of:] - total[:-of] <= most)) if lost.size >= of else bool(total[-1] <= most)

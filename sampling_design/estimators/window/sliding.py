@@ -52,7 +52,7 @@ class OutputInformation(NamedTuple):
     back: Array
     root: Array
     size: Array
-    shown: Array
+    rows: Array
     energy: float
 
 
@@ -231,7 +231,7 @@ class SlidingBand:
     def _weighed(self, k: int, d: float) -> bool:
         """Put down what a node's sample costs at its reference, and how that pulls; False where that overflows."""
         reference, (kind, read) = self._reference[k], self._noise_energy[k]
-        half = read - kind.shown.dot(reference)
+        half = read - kind.rows.dot(reference)
         square = float(half.dot(half))
         kind.back.dot(half * d, self._pull[k])
         self._places[k + 1] = reference
@@ -429,9 +429,9 @@ class SlidingBand:
         assert opening.sample is not None
         y, mask, feedthrough = opening.sample
         kind = self.output_information(mask)
-        innovation = kind.root @ (y - feedthrough) - kind.shown @ opening.x
+        innovation = kind.root @ (y - feedthrough) - kind.rows @ opening.x
         if self._absorbed is None or self._absorbed[0] is not opening.Y or self._absorbed[1] is not kind:
-            root, gain, half = root_update(covariance_root(opening.Y), kind.shown, np.eye(innovation.size))
+            root, gain, half = root_update(covariance_root(opening.Y), kind.rows, np.eye(innovation.size))
             self._absorbed = opening.Y, kind, root @ root.T, gain, half
         _, _, Y, gain, half = self._absorbed
         missed, read = half.dot(innovation), kind.size @ np.abs(y)

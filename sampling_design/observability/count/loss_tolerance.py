@@ -203,11 +203,11 @@ def loss_tolerance(plant: Plant, schedule: PeriodicSchedule) -> LossTolerance:
     )
 
 
-def _borne(growth: float, time: float, shown: float) -> float:
-    """exp(-2 a time/shown): the largest loss probability for which p^shown e^{2 a time} < 1; 0 where none is shown."""
-    if shown <= 0:
+def _borne(growth: float, time: float, samples: float) -> float:
+    """exp(-2 a time/samples): the largest loss probability for which p^samples e^{2 a time} < 1; 0 without samples."""
+    if samples <= 0:
         return 0.0
-    return float(np.exp(-2 * growth * time / shown))
+    return float(np.exp(-2 * growth * time / samples))
 
 
 def _times(schedule: PeriodicSchedule, samples: frozenset[int]) -> Array:
@@ -257,16 +257,16 @@ def largest_hidden(rows: Array) -> frozenset[int] | None:
     """
     n = rows.shape[2]
     best: frozenset[int] = frozenset()
-    seen: set[frozenset[int]] = set()
+    visited: set[frozenset[int]] = set()
     stack = [np.eye(n)]
     looks = 0
     while stack:
         space = stack.pop()
         shown = np.linalg.norm(rows @ space, axis=(1, 2))
         closure = frozenset(np.flatnonzero(shown <= NEARLY_HIDDEN).tolist())
-        if closure in seen:
+        if closure in visited:
             continue
-        seen.add(closure)
+        visited.add(closure)
         if len(closure) > len(best) or not best:
             best = closure
         if space.shape[1] == 1:

@@ -54,7 +54,7 @@ _PER_CELL = {  # of what a batch holds, and which axis counts the cells
     "lost": 0,
     "cost": 2,
     "so_far": 2,
-    "seen": 0,
+    "rows": 0,
     "room": 0,
     "rise": 0,
     "norm": 1,
@@ -196,7 +196,7 @@ class _SphereSearch:
 
     def _worked(self, cells: SphereCells) -> SphereCells:
         """Bound a batch; return what stays open, cut in two or with a finer grid."""
-        cells = self._seen_by_the_first(cells)
+        cells = self._observed_by_the_first(cells)
         if not cells.face.size:
             return cells
         self.cells += cells.face.size
@@ -217,7 +217,7 @@ class _SphereSearch:
         cut = self._cut(cells.take(left), by_time[left], by_direction[left], loss[left])
         return joined([cut, *torn.parts(cells, ~hopeless & (torn.gap > 0))])
 
-    def _seen_by_the_first(self, cells: SphereCells) -> SphereCells:
+    def _observed_by_the_first(self, cells: SphereCells) -> SphereCells:
         """The part of each cell whose states the first sample alone does not see enough of; no cell without one."""
         many = self.tables.slab.size
         if not many:
@@ -341,7 +341,7 @@ class _Batch:
         largest = self._starts(tables.starts(grid), table.eighth[at[:, -1]].max(axis=1))
         if tables.slab.size:
             most = np.sqrt(search.wanted) * tables.longest(z, cells.half)
-            self.outside |= table.least_seen(z, cells.half, at) > most[:, None, None]
+            self.outside |= table.least_observed(z, cells.half, at) > most[:, None, None]
         self._samples(table, blur, at)
         self.room = tables.room(grid, point[:, -1])
         before = np.minimum(self.room.astype(int).T, len(largest) - 1)
@@ -381,7 +381,7 @@ class _Batch:
         base = np.where(self.outside, np.inf, self.own_cost - self.sink - self.lost)
         self.cost = self._corners(base.transpose(1, 2, 0), along.transpose(1, 3, 0, 2))
         self.so_far = sums_so_far(self.cost, self.start)
-        self.seen = table.seen[at]
+        self.rows = table.rows[at]
 
     def _corners(self, centre: Array, along: Array) -> Array:
         """What is `centre` (..., B) at z0 and of slope `along` (..., B, n), at all corners: (..., B, c)."""
@@ -439,7 +439,7 @@ class _Batch:
         """How much a step along each axis costs: the diagonal of G, averaged over the windows, (B, n)."""
         weight = np.where(self.outside, 0.0, 1.0)
         weight /= np.sum(weight, axis=2, keepdims=True)
-        return np.asarray(np.einsum("bkwpn,bkw->bn", self.seen**2, weight))
+        return np.asarray(np.einsum("bkwpn,bkw->bn", self.rows**2, weight))
 
 
 def around(cells: Array) -> Array:

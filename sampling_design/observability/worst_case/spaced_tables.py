@@ -24,8 +24,8 @@ _CONDITION = 1e6  # of e^{AS}, beyond which states are not carried from the firs
 class CurveTable(NamedTuple):
     """Rows R(t) at M knots, with what bends their Gram matrices G = R'R in the cells that follow them, h wide.
 
-    seen, turning, bending : (M, p, n) arrays
-        R and its first two derivatives: G'' = 2 turning'turning + seen'bending + bending'seen.
+    rows, turning, bending : (M, p, n) arrays
+        R and its first two derivatives: G'' = 2 turning'turning + rows'bending + bending'rows.
     eighth : (M,) array
         h^2/8.
     beyond : (M,) array
@@ -38,7 +38,7 @@ class CurveTable(NamedTuple):
         The wider of the two cells at a knot, a proven bound on |R''| within them, and what rounding may do to |Rz|.
     """
 
-    seen: Array
+    rows: Array
     turning: Array
     bending: Array
     eighth: Array
@@ -52,16 +52,16 @@ class CurveTable(NamedTuple):
 
     def against(self, y: Array, at: Integers) -> tuple[Array, Array, Array]:
         """Gy and G''y, (B, k, n, W), and |Ry| (B, k, W), at the knots `at` (B, k, W), for y (B, n)."""
-        seen, turning, bending = self.seen[at], self.turning[at], self.bending[at]
+        seen, turning, bending = self.rows[at], self.turning[at], self.bending[at]
         of_y, turned, bent = (np.einsum("bkwpn,bn->bkwp", part, y) for part in (seen, turning, bending))
         value = np.einsum("bkwpn,bkwp->bknw", seen, of_y)
         second = np.einsum("bkwpn,bkwp->bknw", seen, bent) + np.einsum("bkwpn,bkwp->bknw", bending, of_y)
         second += 2 * np.einsum("bkwpn,bkwp->bknw", turning, turned)
         return value, second, np.linalg.norm(of_y, axis=3)
 
-    def least_seen(self, centre: Array, half: Array, at: Integers) -> Array:
+    def least_observed(self, centre: Array, half: Array, at: Integers) -> Array:
         """At most |R(t)z| for all z in the boxes centre +- half and t in the cells next to the knots `at` (B, k, W)."""
-        seen, turning = self.seen[at], self.turning[at]
+        seen, turning = self.rows[at], self.turning[at]
         value, slope = (np.abs(np.einsum("bkwpn,bn->bkwp", part, centre)) for part in (seen, turning))
         wide, steep = (np.einsum("bkwpn,bn->bkwp", np.abs(part), half) for part in (seen, turning))
         away = np.linalg.norm(np.abs(centre) + half, axis=1)[:, None, None, None]
@@ -248,7 +248,7 @@ class SphereTables:
         step = rows.slack / cells if cells else 0.0
         even = np.full(cells + 1, step)
         curve = self._curve(flow, even, -rows.A, even, 0 * even)
-        seen, turning, bending = curve.seen, curve.turning, curve.bending
+        seen, turning, bending = curve.rows, curve.turning, curve.bending
         across = np.swapaxes(seen, 1, 2) @ bending
         second = 2 * np.swapaxes(turning, 1, 2) @ turning + across + np.swapaxes(across, 1, 2)
         eighth = step**2 / 8

@@ -57,12 +57,12 @@ _REASONS = {
 class WorstCaseProfile:
     """What the worst schedule sees of the worst state, for pictures.
 
-    `times` and `seen` hold f(s) = |C e^{As} x| over the window, `samples` and `at_samples` the witness on
+    `times` and `output_norm` hold f(s) = |C e^{As} x| over the window, `samples` and `at_samples` the witness on
     that curve; sigma^2 is the sum of at_samples^2.
     """
 
     times: Array
-    seen: Array
+    output_norm: Array
     samples: Array
     at_samples: Array
 
@@ -383,8 +383,8 @@ def _record(
     """The public record, its witness evaluated afresh by the room's own sigma."""
     upper, x = sigma_min(plant, times) if plant.n_states else np.inf, proof.attained.direction
     s = np.linspace(0.0, family.window, _PICTURE)
-    seen, at_samples = (np.linalg.norm(plant.C @ plant.transition(t) @ x, axis=1) for t in (s, times))
-    frozen = [checks.freeze(a) for a in (s, seen, times, at_samples)]
+    output_norm, at_samples = (np.linalg.norm(plant.C @ plant.transition(t) @ x, axis=1) for t in (s, times))
+    frozen = [checks.freeze(a) for a in (s, output_norm, times, at_samples)]
     return WorstCaseSigma(
         lower=min(proof.lower, upper),
         upper=upper,

@@ -17,7 +17,9 @@ from sampling_design.uncertain.box.model import BoxModel
 class WindowsOverBox:
     """Sigma of the windows of one schedule, for cells of a box."""
 
-    def __init__(self, model: BoxModel, pieces: Pieces, *, losing: bool = False, unseen: float = UNSEEN) -> None:
+    def __init__(
+        self, model: BoxModel, pieces: Pieces, *, losing: bool = False, unobservable_share: float = UNSEEN
+    ) -> None:
         """With `losing` every piece once for each of its samples, without that: of the number `lost`."""
         held = np.maximum(pieces.stop - pieces.first, 0) if losing else np.ones(len(pieces), dtype=np.intp)
         piece = np.repeat(np.arange(len(pieces)), held)
@@ -25,7 +27,7 @@ class WindowsOverBox:
         if losing:
             left, right, first, stop = pieces.left[piece], pieces.right[piece], pieces.first[piece], pieces.stop[piece]
             pieces = replace(pieces, left=left, right=right, first=first, stop=stop)
-        self.model, self.pieces, self.unseen = model, pieces, unseen
+        self.model, self.pieces, self.unobservable_share = model, pieces, unobservable_share
         self.times, self.measured = _padded(pieces, len(model.C))
         if losing:
             self.measured[np.arange(len(pieces)), self.lost - pieces.first] = False
@@ -55,7 +57,7 @@ class WindowsOverBox:
     def unobservable(self, u: Array, s: float, piece: int) -> bool:
         """Whether one plant has a direction that its window does not show, in whatever units."""
         least = np.linalg.svd(self._rows(u, s, piece), compute_uv=False)[self.model.n - 1]
-        return bool(least <= self.unseen * np.linalg.norm(self.model.C))
+        return bool(least <= self.unobservable_share * np.linalg.norm(self.model.C))
 
     def _rows(self, u: Array, s: float, piece: int) -> Array:
         """The rows of one plant and window, in balanced coordinates."""

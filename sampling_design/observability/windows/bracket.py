@@ -81,7 +81,7 @@ class _Pieced:
         """Singular values, right vectors, rounding size of each O at its piece's right end; the largest |e^{A tau}|."""
         pieces, n, p = self.pieces, self.plant.n_states, self.plant.n_outputs
         count = pieces.stop - pieces.first
-        most = max(1, int(count.max(initial=0)))
+        most = max(1, -(-n // p), int(count.max(initial=0)))
         singular, right, size = np.zeros((len(pieces), n)), np.zeros((len(pieces), n, n)), np.zeros(len(pieces))
         growth = 1.0
         step = max(1, _CHUNK // (most * n * max(n, p)))
@@ -107,17 +107,10 @@ class _Pieced:
             growth = max(growth, float(np.max(np.where(there, own, 0.0), initial=0.0)))
             weight = there[..., None] & (True if pieces.mask is None else pieces.mask[index])
             rows = np.where(weight[..., None], self.plant.C @ flow, 0.0)
-            rows = np.concatenate(
-                [rows.reshape(len(tau), -1, n), np.zeros((len(tau), max(0, n - most * p), n))], axis=1
-            )
-            late = pieces.timing_tolerance
-            if late:
-                each = np.tile(np.broadcast_to(late.radii, p), most)
-                held = rows_of_any_time(
-                    rows, self.plant.A, np.append(each, np.full(rows.shape[1] - each.size, late.radius))
-                )
+            if late := pieces.timing_tolerance:
+                held = rows_of_any_time(rows, self.plant.A, late.radii)
             else:
-                held = np.asarray(np.linalg.qr(rows, mode="r"))
+                held = np.asarray(np.linalg.qr(rows.reshape(len(tau), -1, n), mode="r"))
             _, singular[part], right[part] = np.linalg.svd(held)
             c = np.abs(self.plant.C).max(initial=np.finfo(float).tiny)
             f = np.abs(flow).max()  # no square of an entry of C/c or flow/f overflows, nor do all underflow

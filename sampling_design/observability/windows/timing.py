@@ -5,16 +5,18 @@ planned row for the state y at some instant, a sample that comes e late, |e| <= 
 
     |c e^{Ae} y| >= |c y| - v_1 - ... - v_N,    v_j = d^j/j! |cA^j y| for j < N,  v_N = d^N/N! e^{d|A|} |cA^N| |y|.
 
-Squared and added up over the window's samples, with (u - v)^2 >= (1 - k) u^2 - (1/k - 1) v^2 for every 0 < k < 1 and
+Squared and added up over the window's samples, with (u - v)^2 >= (1 - k) u^2 - (1/k - 1) v^2 for every 0 < k <= 1 and
 (v_1 + ... + v_N)^2 <= sum of v_j^2/q_j for q_1 + ... + q_N = 1, that is y'My for one matrix M: whatever the times are,
 the window sees no less than the rows L' with LL' = M. They move with the window's start as the rows of samples do.
-The least eigenvalue of M is concave in k, which is sought by sections.
+
+Each sample has a k and shares q of its own. The least eigenvalue of M is concave in them, and over X with trace 1 it is
+dual to the largest <M, X>, where k = v/u and q = v_j/v for the sizes u and v_j in the mean over X. So they are sought
+by turns: of M the X on its central path, X = mu (M - t)^{-1}, and of X the factors. All of them prove.
 
 Where the plant grows much within a window, v_N and the rounding of squares would hide what the window sees least. So y
 is taken in other coordinates: with O = Q S V' the singular values of the planned rows and D = min(S/s_n, `_SPREAD`),
-they are D^{-1} S V' y, and the rows are Q D there. And rows that are shortened see less: those far longer than sigma
-lose more to v_j than they hold of what is seen least. They are tried at most `_LENGTHS` times as long as sigma, where
-that proves more.
+they are D^{-1} S V' y, and the rows are Q D there. A sample that shows less of X than its time may change has k = 1: it
+is left out, and takes nothing from what others show.
 """
 
 from __future__ import annotations
@@ -34,55 +36,124 @@ _LEAST_SHARE = 1e-3  # of q, however small a term is
 _FACTORS = (1e-7, 0.9)  # k lies between
 _SECTIONS = 14  # of log k: the last ones differ by two per cent
 _GOLDEN = (5**0.5 - 1) / 2  # what a section leaves
-_SPREAD = 1e3  # rows see the strongest direction at most that many times as well as the weakest
-_INEXACT = 1e-6  # share of what is lost that is left to the rounding of A in these coordinates
-_LENGTHS = (1e4, 1e3, 1e2)  # of sigma
-_ENOUGH = 0.95  # of sigma on time: where more is left, no row is shortened
-_MOST_LOST = 1e100  # of rows of size one: beyond it nothing is left of them
+_SPREAD = 1e2  # rows see the strongest direction at most that many times as well as the weakest
+_LEAST_FACTOR = 1e-7  # of k
+_TURNS_OF_FACTORS, _MORE_TURNS = 16, 60  # in which k and q are sought; where less than `_ENOUGH` was left of sigma^2
+_ENOUGH = 0.7
+_STEP, _SLOWER = 0.5, 16  # of X in the first turn, and the turn in which it is half of that
+_CENTRAL = (0.3, 0.01)  # n mu in the first and the last turn, of sigma^2 on time
+_GROUPS = 24  # of samples of a window, and of each output that comes by itself
+_NUMBERS = 4_000_000  # of rows and their derivatives at a time
+_MOST_LOST, _MOST_MOVED = 1e100, 1e50  # of rows of size one: beyond them nothing is left of them, or of a sample
+_HALVINGS = 30  # of t
 _GAIN = 1e-9  # relative: by less sigma does not fall in a turn
 _EPS = float(np.finfo(float).eps)
 
 
 def rows_of_any_time(rows: Array, A: Array, tolerance: Array) -> Array:
-    """Return rows (m, n, n) that see no more than `rows` (m, k, n) at times up to `tolerance` (k,) away, or zero."""
-    sizes = 2.0 ** np.frexp(np.abs(rows).max(axis=(1, 2), initial=0.0))[1]  # squares of rows / sizes are numbers
-    rows = rows / sizes[:, None, None]
-    held, sigma, lengths = _rows_as_they_are(rows, A, tolerance), _least(rows), np.linalg.norm(rows, axis=2)
-    kept = _least(held)
-    for most in _LENGTHS:
-        poor = np.flatnonzero((kept < _ENOUGH * sigma) & (lengths.max(axis=1, initial=0.0) > most * sigma))
-        if poor.size:
-            shorter = np.minimum(1.0, most * sigma[poor, None] / np.maximum(lengths[poor], np.finfo(float).tiny))
-            tried = _rows_as_they_are(rows[poor] * shorter[..., None], A, tolerance)
-            found = _least(tried)
-            better = found > kept[poor]
-            held[poor[better]], kept[poor[better]] = tried[better], found[better]
-    return np.asarray(held * sizes[:, None, None])
+    """Return rows (m, n, n) that see no more than `rows` (m, k, p, n) at times up to `tolerance` away, or zero.
+
+    It is of each of the p outputs, or one of all, which share the time of each of the k samples then; k p is n or more.
+    """
+    sizes = 2.0 ** np.frexp(np.abs(rows).max(axis=(1, 2, 3), initial=0.0))[1]  # squares of rows / sizes are numbers
+    grouped = _grouped(rows / sizes[:, None, None, None], tolerance.size)
+    together = grouped.shape[3]
+    d, grouped = np.repeat(tolerance, grouped.shape[2] * together), grouped.reshape(len(rows), -1, rows.shape[3])
+    step = max(1, _NUMBERS // (_ORDERS * grouped.shape[1] * grouped.shape[2]))
+    parts = [_rows_of_size_one(grouped[low : low + step], A, d, together) for low in range(0, len(rows), step)]
+    return np.asarray(np.concatenate(parts) * sizes[:, None, None])
 
 
-def _least(rows: Array) -> Array:
-    return np.asarray(np.linalg.svd(rows, compute_uv=False)[:, -1])
+def _grouped(rows: Array, apart: int) -> Array:
+    """The rows (m, apart, groups, rows of a group, n): of samples beyond `_GROUPS` several have one k, and n rows."""
+    m, count, p, n = rows.shape
+    each = -(-count // _GROUPS)
+    rows = np.concatenate([rows, np.zeros((m, -count % each, p, n))], axis=1)
+    grouped = np.swapaxes(rows.reshape(m, -1, apart, p // apart, n), 1, 2).reshape(m, apart, -1, each * p // apart, n)
+    return np.asarray(np.linalg.qr(grouped, mode="r") if each > 1 and grouped.shape[3] > n else grouped)
 
 
-def _rows_as_they_are(rows: Array, A: Array, tolerance: Array) -> Array:
-    """The same of rows of size one at most, as they are."""
-    n, d = rows.shape[2], float(tolerance.max(initial=0.0))
-    if np.all(tolerance == d):  # only their squares count
-        rows, tolerance = np.asarray(np.linalg.qr(rows, mode="r")), np.full(n, d)
+def _rows_of_size_one(rows: Array, A: Array, d: Array, together: int) -> Array:
+    """The same of rows of size one at most."""
+    m, _, n = rows.shape
     Q, seen, right = np.linalg.svd(rows, full_matrices=False)
     shown = seen[:, -1] > n * _EPS * seen[:, 0]
     seen = np.where(shown[:, None], seen, 1.0)
     kept = np.minimum(seen / seen[:, -1:], _SPREAD)
     into, back = (seen / kept)[:, :, None] * right, np.swapaxes(right, 1, 2) / (seen / kept)[:, None, :]
+    terms = [Q * kept[:, None]]
     with np.errstate(over="ignore", invalid="ignore"):
         turned = into @ A @ back
         size = np.linalg.norm(A) * np.linalg.norm(into, axis=(1, 2)) * np.linalg.norm(back, axis=(1, 2))
-        off = 8 * n * _EPS * d * size
-        off = off * np.exp(d * np.linalg.norm(turned, axis=(1, 2)) + off) * np.linalg.norm(kept, axis=1)
-        lost = lost_to_time(Q * kept[:, None], turned, tolerance[:, None]) / (1 - _INEXACT)
-        lost = lost + (off**2 / _INEXACT)[:, None, None] * np.eye(n)
-        lost[~shown] = np.inf
-    return np.asarray(rows_without(Q * kept[:, None], lost) @ into)
+        off = 8 * n * _EPS * d * size[:, None]  # of A in these coordinates
+        off = off * np.exp(d * np.linalg.norm(turned, axis=(1, 2))[:, None] + off) * np.linalg.norm(terms[0], axis=2)
+        for order in range(1, _ORDERS + 1):
+            terms.append(terms[-1] @ turned * (d[:, None] / order))
+        last = np.linalg.norm(terms.pop(), axis=2)
+        growth = np.exp(d * np.linalg.norm(turned, 2, axis=(1, 2))[:, None])
+        last = np.where(last == 0, 0.0, last * growth) + off  # 0 however much e^{d|A|} is
+        samples = np.stack(terms, axis=1).reshape(m, _ORDERS, -1, together, n)
+        rest = np.linalg.norm(last.reshape(m, -1, together), axis=2)
+        moderate = np.abs(samples).max(axis=(1, 3, 4)) + rest < _MOST_MOVED  # no NaN is
+    samples = np.where(moderate[:, None, :, None, None], samples, 0.0)
+    rest = np.where(moderate, rest, 0.0)
+    X = (1 / kept**2)[:, :, None] * np.eye(n)
+    least, M = _best_factors(samples, rest, X, _TURNS_OF_FACTORS)
+    poor = np.flatnonzero(shown & (least < _ENOUGH))
+    if poor.size:
+        again, other = _best_factors(samples[poor], rest[poor], X[poor], _MORE_TURNS)
+        better = again > least[poor]
+        M[poor[better]] = other[better]
+    return np.asarray(np.where(shown[:, None, None], _root(M), 0.0) @ into)
+
+
+def _best_factors(samples: Array, rest: Array, X: Array, turns: int) -> tuple[Array, Array]:
+    """Return the largest least eigenvalue of M that was found (m,), and M (m, n, n).
+
+    `samples` (m, N, s, p, n) are the rows of s samples, then those of v_1 to v_{N-1}; `rest` (m, s) times |y| is v_N.
+    """
+    m, orders, _, p, n = samples.shape
+    flat, size = samples.reshape(m, -1, n), np.sum(samples**2, axis=(3, 4))
+    rounding = 8 * n * flat.shape[1] / orders * _EPS
+    rest = rest + np.sqrt(rounding * size.sum(axis=1))  # of what is squared here
+    X = X / np.trace(X, axis1=1, axis2=2)[:, None, None]
+    best, found = np.full(m, -np.inf), np.zeros((m, n, n))
+    for turn in range(turns):
+        form = np.maximum(np.sum((samples @ X[:, None, None]) * samples, axis=(3, 4)), 0.0)
+        v = np.sqrt(np.concatenate([form[:, 1:], rest[:, None] ** 2], axis=1))
+        v = np.maximum(v, _LEAST_SHARE * np.maximum(v.sum(axis=1, keepdims=True), np.finfo(float).tiny))
+        total = v.sum(axis=1)
+        k = np.clip(total / np.maximum(np.sqrt(form[:, 0]), np.finfo(float).tiny), _LEAST_FACTOR, 1.0)
+        lost = ((1 / k - 1) * total)[:, None] / v
+        weight = np.concatenate([(1 - k)[:, None], -lost[:, :-1]], axis=1)
+        M = np.swapaxes(flat, 1, 2) @ (flat * np.repeat(weight.reshape(m, -1), p, axis=1)[..., None])
+        less = np.sum(lost[:, -1] * rest**2, axis=1) + rounding * np.sum(np.abs(weight) * size, axis=(1, 2))
+        M = (M + np.swapaxes(M, 1, 2)) / 2 - less[:, None, None] * np.eye(n)
+        values, vectors = np.linalg.eigh(M)
+        better = values[:, 0] > best
+        best, found[better] = np.where(better, values[:, 0], best), M[better]
+        mu = _CENTRAL[0] * (_CENTRAL[1] / _CENTRAL[0]) ** (turn / (turns - 1)) / n
+        central = (vectors * _central(values, mu)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+        X = X + _STEP / (1 + turn / _SLOWER) * (central - X)
+    return best, found
+
+
+def _central(values: Array, mu: float) -> Array:
+    """mu/(values - t) (m, n) with t below all of them so that they add up to one."""
+    above, n = values - values[:, :1], values.shape[1]
+    low, high = np.full(len(values), mu), np.full(len(values), n * mu)
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        more = np.sum(mu / (above + middle[:, None]), axis=1) > 1
+        low, high = np.where(more, middle, low), np.where(more, high, middle)
+    return np.asarray(mu / (above + high[:, None]))
+
+
+def _root(M: Array) -> Array:
+    """Rows L' with LL' = M, zero where M is not positive definite."""
+    values, vectors = np.linalg.eigh(M)
+    root = np.sqrt(np.maximum(values, 0.0))[:, :, None] * np.swapaxes(vectors, 1, 2)
+    return np.asarray(np.where((values[:, 0] > 0)[:, None, None], root, 0.0))
 
 
 def rows_without(rows: Array, lost: Array) -> Array:
@@ -113,10 +184,8 @@ def rows_without(rows: Array, lost: Array) -> Array:
         found = np.linalg.eigvalsh(kept_by(tried))[:, 0]
         ends = [np.where(left, tried, kept), np.where(left, kept, tried)]
         least = [np.where(left, found, known), np.where(left, known, found)]
-    values, vectors = np.linalg.eigh(kept_by(np.where(least[0] >= least[1], ends[0], ends[1])))
-    root = np.sqrt(np.maximum(values, 0.0))[:, :, None] * np.swapaxes(vectors, 1, 2)
-    held = (values[:, 0] > 0) & bounded
-    return np.asarray(np.where(held[:, None, None], root, 0.0))
+    best = kept_by(np.where(least[0] >= least[1], ends[0], ends[1]))
+    return np.asarray(np.where(bounded[:, None, None], _root(best), 0.0))
 
 
 def lost_to_time(rows: Array, A: Array, d: float | Array) -> Array:

@@ -119,30 +119,42 @@ class BoundedDirections:
         value, bounded = self.judged(targets, best), self.values
         X, Y = (np.where(np.isfinite(self.reach), x, 0.0) for x in seen)
 
-        def tried(place: Index) -> None:
-            """Take pairs (k, t, 2), k of them for each target, where they bound it better."""
+        def tried(first: Index, second: Index) -> None:
+            """Take pairs (k, t) and (k, t), k of them for each target, where they bound it better."""
             nonlocal best, value
-            gram = cosines[place[..., 0], place[..., 1]]
-            det = np.where(1 - gram**2 < SAME, np.inf, 1 - gram**2)
-            a, b = near[rows, place[..., 0]], near[rows, place[..., 1]]
-            share = np.stack([(a - gram * b) / det, (b - gram * a) / det], axis=-1)
-            share = share * lengths[0][:, None] / unit[place]
-            left = X - share[..., :1] * Y[place[..., 0]] - share[..., 1:] * Y[place[..., 1]]
-            found = (np.abs(share) * bounded[place]).sum(axis=-1) + np.abs(left).sum(axis=-1)
-            found = np.where(np.isfinite(det) & (found < value), found, np.inf)
+            gram, a, b = cosines[first, second], near[rows, first], near[rows, second]
+            det = 1 - gram**2
+            alike = det < SAME
+            det[alike] = np.inf
+            one, two = (a - gram * b) / det, (b - gram * a) / det
+            one, two = one * lengths[0] / unit[first], two * lengths[0] / unit[second]
+            left = X - one[..., None] * Y[first]
+            left -= two[..., None] * Y[second]
+            found = np.abs(one) * bounded[first] + np.abs(two) * bounded[second]
+            found += np.abs(left, out=left).sum(axis=-1)
+            found[alike | ~(found < value)] = np.inf
             at = np.argmin(found, axis=0), rows
-            better = (found[at] < value)[:, None]
-            best = DirectionFit(np.where(better, place[at], best.place), np.where(better, share[at], best.share))
-            value = np.minimum(value, found[at])
+            least = found[at]
+            better = least < value
+            if better.any():
+                place = np.stack([first[at], second[at]], axis=1)
+                share = np.stack([one[at], two[at]], axis=1)
+                best = DirectionFit(
+                    np.where(better[:, None], place, best.place), np.where(better[:, None], share, best.share)
+                )
+                value = np.minimum(value, least)
 
-        pairs = []
-        for first in (alone, np.argmax(size, axis=1)):
+        firsts, seconds = list[Index](), list[Index]()
+        nearest = np.argmax(size, axis=1)
+        for first in (alone,) if np.array_equal(alone, nearest) else (alone, nearest):
             across = cosines[first] * sign * sign[rows, first, None] - size * size[rows, first, None]
             other = np.argsort(-np.where(across < 0, size, size - 2), axis=1)[:, :PARTNERS]
-            pairs += [np.stack([first, second], axis=1) for second in other.T]
-        tried(np.array(pairs))
+            firsts += [first] * other.shape[1]
+            seconds += list(other.T)
+        tried(np.array(firsts), np.array(seconds))
         for shift in NEIGHBOURS if count > 1 else ():
-            tried(np.array([np.roll(best.place, each, axis=0) for each in (shift, -shift)]))
+            around = (rows + np.array([[-shift], [shift]])) % count
+            tried(best.place[around, 0], best.place[around, 1])
         return best
 
     def bound(self, targets: Array) -> Array:

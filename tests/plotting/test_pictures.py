@@ -33,7 +33,7 @@ SCHEDULE = sd.PeriodicSchedule([0.7, 1.6, 0.9], time_unit="s")
 @cache
 def horizons():
     """What two tests draw."""
-    return sd.certificates.four_horizons(OSCILLATOR, SCHEDULE)
+    return sd.certificates.four_horizons(OSCILLATOR, SCHEDULE, sd.certify(OSCILLATOR, SCHEDULE, eta=0.4, P2=np.eye(2)))
 
 
 def test_a_schedule_is_drawn_with_one_stem_per_sample_and_a_second_lap():
@@ -203,7 +203,7 @@ def test_no_legend_lies_on_a_curve():
     front = sd.pareto_front(OSCILLATOR, sd.Requirement(window=4.0), [2, 3])
     times = SCHEDULE.between(0.0, 12.0).times
     log = sd.compare_schedule(OSCILLATOR, SCHEDULE, times[times != times[4]], 4.0)
-    family = sd.certify(OSCILLATOR, sd.GapRange(0.5, 1.5), eta=0.2)
+    family = sd.certify(OSCILLATOR, sd.GapRange(0.5, 1.5), eta=0.2, P2=np.eye(2))
     terms = {"sensors": {"y1": {"noise_bound": 0.1}}, "w_bound": 0.02, "period": 6.4, "grid": 0.8}
     plan = sd.plan_samples(sd.Plant([[-0.02]], [[1.0]]), sd.PlanRequirement({"x1": 0.3}, **terms), search_seconds=1.0)
     others = (sd.robustness(OSCILLATOR, certificate, budget=0.3), front, log, family, plan)

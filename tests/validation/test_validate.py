@@ -105,7 +105,7 @@ def test_off_the_certificates_schedule_only_ellipsoids_are_judged():
 @pytest.mark.parametrize("G", few([np.eye(2), np.zeros((2, 0)), np.zeros((2, 1))], 1), ids=["noisy", "none", "zero"])
 def test_any_member_of_a_certified_family_keeps_its_promises(G):
     plant = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]], G=G)
-    made = certify(plant, GapRange(0.5, 1.5), eta=0.3)
+    made = certify(plant, GapRange(0.5, 1.5), eta=0.3, P2=np.eye(2))
     report = validate(plant, PeriodicSchedule([0.6, 1.4, 0.9]), made, **SHORT)
     assert report.passed, report.explain()
     assert report.bound is not None

@@ -2,8 +2,8 @@
 
 A window that was solved before is solved again after few steps, and each costs a fraction of one of IPOPT's, whose
 linear algebra knows nothing of intervals. Bounds of w and v become active or are left by the signs of their
-multipliers. What comes out meets the same conditions, to the same tolerance, and its curvature is that of a minimum;
-else nothing does.
+multipliers, and where those go round in a circle, interior points of the quadratic model say which are active. What
+comes out meets the same conditions, to the same tolerance, and its curvature is that of a minimum; else nothing does.
 """
 
 from __future__ import annotations
@@ -19,7 +19,12 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.budget import processor_seconds
 
 MOST_STEPS = 8  # linearisations of a window; from a near start three are enough
-MOST_CHANGES = 12  # of the active bounds between two linearisations
+MOST_CHANGES = 18  # of the active bounds between two linearisations
+BY_SIGNS = 6  # changes after which interior points say what is active: signs may go round in a circle
+MOST_INTERIOR = 30  # interior points of a quadratic model
+CLOSER = 0.1  # share of the complementarity that an interior point aims to leave
+NEAREST = 0.995  # share of the way to a bound that a step between interior points goes at most
+COMPLEMENTARY = 1e-9  # share of the complementarity that is left where bounds are told from what is free
 FALLS = 0.5  # what a step leaves of the residual, at most: beyond it the start was not near
 
 
@@ -37,6 +42,29 @@ class Step(NamedTuple):
     by_w: Array
     by_v: Array
     rows: Array
+
+
+class Least(NamedTuple):
+    """Where a quadratic model is least: moves (K+1, n+1) of the nodes and a 1, of w and v; slopes as in `Step`.
+
+    forces (K+1, n+1): slopes of what lies ahead by the state at a node.
+    """
+
+    moves: Array
+    w: Array
+    v: Array
+    by_w: Array
+    by_v: Array
+    forces: Array
+
+
+class Barrier(NamedTuple):
+    """What interior points add to a quadratic model: steep d^2 / 2 + linear d for each move d of w and v."""
+
+    steep_w: Array
+    steep_v: Array
+    linear_w: Array
+    linear_v: Array
 
 
 class Eliminated(NamedTuple):
@@ -92,7 +120,7 @@ class CondensedNewton:
         root = np.zeros((data.prior.size, data.prior.size))
         root[np.triu_indices(data.prior.size)] = columns["P2"]
         weights = columns["w"][self.functions.capacity - K :, None, None] * self.weight
-        window = _Window(data, root, weights, tuple(_last(box, K) for box in self.boxes))
+        window = _Window(data, root, weights, tuple(_last(box, K) for box in self.boxes), self.functions)
         rows = guess.row_multipliers.reshape(guess.point.z.shape)
         point, active = window.first(guess)
         residual = np.inf
@@ -136,20 +164,28 @@ class CondensedNewton:
 class _Window:
     """One window: what is quadratic in its cost, its bounds, and a step of Newton's method."""
 
-    def __init__(self, data: WindowData, root: Array, weights: Array, boxes: tuple[ProgramPoint, ...]) -> None:
-        self.data, self.root, self.weights = data, root, weights
+    def __init__(
+        self,
+        data: WindowData,
+        root: Array,
+        weights: Array,
+        boxes: tuple[ProgramPoint, ...],
+        functions: WindowFunctions,
+    ) -> None:
+        self.data, self.root, self.weights, self.functions = data, root, weights, functions
         self.lower, self.upper = boxes
 
     def first(self, guess: WindowSolution) -> tuple[ProgramPoint, ActiveBounds]:
         """Return where to begin: the bounds that were active before are, all else lies inside."""
-        curvature = np.einsum("kii->ki", self.weights)
-        sides = []
-        for key, scale in (("w", curvature), ("v", 1.0)):
-            value, force = getattr(guess.point, key), getattr(guess.bound_multipliers, key)
-            over, under = (scale * (value - getattr(box, key)) for box in (self.upper, self.lower))
-            sides.append(np.where(force + over > 0, 1, np.where(force + under < 0, -1, 0)))
-        active = ActiveBounds(*sides)
+        values, forces = guess.point, guess.bound_multipliers
+        active = ActiveBounds(self.active_of("w", values.w, forces.w), self.active_of("v", values.v, forces.v))
         return self.onto_bounds(guess.point, active), active
+
+    def active_of(self, key: str, value: Array, force: Array) -> Array:
+        """Return which bounds hold w or v: those whose multiplier is over what the way to them costs."""
+        scale = np.einsum("kii->ki", self.weights) if key == "w" else 1.0
+        over, under = (scale * (value - getattr(box, key)) for box in (self.upper, self.lower))
+        return np.where(force + over > 0, 1, np.where(force + under < 0, -1, 0))
 
     def onto_bounds(self, point: ProgramPoint, active: ActiveBounds) -> ProgramPoint:
         """Return the point with what is active exactly at its bound, and w and v within theirs."""
@@ -201,17 +237,20 @@ class _Window:
     ) -> tuple[Step, ActiveBounds] | None:
         """Return the step to the minimum of the quadratic model within the bounds of w and v, and what it holds."""
         quadratic = _Quadratic(self, forms, point, carried)
-        for _ in range(MOST_CHANGES):
+        for changes in range(MOST_CHANGES):
             found = quadratic.least(active)
             if found is None:
                 return None
-            dw, dv = found.move.w, found.move.v
             new = ActiveBounds(
-                self._side(active.w, point.w + dw, found.by_w, "w"), self._side(active.v, point.v + dv, found.by_v, "v")
+                self._side(active.w, point.w + found.w, found.by_w, "w"),
+                self._side(active.v, point.v + found.v, found.by_v, "v"),
             )
             if np.array_equal(new.w, active.w) and np.array_equal(new.v, active.v):
-                return found, active
-            active = new
+                return quadratic.whole(found), active
+            inside = quadratic.interior(found) if changes == BY_SIGNS else new
+            if inside is None:
+                return None
+            active = inside
         return None
 
     def _side(self, side: Array, value: Array, slope: Array, key: str) -> Array:
@@ -244,9 +283,9 @@ class _Quadratic:
         self.node[np.ix_(range(K + 1), kept, kept)] = forms.bend
         self.node[:, n, kept] = self.node[:, kept, n] = forms.gradient
 
-    def least(self, active: ActiveBounds) -> Step | None:
-        """Return the step to the least value where what is active goes to its bound; None where there is none."""
-        found = self.eliminated(active)
+    def least(self, active: ActiveBounds, barrier: Barrier | None = None) -> Least | None:
+        """Return where the value is least with what is active at its bound; None where it is nowhere."""
+        found = self.eliminated(active, barrier)
         if found is None:
             return None
         K, one = len(self.point.w), self.point.z0.size + 1
@@ -255,13 +294,63 @@ class _Quadratic:
         closed = found.over[:, :, :one] - found.over[:, :, one:] @ found.w_gains
         for k in range(K):
             moves[k + 1] = closed[k].dot(moves[k])
-        dw = found.w_moves - np.einsum("kij,kj->ki", found.w_gains, moves[:-1])
-        dv = found.v_moves - np.einsum("kij,kj->ki", found.v_gains, moves)
-        return self._whole(moves, dw, dv, np.einsum("kij,kj->ki", found.values, moves))
+        w = found.w_moves - _times(found.w_gains, moves[:-1])
+        v = found.v_moves - _times(found.v_gains, moves)
+        forces = _times(found.values, moves)
+        by_w = _times(self.interval[:, one:], np.concatenate([moves[:-1], w], axis=1))
+        by_w += _times(self.over[:, :, one:].transpose(0, 2, 1), forces[1:])
+        by_v = _times(self.node[:, one:], np.concatenate([moves, v], axis=1))
+        return Least(moves, w, v, by_w, by_v, forces)
 
-    def eliminated(self, active: ActiveBounds) -> Eliminated | None:
+    def interior(self, near: Least) -> ActiveBounds | None:
+        """Return which bounds hold where the model is least within them, found by interior points.
+
+        None where they find no minimum. `near` says how large multipliers are.
+        """
+
+        def split(flat: Array) -> tuple[Array, Array]:
+            return flat[: near.w.size].reshape(near.w.shape), flat[near.w.size :].reshape(near.v.shape)
+
+        low, high, start = (_flat(part.w, part.v) for part in (self.window.lower, self.window.upper, self.point))
+        fixed = low == high
+        has_low, has_high = np.isfinite(low) & ~fixed, np.isfinite(high) & ~fixed
+        count: int = max(1, int(np.count_nonzero(has_low) + np.count_nonzero(has_high)))
+        room = CLOSER * np.minimum(high - low, 1.0)  # of what has one bound, in scaled units
+        value, force = np.clip(start, low + room, high - room), float(np.abs(_flat(near.by_w, near.by_v)).max())
+        under, over = force * has_low, force * has_high
+        held, least = ActiveBounds(*split(fixed.astype(np.float64))), 0.0
+        for _ in range(MOST_INTERIOR):
+            below, above = np.where(has_low, value - low, 1.0), np.where(has_high, high - value, 1.0)
+            gap = float(under @ below + over @ above) / count
+            least = least or COMPLEMENTARY * gap
+            if gap <= least:
+                (w, v), (by_w, by_v) = split(value), split(over - under)
+                found_w, found_v = self.window.active_of("w", w, by_w), self.window.active_of("v", v, by_v)
+                return ActiveBounds(np.where(held.w, held.w, found_w), np.where(held.v, held.v, found_v))
+            aim_under, aim_over = CLOSER * gap * has_low / below, CLOSER * gap * has_high / above
+            steep = under / below + over / above
+            linear = aim_over - aim_under - steep * (value - start)
+            found = self.least(held, Barrier(*split(steep), *split(linear)))
+            if found is None:
+                return None
+            move = start + _flat(found.w, found.v) - value
+            by_under, by_over = aim_under - under * (1 + move / below), aim_over - over * (1 - move / above)
+            shares: list[float] = [
+                float(np.max(-change / part, initial=0.0, where=part > 0))
+                for part, change in (
+                    (below, move * has_low),
+                    (above, -move * has_high),
+                    (under, by_under),
+                    (over, by_over),
+                )
+            ]
+            share = min(1.0, NEAREST / max([*shares, 1e-300]))
+            value, under, over = value + share * move, under + share * by_under, over + share * by_over
+        return None
+
+    def eliminated(self, active: ActiveBounds, barrier: Barrier | None = None) -> Eliminated | None:
         """Minimise over what is free from the last node to the first; None (or LinAlgError) if there is no minimum."""
-        K, n = len(self.point.w), self.point.z0.size
+        n = self.point.z0.size
         one, window = n + 1, self.window
         w_map, w_moves = self._toward_bounds("w", active.w, one)
         v_map, v_moves = self._toward_bounds("v", active.v, one)
@@ -274,22 +363,16 @@ class _Quadratic:
             node = v_map.transpose(0, 2, 1) @ node @ v_map
             each = np.arange(one, node.shape[2])
             node[:, each, each] += active.v != 0
+        if barrier is not None:
+            interval = _bent(interval, n, barrier.steep_w, barrier.linear_w)
+            node = _bent(node, n, barrier.steep_v, barrier.linear_v)
         np.linalg.cholesky(node[:, one:, one:])
         v_gains = np.linalg.solve(node[:, one:, one:], node[:, one:, :one])
         at = node[:, :one, :one] - node[:, :one, one:] @ v_gains
-        values, w_gains = np.empty((K + 1, one, one)), np.zeros((K, over.shape[2] - one, one))
-        P = values[K] = at[K]
-        for k in range(K - 1, -1, -1):
-            M = over[k].T.dot(P.dot(over[k]))
-            M += interval[k]
-            P = M[:one, :one]
-            if w_gains.shape[1]:
-                _, w_gains[k], trouble = lapack.dposv(M[one:, one:], M[one:, :one])
-                if trouble:
-                    return None
-                P = P - M[:one, one:].dot(w_gains[k])
-            P = values[k] = P + at[k]
-        start = 2 * window.root.T @ window.root
+        values, w_gains = window.functions.eliminated(over, interval, at)
+        P, start = values[0], 2 * window.root.T @ window.root
+        if not np.isfinite(P).all():
+            return None
         slope = P[:n, n] + start @ (self.point.z0 - window.data.prior)
         _, first, trouble = lapack.dposv(P[:n, :n] + start, slope)
         return None if trouble else Eliminated(over, values, w_gains, v_gains, w_moves, v_moves, -first)
@@ -307,19 +390,34 @@ class _Quadratic:
         into[:, one:, one - 1] = go
         return into, go
 
-    def _whole(self, moves: Array, dw: Array, dv: Array, forces: Array) -> Step:
-        """Return the step of all unknowns; `forces` are the slopes of what lies ahead by the states at the nodes."""
+    def whole(self, found: Least) -> Step:
+        """Return the step of all unknowns."""
         K, d, n = self.point.z.shape
-        one = n + 1
-        known = np.concatenate([moves[:-1], dw], axis=1)
-        both = np.einsum("kdij,kj->kdi", self.inside, known)
-        by_z = np.einsum("kdij,kdj->kdi", self.forms.curve, both)[..., :n]
-        by_z[:, -1] += forces[1:, :n]
+        known = np.concatenate([found.moves[:-1], found.w], axis=1)
+        both = np.matmul(self.inside, known[:, None, :, None])
+        by_z = np.matmul(self.forms.curve, both)[..., :n, 0]
+        by_z[:, -1] += found.forces[1:, :n]
         rows = -np.linalg.solve(self.forms.inside.transpose(0, 2, 1), by_z.reshape(K, d * n, 1))
-        by_w = np.einsum("kij,kj->ki", self.interval[:, one:], known)
-        by_w += np.einsum("kij,ki->kj", self.over[:, :, one:], forces[1:])
-        by_v = np.einsum("kij,kj->ki", self.node[:, one:], np.concatenate([moves, dv], axis=1))
-        return Step(ProgramPoint(moves[0, :n], dv, dw, both[..., :n]), by_w, by_v, rows.reshape(K, d, n))
+        move = ProgramPoint(found.moves[0, :n], found.v, found.w, both[..., :n, 0])
+        return Step(move, found.by_w, found.by_v, rows.reshape(K, d, n))
+
+
+def _flat(w: Array, v: Array) -> Array:
+    return np.concatenate([w.ravel(), v.ravel()])
+
+
+def _bent(forms: Array, n: int, steep: Array, linear: Array) -> Array:
+    """Return quadratic forms of (dx, 1, d) with steep d^2 / 2 + linear d more."""
+    bent, each = forms.copy(), np.arange(n + 1, forms.shape[2])
+    bent[:, each, each] += steep
+    bent[:, n, each] += linear
+    bent[:, each, n] += linear
+    return bent
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    """Return each matrix times its vector."""
+    return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
 
 
 def _last(box: ProgramPoint, pieces: int) -> ProgramPoint:

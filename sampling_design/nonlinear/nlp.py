@@ -172,8 +172,8 @@ class WindowProgram:
         n, p = self.plant.n_states, self.plant.n_outputs
         both = carried[:, -n:]
         roots = np.zeros((len(both) + 1, p, p))
-        for k, row in enumerate(data.mask):
-            roots[k][self._fit_at] = self._fit_root(row) if row.any() else 0.0
+        seen = data.mask.any(axis=1, keepdims=True)
+        roots[:, self._fit_at[0], self._fit_at[1]] = np.where(seen, self._fit_rows(data.mask), 0.0)
         return WindowSlopes(both[:, :, :n], both[:, :, n + 1 :], forms.H, forms.outputs, roots)
 
     def _limited(self) -> Function:
@@ -246,12 +246,12 @@ class WindowProgram:
         fit: Array = np.asarray(own.R @ np.linalg.solve(own.R + Qv, Qv), dtype=np.float64)
         return (fit + fit.T) / 2
 
-    def _fit_root(self, mask: Array) -> Array:
-        """Return the root of the fit's weight where only some outputs are measured: least over the others."""
-        key = (mask > 0).tobytes()
-        if key not in self._fit_roots:
-            self._fit_roots[key] = marginal_root(self._fit, mask > 0)[self._fit_at]
-        return self._fit_roots[key]
+    def _fit_rows(self, mask: Array) -> Array:
+        """Return the roots of the fit's weight where only some outputs are measured: least over the others."""
+        keys = [row.tobytes() for row in mask > 0]
+        for key in set(keys).difference(self._fit_roots):
+            self._fit_roots[key] = marginal_root(self._fit, np.frombuffer(key, dtype=bool))[self._fit_at]
+        return np.array([self._fit_roots[key] for key in keys])
 
     def _columns(self, data: WindowData) -> dict[str, Array]:
         """Return the parameters, in the order of `_assemble`."""
@@ -262,7 +262,7 @@ class WindowProgram:
         weight_w = np.ones(N)  # an idle w does nothing and is held at 0
         weight_w[idle:] = discount[1:] * discounted_length(self.weights.eta, lengths)
         sampled = data.mask.any(axis=1)
-        zero, roots = np.zeros(self.plant.n_outputs), np.array([self._fit_root(row) for row in data.mask])
+        zero, roots = np.zeros(self.plant.n_outputs), self._fit_rows(data.mask)
         return {
             "h": np.concatenate([np.zeros(idle), lengths]),
             "u": _padded_in_front(idle, data.inputs[0], data.inputs).ravel(),

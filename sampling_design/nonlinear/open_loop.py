@@ -23,6 +23,7 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
 
 NOTE = "No radius: no certificate was given."
+GUESS_TOLERANCE = 1e-4  # of the integrator where a solver only starts from what it finds, in scaled states
 EDGE = 1e-6  # states within this share of their scale of the edge of X are in it: the solver ends there
 
 
@@ -57,10 +58,11 @@ class NonlinearLoop:
         Qw = self.scaled.twice * self.scaled.Qw
         noise: Array = np.asarray(np.linalg.solve(Qw, np.eye(len(Qw))), dtype=np.float64)
         self._integrator, self._spread = Integrator(self.plant), SpreadIntegrator(self.plant, noise, self.scaled.eta)
+        self._rough = Integrator(self.plant, GUESS_TOLERANCE)
 
     def __getstate__(self) -> dict[str, object]:
         """Everything but what casadi holds in memory."""
-        return {key: value for key, value in self.__dict__.items() if key not in ("_integrator", "_spread")}
+        return {key: value for key, value in self.__dict__.items() if key not in ("_integrator", "_spread", "_rough")}
 
     def __setstate__(self, state: dict[str, object]) -> None:
         self.__dict__.update(state)
@@ -92,18 +94,22 @@ class NonlinearLoop:
         return np.asarray(u + share * (state.inputs[k][1] - u))
 
     def propagated(
-        self, state: EstimatorState, x: Array, a: float, b: float, Y: Array | None = None
+        self, state: EstimatorState, x: Array, a: float, b: float, Y: Array | None = None, guess: bool = False
     ) -> tuple[Array, Array | None]:
-        """Return the open loop from x at a to b, with w = 0 and the inputs that were given, and its covariance."""
+        """Return the open loop from x at a to b, with w = 0 and the inputs that were given, and its covariance.
+
+        As a guess it is found to `GUESS_TOLERANCE` only.
+        """
         if b <= a:
             return x, Y
         edges = [a, *(t for t, _ in state.inputs if a < t < b), b]
         still = np.zeros(self.plant.n_disturbances)
+        integrator = self._rough if guess else self._integrator
         for start, stop in pairwise(edges):
             u, later = self.input(state, start), self.input_until(state, start, stop)
             if Y is not None:
                 Y = self._spread.step(x, Y, u, later, start, stop)
-            x = self._integrator.step(x, u, still, start, stop, later)
+            x = integrator.step(x, u, still, start, stop, later)
         return x, Y
 
     def ahead(self, state: EstimatorState, node: HistoryNode, t: float) -> OpenLoopPrediction:

@@ -67,6 +67,23 @@ class WindowFunctions:
         at_node = ca.Function("at_node", arguments, [ca.densify(part) for part in parts])
         self._at_node = _Buffered(at_node.map(capacity + 1), capacity + 1)
         self.sizes = n, q, node.size1_in(1), node.size1_out(1)
+        self._riccati = _Buffered(_riccati(n + 1, q, capacity + 1), capacity + 1)
+
+    def eliminated(self, over: Array, interval: Array, at: Array) -> tuple[Array, Array]:
+        """Minimise over w from the last node to the first: what lies ahead costs at least, and the gains of w.
+
+            P <- L'PL + M = [[a, b'], [b, c]],    g = c^-1 b,    P <- a - b'g + N
+
+        over (K, one, one + q) holds L, interval (K, one + q, one + q) M, at (K + 1, one, one) N. Not finite from the
+        first node on where some c is not positive definite.
+        """
+        K, one, both = over.shape
+        ahead, own = np.zeros((K + 1, one, both)), np.zeros((K + 1, both, both))
+        ahead[1:], own[1:], own[0] = over[::-1], interval[::-1], np.eye(both)
+        own[0, :one, :one] = 0.0  # nothing lies ahead of the last node
+        values, gains = self._riccati(ahead, own, at[::-1])
+        gains = gains.reshape(K + 1, one, both - one).transpose(0, 2, 1)
+        return values.reshape(K + 1, one, one)[::-1], gains[:0:-1]
 
     def at(self, data: WindowData, point: ProgramPoint, multipliers: Array, columns: dict[str, Array]) -> LocalForms:
         """Return the forms at a point; `multipliers` (K, d, n) of its rows, `columns` what the program is given."""
@@ -104,13 +121,30 @@ class WindowFunctions:
         )
 
 
+def _riccati(one: int, q: int, steps: int) -> Function:
+    """Return the recursion of `WindowFunctions.eliminated` over so many steps, of its transposed L, M and N."""
+    ca = casadi()
+    c, b = ca.SX.sym("c", q, q), ca.SX.sym("b", q, one)
+    upper = ca.chol(c)  # no number where c is not positive definite
+    gains = ca.Function("gains", [c, b], [ca.densify(ca.solve(upper, ca.solve(upper.T, b)))])
+    P, L = ca.MX.sym("P", one, one), ca.MX.sym("L", one + q, one)
+    M, N = ca.MX.sym("M", one + q, one + q), ca.MX.sym("N", one, one)
+    ahead = ca.mtimes([L, P, L.T]) + M
+    g = gains(ahead[one:, one:], ahead[one:, :one]) if q else ca.MX(0, one)
+    least = ahead[:one, :one] - ca.mtimes(ahead[:one, one:], g) + N
+    over = ca.Function("step", [P, L, M, N], [least, g]).mapaccum(steps)
+    given = [ca.MX.sym("given", *over.size_in(k)) for k in range(1, 4)]
+    found: Function = ca.Function("riccati", given, over(ca.DM.zeros(one, one), *given))
+    return found
+
+
 class _Buffered:
-    """A mapped function of arrays with a row for each of its columns; missing rows repeat the first, in front."""
+    """A mapped function of arrays with a row for each of its steps; missing rows repeat the first, in front."""
 
     def __init__(self, function: Function, columns: int) -> None:
         self._owner, self.columns = function, columns  # casadi's buffer does not keep the function alive
         self._buffer, self._call = function.buffer()
-        self.given = [np.zeros((columns, function.size1_in(k))) for k in range(function.n_in())]
+        self.given = [np.zeros((columns, function.nnz_in(k) // columns)) for k in range(function.n_in())]
         self.found = [np.zeros((columns, function.nnz_out(k) // columns)) for k in range(function.n_out())]
         for k, array in enumerate(self.given):
             if array.size:

@@ -67,9 +67,8 @@ def spread_of(
             wide = np.concatenate([growth[k - 1].dot(S).T, push[k - 1].T])
             factor = lapack.dgeqrf(wide)[0]
             S = (factor[:n] * upper).T
-            bias = slopes.F[k - 1].dot(bias)
             if jumps is not None:
-                bias += jumps[k - 1]
+                bias = slopes.F[k - 1].dot(bias) + jumps[k - 1]
         grown[k] = S
         if measured[k]:
             A = seen[k].dot(S)
@@ -77,7 +76,8 @@ def spread_of(
             information.flat[:: n + 1] += 1.0
             half = lapack.dtrtri(lapack.dpotrf(information, clean=1)[0])[0]
             S = S.dot(half)
-            bias = bias - S.dot(A.dot(half).T.dot(seen[k].dot(bias)))
+            if jumps is not None:
+                bias = bias - S.dot(A.dot(half).T.dot(seen[k].dot(bias)))
         filtered[k] = S
     return WindowSpread(filtered, grown, push, bias)
 

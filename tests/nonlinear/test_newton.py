@@ -1,18 +1,20 @@
 """Newton's method on a window: what it says is what IPOPT says, and it says nothing where it cannot know."""
 
+import casadi
 import numpy as np
 import pytest
 
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
-from sampling_design.nonlinear import window_search
+from sampling_design.nonlinear import newton, window_search
 from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.nlp import WindowProgram
 from sampling_design.nonlinear.outliers import Outliers
 from sampling_design.nonlinear.window_records import WindowData
+from sampling_design.plants.plant import Signals
 from tests.cases import few
-from tests.nonlinear.test_mhe import PENDULUM, SIZES, estimator, record
+from tests.nonlinear.test_mhe import PENDULUM, PRIOR, SIZES, estimator, position, record, swing
 
 TIMES = [0.0, 0.5, 1.0, 2.0, 2.5, 3.0, 4.2, 4.3]
 CASES = {
@@ -146,3 +148,79 @@ def test_what_newton_tried_in_vain_counts_as_time(monkeypatch):
     for t, y in record(TIMES[:4]):
         scheme.update(t, y)
     assert [run.seconds > 7.0 for run in scheme.solves] == [False, True, False, True]  # the third is a pause
+
+
+PAIR = NonlinearPlant(swing, lambda x, u, v: [x[0] + v[0], x[1] + v[1]], {**SIZES, "inputs": 1, "outputs": 2})
+TINY = 1e-12
+
+
+def small_swing(x, u, w):
+    return [TINY * rate for rate in swing([x[0] / TINY, x[1] / TINY], u, [w[0] / TINY])]
+
+
+NAMES = {"states": ("angle", "rate"), "disturbances": ("push",), "outputs": ("y",)}
+SMALL = NonlinearPlant(
+    small_swing,
+    position,
+    SIZES,
+    signals={key: Signals(own, scales=TINY * np.ones(len(own))) for key, own in NAMES.items()},
+)
+HOLES = [[0.4, 0.1], [0.2, np.nan], [np.nan, -0.6], [0.1, np.nan], [-0.3, -0.9], [40.0, 0.3]]
+BOUNDED = {"states": (-0.3, 0.3), "noises": (-0.1, 0.1), "disturbances": (-0.1, 0.1)}
+AWKWARD = {
+    "holes and an outlier": (PAIR, {}),
+    "a gate": (PAIR, {"outliers": Outliers(gate=4.0)}),
+    "v at its bounds": (PAIR.with_bounds(noises=(-0.05, 0.05)), {}),
+    "w at its bounds": (PENDULUM.with_bounds(disturbances=(-0.02, 0.02)), {}),
+    "w has one bound": (PENDULUM.with_bounds(disturbances=(-0.01, np.inf)), {}),
+    "w is fixed": (PENDULUM.with_bounds(disturbances=(0.0, 0.0)), {}),
+    "x at its bounds": (PENDULUM.with_bounds(states=([-9.0, -0.75], [9.0, 9.0])), {}),
+    "nothing meets the bounds": (PENDULUM.with_bounds(**BOUNDED), {"prior": [0.2, 0.2]}),
+    "seconds from 1970 on": (PENDULUM.with_bounds(disturbances=(-0.02, 0.02)), {"prior_time": 1.7e9}),
+    "1e-12": (SMALL.with_bounds(disturbances=(-0.02 * TINY, 0.02 * TINY)), {"prior": np.array(PRIOR) * TINY}),
+    "a robust loss": (PENDULUM.with_bounds(noises=(-0.1, 0.1)), {"outliers": Outliers(huber=1.5)}),
+}
+
+
+def require_accepted(program, data, solution):
+    """What Newton's method says is feasible and costs what it says, and IPOPT stays there."""
+    lower, upper = program.boxes
+    low, high = program._row_bounds(data)
+    x, given = program._pack(solution.point), np.concatenate(list(program._columns(data).values()))
+    problem = program._problem
+    cost, rows = casadi.Function("problem", [problem["x"], problem["p"]], [problem["f"], problem["g"]])(x, given)
+    rows = np.array(rows).ravel()
+    assert np.all((lower <= x) & (x <= upper))
+    assert np.all((low - 1e-8 <= rows) & (rows <= high + 1e-8))
+    assert float(cost) == pytest.approx(solution.cost, rel=1e-9, abs=1e-12)
+    again = program.solve(data, solution, warm=True)
+    assert again.status == "ok"
+    assert again.cost == pytest.approx(solution.cost, rel=1e-6)
+    assert again.nodes == pytest.approx(solution.nodes, abs=1e-5)
+
+
+@pytest.mark.parametrize("changes", [(6, 18), (0, 2)])
+@pytest.mark.parametrize("case", few(list(AWKWARD), 0, 3))
+def test_what_newton_says_ipopt_accepts(monkeypatch, case, changes):
+    """In every window that Newton's method answers; with (0, 2) interior points alone say which bounds are active."""
+    plant, options = AWKWARD[case]
+    for name, value in zip(("BY_SIGNS", "MOST_CHANGES"), changes, strict=True):
+        monkeypatch.setattr(newton, name, value)
+    answered, near = [], WindowProgram.near
+
+    def kept(program, data, guess):
+        found = near(program, data, guess)
+        if found is not None:
+            answered.append((program, data, found[0]))
+        return found
+
+    monkeypatch.setattr(WindowProgram, "near", kept)
+    begin, unit, p = options.get("prior_time", 0.0), TINY if case == "1e-12" else 1.0, plant.n_outputs
+    weights = {"P2": np.diag([2.0, 0.5]), "Qw": [[3.0]], "R": 40.0 * np.eye(p), "Qv": 15.0 * np.eye(p)}
+    scheme = estimator(plant, {key: np.array(weight) / unit**2 for key, weight in weights.items()}, **options)
+    rows = [y for _, y in record(TIMES, noise=0.3)] if p == 1 else HOLES
+    for t, y in zip(TIMES, rows, strict=False):
+        scheme.update(begin + t, unit * np.array(y))
+    for program, data, solution in answered:
+        require_accepted(program, data, solution)
+    assert bool(answered) == (case != "nothing meets the bounds")

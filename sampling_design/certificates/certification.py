@@ -47,6 +47,7 @@ from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
 from sampling_design.schedules.jitter import Jitter, Timing, TimingTolerance
+from sampling_design.schedules.output_jitter import OutputJitter
 from sampling_design.schedules.schedule import PeriodicSchedule
 
 if TYPE_CHECKING:  # the families' programs are loaded when one is asked for
@@ -190,9 +191,9 @@ def certify(
     timing_tolerance : float, pair (early, late), or dict of these by output [plant.time_unit]
         Other than 0: of one schedule, how early or late each sample may be. All such times are a `Jitter` family, about
         the schedule itself or, where early and late differ, half of their difference after it: its certificate is
-        returned. A first sample that could come before time 0 is refused. By output where each sample reads one output:
-        each about the middle of its own times, all within the largest radius, which is safe. Samples of several outputs
-        would fall apart, in any order, and are refused.
+        returned. A first sample that could come before time 0 is refused. By output: where each sample reads one, each
+        about the middle of its own times, all within the largest radius, which is safe. Where a sample reads several
+        they come apart, in any order: an `OutputJitter` family, for an exactly known plant and diagonal R and Qv.
     progress : callable, optional
         Called with (fraction, message).
     of : str, sequence of str, or (k, n) array, optional
@@ -244,7 +245,7 @@ def certify(
     >>> certify(oscillator, PeriodicSchedule([0.5, 1.0]), w_bound=0.1, v_bound=0.2, initial_error=1.0).eta
     1.0
     """
-    schedule = _with_tolerance(plant, schedule, timing_tolerance)
+    schedule = within_tolerance(plant, schedule, timing_tolerance)
     bounded = any(bound is not None for bound in bounds.values())
     if bounded and any(weight is not None for weight in (P2, Qw, R, Qv)):
         raise ArgumentError("`w_bound`, `v_bound` and `initial_error` say the weights: leave out P2, Qw, R and Qv.")
@@ -280,10 +281,13 @@ def certify(
     return _of_schedule(plant, certifiable_schedule(plant, schedule), (Qw, R, Qv), P2, eta, noise_gain, progress, limit)
 
 
-def _with_tolerance(
+def within_tolerance(
     plant: OpenPlant, schedule: AnySchedule | SamplingFamily | None, timing_tolerance: Timing
 ) -> AnySchedule | SamplingFamily | None:
-    """The family of all times within a tolerance of a schedule; without one, the schedule as it is."""
+    """Return the family of all times within a tolerance of a schedule; without one, the schedule as it is.
+
+    Raises ArgumentError if the tolerance is none or does not fit, or there is no schedule that it could be about.
+    """
     known = plant if isinstance(plant, Plant) else None
     late = TimingTolerance.of(timing_tolerance, None if known is None else known.outputs.names)
     if not late:
@@ -293,7 +297,11 @@ def _with_tolerance(
             f"`timing_tolerance` is for one schedule, got {checks.described(schedule)}: a family says itself which "
             "times its samples may have."
         )
-    return Jitter.around(schedule if known is None or not late.apart else meet(known, schedule), late)
+    if known is None or not late.apart:
+        return Jitter.around(schedule, late)
+    schedule = meet(known, schedule)
+    read = known.n_outputs if schedule.outputs is None else int(schedule.outputs.sum(axis=1).max(initial=0))
+    return (OutputJitter if read > 1 else Jitter).around(schedule, late)
 
 
 def _of_schedule(

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
-from .family_file import Family, GapRange, Graph, Jitter, LostSamples, SpacedWindows
+from .family_file import Family, GapRange, Graph, Jitter, LostSamples, OutputJitter, SpacedWindows
 from .outcome import Refused
 from .schedule_file import Times
 
@@ -128,11 +128,60 @@ def jitter(family: Jitter, graph: Graph) -> None:
             need(covers(parts, -radius, radius), u, f"deviations of sample {j} of the period")
 
 
+def orders(read: list[list[int]], word: Word, u: int) -> list[tuple[int, int, Word]]:
+    """Which output of which sample may be read next at a node, and which of that sample are then yet to be read."""
+    if not u:  # a window may start between two readings of a sample
+        whole = enumerate(read)
+        parts = [
+            (j, [i for bit, i in enumerate(own) if w >> bit & 1]) for j, own in whole for w in range(2 ** len(own))
+        ]
+    elif word[3:]:
+        parts = [(int(word[0]), [int(i) for i in word[3:]])]
+    else:
+        j = (int(word[0]) + 1) % len(read)
+        parts = [(j, read[j])]
+    return [(j, k, tuple(Fraction(i) for i in due if i != k)) for j, due in parts for k in due]
+
+
+def output_jitter(family: OutputJitter, graph: Graph) -> None:
+    """Words are the phase, the ends of the last deviation, and which outputs of that sample are yet to be read."""
+    nominal, words = family.nominal, [exact(word) for word in graph.words]
+    early, late = [-Fraction(e) for e in family.early], [Fraction(t) for t in family.late]
+    lengths, reach = [Fraction(g) for g in nominal.gaps], [Fraction(r) for r in nominal.reach]
+    read = [[i for i, on in enumerate(row) if on] for row in nominal.seen]
+    need(2 ** max(map(len, read)) <= len(words), 0, "outputs of a sample that are yet to be read")
+    for u, word in enumerate(words):
+        cells: dict[tuple[int, int, Word], list[tuple[Fraction, Fraction]]] = {
+            move: [] for move in orders(read, word, u)
+        }
+        for edge in graph.leaving(u):
+            phase, a, b, *rest = words[edge.target]
+            k = edge.outputs.index(True) if sum(edge.outputs) == 1 else -1
+            j, left = int(phase), tuple(rest)
+            need((j, k, left) in cells, u, f"the edge to node {edge.target} is no reading that may follow")
+            before = [i for i in read[j] if i not in left and i != k]
+            if u:
+                gap = Fraction(0) if word[3:] else lengths[j]
+                low, high = gap + a - word[2], gap + b - word[1]
+            else:  # the reading before it came no earlier than all of these allow
+                gap, since = (Fraction(0), before) if before else (reach[j], read[j - 1])
+                low, high = Fraction(0), gap + b - max(early[i] for i in since)
+            wide = edge.low <= max(low, Fraction(0)) and high <= edge.high
+            need(wide, u, f"the edge to node {edge.target} leaves out gaps of that deviation")
+            cells[j, k, left].append((a, b))
+        for (j, k, left), parts in cells.items():
+            low = max(early[i] for i in read[j] if i not in left)
+            low = max(low, word[1]) if u and word[3:] else low
+            high = min(late[k], *(late[int(i)] for i in left)) if left else late[k]
+            need(high < low or covers(parts, low, high), u, f"deviations of output {k} of sample {j} of the period")
+
+
 COVERED: dict[type[Family], Callable[[Any, Graph], None]] = {
     GapRange: gap_range,
     SpacedWindows: spaced_windows,
     LostSamples: lost_samples,
     Jitter: jitter,
+    OutputJitter: output_jitter,
 }
 
 

@@ -87,6 +87,22 @@ class Jitter(Family):
 
 
 @dataclass(frozen=True)
+class OutputJitter(Family):
+    """Output i of every sample read at a time of its own, at most early[i] before and late[i] after the nominal one."""
+
+    nominal: Times
+    early: tuple[float, ...]
+    late: tuple[float, ...]
+
+    def has_word(self, word: tuple[float, ...]) -> bool:
+        """The number of a sample, the ends of the last deviation in order, and the outputs yet to be read, in order."""
+        if len(word) < 3 or word[:1] not in _samples(self.nominal) or word[1] > word[2]:
+            return False
+        read, left = np.flatnonzero(self.nominal.seen[int(word[0])]).tolist(), word[3:]
+        return left == tuple(i for i in read if i in left) and len(left) < len(read)
+
+
+@dataclass(frozen=True)
 class Edge:
     """From node `source` to node `target` in a time within [low, high]; `outputs` are measured at its end."""
 
@@ -137,6 +153,8 @@ def of_family(read: Tree, plant: Plant) -> OfFamily:
         what = "must be at least `lam`: a family holds windows from samples to any first gap"
         raise refuse("lam_samples", what)
     family = family_of(read["times"], plant)
+    if isinstance(family, OutputJitter) and any(np.any(np.diag(np.diag(M)) != M) for M in (weights.R, weights.Qv)):
+        raise refuse("R", "must be diagonal, and `Qv`, where outputs are read one at a time")
     return OfFamily(plant, weights, family, graph_of(read["graph"], plant, weights, family))
 
 
@@ -198,6 +216,17 @@ def jitter(read: Tree, plant: Plant) -> Jitter:
     return Jitter(path, read["timing_tolerance"])
 
 
+def output_jitter(read: Tree, plant: Plant) -> OutputJitter:
+    """Deviations of each output that keep the order of nominal samples."""
+    path, early, late = nominal_of(read["schedule"], plant), tuple(read["early"]), tuple(read["late"])
+    for key, side in (("early", early), ("late", late)):
+        if len(side) != len(plant.C):
+            raise refuse(f"times.{key}", f"must have {len(plant.C)} entries, one for each output, got {len(side)}")
+    if max(early) + max(late) >= path.gaps.min():
+        raise refuse("times.late", "must, with `times.early`, be less than the least gap, the largest of each")
+    return OutputJitter(path, early, late)
+
+
 @dataclass(frozen=True)
 class Kind:
     """How families of one kind are read: their table, and the record of its judged parameters."""
@@ -214,6 +243,10 @@ FAMILIES: dict[str, Kind] = {
     ),
     "lost-samples": Kind(table({"kind": text, "schedule": schedule, "most": count, "of": count}), lost_samples),
     "jitter": Kind(table({"kind": text, "schedule": schedule, "timing_tolerance": nonnegative}), jitter),
+    "output-jitter": Kind(
+        table({"kind": text, "schedule": schedule, **dict.fromkeys(("early", "late"), list_of(nonnegative))}),
+        output_jitter,
+    ),
 }
 """What a certificate file may say of its family; another kind is another line here, and one in `cover.COVERED`."""
 

@@ -13,7 +13,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from . import programs
-from .family_file import Edge, Family, GapRange, Graph, Jitter, edge_of, family_of, fitting
+from .family_file import Edge, Family, GapRange, Graph, Jitter, OutputJitter, edge_of, family_of, fitting
 from .half_spaces import holds_a_point
 from .parts import AROUND, MATRICES, NUMBERS, SOLVER, Plant, Weights, symmetric, weights_of
 from .programs import Program
@@ -184,7 +184,10 @@ def schedules_of(value: object, plant: Plant) -> Family:
     """The family; one periodic schedule is the family of deviations 0 from it."""
     if is_table(value) and value.get("kind") == "periodic":
         return Jitter(times_of(value, plant), 0.0)
-    return family_of(value, plant)
+    family = family_of(value, plant)
+    if isinstance(family, OutputJitter):
+        raise refuse("times.kind", "must be another one for an inclusion: its samples are read together")
+    return family
 
 
 def graph_of(stated: list[list[float]] | None, listed: list[list[object]], family: Family, plant: Plant) -> Graph:

@@ -12,6 +12,7 @@ import typer
 from rich.table import Table as RichTable
 
 import sampling_design as sd
+from sampling_design.certificates.certification import within_tolerance
 from sampling_design.certificates.compare.four_horizons import FourHorizons
 from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.certificates.exact.certificate import SampledCertificate
@@ -24,7 +25,6 @@ from sampling_design.records.budget import Budget
 from sampling_design.records.checks import positive
 from sampling_design.records.file_io import write_text
 from sampling_design.schedules.family import AnySchedule, SamplingFamily
-from sampling_design.schedules.jitter import TimingTolerance
 
 LEAST_LEFT = 1e-3
 """Seconds that the comparison of horizons is given where the certificate has taken all of them: its row says so."""
@@ -54,7 +54,10 @@ Spaced = Annotated[
     typer.Option(metavar="T K E", help="Every schedule with K samples in each window T, E apart."),
 ]
 Jittered = Annotated[
-    str | None, typer.Option(metavar="TIME", help="SCHEDULE with every sample up to this early or late, or EARLY:LATE.")
+    str | None,
+    typer.Option(
+        metavar="TIME", help="SCHEDULE with every sample up to this early or late, EARLY:LATE, or NAME=either,..."
+    ),
 ]
 Lost = Annotated[
     tuple[int, int] | None, typer.Option(metavar="D W", help="SCHEDULE with at most D of any W samples lost.")
@@ -207,7 +210,9 @@ def _times(settings: Settings, plant: sd.Plant, path: Path | None, families: Tre
             return schedule
         if kind == "lost":
             return sd.LostSamples(schedule, *families[kind])
-        return sd.Jitter.around(schedule, TimingTolerance.of(timing(families[kind], timing_number)))
+        found = within_tolerance(plant, schedule, timing(families[kind], timing_number))
+        assert found is not None
+        return found
     except ArgumentError as error:
         raise ArgumentError(_as_typed(str(error), str(kind))) from None
 

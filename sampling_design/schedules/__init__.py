@@ -10,6 +10,7 @@ _NAMES = {
     "gap_range": ("GapRange",),
     "jitter": ("Jitter",),
     "lost_samples": ("LostSamples",),
+    "output_jitter": ("OutputJitter",),
     "sampling_set": ("SamplingSet",),
     "opening": ("OpeningCalendar",),
     "sensor": ("Sensor",),

@@ -11,6 +11,7 @@ from sampling_design.schedules.gap_range import GapRange as GapRange
 from sampling_design.schedules.jitter import Jitter as Jitter
 from sampling_design.schedules.lost_samples import LostSamples as LostSamples
 from sampling_design.schedules.opening import OpeningCalendar as OpeningCalendar
+from sampling_design.schedules.output_jitter import OutputJitter as OutputJitter
 from sampling_design.schedules.sampling_set import SamplingSet as SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule as PeriodicSchedule
 from sampling_design.schedules.schedule import Schedule as Schedule

@@ -130,6 +130,11 @@ class SamplingFamily(PlainRecord, ABC):
     def draw(self, rng: Seed = None, *, duration: float | None = None, samples: int | None = None) -> Schedule:
         """Return a random finite member that covers [0, duration] or has `samples` samples."""
 
+    @property
+    def by_output(self) -> tuple[SamplingFamily | None, ...]:
+        """The family of each output, None if it is never read, where each is read at times of its own; else none."""
+        return ()
+
     # The graph whose paths are the members (certificates/families/).
 
     @property

@@ -17,6 +17,7 @@ from sampling_design.schedules.files import schedule_from_dict
 from sampling_design.schedules.gap_range import GapRange  # noqa: F401  # a family is known once its file is loaded
 from sampling_design.schedules.jitter import Jitter  # noqa: F401
 from sampling_design.schedules.lost_samples import LostSamples  # noqa: F401
+from sampling_design.schedules.output_jitter import OutputJitter  # noqa: F401
 from sampling_design.schedules.spaced_windows import SpacedWindows  # noqa: F401
 
 
@@ -27,7 +28,8 @@ def family_from_dict(data: Mapping[str, Any]) -> SamplingFamily:
     Parameters
     ----------
     data : mapping
-        `kind` ("spaced-windows", "gap-range", "jitter", "lost-samples") and the arguments of that family.
+        `kind` ("spaced-windows", "gap-range", "jitter", "output-jitter", "lost-samples") and the arguments of
+        that family.
 
     Returns
     -------

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import gcd
-from typing import Self, TypeAlias
+from typing import Self, TypeAlias, Unpack
 
 import numpy as np
 
@@ -35,7 +35,7 @@ from sampling_design.schedules.family import (
     reach_of,
 )
 from sampling_design.schedules.sampling_set import ROUNDING, SamplingSet
-from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
+from sampling_design.schedules.schedule import PeriodicSchedule, Schedule, ScheduleDetails
 
 DEVIATION_CELLS = (1, 2, 4, 8)  # cells of a sample's deviation, per level of memory
 _LONGEST_LAP = 1_000_000  # samples after which the periods of two periodic schedules must have met
@@ -231,11 +231,15 @@ def moved(schedule: AnySchedule, by: float | Array) -> AnySchedule:
         )
     if not schedule.endless:
         return Schedule(times, schedule.outputs, **schedule._details())
-    mask, period = schedule.outputs, schedule.period
-    if times[0] > period:  # one that begins so late has two periods as one
+    return begun_late(times, schedule.outputs, schedule.period, **schedule._details())
+
+
+def begun_late(times: Array, mask: Mask | None, period: float, **details: Unpack[ScheduleDetails]) -> PeriodicSchedule:
+    """Return the schedule of these times of a period; one that begins after it has two periods as one."""
+    if times[0] > period:
         times, period = np.append(times, times + period), 2 * period
         mask = None if mask is None else np.tile(mask, (2, 1))
-    return PeriodicSchedule.from_times(times, period, mask, **schedule._details())
+    return PeriodicSchedule.from_times(times, period, mask, **details)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

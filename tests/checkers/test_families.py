@@ -14,21 +14,25 @@ from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.checkers import check, claims, families
 from sampling_design.checkers.outcome import Refused, Undecided
 from sampling_design.checkers.strict import BadFile
+from sampling_design.schedules.output_jitter import OutputJitter
 from tests.cases import few
 from tests.oracles.families import step_holds
 
 OSCILLATOR = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+TWO = Plant([[0.0, 1.0], [-1.0, 0.0]], np.eye(2))
 WHICH = {
     "gap-range": GapRange(0.5, 1.5),
     "spaced-windows": SpacedWindows(4.0, 3, 0.5),
     "lost-samples": LostSamples(PeriodicSchedule([1.0]), 1, 3),
     "jitter": Jitter(PeriodicSchedule([1.0, 1.5]), 0.2),
+    "output-jitter": OutputJitter(PeriodicSchedule([1.0]), [0.1, 0.05], [0.05, 0.1]),
 }
 
 
 @cache
 def made(kind):
-    return sd.certify(OSCILLATOR, WHICH[kind], eta=0.3, memory=1, P2=np.eye(2))
+    plant, memory = (TWO, 0) if kind == "output-jitter" else (OSCILLATOR, 1)
+    return sd.certify(plant, WHICH[kind], eta=0.3, memory=memory, P2=np.eye(2))
 
 
 def data_of(kind):
@@ -101,6 +105,8 @@ def test_no_edge_can_be_left_out(kind):
         ("spaced-windows", "spacing", 0.4),
         ("lost-samples", "most", 2),
         ("jitter", "timing_tolerance", 0.25),
+        ("output-jitter", "early", [0.1, 0.06]),
+        ("output-jitter", "late", [0.06, 0.1]),
     ],
 )
 def test_a_larger_family_is_not_covered(kind, key, value):
@@ -240,7 +246,16 @@ def test_a_plant_in_other_units_is_judged_alike():
 
 @pytest.mark.parametrize(
     ("kind", "word"),
-    [("jitter", [0.5, 0.0, 0.0]), ("jitter", [0.0, 0.1, -0.1]), ("lost-samples", [9.0]), ("lost-samples", [0.0, 2.0])],
+    [
+        ("jitter", [0.5, 0.0, 0.0]),
+        ("jitter", [0.0, 0.1, -0.1]),
+        ("lost-samples", [9.0]),
+        ("lost-samples", [0.0, 2.0]),
+        ("output-jitter", [0.0, 0.1]),
+        ("output-jitter", [0.0, 0.0, 0.1, 2.0]),  # no such output
+        ("output-jitter", [0.0, 0.0, 0.1, 0.0, 1.0]),  # none was read
+        ("output-jitter", [0.0, 0.1, 0.0, 1.0]),
+    ],
 )
 def test_what_is_no_word_of_a_family_is_a_bad_file(kind, word):
     data = data_of(kind)
@@ -255,6 +270,9 @@ def test_what_is_no_word_of_a_family_is_a_bad_file(kind, word):
         ("jitter", {"timing_tolerance": 9.0}, "must be less than half of the least gap"),
         ("spaced-windows", {"count": 99}, "must have room for an endless schedule"),
         ("jitter", {"schedule": {"kind": "finite", "times": [1.0, 2.0]}}, "must be periodic and have `gaps`"),
+        ("output-jitter", {"early": [0.1]}, "`times.early` must have 2 entries, one for each output, got 1"),
+        ("output-jitter", {"late": [0.1, 0.9]}, "be less than the least gap, the largest of each"),
+        ("output-jitter", {"schedule": {"kind": "periodic", "gaps": [1.0], "outputs": [[0, 0]]}}, "each row with a 1"),
     ],
 )
 def test_what_is_no_family_is_a_bad_file(kind, change, words):
@@ -262,6 +280,38 @@ def test_what_is_no_family_is_a_bad_file(kind, change, words):
     data["times"] |= change
     with pytest.raises(BadFile, match=words):
         claims.certificate(data | {"digest": digest.digest(data)})
+
+
+def test_weights_that_join_outputs_read_one_at_a_time_are_a_bad_file():
+    data = data_of("output-jitter")
+    data["R"] = [[2.0, 0.5], [0.5, 2.0]]
+    with pytest.raises(BadFile, match="`R` must be diagonal, and `Qv`, where outputs are read one at a time"):
+        claims.certificate(data | {"digest": digest.digest(data)})
+
+
+def test_no_inclusion_has_outputs_that_are_read_one_at_a_time():
+    box = sd.UncertainPlant(TWO, [sd.UncertainParameter("k", 0.9, 1.1, A=[[0.0, 0.0], [-1.0, 0.0]])])
+    data = sd.certify(box, GapRange(0.5, 1.0), eta=0.1).to_dict()
+    data["times"] = WHICH["output-jitter"].to_dict()
+    with pytest.raises(BadFile, match=r"`times\.kind` must be another one for an inclusion: its samples are read tog"):
+        claims.certificate(data | {"digest": digest.digest(data)})
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda g: g.update(words=[[], [0.0, -0.1, 0.1]], edges=[], P=g["P"][:1]), "outputs of a sample that are yet"),
+        (lambda g: g["edges"][0].__setitem__(4, [1, 1]), "is no reading that may follow"),
+        (lambda g: g["edges"][0].__setitem__(4, [1 - on for on in g["edges"][0][4]]), "does not hold the family"),
+        (lambda g: g["edges"][0].__setitem__(3, 0.99 * g["edges"][0][3]), "leaves out gaps of that deviation"),
+        (lambda g: g["words"][1].__setitem__(1, g["words"][1][1] + 0.01), "the graph does not hold the family"),
+    ],
+)
+def test_a_graph_that_loses_an_order_or_a_time_of_readings_is_refused(change, words):
+    data = data_of("output-jitter")
+    change(data["graph"])
+    assert words in verdict(data)["reason"]
+    assert words in verify_rigorously(data).reason
 
 
 def test_what_no_halving_decides_is_undecided(monkeypatch):

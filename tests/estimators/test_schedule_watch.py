@@ -1,5 +1,7 @@
 """Samples are held against a schedule one at a time: by differences of time, whatever the clock's zero is."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -15,8 +17,10 @@ from sampling_design import (
 )
 from sampling_design.accuracy.readings import BelowDetection
 from sampling_design.estimators.online.schedule_watch import ScheduleWatch
+from sampling_design.schedules.output_jitter import OutputJitter
 
 PLANT = Plant([[0.0, 1.0], [-1.0, 0.0]], [[1.0, 0.0]])
+TWO = Plant(PLANT.A, np.eye(2), outputs=["a", "b"])
 TIMES = [0.0, 0.9, 2.0, 3.1]
 UNIX = 1.7e9
 
@@ -76,6 +80,51 @@ def test_the_jitter_that_a_certificate_allows_counts_for_ever():
     assert all(watch.sample_fits(times[k - 4 : k + 1], one, first=False) for k in range(4, times.size))
     assert not watch.sample_fits(np.array([*times[96:100], times[100] + 0.11]), one, first=False)
     assert not watch.sample_fits(np.array([*times[96:99], times[100]]), one, first=False)
+
+
+@cache
+def read_apart():
+    return certify(TWO, OutputJitter(PeriodicSchedule([1.0], 0.5), [0.1, 0.0], [0.1, 0.2]), eta=0.3, P2=np.eye(2))
+
+
+def flags(samples, prior_time=0.0):
+    """Whether each sample (time, outputs read) is on schedule, for an estimator whose certificate is `read_apart`."""
+    mhe = MovingHorizonEstimator(TWO, read_apart(), prior_time=prior_time, schedule_zero=prior_time)
+    told = [(prior_time + t, [0.0 if on in read else np.nan for on in "ab"]) for t, read in samples]
+    return [mhe.update(t, y).on_schedule for t, y in told]
+
+
+@pytest.mark.parametrize(
+    ("samples", "kept"),
+    [
+        ([(0.4, "a"), (0.7, "b"), (1.5, "b"), (1.6, "a"), (2.5, "ab")], 5),
+        ([(0.5, "ab"), (1.5, "b"), (1.5 + 0.1, "a")], 3),
+        ([(0.5, "ab"), (1.45, "b")], 1),  # b is never early
+        ([(0.5, "ab"), (1.39, "a")], 1),
+        ([(0.5, "ab"), (1.65, "ab")], 1),  # a is too late, b is not
+        ([(0.5, "ab"), (1.6, "a"), (1.75, "b")], 2),
+        ([(0.5, "ab"), (1.5, "a"), (2.4, "a"), (2.5, "b")], 2),  # b was due by 1.7
+        ([(0.5, "a"), (1.5, "ab")], 1),
+        ([(0.5, "ab"), (1.5, "ab"), (1.55, "a")], 2),  # twice
+    ],
+)
+@pytest.mark.parametrize("zero", [0.0, UNIX])
+def test_each_output_is_on_schedule_by_its_own_times(samples, kept, zero):
+    assert flags(samples, zero) == [k < kept for k in range(len(samples))]
+
+
+def test_members_whose_outputs_come_apart_are_on_schedule_and_no_others():
+    family, rng = read_apart().family, np.random.default_rng(4)
+    member = family.draw(rng, samples=25)
+    samples = [
+        (t, "".join(n for n, on in zip("ab", row, strict=True) if on))
+        for t, row in zip(member.times, member.outputs, strict=True)
+    ]
+    assert flags(samples) == [True] * len(samples)
+    mhe = MovingHorizonEstimator(TWO, read_apart())
+    assert mhe.update(0.5, [0.0, 0.0]).on_schedule
+    assert mhe.predict(1.59).on_schedule
+    assert not mhe.predict(1.61).on_schedule  # a was due
 
 
 def test_lost_samples_are_counted():

@@ -23,6 +23,7 @@ from sampling_design.checkers.parts import digest
 from sampling_design.checkers.strict import BadFile, from_json
 from sampling_design.errors import SamplingDesignError
 from sampling_design.schedules.family_files import family_from_dict
+from sampling_design.schedules.output_jitter import OutputJitter
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
 from sampling_design.uncertain.plants.parameter import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
@@ -75,6 +76,7 @@ CERTIFICATES = {
     "spaced windows": lambda: sd.certify(OSCILLATOR, SpacedWindows(3.0, 2, 1.0), eta=0.2, memory=1, P2=np.eye(2)),
     "lost samples": lambda: sd.certify(TWO, LostSamples(PARTLY, 1, 3), eta=0.1, memory=0, P2=np.eye(2)),
     "jitter": lambda: sd.certify(TWO, Jitter(PARTLY, 0.1), eta=0.1, memory=0, P2=np.eye(2)),
+    "output jitter": lambda: sd.certify(TWO, OutputJitter(PARTLY, [0.1, 0.0], [0.0, 0.1]), eta=0.1, P2=np.eye(2)),
     "detectability": lambda: sd.certificates.certify_detectability(OSCILLATOR),
     "inclusion": lambda: certify_inclusion(UNCERTAIN, GapRange(0.5, 1.0), eta=0.1, pieces=2),
 }
@@ -83,6 +85,7 @@ FAMILIES = {
     "spaced windows": SpacedWindows(3.0, 2, 1.0, time_unit="h"),
     "lost samples": LostSamples(PeriodicSchedule([1.0, 0.5], time_unit="h"), 1, 3),
     "jitter": Jitter(PeriodicSchedule([1.0, 0.5], 0.25, [[1, 0], [1, 1]]), 0.1),
+    "output jitter": OutputJitter(PeriodicSchedule([1.0, 0.5], 0.25, [[1, 0], [1, 1]]), [0.1, 0.0], [0.0, 0.1]),
 }
 FILES = {
     "plant.toml": (lambda p: sd.plants.write_plant(FULL, p), sd.read_plant, facts_of_plant),

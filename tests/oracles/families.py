@@ -59,6 +59,42 @@ def largest_ratio(plant, weights, eta, P2, times, outputs, against, starts=4, pa
     return top
 
 
+def readings(times, seen, shifts):
+    """Times and outputs of the samples that planned ones become if each reading (row by row of `seen`) is shifted."""
+    at, read = np.nonzero(seen)
+    real = np.maximum(np.asarray(times)[at] + shifts, 0.0)
+    instants = sorted(set(real.tolist()))
+    mask = [
+        [any(real[k] == t and read[k] == i for k in range(real.size)) for i in range(seen.shape[1])] for t in instants
+    ]
+    return np.array(instants), np.array(mask)
+
+
+def adversarial_lambda(plant, weights, eta, P2, times, seen, early, late, rng, starts=2, parts=2):
+    """The largest lambda over the times of readings that climbs find, one reading after the other, and these times.
+
+    From samples early and late in turn, from the converse, and from ends at random.
+    """
+    at, read = np.nonzero(seen)
+    low, high = -np.asarray(early)[read], np.asarray(late)[read]
+
+    def reached(shifts):
+        real, mask = readings(times, seen, shifts)
+        return largest_lambda(plant, weights, eta, P2, real, mask, starts, parts), shifts
+
+    found = []
+    for side in (at % 2 == 0, at % 2 == 1, rng.uniform(size=read.size) < 0.5):
+        best, before = reached(np.where(side, low, high)), (0.0, None)
+        while best[0] > before[0] * (1 + 1e-9):
+            before = best
+            for k in range(read.size):
+                for shift in (low[k], 0.0, high[k], rng.uniform(low[k], high[k])):
+                    other = reached(np.where(np.arange(read.size) == k, shift, best[1]))
+                    best = max(best, other, key=lambda pair: pair[0])
+        found.append(best)
+    return max(found, key=lambda pair: pair[0])
+
+
 def step_holds(plant, weights, eta, P, target, h, seen):
     """The least eigenvalue of Phi_h(P) + C'R~C - target, relative to |target|; `seen` none for no sample."""
     Qw, R, Qv = weights

@@ -7,6 +7,7 @@ from sampling_design import ArgumentError, GapRange, Jitter, LostSamples, Period
 from sampling_design.errors import InfeasibleRequirementError
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.schedules.family_files import family_from_dict
+from sampling_design.schedules.output_jitter import OutputJitter
 from sampling_design.schedules.sampling_set import SamplingSet
 from tests.oracles import schedules as oracle
 
@@ -22,6 +23,8 @@ FAMILIES = [
     Jitter(PeriodicSchedule([1.0, 2.0, 1.5]), 0.45),
     Jitter(PeriodicSchedule([1.0], 0.0), 0.2),
     Jitter(Schedule([0.5, 1.0, 3.0], [[1, 0], [1, 1], [0, 1]]), 0.1),
+    OutputJitter(PeriodicSchedule([1.0, 2.0], outputs=[[1, 1], [0, 1]]), [0.2, 0.1], [0.0, 0.7]),
+    OutputJitter(Schedule([0.5, 1.0, 3.0], [[1, 0], [1, 1], [0, 1]]), [0.1, 0.0], [0.2, 0.3]),
     LostSamples(PeriodicSchedule([0.1]), 2, 5),
     LostSamples(PeriodicSchedule([1.0, 2.0], outputs=[[1, 0], [0, 1]]), 1, 2),
     LostSamples(Schedule([0.5, 1.0, 3.0, 4.0]), 1, 3),
@@ -55,7 +58,7 @@ def test_a_seed_decides_a_draw_and_the_default_is_seed_zero(family):
 def test_a_draw_is_as_long_as_asked(family):
     stop = 12 * family.d_max
     assert family.draw(duration=stop).times[-1] >= stop - 2 * family.d_max
-    if not isinstance(family, LostSamples):
+    if not isinstance(family, (LostSamples, OutputJitter)):
         assert len(family.draw(samples=7)) == 7
     for extent in ({"duration": 1e308}, {"samples": 10**18}):
         with pytest.raises(ArgumentError, match="samples or more: at most 1000000 are drawn"):
@@ -173,6 +176,44 @@ def test_jitter_follows_sample_by_sample():
     long = PeriodicSchedule(np.full(1009, 1.0)), PeriodicSchedule(np.full(1013, 1.0))
     with pytest.raises(ArgumentError, match="1013 samples a period against 1009 nominal ones meet too late"):
         Jitter(long[0], 0.1).contains(long[1])
+
+
+def test_each_output_is_held_against_its_own_times():
+    family = OutputJitter(PeriodicSchedule([1.0], first=0.5), [0.0, 0.1], [0.2, 0.1])
+    a, b = [1, 0], [0, 1]
+    assert family.contains(Schedule([0.4, 0.7, 1.5, 1.6], [b, a, a, b]))
+    assert family.contains(Schedule([0.5, 1.5], [[1, 1], [1, 1]]))
+    assert family.contains(Schedule([0.5]))  # a piece: b may still come
+    assert family.contains(Schedule([0.5], [a]))
+    assert not family.contains(Schedule([0.4, 0.7], [a, b]))
+    assert not family.contains(Schedule([0.7, 1.5], [a, a]))  # b was due by 0.6
+    assert not family.contains(Schedule([0.5, 0.6, 0.65], [a, b, b]))
+    assert not family.contains(Schedule([0.5], [[1, 1, 1]]))
+    assert not family.contains(Schedule([]))
+    assert family.contains(PeriodicSchedule([0.9, 0.1], 0.5, [a, b]))
+    assert not family.contains(PeriodicSchedule([1.0], 0.5, [a]))
+    whole = OutputJitter(Schedule([0.5, 1.5], [a, b]), [0.1, 0.1], [0.1, 0.1])
+    assert not whole.contains(Schedule([0.5], [a]))
+    assert not whole.contains(Schedule([0.5, 1.5], [a, a]))
+    one = OutputJitter(PeriodicSchedule([1.0], 0.5, [a]), [0.1, 0.1], [0.1, 0.1])
+    assert one.contains(PeriodicSchedule([1.0], 0.6, [a]))
+    assert not one.contains(PeriodicSchedule([1.0], 0.6, [[1, 1]]))  # b is never planned
+
+
+@pytest.mark.parametrize(
+    ("early", "late", "words"),
+    [
+        ([0.1], [0.1], "`early` must say it for each output: the schedule has 2 outputs, got 1"),
+        ([], [], "`early` must say it for each output"),
+        ([0.1, 0.1], [0.1], "`late` must have 2 entries, got 1"),
+        ([0.1, -0.1], [0.1, 0.1], r"`early\[1\]` must not be negative"),
+        ([0.6, 0.1], [0.1, 0.4], "together less than the least gap 1"),
+        ([0.0, 0.9], [0.0, 0.0], r"first sample at 0\.2 cannot be so much earlier than late: plan it at 0\.45"),
+    ],
+)
+def test_tolerances_that_do_not_fit_are_refused(early, late, words):
+    with pytest.raises(ArgumentError, match=words):
+        OutputJitter(PeriodicSchedule([1.0], 0.2, [[1, 1]]), early, late)
 
 
 def test_lost_samples_count_among_neighbours():

@@ -29,7 +29,7 @@ from sampling_design.certificates.families.step_proof import (
 from sampling_design.certificates.families.step_proof import prove as proven_along
 from sampling_design.certificates.form.digest import FAMILY_CLAIM, RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.rigorous.decide import judged_while_sought
-from sampling_design.errors import CertificateError, UndecidedError
+from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.numerics.filtering import propagate
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
@@ -296,6 +296,8 @@ def certify_family(
     report = progress or (lambda fraction, message: None)
     family = in_plant_terms(plant, family)
     weights = weights_of(plant, Qw, R, Qv)
+    if family.by_output and any(np.any(np.diag(np.diag(M)) != M) for M in (weights.R, weights.Qv)):
+        raise ArgumentError("`R` and `Qv` must be diagonal where outputs are read at times of their own.")
     given = None if P2 is None else checks.definite("P2", P2, plant.n_states)
     rate = None if eta is None else checks.positive("eta", eta)
     noise_gain = above_one("noise_gain", noise_gain)

@@ -24,7 +24,7 @@ class FamilyCertificate(SampledCertificate):
 
     Attributes
     ----------
-    family : GapRange, SpacedWindows, LostSamples or Jitter
+    family : GapRange, SpacedWindows, LostSamples, Jitter or OutputJitter
     graph : PathCompleteGraph
         Its schedules as paths of gap words, window starts at any real time included.
     P : (graph.count, n, n) array
@@ -68,6 +68,11 @@ class FamilyCertificate(SampledCertificate):
             "Assumption 7",
             ("linear plant", self.family.explain().rstrip(".")),
         )
+
+    def _samples_until(self, end: float) -> Array:
+        """The most that a schedule of the family has; outputs that are read one at a time have samples of their own."""
+        gaps = [part.min_gap for part in self.family.by_output if part is not None] or [self.min_gap]
+        return np.concatenate([end - gap * np.arange(int(max(end, 0.0) / gap) + 1) for gap in gaps])
 
     def _file_parts(self) -> dict[str, object]:
         return {"claim": FAMILY_CLAIM, "times": self.family.to_dict(), "graph": self.graph.to_dict(self.P)}

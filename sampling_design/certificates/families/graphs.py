@@ -15,8 +15,8 @@ MOST_NODES = 400  # a graph with more nodes than this is not built: its matrix i
 def in_plant_terms(plant: Plant, family: SamplingFamily) -> SamplingFamily:
     """Return `family` with the schedule that it is built around in the plant's terms.
 
-    Raises ArgumentError if it is no family, its unit of time differs, or the schedule that it is built around is
-    finite.
+    Raises ArgumentError if it is no family, its unit of time differs, the schedule that it is built around is finite,
+    or its tolerances are those of other outputs.
     """
     if not isinstance(family, SamplingFamily):
         raise ArgumentError(
@@ -24,6 +24,12 @@ def in_plant_terms(plant: Plant, family: SamplingFamily) -> SamplingFamily:
             f"Jitter), got {type(family).__name__}."
         )
     if family.planned is not None:
+        names = family.planned.output_names
+        if family.by_output and (len(family.by_output) != plant.n_outputs or names not in (None, plant.outputs.names)):
+            raise ArgumentError(
+                f"`schedule` must have the plant's outputs {', '.join(plant.outputs.names)} in their order, as its "
+                f"tolerances have, got {len(family.by_output) if names is None else ', '.join(names)}."
+            )
         planned = meet(plant, period_of(family.planned))  # its columns are the plant's outputs, and need no names
         return family.replanned(
             PeriodicSchedule(planned.gaps, planned.first, planned.outputs, time_unit=planned.time_unit)

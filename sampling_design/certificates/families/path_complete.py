@@ -37,7 +37,7 @@ class PathCompleteGraph:
 
     `words[0]` is the start itself. What the other words mean depends on the family: lower ends of the last gaps
     ("gap-range", "spaced-windows"; newest first), the phase and the losses ("lost-samples"; newest first), the phase
-    and the ends of the deviation ("jitter").
+    and the ends of the deviation ("jitter"), and the outputs that are yet to be read ("output-jitter").
 
     Notes
     -----

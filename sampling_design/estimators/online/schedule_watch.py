@@ -156,40 +156,60 @@ class ScheduleClaim:
         timing_tolerance: Timing = 0.0,
         schedule_zero: float = 0.0,
     ):
-        self.note, self.watch = note, None
+        self.note = note
         late = TimingTolerance.of(timing_tolerance)
         late.require_together("a claim for a schedule")
         tolerance, zero = late.radius, checks.number("schedule_zero", schedule_zero) + late.shift
-        if schedule is not None:
-            self.watch = ScheduleWatch(schedule, time_unit, tolerance, zero)
+        apart = schedule.by_output if isinstance(schedule, SamplingFamily) else ()
+        each: dict[int | None, AnySchedule | SamplingFamily | None] = dict(enumerate(apart)) or {None: schedule}
+        # of each output by itself where they are read at times of their own; of None: of whole samples
+        self.watches = {
+            i: ScheduleWatch(part, time_unit, tolerance, zero) for i, part in each.items() if part is not None
+        }
 
     @property
     def stands(self) -> bool:
         """Whether there is a claim before any sample."""
-        return not self.note and self.watch is not None
+        return not self.note and bool(self.watches)
 
-    def nothing_missed(self, nodes: tuple[HistoryNode, ...], t: float) -> bool:
+    def nothing_missed(self, nodes: Sequence[HistoryNode], t: float) -> bool:
         """Whether no sample was due after the last of some nodes and ahead of t."""
-        if self.watch is None:
-            return True
-        last = next((node for node in reversed(nodes) if _counts(node)), None)
-        return last is not None and self.watch.nothing_missed(last.t, t, first=last.sample.y is None)
+        return all(self._none_due(i, nodes, t) for i in self.watches)
+
+    def _none_due(self, i: int | None, nodes: Sequence[HistoryNode], t: float) -> bool:
+        before, first = _taken(i, nodes)
+        return bool(before) and self.watches[i].nothing_missed(before[-1].t, t, first)
 
     def fits(self, state: EstimatorState, t: float, mask: Array) -> bool:
         """Whether everything up to and with a sample at t is on schedule.
 
         A sample without a number, of limits and means alone, is none for the schedule: the claim is about numbers.
         """
-        if not state.last.scheduled or self.watch is None:
+        if not state.last.scheduled or not self.watches:
             return state.last.scheduled
         if not mask.any():
             return self.nothing_missed(state.nodes, t)
-        before = [node for node in state.nodes if _counts(node)]
-        if not before:
-            return False
-        times = [node.t for node in before]
-        times.append(t)
-        return self.watch.sample_fits(times, mask, first=before[-1].sample.y is None)
+        for i, watch in self.watches.items():
+            before, first = _taken(i, state.nodes)
+            seen = mask if i is None else mask[i : i + 1]
+            if not seen.any():
+                fit = self._none_due(i, state.nodes, t)
+            else:
+                fit = bool(before) and watch.sample_fits([*(node.t for node in before), t], seen, first)
+            if not fit:
+                return False
+        return True
+
+
+def _taken(i: int | None, nodes: Sequence[HistoryNode]) -> tuple[list[HistoryNode], bool]:
+    """The prior and the samples that count, of output i alone if it is one; and whether only the prior is known.
+
+    Where all samples of an output are too old to be known, the oldest node stands for the prior.
+    """
+    known = [node for node in nodes if _counts(node)]
+    own = known if i is None else [node for node in known if node.sample.y is None or node.mask[i]]
+    own = own or known[:1]
+    return own, bool(own) and (own[-1].sample.y is None or not (i is None or own[-1].mask[i]))
 
 
 def _counts(node: HistoryNode) -> bool:

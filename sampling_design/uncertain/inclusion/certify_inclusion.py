@@ -228,6 +228,11 @@ def in_terms(plant: LinearInclusion, schedule: object, **others: object) -> Sche
     if not plant.centre.n_states:
         raise ArgumentError("`plant` must have states: there is nothing to certify.")
     if isinstance(schedule, SamplingFamily):
+        if schedule.by_output:
+            raise ArgumentError(
+                "`schedule` must have samples whose outputs are read together for a plant that is not exactly known, "
+                f"got {checks.described(schedule)}."
+            )
         return in_plant_terms(plant.centre, schedule)
     known = certifiable_schedule(plant.centre, schedule)
     return period_of(known).primitive()

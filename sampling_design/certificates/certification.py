@@ -284,10 +284,7 @@ def certify(
 def within_tolerance(
     plant: OpenPlant, schedule: AnySchedule | SamplingFamily | None, timing_tolerance: Timing
 ) -> AnySchedule | SamplingFamily | None:
-    """Return the family of all times within a tolerance of a schedule; without one, the schedule as it is.
-
-    Raises ArgumentError if the tolerance is none or does not fit, or there is no schedule that it could be about.
-    """
+    """Return the family of all times within a tolerance of a schedule. Raises ArgumentError if they do not fit."""
     known = plant if isinstance(plant, Plant) else None
     late = TimingTolerance.of(timing_tolerance, None if known is None else known.outputs.names)
     if not late:

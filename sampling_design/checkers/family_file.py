@@ -6,6 +6,7 @@ compares. Nothing is proven here.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -38,6 +39,9 @@ def family(value: object, place: str) -> Tree:
 
 class Family:
     """A family of any kind; `cover.py` says for each what its graph must hold."""
+
+    apart: ClassVar[bool] = False
+    """Whether the outputs of a sample are read at times of their own."""
 
     def has_word(self, word: tuple[float, ...]) -> bool:
         """Whether that is a word of the family: lower bounds of gaps may be any numbers."""
@@ -90,6 +94,7 @@ class Jitter(Family):
 class OutputJitter(Family):
     """Output i of every sample read at a time of its own, at most early[i] before and late[i] after the nominal one."""
 
+    apart: ClassVar[bool] = True
     nominal: Times
     early: tuple[float, ...]
     late: tuple[float, ...]
@@ -153,7 +158,7 @@ def of_family(read: Tree, plant: Plant) -> OfFamily:
         what = "must be at least `lam`: a family holds windows from samples to any first gap"
         raise refuse("lam_samples", what)
     family = family_of(read["times"], plant)
-    if isinstance(family, OutputJitter) and any(np.any(np.diag(np.diag(M)) != M) for M in (weights.R, weights.Qv)):
+    if family.apart and any(np.any(np.diag(np.diag(M)) != M) for M in (weights.R, weights.Qv)):
         raise refuse("R", "must be diagonal, and `Qv`, where outputs are read one at a time")
     return OfFamily(plant, weights, family, graph_of(read["graph"], plant, weights, family))
 
@@ -216,15 +221,15 @@ def jitter(read: Tree, plant: Plant) -> Jitter:
     return Jitter(path, read["timing_tolerance"])
 
 
-def output_jitter(read: Tree, plant: Plant) -> OutputJitter:
+def output_jitter(path: Times, early: list[float], late: list[float]) -> OutputJitter:
     """Deviations of each output that keep the order of nominal samples."""
-    path, early, late = nominal_of(read["schedule"], plant), tuple(read["early"]), tuple(read["late"])
+    p = path.seen.shape[1]
     for key, side in (("early", early), ("late", late)):
-        if len(side) != len(plant.C):
-            raise refuse(f"times.{key}", f"must have {len(plant.C)} entries, one for each output, got {len(side)}")
+        if len(side) != p:
+            raise refuse(f"times.{key}", f"must have {p} entries, one for each output, got {len(side)}")
     if max(early) + max(late) >= path.gaps.min():
         raise refuse("times.late", "must, with `times.early`, be less than the least gap, the largest of each")
-    return OutputJitter(path, early, late)
+    return OutputJitter(path, tuple(early), tuple(late))
 
 
 @dataclass(frozen=True)
@@ -245,7 +250,7 @@ FAMILIES: dict[str, Kind] = {
     "jitter": Kind(table({"kind": text, "schedule": schedule, "timing_tolerance": nonnegative}), jitter),
     "output-jitter": Kind(
         table({"kind": text, "schedule": schedule, **dict.fromkeys(("early", "late"), list_of(nonnegative))}),
-        output_jitter,
+        lambda d, plant: output_jitter(nominal_of(d["schedule"], plant), d["early"], d["late"]),
     ),
 }
 """What a certificate file may say of its family; another kind is another line here, and one in `cover.COVERED`."""

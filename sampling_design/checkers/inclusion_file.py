@@ -13,7 +13,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from . import programs
-from .family_file import Edge, Family, GapRange, Graph, Jitter, OutputJitter, edge_of, family_of, fitting
+from .family_file import Edge, Family, GapRange, Graph, Jitter, edge_of, family_of, fitting
 from .half_spaces import holds_a_point
 from .parts import AROUND, MATRICES, NUMBERS, SOLVER, Plant, Weights, symmetric, weights_of
 from .programs import Program
@@ -185,7 +185,7 @@ def schedules_of(value: object, plant: Plant) -> Family:
     if is_table(value) and value.get("kind") == "periodic":
         return Jitter(times_of(value, plant), 0.0)
     family = family_of(value, plant)
-    if isinstance(family, OutputJitter):
+    if family.apart:
         raise refuse("times.kind", "must be another one for an inclusion: its samples are read together")
     return family
 

@@ -174,9 +174,9 @@ class ScheduleClaim:
 
     def nothing_missed(self, nodes: Sequence[HistoryNode], t: float) -> bool:
         """Whether no sample was due after the last of some nodes and ahead of t."""
-        return all(self._none_due(i, nodes, t) for i in self.watches)
+        return all(self._none_missed(i, nodes, t) for i in self.watches)
 
-    def _none_due(self, i: int | None, nodes: Sequence[HistoryNode], t: float) -> bool:
+    def _none_missed(self, i: int | None, nodes: Sequence[HistoryNode], t: float) -> bool:
         before, first = _taken(i, nodes)
         return bool(before) and self.watches[i].nothing_missed(before[-1].t, t, first)
 
@@ -193,7 +193,7 @@ class ScheduleClaim:
             before, first = _taken(i, state.nodes)
             seen = mask if i is None else mask[i : i + 1]
             if not seen.any():
-                fit = self._none_due(i, state.nodes, t)
+                fit = self._none_missed(i, state.nodes, t)
             else:
                 fit = bool(before) and watch.sample_fits([*(node.t for node in before), t], seen, first)
             if not fit:

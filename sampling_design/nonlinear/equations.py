@@ -64,13 +64,12 @@ class PlantEquations(Record):
             key: signals_of(f"signals[{key!r}]", self.signals.get(key), sizes[key], _PREFIX[key]) for key in _VECTORS
         }
         bounds = {key: own_box(key, self.bounds.get(key), sizes[key]) for key in _VECTORS}
-        for key, value in {"sizes": sizes, "signals": signals, "bounds": bounds}.items():
-            object.__setattr__(self, key, value)
+        self._hold(sizes=sizes, signals=signals, bounds=bounds)
         region = StateRegion(*bounds["states"]) if self.region is None else self.region
         if not isinstance(region, StateRegion) or region.lower.size != sizes["states"]:
             shown = checks.described(region)
             raise ArgumentError(f"`region` must be a StateRegion of {sizes['states']} states, got {shown}.")
-        object.__setattr__(self, "region", region)
+        self._hold(region=region)
         self._functions  # noqa: B018  built now, so that a wrong model is refused at the door
 
     @cached_property
@@ -187,8 +186,7 @@ class PlantEquations(Record):
         return kept
 
     def __setstate__(self, state: dict[str, object]) -> None:
-        for key, value in state.items():
-            object.__setattr__(self, key, value)
+        self._hold(**state)
 
     @property
     def n_states(self) -> int:

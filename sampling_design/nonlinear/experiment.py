@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sampling_design.checkers.strict import Tree, is_text
+from sampling_design.checkers.strict import Tree
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.estimators.gap_flows.cost_function import CostFunction
 from sampling_design.nonlinear import thyroid as model
@@ -97,7 +97,7 @@ def patient_run(
     -------
     PatientRun
     """
-    _known_case(case)
+    checks.word("case", case, CASES)
     steps = _grid_steps(days)
     plant, scheme = _tools(case, checks.whole("degree", degree, 1))
     rng = np.random.default_rng([checks.whole("seed", seed), checks.whole("run", run)])
@@ -211,7 +211,7 @@ def thyroid_experiment(
     count = checks.whole("runs", runs, 1)
     check_workers(workers)
     for case in cases:
-        _known_case(case)
+        checks.word("cases", case, CASES)
     settings: Tree = {"days": _grid_steps(days) * STEP, "seed": checks.whole("seed", seed)}
     if checks.whole("degree", degree, 1) != DEGREE:
         settings["degree"] = degree
@@ -243,11 +243,6 @@ def _solved(missing: list[tuple[str, int]], settings: Tree, workers: Workers) ->
 def _line(job: tuple[str, int, Tree]) -> Tree:
     case, run, settings = job
     return patient_run(case, run, **settings).summary()
-
-
-def _known_case(case: str) -> None:
-    if not is_text(case) or case not in CASES:
-        raise ArgumentError(f"`cases` must be among {', '.join(CASES)}, got {case!r}.")
 
 
 def _grid_steps(days: float) -> int:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,15 +25,6 @@ from sampling_design.records.checks import freeze
 NOTE = "No radius: no certificate was given."
 GUESS_TOLERANCE = 1e-4  # of the integrator where a solver only starts from what it finds, in scaled states
 EDGE = 1e-6  # states within this share of their scale of the edge of X are in it: the solver ends there
-
-
-class OpenLoopPrediction(NamedTuple):
-    """The open loop at a time: state, covariance to first order, bound on V, and what went wrong, in words."""
-
-    x: Array
-    Y: Array
-    square: float
-    trouble: str
 
 
 class NonlinearLoop:
@@ -112,15 +103,16 @@ class NonlinearLoop:
             x = integrator.step(x, u, still, start, stop, later)
         return x, Y
 
-    def ahead(self, state: EstimatorState, node: HistoryNode, t: float) -> OpenLoopPrediction:
-        """Return the open loop from a node at t, in X; if even that fails, the node's estimate. The words say so."""
+    def ahead(self, state: EstimatorState, node: HistoryNode, t: float) -> tuple[Array, Array, float, str]:
+        """Return state, covariance to first order, bound on V and what went wrong, in words: open loop from a node.
+
+        The state is in X; if even the open loop fails it is the node's estimate.
+        """
         nothing = unknown(node.x.size)
         try:
             x, Y = self.propagated(state, node.x, node.t, t, node.Y)
         except SolverError as error:
-            return OpenLoopPrediction(
-                node.x, nothing, np.inf, f"The open loop fails too, the last estimate is held: {error}"
-            )
+            return node.x, nothing, np.inf, f"The open loop fails too, the last estimate is held: {error}"
         Y = nothing if Y is None else Y
         square, promise = float("inf"), self.promise
         if promise is not None and np.isfinite(node.beta):
@@ -128,7 +120,7 @@ class NonlinearLoop:
             if np.isfinite(promise.age(t, last)) and promise.holds(x):
                 square = promise.ahead(node.beta, node.t, t)
         kept, words = self._projected(x, self.input(state, t))
-        return OpenLoopPrediction(kept, Y, square if kept is x else np.inf, words)
+        return kept, Y, square if kept is x else np.inf, words
 
     def _projected(self, x: Array, u: Array) -> tuple[Array, str]:
         """Return the nearest state in the box X, and say where x was if that was elsewhere, or where g is positive."""

@@ -204,7 +204,7 @@ class Plant(Record):
         for key, value in parts_of(system).items():
             given = getattr(self, key)
             if key == "A" or given is None or (is_text(given) and not given):
-                object.__setattr__(self, key, value)
+                self._hold(**{key: value})
 
     @property
     def n_states(self) -> int:

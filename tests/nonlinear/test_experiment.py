@@ -128,7 +128,7 @@ def test_a_foreign_file_is_refused_and_left_alone(tmp_path):
     ("arguments", "words"),
     [
         ({"runs": 0}, "`runs` must be a whole number of at least 1"),
-        ({"cases": ["per_week"]}, "`cases` must be among per_second, per_day, per_day_slow, got 'per_week'"),
+        ({"cases": ["per_week"]}, "`cases` must be one of per_second, per_day, per_day_slow, got 'per_week'"),
         ({"days": 0.01}, "`days` must be at least one step of 2 hours"),
         ({"days": -1.0}, "`days` must be positive"),
         ({"seed": -1}, "`seed` must be a whole number"),

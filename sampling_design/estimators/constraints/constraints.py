@@ -61,8 +61,7 @@ class Constraints(Record):
     engine: Engine = "auto"
 
     def __post_init__(self) -> None:
-        if self.check_spacing is not None:
-            object.__setattr__(self, "check_spacing", checks.positive("check_spacing", self.check_spacing))
+        self._check(check_spacing=checks.positive)
         for key, value, known in (("w_model", self.w_model, WModel), ("engine", self.engine, Engine)):
             checks.word(key, value, get_args(known))
 

@@ -95,8 +95,7 @@ class ConvexSet(Record):
             raise ArgumentError(
                 f"`lower` must not exceed `upper`: the set is empty, got {lower[i]} > {upper[i]} at {i}."
             )
-        for key, value in {"lower": lower, "upper": upper, "rows": rows, "offsets": offsets}.items():
-            object.__setattr__(self, key, value)
+        self._hold(lower=lower, upper=upper, rows=rows, offsets=offsets)
         if not checks.holds(self.balls, NormBall):
             raise ArgumentError(f"`balls` must be a tuple of balls, got {checks.described(self.balls)}.")
         if rows.shape[0] + len(self.balls) > 0:
@@ -149,9 +148,7 @@ class ConvexSet(Record):
     ) -> ConvexSet:
         """Return the set of these parts, known to be in order and not empty: nothing is checked."""
         found = object.__new__(cls)
-        parts = {"lower": lower, "upper": upper, "rows": rows, "offsets": offsets, "balls": balls}
-        for key, value in parts.items():
-            object.__setattr__(found, key, value)
+        found._hold(lower=lower, upper=upper, rows=rows, offsets=offsets, balls=balls)
         return found
 
     def __and__(self, other: ConvexSet) -> ConvexSet:

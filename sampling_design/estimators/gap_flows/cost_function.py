@@ -81,9 +81,8 @@ class CostFunction(Record):
             value = getattr(self, key)
             if value is not None:
                 array = checks.matrix(key, value)
-                object.__setattr__(self, key, checks.matrix(key, value, len(array), len(array)))
-        if self.eta is not None:
-            object.__setattr__(self, "eta", checks.nonnegative("eta", self.eta))
+                self._hold(**{key: checks.matrix(key, value, len(array), len(array))})
+        self._check(eta=checks.nonnegative)
         words_of = ("form", self.form, Form), ("arrival", self.arrival, ArrivalKind), ("begins", self.begins, Beginning)
         for key, value, known in words_of:
             named = is_text(value) and value in get_args(known)

@@ -116,8 +116,8 @@ class EstimateRecord(ListRecord[Estimate], CurveRecord, PlainRecord):
     def _judge(self) -> None:
         """Take over what the intervals disproved when they were asked for: one verdict for both proofs."""
         judged = self.collect(self.plant, self.estimates)
-        for key in ("radius", "status", "certified", "notes", "contradictions"):
-            object.__setattr__(self, key, getattr(judged, key))
+        keys = ("radius", "status", "certified", "notes", "contradictions")
+        self._hold(**{key: getattr(judged, key) for key in keys})
 
     @cached_property
     def ellipsoid_radii(self) -> Array:

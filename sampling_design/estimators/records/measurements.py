@@ -88,7 +88,7 @@ class Measurements(ListRecord[MeasuredRow]):
         spans = checks.matrix("times", self.times, columns=2) if checks.dimensions(self.times) == 2 else None
         times = checks.vector("times", self.times if spans is None else spans.mean(axis=1))
         shapes = {"y": (self.y, self.plant.n_outputs), "u": (self.u, self.plant.n_inputs)}
-        owned = {"times": times}
+        owned = {}
         for key, (value, width) in shapes.items():
             blank = np.full((times.size, width), np.nan)
             array = blank if value is None else checks.floats(key, value)
@@ -96,8 +96,7 @@ class Measurements(ListRecord[MeasuredRow]):
                 raise ArgumentError(f"`{key}` must be finite or NaN of shape {blank.shape}, got shape {array.shape}.")
             array.flags.writeable = False
             owned[key] = array
-        for key, array in owned.items():
-            object.__setattr__(self, key, array)
+        self._hold(times=times, **owned)
         outputs = range(self.plant.n_outputs)
         if not is_list(self.censored) or not all(
             checks.holds(row, CensoredReading) and all(each.output in outputs for each in row) for row in self.censored
@@ -110,7 +109,7 @@ class Measurements(ListRecord[MeasuredRow]):
             not np.isnan(self.y[k, each.output]) for k, r in enumerate(rows) for each in r
         ):
             raise ArgumentError("`censored` must have an entry for each row, and y be NaN where it says something.")
-        object.__setattr__(self, "censored", rows)
+        self._hold(censored=rows)
         if spans is not None:
             self._take_spans(spans)
 
@@ -124,8 +123,7 @@ class Measurements(ListRecord[MeasuredRow]):
             if np.isfinite(self.u[k]).any():
                 raise ArgumentError(f"`times` = {span!r} is uncertain, and an input needs its time.")
             censored[k], y[k] = at_some_time(y[k], censored[k], span), np.nan
-        for key, value in {"times": middles, "y": y, "censored": tuple(censored)}.items():
-            object.__setattr__(self, key, freeze(value) if isinstance(value, np.ndarray) else value)
+        self._hold(times=freeze(middles), y=freeze(y), censored=tuple(censored))
 
     def span_of(self, k: int) -> tuple[float, float] | None:
         """First and last time at which row k may have been measured, where that is uncertain."""

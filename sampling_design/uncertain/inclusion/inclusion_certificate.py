@@ -86,7 +86,7 @@ class InclusionCertificate(SampledCertificate):
             kinds = "a GapRange, another family or a PeriodicSchedule"
             raise ArgumentError(f"`family` must be {kinds}, got {checks.described(self.family)}.")
         if self.graph is None:
-            object.__setattr__(self, "graph", graph_for(self.family, 0, self.plant.n_outputs))
+            self._hold(graph=graph_for(self.family, 0, self.plant.n_outputs))
         nodes = checks.floats("nodes", self.nodes)
         if nodes.ndim != 1 or nodes.size < 2 or nodes[0] != 0 or not np.all(np.diff(nodes)[nodes[1:] != 0] > 0):
             raise ArgumentError("`nodes` must increase from 0, for each word of the graph.")
@@ -95,10 +95,9 @@ class InclusionCertificate(SampledCertificate):
         if P.shape != shape:
             raise ArgumentError(f"`P` must hold one matrix per node, shape {shape}, got {P.shape}.")
         if self.model is not None and not self.model_data:
-            object.__setattr__(self, "model_data", self.model.model_to_dict())
-        object.__setattr__(self, "nodes", checks.freeze(nodes))
+            self._hold(model_data=self.model.model_to_dict())
         P = np.array([checks.definite(f"P[{k}]", M, self.P2.shape[0]) for k, M in enumerate(P)]).reshape(shape)
-        object.__setattr__(self, "P", checks.freeze(P))
+        self._hold(nodes=checks.freeze(nodes), P=checks.freeze(P))
 
     @property
     def covers(self) -> Schedules:

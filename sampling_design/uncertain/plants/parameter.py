@@ -57,11 +57,9 @@ class UncertainParameter(PlainRecord):
             raise ArgumentError(f"`nominal` of {self.name} must lie in [{low!r}, {high!r}], got {middle!r}.")
         given = {key: value for key in _MOVED if (value := getattr(self, key)) is not None}
         moved = {key: checks.matrix(key, value) for key, value in given.items()}
-        owned: dict[str, object] = {"low": low, "high": high, "nominal": middle, **moved}
         if not any(M.any() for M in moved.values()):
             raise ArgumentError(f"parameter {self.name!r} must move an entry of A, C or G.")
-        for key, item in owned.items():
-            object.__setattr__(self, key, item)
+        self._hold(low=low, high=high, nominal=middle, **moved)
 
     def _rows(self) -> list[tuple[str, str]]:
         moved = ", ".join(key for key in _MOVED if getattr(self, key) is not None)

@@ -115,7 +115,7 @@ class TimeVaryingPlant(Record):
 
     def __post_init__(self) -> None:
         check_time_unit(self.time_unit)
-        object.__setattr__(self, "horizon", checks.positive("horizon", self.horizon))
+        self._hold(horizon=checks.positive("horizon", self.horizon))
         for key, matrix in (("A", self.A), ("C", self.C), ("G", self.G)):
             if not callable(matrix) and not (key == "G" and matrix is None):
                 raise ArgumentError(
@@ -130,7 +130,7 @@ class TimeVaryingPlant(Record):
             given = Signals(checks.names(key, None, size, prefix)) if given is None else given
             if len(given) != size:
                 raise ArgumentError(f"`{key}` must have {size} entries, got {len(given)}.")
-            object.__setattr__(self, key, given)
+            self._hold(**{key: given})
 
     @classmethod
     def from_table(

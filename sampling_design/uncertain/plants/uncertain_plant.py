@@ -79,7 +79,7 @@ class UncertainPlant(LinearInclusion, PlainRecord):
             value = getattr(self, key)
             if not checks.holds(value, kind):
                 raise ArgumentError(f"`{key}` must be a list of {kind.__name__}, got {checks.described(value)}.")
-            object.__setattr__(self, key, tuple(value))
+            self._hold(**{key: tuple(value)})
         if bool(self.parameters) == bool(self.vertices):
             raise ArgumentError("`parameters` or `vertices` must be given, one of them and not both.")
         if not is_flag(self.varying):
@@ -170,16 +170,12 @@ class UncertainPlant(LinearInclusion, PlainRecord):
         if self.vertices:
             if np.any(theta < 0) or abs(float(theta.sum()) - 1) > 1e-12:
                 raise ArgumentError("`values` of a plant between vertices must be shares that sum to 1.")
-            stacks = {key: np.tensordot(theta, np.array([getattr(v, key) for v in self.vertices]), 1) for key in _MOVED}
-            return self._with(stacks)
+            found = {key: np.tensordot(theta, np.array([getattr(v, key) for v in self.vertices]), 1) for key in _MOVED}
+            return replace(self.nominal, A=found["A"], C=found["C"], G=found["G"])
         for each, value in zip(self.parameters, theta.tolist(), strict=True):
             if not each.low <= value <= each.high:
                 raise ArgumentError(f"`values` must lie in the ranges, got {each.name} = {value!r} outside.")
-        return self._with({key: self._matrix(key, theta) for key in _MOVED})
-
-    def _with(self, found: Mapping[str, Array]) -> Plant:
-        """The nominal plant with other matrices."""
-        return replace(self.nominal, A=found["A"], C=found["C"], G=found["G"])
+        return replace(self.nominal, A=self._matrix("A", theta), C=self._matrix("C", theta), G=self._matrix("G", theta))
 
     def _matrix(self, key: str, theta: Array) -> Array:
         found: Array = getattr(self.nominal, key)

@@ -38,7 +38,9 @@ def _draw_row(one: Axes, result: Accuracy, k: int, tolerance: float | None) -> N
     profile = result.profile
     label = result.rows.labels()[k]
     one.set_ylabel(f"error of\n{label}")
-    for t in profile.samples:
+    begun, ended = profile.edges[0], profile.edges[-1]
+    endless = result.question.initial is None  # what is known with results out begins later than the samples
+    for t in profile.samples + endless * (ended - begun) * np.ceil((begun - profile.samples) / (ended - begun)):
         one.axvline(t, color=style.ALLOWED, linewidth=0.8, zorder=0)
     if tolerance is not None:
         one.axhline(tolerance, color=style.FAILED, linewidth=1.0, linestyle=":", label="tolerance")
@@ -84,7 +86,6 @@ def _draw_row(one: Axes, result: Accuracy, k: int, tolerance: float | None) -> N
             linestyle="--",
             label="standard deviation",
         )
-    begun, ended = profile.edges[0], profile.edges[-1]
     when = result.worst[k] if result.worst[k] >= begun else result.worst[k] + ended - begun
     one.plot(when, result.lower[k], "o", color=style.ATTAINED, markersize=4)
     style.from_below(one, *_range(shown))

@@ -32,6 +32,7 @@ from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.declarations import plain
 from sampling_design.records.file_io import from_json
 from sampling_design.records.record import Plain, short
+from sampling_design.records.units import readable_unit
 from sampling_design.schedules.files import read_schedule, write_schedule
 from sampling_design.schedules.jitter import ON_TIME, Timing, TimingTolerance
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -115,6 +116,7 @@ class Bench:
         retained = self.split.retained
         self.clear = CLEARLY * float(np.max(np.linalg.norm(retained.scaled().C, axis=1), initial=0.0))
         self.window, self.period = float(wanted.window or 0), float(wanted.period or 0)
+        self.shown = readable_unit(self.period, plant.time_unit)  # of axes and words, and how much of it the plant's is
         self.w_bound, self.v_bound, self.words = w_bound, v_bound, words
         self.folder = None if folder is None else Path(folder)
         self.tolerance = None if tolerance is None else checks.vector("tolerance", tolerance, plant.n_states)
@@ -209,7 +211,8 @@ class Bench:
             sensors.append({"name": label, "closed": [[a, b] for a, b in closed], "cost": price})
         return {
             "name": self.plant.name or "plant",
-            "unit": self.plant.time_unit,
+            "unit": self.shown[0],
+            "per_unit": self.shown[1],
             "period": self.period,
             "window": self.window,
             "forbidden": [[float(a), float(b)] for a, b in self.requirement.forbidden],
@@ -222,6 +225,11 @@ class Bench:
             "marks": self.marks(),
             "words": self.words,
         }
+
+    def _at(self, t: float, digits: int = 4) -> str:
+        """A time in the unit that the axes show."""
+        unit, factor = self.shown
+        return f"{short(t * factor, digits)} {unit}"
 
     def _prices(self) -> list[float]:
         """Of one measurement by each sensor."""
@@ -283,9 +291,9 @@ class Bench:
             read = times if mask is None else times[mask[:, k]]
             shut = [t for t in read if any(a <= t < b for a, b in hours)]
             if shut:
-                told.append(f"{name} cannot be read at {', '.join(short(t, 4) for t in shut[:4])}.")
+                told.append(f"{name} cannot be read at {', '.join(self._at(t) for t in shut[:4])}.")
         if closed:
-            told.append(f"Closed at {', '.join(short(t, 4) for t in closed[:4])}: no sample is allowed there.")
+            told.append(f"Closed at {', '.join(self._at(t) for t in closed[:4])}: no sample is allowed there.")
         late = TimingTolerance.of(self.requirement.timing_tolerance)
         if late and late.span >= gaps.min():
             told.append(f"Samples {late.describe(self.plant.time_unit)} could change places: shown as if on time.")
@@ -293,8 +301,8 @@ class Bench:
         if least and len(gaps) and gaps.min() < least * (1 - TOGETHER):
             at = int(np.argmin(gaps))
             told.append(
-                f"The samples before and at {short(times[at], 4)} are {short(gaps[at], 4)} apart; "
-                f"at least {short(least, 4)} is required."
+                f"The samples before and at {self._at(times[at])} are {self._at(gaps[at])} apart; "
+                f"at least {self._at(least)} is required."
             )
         return told
 
@@ -315,7 +323,7 @@ class Bench:
                 f"These samples miss something in every window, however many periods one waits: {existence.reason}."
             ]
         names = _modes_said([existence.eigenvalue, *existence.partners])
-        times = [short(t, 4) for t in self.schedule.times % self.period]
+        times = [self._at(t) for t in self.schedule.times % self.period]
         who = f"The samples at {' and '.join(times)} alias" if len(times) <= 3 else f"All {len(times)} samples alias"
         if len(times) == 1:
             who = f"The sample at {times[0]} of every period aliases"
@@ -342,8 +350,8 @@ class Bench:
         if not best > 0:
             return {"said": "No small move of one sample mends it: add one."}
         sigma, by, k = next(one for one in tried if one[0] >= MENDED * best)
-        at = short(float(times[k]), 4)
-        said = f"Move the sample at {at} by {short(by, 2)}: sigma is then at least {short(sigma, 3)}."
+        move = f"Move the sample at {self._at(float(times[k]))} by {self._at(by, 2)}"
+        said = f"{move}: sigma is then at least {short(sigma, 3)}."
         return {"said": said, "at": float(times[k]), "to": float(times[k] + by)}
 
     def _accuracy(self) -> Reply:
@@ -380,7 +388,7 @@ class Bench:
             if over.all():
                 told.append(f"{text}at no time is it kept.")
                 continue
-            at = [short(float(t) % self.period, 4) for t in edges]
+            at = [self._at(float(t) % self.period) for t in edges]
             # the last cell of a period is followed by the first
             starts = np.flatnonzero(over & ~np.roll(over, 1))
             ends = np.flatnonzero(over & ~np.roll(over, -1))

@@ -40,9 +40,9 @@ function html(kind, attributes, parent, text) {
   return made;
 }
 
-function ticks(from, to) {
+function ticks(from, to, steps = [1, 2, 2.5, 5, 10]) {
   const rough = (to - from) / 6, base = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 2.5, 5, 10].map((k) => k * base).find((k) => k >= rough);
+  const step = steps.map((k) => k * base).find((k) => k >= rough);
   const found = [];
   for (let k = Math.ceil(from / step - 1e-9); k * step <= to + 1e-9 * step; k++) found.push(k * step);
   return found;
@@ -71,7 +71,13 @@ export async function mount(element, ask) {
   if (set && errors) root.insertBefore(set, errors);
   html("p", { class: "hint" }, root, "Drag a sample. Click a row to add one, double-click a sample (or press Delete) to take it away; arrow keys move it; with Shift one sensor moves alone.");
 
-  const { period, sensors, unit } = opened;
+  const { period, sensors, unit, per_unit } = opened;
+  // times are the plant's; axes and words count in `unit`, of which the plant's is `per_unit`
+  const clock = (t) => `${short(t * per_unit)} ${unit}`;
+  function timeTicks(svg, from, to, x, y) {
+    for (const t of ticks(from * per_unit, to * per_unit, [1, 2, 3, 6, 10]))
+      node("text", { x: x(t / per_unit), y, "text-anchor": "middle", class: "soft" }, svg, t === 0 ? "0" : short(t));
+  }
   let marks = opened.marks;
   const at = (t) => LEFT + ((WIDE - LEFT - RIGHT) * t) / period;
   const time = (event) => {
@@ -127,7 +133,7 @@ export async function mount(element, ask) {
         node("rect", { x: at(a), y, width: Math.max(at(b) - at(a), 0), height: ROW - 6, fill: "#c9c9c9" }, line);
       node("text", { x: LEFT - 8, y: y + ROW / 2, "text-anchor": "end" }, line, sensor.name);
     });
-    for (const t of ticks(0, period)) node("text", { x: at(t), y: height - 22, "text-anchor": "middle", class: "soft" }, line, t === 0 ? "0" : short(t));
+    timeTicks(line, 0, period, at, height - 22);
     node("text", { x: WIDE - RIGHT, y: height - 5, "text-anchor": "end", class: "soft" }, line, `time in the period [${unit}]`);
     shapes.clear();
     marks.forEach((mark, m) => {
@@ -157,8 +163,9 @@ export async function mount(element, ask) {
       const colour = shut ? COLOUR.failed : COLOUR.measured;
       for (const [name, value] of [["x1", x], ["x2", x], ["stroke", colour]]) stem.setAttribute(name, value);
       for (const [name, value] of [["cx", x], ["fill", colour]]) head.setAttribute(name, value);
-      made.setAttribute("aria-valuenow", short(t));
-      title.textContent = `${sensors[k].name} at ${short(t)} ${unit}`;
+      made.setAttribute("aria-valuenow", short(t * per_unit));
+      made.setAttribute("aria-valuetext", clock(t));
+      title.textContent = `${sensors[k].name} at ${clock(t)}`;
     }
   }
 
@@ -232,8 +239,8 @@ export async function mount(element, ask) {
       }
     }
     node("circle", { cx: x(Math.min(Math.max(answer.worst, from), to)), cy: y(answer.upper), r: 5, fill: "#fff", stroke: COLOUR.attained, "stroke-width": 2 }, chart);
-    for (const t of ticks(from, to)) node("text", { x: x(t), y: CHART + 26, "text-anchor": "middle", class: "soft" }, chart, t === 0 ? "0" : short(t));
-    node("text", { x: narrow ? 2 : LEFT, y: CHART + 44, class: "lower" }, chart, `proven, windows of ${short(opened.window)} ${unit}${answer.late ? `, samples ${answer.late}` : ""}: sigma ≥ ${short(answer.lower)}`);
+    timeTicks(chart, from, to, x, CHART + 26);
+    node("text", { x: narrow ? 2 : LEFT, y: CHART + 44, class: "lower" }, chart, `proven, windows of ${clock(opened.window)}${answer.late ? `, samples ${answer.late}` : ""}: sigma ≥ ${short(answer.lower)}`);
     node("text", { x: WIDE - RIGHT, y: CHART + (narrow ? 60 : 44), "text-anchor": "end", class: "soft" }, chart, `end of the window [${unit}]`);
   }
 
@@ -268,7 +275,7 @@ export async function mount(element, ask) {
       if (wanted) node("line", { x1: LEFT, x2: WIDE - RIGHT, y1: y(wanted), y2: y(wanted), stroke: "#000", "stroke-dasharray": "3 3" }, errors);
     });
     const foot = opened.states.length * (one + 26);
-    for (const t of ticks(0, period)) node("text", { x: at(t), y: foot + 8, "text-anchor": "middle", class: "soft" }, errors, t === 0 ? "0" : short(t));
+    timeTicks(errors, 0, period, at, foot + 8);
     node("text", { x: WIDE - RIGHT, y: foot + 25, "text-anchor": "end", class: "soft" }, errors, `time in the period [${unit}]`);
   }
 

@@ -19,7 +19,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLo
 
 from sampling_design.records.arrays import Array
 from sampling_design.records.record import short
-from sampling_design.records.units import SECONDS
+from sampling_design.records.units import SECONDS, readable_unit
 from sampling_design.schedules.time_stamps import parse_date
 
 MEASURED = "#2b6398"
@@ -95,10 +95,6 @@ def time_label(unit: str | None, what: str = "time") -> str:
     return f"{what} [{unit}]" if unit else what
 
 
-FEW, MANY = 1.5, 120.0
-"""A time axis is as long as so many of its units, at least and at most, where a longer unit has a name."""
-
-
 class _InUnit(MaxNLocator):
     """Marks at whole numbers of another unit of time."""
 
@@ -113,11 +109,7 @@ class _InUnit(MaxNLocator):
 def _unit_label(ax: matplotlib.axes.Axes, unit: str | None) -> tuple[str | None, float]:
     """The unit in which the time axis of what is drawn counts, and how much of it `unit` is."""
     low, high = ax.get_xlim()
-    own, shown = SECONDS.get(unit or "", np.inf), unit
-    if high - low > MANY:
-        longer = [u for u in ("s", "min", "h", "d") if own < SECONDS[u] <= (high - low) * own / FEW]
-        shown = longer[-1] if longer else unit
-    return shown, 1.0 if shown is None or shown == unit else own / SECONDS[shown]
+    return readable_unit(high - low, unit) if unit in SECONDS else (unit, 1.0)
 
 
 def moment(ax: matplotlib.axes.Axes, t: float, unit: str | None, digits: int = 5, *, origin: str | None = None) -> str:

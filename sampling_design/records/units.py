@@ -11,6 +11,9 @@ from sampling_design.records.record import short
 
 WHOLE = (1e-3, 1e-6)  # a length counts as whole seconds within so many of them, and within this share of it
 
+FEW, MANY = 1.5, 120.0
+"""A time axis is as long as so many of its units, at least and at most, where a longer unit has a name."""
+
 SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "wk": 604800.0}
 
 
@@ -30,6 +33,17 @@ def check_time_unit(unit: object, name: str = "time_unit") -> str:
 def time_factor(source: str, target: str) -> float:
     """Return c so that a time of value t in `source` has value c t in `target`."""
     return SECONDS[check_time_unit(source)] / SECONDS[check_time_unit(target)]
+
+
+def readable_unit(length: float, unit: str) -> tuple[str, float]:
+    """Return the unit in which a time axis of some length counts, and how much of it one `unit` is.
+
+    `unit` itself up to `MANY` of them; else seconds, minutes, hours or days, the longest of which there are `FEW`.
+    """
+    own = SECONDS[check_time_unit(unit)]
+    longer = [u for u in ("s", "min", "h", "d") if own < SECONDS[u] <= length * own / FEW] if length > MANY else []
+    shown = longer[-1] if longer else unit
+    return shown, own / SECONDS[shown]
 
 
 def spoken(length: float, unit: str) -> str:

@@ -32,11 +32,11 @@ def test_what_broke_is_said_with_its_repair():
     bench = scene("pathological")
     found = bench.answer({"ask": "sigma"})
     (told,) = found["told"]
-    assert told.startswith("The samples at 1 and 4.142 alias the modes")
+    assert told.startswith("The samples at 1 s and 4.142 s alias the modes")
     assert "±1i" in told
     assert found["broken"]
     mend = bench.answer({"ask": "mend"})
-    assert "Move the sample at 1 by" in mend["said"]
+    assert "Move the sample at 1 s by" in mend["said"]
     moved = bench.answer({"ask": "sigma", "marks": marks(mend["to"], 1.0 + np.pi)})
     assert moved["told"] == []
     assert not moved["broken"]
@@ -45,7 +45,7 @@ def test_what_broke_is_said_with_its_repair():
     assert moved["lower"] > 0.35 * best
     assert bench.answer({"ask": "sigma", "marks": marks(1.0, 2.5)})["told"] == []
     (told,) = bench.answer({"ask": "sigma", "marks": marks(1.0)})["told"]
-    assert told.startswith("The sample at 1 of every period aliases the modes")
+    assert told.startswith("The sample at 1 s of every period aliases the modes")
     assert "add one" in bench.answer({"ask": "mend"})["said"]
 
 
@@ -96,7 +96,7 @@ def test_rules_of_the_requirement_are_said():
     wish = sd.Requirement(window=8.0, period=8.0, spacing=1.0, forbidden=[[2.0, 3.0]])
     told = Bench(PLANT, wish).answer({"ask": "sigma", "marks": marks(2.5, 3.2, 6.0)})["told"]
     assert any("Closed at 2.5" in t for t in told)
-    assert any("0.7 apart; at least 1 is required" in t for t in told)
+    assert any("0.7 s apart; at least 1 s is required" in t for t in told)
     told = scene("laboratory").answer({"ask": "sigma", "marks": marks(3.0, 12.0, sensors=2)})["told"]
     assert any("nurse cannot be read at 3" in t for t in told)
 
@@ -118,9 +118,9 @@ def test_nothing_that_small_moves_mend_says_so():
 def test_a_tolerance_that_is_not_kept_says_when():
     told = scene("plan").answer({"ask": "accuracy"})["told"]
     assert len(told) == 1
-    assert "0.35 wanted; not kept from 1.975 to 2 and from " in told[0]
-    stretches = [[float(t) for t in pair] for pair in re.findall(r"from ([\d.]+) to ([\d.]*\d)", told[0])]
-    worst = float(re.search(r"shortly before ([\d.]+),", told[0])[1])
+    assert "0.35 wanted; not kept from 1.975 s to 2 s and from " in told[0]
+    stretches = [[float(t) for t in pair] for pair in re.findall(r"from ([\d.]+) s to ([\d.]*\d) s", told[0])]
+    worst = float(re.search(r"shortly before ([\d.]+) s,", told[0])[1])
     bench = scene("plan")
     bounds = {"w_bound": bench.w_bound, "v_bound": bench.v_bound}
     known = sd.guaranteed_accuracy(bench.plant, bench.schedule, **bounds, of=bench.rows, rtol=0.05)
@@ -326,3 +326,19 @@ def test_the_accuracy_is_of_the_times_that_a_plan_allows():
     late = sd.guaranteed_accuracy(PLANT, schedule, **bounds, rtol=0.05, timing_tolerance=0.05)
     assert bench.answer({"ask": "accuracy"})["worst"] == pytest.approx(late.upper)
     assert bench.answer({"ask": "sigma"})["late"] == "up to 0.05 s early or late"
+
+
+@pytest.mark.parametrize(
+    ("unit", "day", "shown"), [("s", 86400.0, "h"), ("min", 1440.0, "h"), ("h", 24.0, "h"), ("h", 168.0, "d")]
+)
+def test_axes_and_words_count_in_a_unit_that_people_read(unit, day, shown):
+    """A day in seconds is told in hours, a week in hours in days; places of samples stay the plant's."""
+    rhythm = sd.Plant(np.array([[0.0, 1.0], [-1.0, 0.0]]) * 6.283 / day, [[1.0, 0.0]], time_unit=unit)
+    bench = Bench(rhythm, sd.Requirement(window=day, period=day, forbidden=[[0.25 * day, 0.5 * day]]))
+    opened = bench.answer({"ask": "open"})
+    assert opened["unit"] == shown
+    assert opened["period"] == day
+    hours = day * opened["per_unit"]
+    assert hours == pytest.approx(7.0 if shown == "d" else 24.0)
+    told = bench.answer({"ask": "sigma", "marks": marks(0.25 * day, 0.9 * day)})["told"]
+    assert f"Closed at {0.25 * hours:g} {shown}: no sample is allowed there." in told

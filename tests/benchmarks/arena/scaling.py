@@ -128,12 +128,22 @@ def row(table: Table, curves: Curves, size: int, work: Sequence[Callable[[], Any
 
 
 def drawn(curves: Curves, label: str, log: bool = True) -> Any:
-    """Return the figure of the curves."""
-    ax = style.new_axes(width=7.0, height=3.6)
+    """Return the figure of the curves; its title says how much longer the last size takes than the first."""
+    ax = style.new_axes(width=8.0, height=3.6)
     colours = (style.MEASURED, style.ATTAINED, style.PROVEN, style.FAILED, style.TRUTH)
     for (name, points), colour in zip(curves.items(), colours, strict=False):
         ax.plot(*zip(*points, strict=True), "o-", color=colour, markersize=4, label=name)
     ax.set(xlabel=label, ylabel="processor time [s]", yscale="log", xscale="log" if log else "linear")
     ax.grid(alpha=0.3)
+    ax.set_title(grown(curves, label), loc="left", fontsize="medium")
     ax.legend(frameon=False, fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
     return ax.figure
+
+
+def grown(curves: Curves, label: str) -> str:
+    """Say what grows least and what most from the first size to the last."""
+    times = {name: points[-1][1] / points[0][1] for name, points in curves.items()}
+    least, most = min(times, key=lambda name: times[name]), max(times, key=lambda name: times[name])
+    first, last = next((points[0][0], points[-1][0]) for points in curves.values())
+    said = {f"{name} takes {float(f'{times[name]:.2g}'):g} times as long": None for name in (least, most)}
+    return f"{last} {label} instead of {first}: " + ",\n".join(said)

@@ -108,4 +108,5 @@ class PatientFigure(Record):
     def explain(self) -> str:
         """Say what the figure shows."""
         shown = {1: "The noisy outputs and the samples", 2: "The measured states", 3: "The unmeasured states"}
-        return f"{shown[self.number]} of run {self.of.run} ({self.of.case})."
+        found = "" if self.number == 1 else f" {self.of.explain()}"
+        return f"{shown[self.number]} of run {self.of.run} ({self.of.case.replace('_', ' ')}).{found}"

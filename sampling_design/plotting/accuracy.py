@@ -89,8 +89,10 @@ def _draw_row(one: Axes, result: Accuracy, k: int, tolerance: float | None) -> N
     when = result.worst[k] if result.worst[k] >= begun else result.worst[k] + ended - begun
     one.plot(when, result.lower[k], "o", color=style.ATTAINED, markersize=4)
     style.from_below(one, *_range(shown))
-    span = f"{short(result.lower[k], 4)} to {short(result.upper[k], 4)} {result.rows.units[k]}".rstrip()
-    one.set_title(f"{span} at the worst time", loc="left", fontsize="medium")
+    unit = result.rows.units[k]
+    found = f"guaranteed within {short(result.upper[k], 4)} {unit}".rstrip()
+    least = f"nobody guarantees less than {short(result.lower[k], 4)} {unit}".rstrip()
+    one.set_title(f"{found}; {least}", loc="left", fontsize="medium")
 
 
 def _range(curves: Sequence[Array]) -> tuple[float, float]:

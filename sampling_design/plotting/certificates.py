@@ -79,7 +79,9 @@ def draw_family_certificate(certificate: FamilyCertificate, ax: Axes | None = No
     ax.set_ylim(bottom=0.0)
     style.time_axis(ax, plant.time_unit, "time since the last sample")
     ax.set_ylabel("prior weight over information kept")
-    said = f"lambda {short(certificate.lam, 4)} proven. {certificate.family.explain()}"
+    family = certificate.family
+    unit = "" if family.time_unit else f" Times in {plant.time_unit}."
+    said = f"lambda {short(certificate.lam, 4)} proven. {family.explain()}{unit}"
     ax.set_title(said, loc="left", fontsize="medium", wrap=True)
     style.legend(ax)
     return ax

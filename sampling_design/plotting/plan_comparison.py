@@ -33,7 +33,8 @@ def draw_plan_comparison(result: PlanComparison, ax: Axes | None = None) -> Axes
         one.set_xlim(*whole(longest))
         mark_days(longest, one)
     style.one_time_axis(axes)
-    figure.suptitle(f"{result.first.plant.name or 'plans'}: {result.names[0]} and {result.names[1]}")
+    each = [f"{name} {priced(plan)} a period" for plan, name in zip(result.plans, result.names, strict=True)]
+    figure.suptitle(f"{result.first.plant.name or 'plans'}: {', '.join(each)}")
     return axes
 
 

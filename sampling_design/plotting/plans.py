@@ -28,7 +28,8 @@ def draw_plan(result: PlanFigures, ax: Axes | None = None) -> Axes | style.Panel
         one.set_xlim(*whole(result))
         mark_days(result, one)
     style.one_time_axis(axes)
-    figure.suptitle(f"{result.plant.name or 'plan'}: {priced(result)} a period")
+    kept = "the tolerances are kept" if result.keeps else f"errors reach {short(result.ratio, 3)} of the tolerances"
+    figure.suptitle(f"{result.plant.name or 'plan'}: {kept}, {priced(result)} a period")
     return axes
 
 

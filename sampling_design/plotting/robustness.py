@@ -17,9 +17,10 @@ def draw_robustness(result: Robustness, ax: Axes | None = None) -> Axes | style.
     """Draw lambda over the timing error (on `ax` alone if given), and below it over the losses."""
     if ax is not None:
         return _radii(result, ax)
-    lost = ", ".join(f"{d} of any {w}" for d, w in result.tolerated) or "none"
+    lost = ", ".join(f"{d} of any {w}" for d, w in result.tolerated)
+    losses = f"losses of {lost}" if lost else "no loss"
     unit = result.certificate.plant.time_unit or ""
-    words = f"survives timing errors up to {short(result.radius, 4)} {unit} and losses of {lost}"
+    words = f"survives timing errors up to {short(result.radius, 4)} {unit} and {losses}"
     # a panel of losses only where some were tried with a lambda to show
     found = any(np.isfinite(loss.lam) for loss in result.losses)
     figure, panels = style.new_figure(2 if found else 1, row_height=2.8)

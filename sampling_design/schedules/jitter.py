@@ -439,7 +439,9 @@ class Jitter(SamplingFamily, kind="jitter"):
 
     def explain(self) -> str:
         """Say which schedules belong."""
-        return f"Every sample at most {short(self.timing_tolerance)} early or late. Nominal: {self.schedule.explain()}"
+        unit = f" {self.time_unit}" if self.time_unit else ""
+        most = f"{short(self.timing_tolerance)}{unit}"
+        return f"Every sample at most {most} early or late. Nominal: {self.schedule.explain()}"
 
 
 def _first(schedule: AnySchedule, count: int) -> Schedule:

@@ -258,7 +258,8 @@ class SpacedWindows(SamplingFamily, kind="spaced-windows"):
 
     def explain(self) -> str:
         """Say which schedules belong."""
+        unit = f" {self.time_unit}" if self.time_unit else ""
         return (
             f"Every schedule with at least {self.count} samples in every closed window of length "
-            f"{short(self.window)} and at least {short(self.spacing)} between samples."
+            f"{short(self.window)}{unit} and at least {short(self.spacing)}{unit} between samples."
         )

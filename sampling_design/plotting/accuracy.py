@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 
 from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.projection import Projection
+from sampling_design.accuracy.results_out import SAME
 from sampling_design.plotting import style
 from sampling_design.records.arrays import Array
 from sampling_design.records.record import short
@@ -22,11 +23,18 @@ def draw_accuracy(
     `tolerance` is a wanted error for each row; standard deviations are dashed where the record has them.
     """
     count = len(result.rows)
-    axes = _panels(count) if ax is None else style.Panels(np.ravel(np.asarray(ax, dtype=object)))
+    axes = (
+        style.new_figure(count, row_height=2.3)[1]
+        if ax is None
+        else style.Panels(np.ravel(np.asarray(ax, dtype=object)))
+    )
     for k, one in zip(range(count), axes, strict=False):
         _draw_row(one, result, k, None if tolerance is None else tolerance[k])
     what = "time over one period, samples grey" if result.question.initial is None else "time, samples grey"
-    style.time_axis(axes[-1], result.plant.time_unit, what)
+    for one in axes if ax is None else axes[-1:]:
+        style.time_axis(one, result.plant.time_unit, what)
+    if ax is None:
+        style.one_time_axis(axes)
     finite = [one for k, one in enumerate(axes[:count]) if np.isfinite(result.upper[k])]
     if finite:
         style.legend(finite[0])
@@ -86,7 +94,9 @@ def _draw_row(one: Axes, result: Accuracy, k: int, tolerance: float | None) -> N
             linestyle="--",
             label="standard deviation",
         )
-    when = result.worst[k] if result.worst[k] >= begun else result.worst[k] + ended - begun
+    when = result.worst[k]
+    if endless and when - begun <= SAME * (ended - begun):  # just before the first sample: at the end
+        when += ended - begun
     one.plot(when, result.lower[k], "o", color=style.ATTAINED, markersize=4)
     style.from_below(one, *_range(shown))
     unit = result.rows.units[k]
@@ -100,13 +110,6 @@ def _range(curves: Sequence[Array]) -> tuple[float, float]:
     values = np.concatenate(curves)
     values = values[np.isfinite(values)]
     return float(values.min()), float(values.max())
-
-
-def _panels(count: int) -> style.Panels:
-    _, axes = style.new_figure(count, row_height=2.3)
-    for one in axes[:-1]:
-        one.tick_params(labelbottom=False)
-    return axes
 
 
 def draw_projection(result: Projection, ax: Axes | None = None) -> Axes:

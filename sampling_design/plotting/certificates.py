@@ -16,6 +16,7 @@ from sampling_design.certificates.families.family_certificate import FamilyCerti
 from sampling_design.numerics.linalg import discounted_flow
 from sampling_design.plotting import style
 from sampling_design.records.record import short
+from sampling_design.records.units import readable_unit
 
 _COLOURS = (style.PROVEN, style.PROVEN, style.PROVEN, style.ATTAINED)  # the last is reached, the others are bounds
 
@@ -80,8 +81,8 @@ def draw_family_certificate(certificate: FamilyCertificate, ax: Axes | None = No
     style.time_axis(ax, plant.time_unit, "time since the last sample")
     ax.set_ylabel("prior weight over information kept")
     family = certificate.family
-    unit = "" if family.time_unit else f" Times in {plant.time_unit}."
-    said = f"lambda {short(certificate.lam, 4)} proven. {family.explain()}{unit}"
+    unit = "" if family.time_unit else f", times in {plant.time_unit}"
+    said = f"lambda {short(certificate.lam, 4)} proven{unit}. {family.explain()}"
     ax.set_title(said, loc="left", fontsize="medium", wrap=True)
     style.legend(ax)
     return ax
@@ -100,6 +101,8 @@ def draw_four_horizons(horizons: FourHorizons, ax: Axes | None = None) -> Axes |
 def _dots(horizons: FourHorizons, ax: Axes) -> Axes:
     """One row each: a dot where a horizon is known, else why there is none."""
     known = [row.minimum for row in horizons.rows if row.minimum is not None]
+    unit, factor = readable_unit(max(known, default=0.0), horizons.certificate.plant.time_unit)
+    known = [factor * length for length in known]
     lengths = [max(length, 1e-12) for length in known] or [1.0]
     low, high = 10 ** np.floor(np.log10(0.8 * min(lengths))), 10 ** np.ceil(np.log10(1.25 * max(lengths)))
     for k, (row, colour) in enumerate(zip(horizons.rows, _COLOURS, strict=True)):
@@ -109,18 +112,23 @@ def _dots(horizons: FourHorizons, ax: Axes) -> Axes:
                 1.2 * low, k, shorten(why, 90, placeholder=" ..."), va="center", fontsize="small", color=style.ALLOWED
             )
             continue
-        at = max(row.minimum, 1e-12)
+        at = max(factor * row.minimum, 1e-12)
         ax.hlines(k, low, at, color=style.ALLOWED, linewidth=0.8, linestyle=":")
         ax.plot([at], [k], "o", color=colour, markersize=9)
         ax.annotate(
-            short(row.minimum, 4), (at, k), xytext=(9, 0), textcoords="offset points", va="center", fontsize="small"
+            short(factor * row.minimum, 4),
+            (at, k),
+            xytext=(9, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize="small",
         )
     ax.set_yticks(range(len(horizons.rows)), [row.name for row in horizons.rows])
     ax.set_ylim(len(horizons.rows) - 0.4, -0.6)
     ax.set_xscale("log")
     ax.set_xlim(low, high * (1.6 if known and max(known) > 0.5 * high else 1.0))
-    unit, enough = horizons.certificate.plant.time_unit, horizons.rows[2].minimum
+    enough = horizons.rows[2].minimum
     ax.set_xlabel(style.time_label(unit, "horizon M must exceed"))
     if enough is not None:
-        ax.set_title(f"a horizon above {short(enough, 4)} {unit} is proven to be enough", loc="left")
+        ax.set_title(f"a horizon above {short(factor * enough, 4)} {unit} is proven to be enough", loc="left")
     return ax

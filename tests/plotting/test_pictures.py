@@ -418,3 +418,35 @@ def test_a_smoothed_window_shows_its_deviations():
 def test_a_front_without_points_is_not_drawn():
     with pytest.raises(ArgumentError, match="`record` has no point to draw: none of the counts can be met"):
         draw_pareto(SimpleNamespace(points=[]))
+
+
+def test_the_worst_time_is_marked_on_the_curve_it_is_of():
+    """Just before the first sample is at the end of the period that is shown; samples lie in it."""
+    plant = sd.Plant([[0.0]], [[1.0]], time_unit="h", states=["level"], outputs=["lab"])
+    schedule = sd.PeriodicSchedule.from_times([1.0, 3.0], 5.0, time_unit="h")
+    late = {"lab": sd.schedules.Sensor(noise_bound=0.1, result_delay=1.5)}
+    for noise in (0.1, late):
+        found = sd.guaranteed_accuracy(plant, schedule, w_bound=0.1, v_bound=noise)
+        (ax,) = found.plot()
+        begun, ended = found.profile.edges[[0, -1]]
+        (worst,) = [line.get_xdata()[0] for line in ax.lines if line.get_marker() == "o"]
+        k = np.searchsorted(found.profile.edges, worst, side="left") - 1
+        assert k >= 0
+        assert found.profile.lower[0, min(k, found.profile.lower.shape[1] - 1)] >= 0.98 * found.lower[0]
+        samples = [
+            line.get_xdata()[0] for line in ax.lines if len(line.get_xdata()) == 2 and line.get_color() == style.ALLOWED
+        ]
+        assert len(samples) == 2
+        assert all(begun <= t < ended for t in samples)
+        assert ax.get_title(loc="left").startswith("guaranteed within ")
+
+
+def test_horizons_count_in_a_unit_that_people_read():
+    minutes = sd.Plant(OSCILLATOR.A / 60, OSCILLATOR.C, time_unit="s", states=["position", "velocity"])
+    schedule = sd.PeriodicSchedule(60 * SCHEDULE.gaps, time_unit="s")
+    found = sd.certificates.four_horizons(minutes, schedule, sd.certify(minutes, schedule, eta=0.2 / 60))
+    top = found.plot()[0]
+    assert top.get_xlabel() == "horizon M must exceed [min]"
+    dots = {round(float(line.get_xdata()[0]), 6) for line in top.lines}
+    assert dots == {round(row.minimum / 60, 6) for row in found.rows if row.minimum is not None}
+    assert f"{found.rows[2].minimum / 60:.4g} min is proven" in top.get_title(loc="left")

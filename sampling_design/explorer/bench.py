@@ -116,7 +116,9 @@ class Bench:
         retained = self.split.retained
         self.clear = CLEARLY * float(np.max(np.linalg.norm(retained.scaled().C, axis=1), initial=0.0))
         self.window, self.period = float(wanted.window or 0), float(wanted.period or 0)
-        self.shown = readable_unit(self.period, plant.time_unit)  # of axes and words, and how much of it the plant's is
+        self.axis_unit = readable_unit(
+            self.period, plant.time_unit
+        )  # of axes and words, and how much of it the plant's is
         self.w_bound, self.v_bound, self.words = w_bound, v_bound, words
         self.folder = None if folder is None else Path(folder)
         self.tolerance = None if tolerance is None else checks.vector("tolerance", tolerance, plant.n_states)
@@ -211,8 +213,8 @@ class Bench:
             sensors.append({"name": label, "closed": [[a, b] for a, b in closed], "cost": price})
         return {
             "name": self.plant.name or "plant",
-            "unit": self.shown[0],
-            "per_unit": self.shown[1],
+            "unit": self.axis_unit[0],
+            "per_unit": self.axis_unit[1],
             "period": self.period,
             "window": self.window,
             "forbidden": [[float(a), float(b)] for a, b in self.requirement.forbidden],
@@ -228,7 +230,7 @@ class Bench:
 
     def _at(self, t: float, digits: int = 4) -> str:
         """A time in the unit that the axes show."""
-        unit, factor = self.shown
+        unit, factor = self.axis_unit
         return f"{short(t * factor, digits)} {unit}"
 
     def _prices(self) -> list[float]:

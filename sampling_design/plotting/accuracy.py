@@ -94,15 +94,20 @@ def _draw_row(one: Axes, result: Accuracy, k: int, tolerance: float | None) -> N
             linestyle="--",
             label="standard deviation",
         )
-    when = result.worst[k]
-    if endless and when - begun <= SAME * (ended - begun):  # just before the first sample: at the end
-        when += ended - begun
-    one.plot(when, result.lower[k], "o", color=style.ATTAINED, markersize=4)
+    _mark_worst(one, result, k)
     style.from_below(one, *_range(shown))
     unit = result.rows.units[k]
     found = f"guaranteed within {short(result.upper[k], 4)} {unit}".rstrip()
     least = f"nobody guarantees less than {short(result.lower[k], 4)} {unit}".rstrip()
     one.set_title(f"{found}; {least}", loc="left", fontsize="medium")
+
+
+def _mark_worst(one: Axes, result: Accuracy, k: int) -> None:
+    """Mark the worst time; just before the first sample of an endless schedule is at the end of its period."""
+    begun, ended, when = result.profile.edges[0], result.profile.edges[-1], result.worst[k]
+    if result.question.initial is None and when - begun <= SAME * (ended - begun):
+        when += ended - begun
+    one.plot(when, result.lower[k], "o", color=style.ATTAINED, markersize=4)
 
 
 def _range(curves: Sequence[Array]) -> tuple[float, float]:

@@ -8,7 +8,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError
-from sampling_design.schedules.jitter import ON_TIME
+from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from tests import command_lines
 from tests.cases import few
 
@@ -309,6 +309,22 @@ def test_the_command_ends_with_what_is_proven(tolerance, code, tmp_path):
     ended = command_lines.run(["sigma", *asked, "--timing-tolerance", tolerance])
     assert ended.code == code
     assert ended.raw() == ""
+
+
+@pytest.mark.parametrize(
+    "tolerance", [{"y1": 0.01, "y2": 0.1}, {"y1": 0.1, "y2": 0.01}, {"y1": (0.0, 0.1), "y2": 0.02}]
+)
+@pytest.mark.parametrize("window", [1.3, 2.3])
+def test_windows_are_tried_that_hold_no_output_which_nearly_comes_on_time(window, tolerance):
+    """Where only starts of pieces are tried, such an output is in, and sigma attained is up to 1.3 times as large."""
+    plant = sd.Plant([[0.3, 1.0], [-1.0, 0.3]], [[1.0, 0.0], [0.2, 1.0]])
+    found = sd.window_sigma(plant, sd.PeriodicSchedule([1.0]), window, timing_tolerance=tolerance)
+    assert found.lower >= 0.96 * found.upper
+    moved, ends = found.witness, TimingTolerance.of(tolerance, plant.outputs.names)
+    real = np.sort(
+        np.concatenate([t + each for t in np.arange(1.0, 6.0) for each in (-np.array(ends.early), ends.late)])
+    )
+    assert np.all(np.abs(np.subtract.outer(moved.samples, real)).min(axis=1) < 1e-9)
 
 
 def least_seen(plant, times, late, rng, starts=20, grid=41):

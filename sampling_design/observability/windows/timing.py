@@ -243,6 +243,21 @@ def moved_window(plant: Plant, pieces: Pieces, g: int, start: float) -> WindowWi
     return kept
 
 
+def starts_tried(pieces: Pieces, g: int, start: float) -> list[float]:
+    """The start of a window on piece g, and those next to it at which it is sure of no output of an earlier sample, or
+    of a later one: outputs that come nearly on time may be in it where others may be out."""
+    late = pieces.timing_tolerance
+    if not late.apart:
+        return [start]
+    earlier, later = (
+        pieces.times[: pieces.first[g]] - late.back.min(),
+        pieces.times[pieces.stop[g] :] + late.forward.min(),
+    )
+    low = np.clip(np.max(earlier, initial=-np.inf), start, pieces.right[g])
+    high = np.clip(np.min(later, initial=np.inf) - pieces.window, pieces.left[g], start)
+    return np.unique([start, low, high]).tolist()
+
+
 def _surely_held(pieces: Pieces, g: int, start: float) -> Mask:
     """(K, p): which outputs of which samples are read in the window that starts there, whenever they are read.
 

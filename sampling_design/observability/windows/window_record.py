@@ -16,7 +16,7 @@ from sampling_design.observability.sigma_bracket import (
 )
 from sampling_design.observability.windows.bracket import WindowBracket, bracket_sigma
 from sampling_design.observability.windows.pieces import Pieces, WindowWitness, window_pieces
-from sampling_design.observability.windows.timing import MOST_TRIED, middle_rows, moved_window
+from sampling_design.observability.windows.timing import MOST_TRIED, middle_rows, moved_window, starts_tried
 from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -246,7 +246,7 @@ def _with_tolerance(record: WindowSigma, plant: Plant, found: WindowBracket) -> 
     for g in np.argsort(least, kind="stable")[:MOST_TRIED].tolist():
         at, own = found.nodes[found.owner == g], found.sigma[found.owner == g]
         start = float(at[np.argmin(own)])
-        tried.append(moved_window(plant, pieces, g, start))
+        tried += [moved_window(plant, pieces, g, each) for each in starts_tried(pieces, g, start)]
     worst = min(tried, key=lambda one: one.sigma)
     status, lower = found.status, min(found.lower, worst.sigma)
     if status in ("closed", "rounding", "below rounding") and worst.sigma > 0:  # of rows that stand for all times

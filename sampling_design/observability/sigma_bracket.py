@@ -32,7 +32,7 @@ class ProvenSigma(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class SigmaDeviations(Record):
-    """Proven sigma of schedules that are not kept to the letter.
+    """Proven sigma of schedules that are not kept to the letter; of functions of time `sampled`, and nothing is proven.
 
     Attributes
     ----------
@@ -50,6 +50,8 @@ class SigmaDeviations(Record):
     time_unit : str
     asked : bool
         Whether the tolerance was asked for: sigma itself is then proven for such times.
+    sampled : bool
+        Whether these are the least of windows, times and losses that were looked at.
     """
 
     tolerance: TimingTolerance
@@ -59,6 +61,7 @@ class SigmaDeviations(Record):
     lost_sample: int | None
     time_unit: str
     asked: bool = False
+    sampled: bool = False
 
     def to_dict(self) -> dict[str, Plain]:
         """Plain data."""
@@ -70,17 +73,19 @@ class SigmaDeviations(Record):
             "lost": self.lost,
             "lost_sample": self.lost_sample,
             "time_unit": self.time_unit,
+            **({"strength": "sampled"} if self.sampled else {}),
         }
 
     def _rows(self) -> list[tuple[str, str]]:
         wider = f"windows {short(2 * self.tolerance.radius)} {self.time_unit} longer"
         which = "" if self.lost_sample is None else f" (sample {self.lost_sample + 1})"
+        looked = ", sampled" if self.sampled else ""
         return [
             (
                 f"if {self.tolerance.describe(self.time_unit)}",
-                f"{short(self.late)}; {short(self.late_wider)} in {wider}",
+                f"{short(self.late)}; {short(self.late_wider)} in {wider}{looked}",
             ),
-            ("if one sample is lost", short(self.lost) + which),
+            ("if one sample is lost", short(self.lost) + which + looked),
         ]
 
     def explain(self) -> str:
@@ -88,6 +93,12 @@ class SigmaDeviations(Record):
         if self.asked:
             return f"If one sample is lost, sigma is at least {short(self.lost)}."
         wider = f"{short(2 * self.tolerance.radius)} {self.time_unit}"
+        if self.sampled:
+            return (
+                f"Of samples that come {self.tolerance.describe(self.time_unit)}, sigma was seen to fall to "
+                f"{short(self.late)}, and to {short(self.late_wider)} over windows that are {wider} longer; of one "
+                f"lost sample to {short(self.lost)}. None of this is proven."
+            )
         return (
             f"If samples come {self.tolerance.describe(self.time_unit)}, sigma is at least {short(self.late)}, and "
             f"over windows that are {wider} longer {short(self.late_wider)}. If one sample is lost, sigma is at least "
@@ -118,10 +129,11 @@ class SigmaBracket(PlainRecord):
         """What is left of `lower` if samples come early or late or one is lost, worked out when it is asked for.
 
         In doubles, also of what ball arithmetic proves. None where sigma is nothing or doubles do not show it, where
-        too little of a budget (over a box of ten times what the bracket took) is left, and along a plant that varies in
-        time as functions say, of which nothing is proven.
+        too little of a budget (over a box of ten times what the bracket took) is left. Along a plant that varies in
+        time as functions say they are `sampled`, as sigma itself.
         """
-        return self.beside() if self.beside is not None and 0 < self.lower < np.inf else None
+        sigma = self.upper if self.status == "sampled" else self.lower
+        return self.beside() if self.beside is not None and 0 < sigma < np.inf else None
 
     def _rows(self) -> list[tuple[str, str]]:
         return [*super()._rows(), *([] if self.deviations is None else self.deviations._rows())]

@@ -16,11 +16,12 @@ def draw_deviations(found: SigmaDeviations | None, ax: Axes) -> float:
     """Draw what late samples (unless they were asked for) and a lost one leave; the least of it."""
     if found is None:
         return np.inf
+    color, looked = (style.ATTAINED, " (sampled)") if found.sampled else (style.PROVEN, "")
     if not found.asked:
-        label = f"if {found.tolerance.describe(found.time_unit)}: {short(found.late, 4)}"
-        ax.axhline(found.late, color=style.PROVEN, linestyle="-.", linewidth=1.0, label=label)
-    lost = f"if one sample is lost: {short(found.lost, 4)}"
-    ax.axhline(found.lost, color=style.PROVEN, linestyle=":", linewidth=1.0, label=lost)
+        label = f"if {found.tolerance.describe(found.time_unit)}: {short(found.late, 4)}{looked}"
+        ax.axhline(found.late, color=color, linestyle="-.", linewidth=1.0, label=label)
+    lost = f"if one sample is lost: {short(found.lost, 4)}{looked}"
+    ax.axhline(found.lost, color=color, linestyle=":", linewidth=1.0, label=lost)
     return min(found.late, found.lost)
 
 

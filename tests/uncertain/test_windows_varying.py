@@ -7,6 +7,7 @@ import sampling_design as sd
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.uncertain.plants import time_table
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
+from tests.cases import few
 
 J, C = np.array([[0.0, 1.0], [-1.0, 0.0]]), np.array([[1.0, 0.0]])
 SAMPLES = sd.Schedule([0.0, 1.0, 2.2, 4.0, 5.801, 7.0, 8.2, 10.0])
@@ -97,13 +98,26 @@ def test_late_and_lost_samples_leave_what_is_said_along_a_plant_that_varies(wind
     assert left.late_wider < sd.window_sigma(SWING, SAMPLES, window).lower
 
 
-def test_of_outputs_that_functions_say_no_late_sample_is_judged():
+@pytest.mark.parametrize("window", few([5.0, 4.0], 0))
+def test_of_functions_late_and_lost_samples_are_looked_at_and_it_is_said(window):
+    found = sd.window_sigma(TimeVaryingPlant(lambda t: SWING.A(t), SWING.C, horizon=10.0), SAMPLES, window)
+    left, late = found.deviations, found.deviations.tolerance.radius
+    least = [least_found(window, late), least_found(window + 2 * late, late), least_found(window, lost=True)]
+    said = np.array([left.late, left.late_wider, left.lost])
+    assert np.all(said == pytest.approx(least, rel=0.03))
+    assert left.to_dict()["strength"] == "sampled"
+    assert "None of this is proven." in found.explain()
+    assert "sampled" in str(found).split("if one sample is lost")[1]
+
+
+def test_of_outputs_that_functions_say_late_samples_are_only_looked_at():
     still = TimeVaryingPlant.from_table([0.0, 10.0], [J] * 2, [C] * 2)
-    found = sd.window_sigma(TimeVaryingPlant(still.A, lambda t: C, horizon=10.0), SAMPLES, 4.0)
-    assert found.lower > 0
-    assert found.deviations is None
+    seen = sd.window_sigma(TimeVaryingPlant(still.A, lambda t: C, horizon=10.0), SAMPLES, 5.0)
+    assert seen.lower > 0
     plain = sd.window_sigma(sd.Plant(J, C), SAMPLES, 5.0).deviations
     mine = sd.window_sigma(still, SAMPLES, 5.0).deviations
+    assert (seen.deviations.sampled, mine.sampled) == (True, False)
+    assert mine.late <= seen.deviations.late <= mine.late * 1.05
     assert 0.95 * plain.late <= mine.late <= plain.late * 1.01
     assert mine.lost == pytest.approx(plain.lost, rel=1e-2)
     masked = sd.window_sigma(still, sd.Schedule(SAMPLES.times, [[True]] * 8), 5.0).deviations

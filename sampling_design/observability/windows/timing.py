@@ -255,7 +255,7 @@ def starts_tried(pieces: Pieces, g: int, start: float) -> list[float]:
     )
     low = np.clip(np.max(earlier, initial=-np.inf), start, pieces.right[g])
     high = np.clip(np.min(later, initial=np.inf) - pieces.window, pieces.left[g], start)
-    return np.unique([start, low, high]).tolist()
+    return [float(each) for each in np.unique([start, low, high])]
 
 
 def _surely_held(pieces: Pieces, g: int, start: float) -> Mask:

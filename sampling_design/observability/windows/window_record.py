@@ -180,9 +180,10 @@ class WindowSigma(SigmaBracket, TableRecord, CurveRecord):
             return f"{where}; it does not observe the state {state}: sigma is zero to rounding.{hidden}"
         length = f"{short(self.window)} {self.time_unit}"
         if self.status == "sampled":
+            left = "" if self.deviations is None else f" {self.deviations.explain()}"
             return (
                 f"Sigma falls to {short(self.upper)} among the windows of {length} that were looked at; nothing is "
-                f"proven, as A is a function of time and no table. {where}."
+                f"proven, as A is a function of time and no table. {where}.{left}"
             )
         later = f" from {self._since()} {self.time_unit} on" if self.from_time else ""
         later += f", for samples {self._late()}" if self.late else ""

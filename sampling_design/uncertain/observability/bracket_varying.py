@@ -11,13 +11,15 @@ A sample that comes e late, |e| <= d, reads C(t + e) Phi(t + e, t) in place of C
     |C(t + e) Phi(t + e, t) - C(t)| <= |C(t)| (e^{a d} - 1) + c e^{a d},    c >= |C(t + e) - C(t)|,
 
 where a and c stand at ends and knots, too. Rows that see no more than all that differ so little take the place of O.
+Of functions each sample is early, late or on time, whichever shows the least seen state least, in turn with that state.
 """
 
 from __future__ import annotations
 
 import heapq
+from collections.abc import Callable
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -27,12 +29,14 @@ from sampling_design.observability.windows.timing import rows_without
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
 from sampling_design.uncertain.plants.time_table import MatrixTable, length_of
-from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
+from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant, TransitionTable
 
 FIRST = 5  # positions of a piece at first, its ends included
+TURNS = 6  # in which real times of functions are sought
 LOOKED = 5  # instants of an interval at which functions are looked at
 MOST_PROVEN, MOST_SAMPLED = 5000, 100
 """Halvings at most: of tables, and of functions, whose every transition is an integration."""
+Flows: TypeAlias = Callable[[tuple[float, ...]], TransitionTable]
 EPS = float(np.finfo(float).eps)
 MOVED = 1 + 1e-9  # covers the rounding of a few operations
 
@@ -50,9 +54,10 @@ class _Node(NamedTuple):
 class VaryingSearch:
     """The bracket of one plant; transitions are scaled, and rows refer to scaled states."""
 
-    def __init__(self, plant: TimeVaryingPlant, pieces: Pieces) -> None:
-        self.plant, self.pieces = plant, pieces
+    def __init__(self, plant: TimeVaryingPlant, pieces: Pieces, flows: Flows) -> None:
+        self.plant, self.pieces, self.flows = plant, pieces, flows
         self.unit = plant.states.scales
+        self.d = pieces.timing_tolerance.radius
         self.table, self.outputs = (
             part.in_units(unit, self.unit) if isinstance(part, MatrixTable) else None
             for part, unit in ((plant.A, self.unit), (plant.C, plant.outputs.scales))
@@ -74,8 +79,11 @@ class VaryingSearch:
         """The node at the right end of a piece."""
         start, samples = float(self.pieces.right[g]), self.pieces.samples(g)
         n, mask = self.plant.n_states, self.pieces.measured(g)
+        proven = self.table is not None and self.outputs is not None
+        if self.d and not proven:
+            samples = self.worst_times(start, samples, mask)
         later = np.unique(np.concatenate([[start], np.maximum(samples, start)]))
-        transitions = self.plant.transitions(later)
+        transitions = self.flows(tuple(later.tolist()))
         flow, off, rows, wrong, unsure = np.eye(n), 0.0, list[Array](), list[float](), list[float]()
         lost = np.zeros((n, n))
         at = np.searchsorted(later, np.maximum(samples, start))
@@ -91,7 +99,7 @@ class VaryingSearch:
                 rows.append(C @ flow)
                 beside = off + 2 * n * n * EPS * length_of(flow)
                 wrong.append(float(np.linalg.norm(C)) * beside)
-                if self.pieces.timing_tolerance and C.size:
+                if self.d and proven and C.size:
                     moved = self.moved(float(samples[j]), None if mask is None else mask[j])
                     lost += moved**2 * flow.T @ flow
                     unsure.append(moved * beside)
@@ -101,11 +109,26 @@ class VaryingSearch:
             O = size * rows_without(O[None] / size, lost[None] / size**2)[0]
         return self._node(start, O, float(np.linalg.norm(wrong) + np.linalg.norm(unsure)))
 
+    def worst_times(self, start: float, samples: Array, mask: Mask | None) -> Array:
+        """Real times of samples at which the window from `start` on was found to see little; nothing is proven."""
+        real = np.clip(samples[:, None] + self.d * np.array([0.0, -1.0, 1.0]), start, self.plant.horizon)
+        later, place = np.unique(np.append(start, real), return_inverse=True)
+        transitions, flow = self.flows(tuple(later.tolist())), [np.eye(self.plant.n_states)]
+        for F in transitions.F:
+            flow.append(F @ flow[-1])
+        rows = (transitions.C @ np.array(flow))[place[1:]].reshape(*real.shape, -1, self.plant.n_states)
+        rows = rows if mask is None else rows * mask[:, None, :, None]
+        each, chosen = np.arange(len(samples)), np.zeros(len(samples), dtype=np.intp)
+        for _ in range(TURNS if len(samples) else 0):
+            state = np.linalg.svd(rows[each, chosen].reshape(-1, self.plant.n_states))[2][-1]
+            chosen = np.argmin(np.linalg.norm(rows @ state, axis=2), axis=1)
+        return np.asarray(real[each, chosen])
+
     def moved(self, t: float, mask: Mask | None) -> float:
         """How far the rows of a sample planned at t may be from those there, times within the horizon; of tables."""
         assert self.table is not None
         assert self.outputs is not None
-        d, keep = self.pieces.timing_tolerance.radius, slice(None) if mask is None else mask
+        d, keep = self.d, slice(None) if mask is None else mask
         ends = max(t - d, 0.0), min(t + d, self.plant.horizon)
         C = self.outputs(t)[keep]
         grown = max(float(np.linalg.norm(self.table(at), 2)) for at in self.table.knots(*ends)) * d
@@ -114,7 +137,7 @@ class VaryingSearch:
 
     def before(self, node: _Node, s: float) -> _Node:
         """The node at an earlier start of the same piece."""
-        transitions = self.plant.transitions([s, node.at])
+        transitions = self.flows((s, node.at))
         F, own, whole = transitions.F[0], float(transitions.errors[0]), float(np.linalg.norm(node.rows))
         size = length_of(F)
         off = node.wrong * (size + own) + whole * (own + 2 * F.size * EPS * size)
@@ -141,9 +164,12 @@ class VaryingSearch:
         return float(np.exp(min(ends)))
 
 
-def bracket_varying(plant: TimeVaryingPlant, pieces: Pieces, rtol: float, budget: float) -> WindowBracket:
-    """Bracket the least sigma; `status` as of `WindowSigma`, and "sampled" of functions, where `lower` is 0."""
-    search, clock = VaryingSearch(plant, pieces), Budget(budget)
+def bracket_varying(plant: TimeVaryingPlant, pieces: Pieces, rtol: float, budget: float, flows: Flows) -> WindowBracket:
+    """Bracket the least sigma; `status` as of `WindowSigma`, and "sampled" of functions, where `lower` is 0.
+
+    `flows` are the plant's transitions, kept for windows that are judged again without a sample.
+    """
+    search, clock = VaryingSearch(plant, pieces, flows), Budget(budget)
     nodes = [_first(search, g) for g in range(len(pieces))]
     short = [g for g, own in enumerate(nodes) if len(own[0].rows) < plant.n_states]
     if short:

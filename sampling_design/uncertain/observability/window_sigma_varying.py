@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
 from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import meet
-from sampling_design.observability.sigma_bracket import coordinates_of
+from sampling_design.observability.sigma_bracket import SigmaDeviations, coordinates_of
 from sampling_design.observability.windows.deviations import left_of_sigma, lost_one_by_one
 from sampling_design.observability.windows.pieces import Pieces
 from sampling_design.observability.windows.window_record import WindowSigma, asked, record_of
@@ -22,6 +22,7 @@ from sampling_design.uncertain.plants.time_table import MatrixTable
 from sampling_design.uncertain.plants.time_varying import TimeVaryingPlant
 
 RTOL = 0.01  # default width of the bracket, relative
+ROUGH = 1.0  # of what is beside it where nothing is proven: no interval is halved
 
 
 def window_sigma_varying(
@@ -36,8 +37,8 @@ def window_sigma_varying(
 ) -> WindowSigma:
     """Bound sigma over all positions of a window, rows C(tau) Phi(tau, t - T): see `window_sigma`.
 
-    `deviations` are of real times within the horizon; windows that are longer by it may begin before the horizon, of
-    the state at its beginning.
+    `deviations`, `sampled` of functions, are of real times within the horizon; windows that are longer by it may begin
+    before the horizon, of the state at its beginning.
 
     Raises ArgumentError if balls are asked for, or the schedule is not finite or leaves the plant's horizon.
     """
@@ -55,19 +56,25 @@ def window_sigma_varying(
         )
     pieces, tolerance, seconds = asked(aligned, window, start, RTOL if rtol is None else rtol, budget)
     limit = Budget(seconds)
-    bracket = bracket_varying(plant, pieces, tolerance, seconds)
+    flows = cache(plant.transitions)
+    bracket = bracket_varying(plant, pieces, tolerance, seconds, flows)
     found = record_of(bracket, tolerance, plant.time_unit, coordinates_of(plant.has_scales))
-    if not (plant.tabled and isinstance(plant.C, MatrixTable)):  # between samples C is only looked at
-        return found
+    proven = plant.tabled and isinstance(plant.C, MatrixTable)  # between samples other C are only looked at
+    rough = tolerance if proven else max(tolerance, ROUGH)
 
     def least(pieces: Pieces, seconds: float, _: float) -> tuple[float, float]:
         # windows that are longer may begin before the horizon: the state is that at its beginning
         left, right = np.maximum(pieces.left, 0.0), np.maximum(pieces.right, 0.0)
-        found = bracket_varying(plant, replace(pieces, left=left, right=right), tolerance, seconds)
-        return found.lower, found.witness.sigma
+        found = bracket_varying(plant, replace(pieces, left=left, right=right), rough, seconds, flows)
+        return found.lower if proven else found.witness.sigma, found.witness.sigma
 
-    lost = partial(lost_one_by_one, least, len(plant.outputs), len(aligned))
-    beside = partial(
-        left_of_sigma, aligned, window, least, lost, plant.time_unit, sigma=found.lower, start=start, seconds=limit.left
-    )
+    def beside() -> SigmaDeviations | None:
+        lost = partial(lost_one_by_one, least, len(plant.outputs), len(aligned))
+        sigma = found.lower if proven else found.upper
+        left = left_of_sigma(
+            aligned, window, least, lost, plant.time_unit, sigma=sigma, start=start, seconds=seconds_left
+        )
+        return left if proven or left is None else replace(left, sampled=True)
+
+    seconds_left = limit.left
     return replace(found, beside=beside)

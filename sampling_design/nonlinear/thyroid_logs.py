@@ -167,6 +167,8 @@ def powers(z: SX, back: Array) -> Callable[..., SX]:
 TUBE_LOWER = (-0.56, -0.5, -0.45, -0.46, -0.08, -0.2)
 TUBE_UPPER = (0.1, 0.05, 0.16, 0.06, 0.2, 0.08)
 """The tube about the untreated patient, T4 from 13.1 to 22.7 nmol/l: the paper's x(0), its prior, their way to rest."""
+LEAST_OUTPUTS = (0.0, TUBE_LOWER[1], TUBE_LOWER[2], -0.2, TUBE_LOWER[4], 0.0)
+"""Where each output is least: a sample is taken to show what it shows there."""
 
 
 def patient_in_tube() -> NonlinearPlant:
@@ -179,9 +181,7 @@ def patient_in_tube() -> NonlinearPlant:
     >>> patient_in_tube().region.holds(logarithms([4.4e-13, 2.1e-8, 9.6e-10, 2.1e-9, 4.5, 4.8])).item()
     True
     """
-    plant = logarithmic_thyroid().with_bounds(inputs=(0.0, 0.0))
-    T4, T3_p, TSH = TUBE_LOWER[1], TUBE_LOWER[2], TUBE_LOWER[4]
-    return plant.in_region(TUBE_LOWER, TUBE_UPPER, about=(0.0, T4, T3_p, -0.2, TSH, 0.0))
+    return logarithmic_thyroid().with_bounds(inputs=(0.0, 0.0)).in_region(TUBE_LOWER, TUBE_UPPER, about=LEAST_OUTPUTS)
 
 
 THERAPY_UPPER = (0.1, 0.48, 0.16, 0.06, 0.2, 0.08)  # the upper end of the tube under therapy, T4 up to 34.9 nmol/l
@@ -201,5 +201,4 @@ def patient_under_therapy() -> NonlinearPlant:
     True
     """
     plant = logarithmic_thyroid().with_bounds(inputs=(np.zeros(2), np.array([DOSE, 0.0])))
-    T4, T3_p, TSH = TUBE_LOWER[1], TUBE_LOWER[2], TUBE_LOWER[4]
-    return plant.in_region(TUBE_LOWER, THERAPY_UPPER, about=(0.0, T4, T3_p, -0.2, TSH, 0.0))
+    return plant.in_region(TUBE_LOWER, THERAPY_UPPER, about=LEAST_OUTPUTS)

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 import numpy.typing as npt
-from scipy.integrate import solve_ivp
 
-from sampling_design.errors import SolverError
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.signatures import checked
-from sampling_design.uncertain.plants.time_varying import TOLERANCE, IntegrationEffort, MatrixOfTime, TimeVaryingPlant
+from sampling_design.uncertain.plants.time_varying import CLOSER, TOLERANCE, MatrixOfTime, TimeVaryingPlant, integrated
 
 
 @checked
@@ -47,22 +43,13 @@ def plant_along(plant: NonlinearPlant, start: npt.ArrayLike, horizon: float, u: 
     end, scale = checks.positive("horizon", horizon), plant.states.scales
     still = np.zeros(plant.n_disturbances)
 
-    spent = IntegrationEffort()
-
     def rate(t: float, z: Array) -> Array:
-        spent.one_more(t)
         return np.array(plant.rate_casadi(z * scale, control, still, t)).ravel() / scale
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the status says the same
-        path = solve_ivp(
-            rate, (0.0, end), x0 / scale, "LSODA", dense_output=True, rtol=TOLERANCE / 100, atol=TOLERANCE / 100
-        )
-    if not path.success:
-        raise SolverError("the nominal trajectory cannot be followed to the horizon.", status="integration failed")
+    _, path = integrated(rate, 0.0, end, x0 / scale, CLOSER * TOLERANCE, dense=True)
 
     def at(which: int) -> MatrixOfTime:
-        return lambda t: np.array(plant.slopes_casadi(path.sol(t) * scale, control, 0, 0, t)[which])
+        return lambda t: np.array(plant.slopes_casadi(path(t) * scale, control, 0, 0, t)[which])
 
     return TimeVaryingPlant(
         at(0), at(3), at(2) if plant.n_disturbances else None, horizon=end, time_unit=plant.time_unit,

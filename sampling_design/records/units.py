@@ -17,16 +17,16 @@ FEW, MANY = 1.5, 120.0
 SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "wk": 604800.0}
 
 
-def check_time_unit(unit: object, name: str = "time_unit") -> str:
+def check_time_unit(unit: object) -> str:
     """Return `unit` if it is one of the six known units, else raise.
 
     Raises ArgumentError if the unit is missing or unknown.
     """
     if unit is None or (is_text(unit) and not unit):
-        raise ArgumentError(f"`{name}` is missing. Give one of {', '.join(SECONDS)}.")
+        raise ArgumentError(f"`time_unit` is missing. Give one of {', '.join(SECONDS)}.")
     if not is_text(unit) or unit not in SECONDS:
         came = repr(unit) if is_text(unit) else described(unit)
-        raise ArgumentError(f"`{name}` must be one of {', '.join(SECONDS)}, got {came}.")
+        raise ArgumentError(f"`time_unit` must be one of {', '.join(SECONDS)}, got {came}.")
     return str(unit)
 
 

@@ -24,8 +24,8 @@ def test_a_missing_unit_is_said_to_be_missing(unit):
 
 @pytest.mark.parametrize("unit", ["hours", "S", 1])
 def test_an_unknown_unit_is_quoted(unit):
-    with pytest.raises(ArgumentError, match="`unit` must be one of ms, s, min, h, d, wk, got"):
-        check_time_unit(unit, "unit")
+    with pytest.raises(ArgumentError, match="`time_unit` must be one of ms, s, min, h, d, wk, got"):
+        check_time_unit(unit)
 
 
 @pytest.mark.parametrize(

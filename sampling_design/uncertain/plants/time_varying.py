@@ -30,23 +30,35 @@ MOST_EVALUATIONS = 20000
 """Of the right side over one stretch; where an integrator needs more, the solution escapes or is not smooth."""
 
 
-class IntegrationEffort:
-    """Evaluations over one stretch, and where the last one was."""
+def integrated(
+    rate: Callable[[float, Array], Array], a: float, b: float, begin: Array, tolerance: float, *, dense: bool = False
+) -> tuple[Array, Callable[[float], Array]]:
+    """The solution z' = rate(t, z) at b from `begin` at a, by LSODA, and where `dense` all of it.
 
-    count, t = 0, 0.0
+    Raises SolverError if it escapes or needs too many evaluations.
+    """
+    count, last = 0, a
 
-    def one_more(self, t: float) -> None:
-        """Count one. Raises SolverError if there were too many."""
-        self.count, self.t = self.count + 1, t
-        if self.count > MOST_EVALUATIONS:
-            raise self.stopped()
-
-    def stopped(self) -> SolverError:
-        """What is said of an integration that ended too early."""
+    def stopped() -> SolverError:
         return SolverError(
-            f"the integration comes to a stop at t = {self.t:.6g}: the trajectory escapes or is not smooth there.",
+            f"the integration comes to a stop at t = {last:.6g}: the trajectory escapes or is not smooth there.",
             status="integration failed",
         )
+
+    def counted_rate(t: float, z: Array) -> Array:
+        nonlocal count, last
+        count, last = count + 1, t
+        if count > MOST_EVALUATIONS:
+            raise stopped()
+        return rate(t, z)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the status says the same
+        options = {"dense_output": dense, "rtol": tolerance, "atol": tolerance}
+        path = solve_ivp(counted_rate, (a, b), begin, "LSODA", t_eval=None if dense else [b], **options)
+    if not path.success:
+        raise stopped()
+    return path.y[:, -1], path.sol
 
 
 class TransitionTable(NamedTuple):
@@ -222,10 +234,7 @@ class TimeVaryingPlant(Record):
         """Phi over W for each gap, scaled, (K-1, 2n, n)."""
         n, unit = self.n_states, self.states.scales
 
-        spent = IntegrationEffort()
-
         def rate(t: float, flat: Array) -> Array:
-            spent.one_more(t)
             both = flat.reshape(2 * n, n)
             A = np.asarray(self.A(t), dtype=float) * unit / unit[:, None]
             if not np.isfinite(A).all():
@@ -242,13 +251,7 @@ class TimeVaryingPlant(Record):
         begin = np.vstack([np.eye(n), np.zeros((n, n))]).ravel()
         found = []
         for a, b in zip(grid[:-1].tolist(), grid[1:].tolist(), strict=True):
-            spent.count = 0
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                path = solve_ivp(rate, (a, b), begin, "LSODA", t_eval=[b], rtol=tolerance, atol=tolerance)
-            if not path.success:
-                raise spent.stopped()
-            both = path.y[:, -1].reshape(2 * n, n)
+            both = integrated(rate, a, b, begin, tolerance)[0].reshape(2 * n, n)
             found.append(np.vstack([both[:n], symmetrise(both[n:])]))
         return np.array(found).reshape(-1, 2 * n, n)
 

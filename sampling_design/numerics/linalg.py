@@ -17,6 +17,7 @@ _TAYLOR_RADIUS = 1.0  # |A t / 2^s|_1 at which 18 terms leave a remainder below 
 SHORT = 0.25  # |A_eta h|_1 up to which the terms of `gramian_terms` leave a remainder far below eps
 _REFINEMENTS = 20  # of a solve, at most: each brings what the condition number leaves of 16 digits
 _GRAMIAN_DEGREE = 16  # likewise, of its integral
+KEPT_ENTRIES = 4096  # numbers of the largest answer that is kept: all of them stay below 5 MB
 _BALANCED_FROM = 2.0**20  # |A_eta h|_1 from which the states are balanced first
 
 
@@ -28,6 +29,14 @@ def expm_batch(A: Array, times: npt.ArrayLike) -> Array:
     e^{A t} = e^{A k h} e^{A r} with few different k and |r| <= h/2.
     """
     t = np.atleast_1d(np.asarray(times, dtype=np.float64))
+    if t.size * A.size <= KEPT_ENTRIES:  # four of five times the same gaps of the same plant are asked for again
+        found = _kept_exponentials(A, t.ravel())
+        if np.isfinite(found).all():  # what overflows does so again, with the warning of each call
+            return found.copy()
+    return _exponentials(A, t)
+
+
+def _exponentials(A: Array, t: Array) -> Array:
     n = A.shape[0]
     if n == 0 or t.size == 0:
         return np.zeros((t.size, n, n), dtype=A.dtype)
@@ -40,6 +49,9 @@ def expm_batch(A: Array, times: npt.ArrayLike) -> Array:
         if 4 * k.size <= t.size:
             return _squared(A, norm, k * h)[place] @ _squared(A, norm, t - k[place] * h)
     return _squared(A, norm, t)
+
+
+_kept_exponentials = kept(_exponentials)
 
 
 def _squared(A: Array, norm: float, t: Array) -> Array:
@@ -117,6 +129,14 @@ def discounted_flow(A: Array, noise: Array, gaps: npt.ArrayLike, eta: float = 0.
     cannot say for stiff plants.
     """
     h = np.atleast_1d(np.asarray(gaps, dtype=np.float64))
+    if h.size * A.size <= KEPT_ENTRIES:
+        F, W = _kept_flows(A, noise, h.ravel(), float(eta))
+        if np.isfinite(F).all() and np.isfinite(W).all():
+            return F.copy(), W.copy()
+    return _flows(A, noise, h, eta)
+
+
+def _flows(A: Array, noise: Array, h: Array, eta: float) -> tuple[Array, Array]:
     n = A.shape[0]
     if n == 0 or h.size == 0:
         return expm_batch(A, h), np.zeros((h.size, n, n))
@@ -125,6 +145,9 @@ def discounted_flow(A: Array, noise: Array, gaps: npt.ArrayLike, eta: float = 0.
         plain, W = _flow_and_gramian(A * d / d[:, None], noise / d / d[:, None], h, eta)
         return plain / d * d[:, None], W * d * d[:, None]
     return _flow_and_gramian(A, noise, h, eta)
+
+
+_kept_flows = kept(_flows)
 
 
 def _flow_and_gramian(A: Array, noise: Array, h: Array, eta: float) -> tuple[Array, Array]:

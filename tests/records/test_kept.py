@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sampling_design.numerics.balancing import balance
-from sampling_design.numerics.linalg import exponential_terms
+from sampling_design.numerics.linalg import discounted_flow, expm_batch, exponential_terms
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.records.kept import ENTRIES, kept
 
@@ -51,3 +51,17 @@ def test_answers_that_all_share_are_read_only(A):
     for found in (exponential_terms(A, 2.0, 5), balance(A).d, balanced_schur(A).T, balanced_schur(A).eigenvalues):
         assert not found.flags.writeable
     np.testing.assert_array_equal(exponential_terms(A, 2.0, 5), exponential_terms.__wrapped__(A, 2.0, 5))
+
+
+def test_exponentials_belong_to_who_asked_and_overflow_warns_each_time():
+    A, noise = np.array([[0.0, 1.0], [-1.0, 0.3]]), np.eye(2)
+    for ask in (lambda: expm_batch(A, [0.3, 2.0]), lambda: np.concatenate(discounted_flow(A, noise, [0.3, 2.0], 0.1))):
+        first = ask()
+        again = ask()
+        np.testing.assert_array_equal(first, again)
+        again[0] = 0.0
+        np.testing.assert_array_equal(first, ask())
+    with np.errstate(over="ignore", invalid="ignore"):
+        assert not np.isfinite(expm_batch(A, [1e4])).all()
+    with np.errstate(over="raise", invalid="raise"), pytest.raises(FloatingPointError, match=r"overflow|invalid"):
+        expm_batch(A, [1e4])

@@ -345,7 +345,7 @@ def test_what_rounding_may_take_from_the_sums_is_less_than_is_allowed():
         allowed = table.rounded(y, step, of_y, at)
         with mpmath.workdps(80):
             for k, w in np.ndindex(3, cells + 1):
-                seen = mpmath.matrix(table.seen[at[0, k, w]].tolist())
+                seen = mpmath.matrix(table.rows[at[0, k, w]].tolist())
                 f, g = (seen * mpmath.matrix(v.tolist()) for v in (y[0], (y + step)[0]))
                 true = sum(a * b for a, b in zip(f, g, strict=True))
                 assert abs(float(true - computed[0, k, w])) <= allowed[0, k, w]

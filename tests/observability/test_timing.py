@@ -358,7 +358,7 @@ def test_growth_hides_nothing_that_is_left_of_the_other_states(rate):
         assert found.lower <= least_of_both(plant, sure - start, 0.02, rng)
 
 
-@pytest.mark.parametrize("late", [0.01, 0.05])
+@pytest.mark.parametrize("late", [0.01, 0.05, 0.1])
 def test_long_rows_that_hold_little_of_what_is_seen_least_take_little_from_it(late):
     """The last rows of a window are up to e^13 long; weighed alike they leave .4 of sigma at .01, nothing at .05."""
     turned = np.array([[1.0, 0.4, 0.1], [-0.3, 1.0, 0.2], [0.2, -0.5, 1.0]])

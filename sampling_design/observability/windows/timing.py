@@ -11,7 +11,8 @@ the window sees no less than the rows L' with LL' = M. They move with the window
 
 Each sample has a k and shares q of its own. The least eigenvalue of M is concave in them, and over X with trace 1 it is
 dual to the largest <M, X>, where k = v/u and q = v_j/v for the sizes u and v_j in the mean over X. So they are sought
-by turns: of M the X on its central path, X = mu (M - t)^{-1}, and of X the factors. All of them prove.
+by turns: X on the central path, mu (M - t)^{-1}, of the mean of the M so far, and of X the factors. All of them prove,
+and so does a mean.
 
 Where the plant grows much within a window, v_N and the rounding of squares would hide what the window sees least. So y
 is taken in other coordinates: with O = Q S V' the singular values of the planned rows and D = min(S/s_n, `_SPREAD`),
@@ -40,7 +41,7 @@ _SPREAD = 1e2  # rows see the strongest direction at most that many times as wel
 _LEAST_FACTOR = 1e-7  # of k
 _TURNS_OF_FACTORS, _MORE_TURNS = 16, 60  # in which k and q are sought; where less than `_ENOUGH` was left of sigma^2
 _ENOUGH = 0.7
-_STEP, _SLOWER = 0.5, 16  # of X in the first turn, and the turn in which it is half of that
+_STEP = 0.3  # share of the last M in the mean
 _CENTRAL = (0.3, 0.01)  # n mu in the first and the last turn, of sigma^2 on time
 _GROUPS = 24  # of samples of a window, and of each output that comes by itself
 _NUMBERS = 4_000_000  # of rows and their derivatives at a time
@@ -117,7 +118,7 @@ def _best_factors(samples: Array, rest: Array, X: Array, turns: int) -> tuple[Ar
     rounding = 8 * n * flat.shape[1] / orders * _EPS
     rest = rest + np.sqrt(rounding * size.sum(axis=1))  # of what is squared here
     X = X / np.trace(X, axis1=1, axis2=2)[:, None, None]
-    best, found = np.full(m, -np.inf), np.zeros((m, n, n))
+    best, found, mean = np.full(m, -np.inf), np.zeros((m, n, n)), np.zeros((m, n, n))
     for turn in range(turns):
         form = np.maximum(np.sum((samples @ X[:, None, None]) * samples, axis=(3, 4)), 0.0)
         v = np.sqrt(np.concatenate([form[:, 1:], rest[:, None] ** 2], axis=1))
@@ -129,12 +130,13 @@ def _best_factors(samples: Array, rest: Array, X: Array, turns: int) -> tuple[Ar
         M = np.swapaxes(flat, 1, 2) @ (flat * np.repeat(weight.reshape(m, -1), p, axis=1)[..., None])
         less = np.sum(lost[:, -1] * rest**2, axis=1) + rounding * np.sum(np.abs(weight) * size, axis=(1, 2))
         M = (M + np.swapaxes(M, 1, 2)) / 2 - less[:, None, None] * np.eye(n)
-        values, vectors = np.linalg.eigh(M)
-        better = values[:, 0] > best
-        best, found[better] = np.where(better, values[:, 0], best), M[better]
+        mean = mean + (_STEP if turn else 1.0) * (M - mean)
+        values, vectors = np.linalg.eigh(mean)
+        for tried, least in ((M, np.linalg.eigvalsh(M)[:, 0]), (mean, values[:, 0])):
+            better = least > best
+            best, found[better] = np.where(better, least, best), tried[better]
         mu = _CENTRAL[0] * (_CENTRAL[1] / _CENTRAL[0]) ** (turn / (turns - 1)) / n
-        central = (vectors * _central(values, mu)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
-        X = X + _STEP / (1 + turn / _SLOWER) * (central - X)
+        X = (vectors * _central(values, mu)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     return best, found
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sampling_design import Plant, Requirement, design_schedule
+from sampling_design.design.problem.canonical import canonical
 from sampling_design.design.problem.posing import pose, resolve
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError, NotObservableError, SolverError
 from sampling_design.plants.modes import split_modes
@@ -172,3 +173,16 @@ def test_a_search_without_a_start_says_so(monkeypatch):
     with pytest.raises(SolverError, match="No admissible start was found for 3 samples") as caught:
         design_schedule(OSCILLATOR, Requirement(**BASE))
     assert caught.value.status == "no start"
+
+
+def test_a_sample_that_rounding_takes_before_an_output_opens_lies_on_the_opening():
+    """The other output is read at all times, so that no sample is forbidden there."""
+    plant = Plant([[0.0, 1.0], [-1.0, 0.0]], np.eye(2), outputs=["a", "b"])
+    sensors = {"b": {"available": [[0.0, 2.0], [2.5, 4.0]]}}
+    asked = Requirement(window=4.0, period=4.0, spacing=0.4, samples=2, sensors=sensors)
+    posed = pose(plant, asked, 2)
+    canon = canonical(posed)
+    found = np.array([0.5, 2.5 * (1 - 4e-15)]) - canon.shift
+    times, _ = canon.times(found / canon.time, np.ones((2, 2), dtype=bool))
+    assert times[1] == 2.5
+    assert posed.mask(times).all()

@@ -1,5 +1,6 @@
 """Designs for samples that come early or late: sigma holds for all real times, and the bound for all schedules."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -154,6 +155,22 @@ def test_opening_hours_and_counts_that_are_left_open():
     assert 0.9 * exact.sigma < late.sigma < exact.sigma
     assert late.gap < exact.gap + 0.05
     assert late.verify()
+
+
+def test_a_design_for_late_samples_that_was_forged_does_not_verify(designs):
+    design = designs[0]
+    times = np.array(design.schedule.times)
+    turned = sd.PeriodicSchedule.from_times(times + np.array([0.0, 0.05, 0.0, 0.0]), TURN)
+    forged = [
+        {"sigma": 1.01 * design.sigma},
+        {"sigma_attained": 0.98 * design.sigma},
+        {"upper_bound": 0.99 * design.upper_bound},
+        {"schedule": turned},
+        *({"requirement": ASKED.replace(timing_tolerance=late, decay_rate=0.0)} for late in (0.0, LATE / 2, 2 * LATE)),
+        {"requirement": ASKED.replace(timing_tolerance=(LATE, 2 * LATE))},
+    ]
+    assert design.verify()
+    assert [k for k, changes in enumerate(forged) if replace(design, **changes).verify()] == []
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,9 @@ class CanonicalDesign:
         """Times of the inside and what they measure, outside; on fixed times and openings to the last bit."""
         problem, P = self.outside, self.outside.period
         t = np.mod(found * self.time + self.shift, P)
-        for a in problem.intervals[:, 0] if len(problem.inner) and problem.inner[0, 1] < P else ():
+        edges = problem.breakpoints
+        closed = ~np.roll(problem.mask((edges[:-1] + edges[1:]) / 2), 1, axis=0)
+        for a in edges[:-1][np.any(problem.mask(edges[:-1]) & closed, axis=1)]:  # of whatever opens
             early = np.mod(a - t, P)
             t[(early > 0) & (early < ON_AN_END * P)] = a
         for a in problem.fixed:

@@ -14,7 +14,7 @@ import numpy as np
 
 from sampling_design.accuracy.between_samples import KnownIntegrals, RowBetweenSamples, open_row
 from sampling_design.accuracy.results_out import results_in
-from sampling_design.accuracy.sample_chain import SampleChain
+from sampling_design.accuracy.sample_chain import KnownSpan, SampleChain
 from sampling_design.accuracy.search import ChainSearch
 from sampling_design.errors import UndecidedError
 from sampling_design.planning.accuracy_oracle import WINDOWS, AccuracyOracle
@@ -30,7 +30,7 @@ from sampling_design.planning.sequence_deviation import (
     phase_of,
     spread_of,
 )
-from sampling_design.planning.transient_bound import settled_factors
+from sampling_design.planning.transient_bound import cut_gains, nodes_out, out_at, settled_factors, wider_by
 from sampling_design.planning.work_prices import BETWEEN, CHAIN, GAINS, STARTED
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.schedules.jitter import ON_TIME
@@ -305,6 +305,7 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, 
     goals = [(goal, KnownIntegrals()) for goal in problem.goals if not goal.spread]
     usual = max(r / g.tolerance for r, g in zip(plan.reached.tolist(), problem.goals, strict=True) if not g.spread)
     factors = _transient_factors(plan, sequence, search, filtered, settled + back)
+    faded = usual * (1 + FADED) if usual > 1 else min(usual * (1 + FADED), 1.0)
     for span in search.chain.spans:
         k = search.chain.sample_of(span.node)
         begin, end = (float(times[k]) + offset for offset in (span.begin, span.end))
@@ -312,8 +313,8 @@ def _proven_bounds(plan: PlanFigures, sequence: SampleSequence, gaps: dict[int, 
             continue
         if k >= settled + back:
             break
-        here = float(usual) * factors[k]
-        if not here <= max(min(worst, 1.0), usual * (1 + FADED)):
+        here = float(usual) * factors.get(span.node, np.inf)
+        if not here <= max(min(worst, 1.0), faded):
             here, skipped = 0.0, sequence.skipped(k)
             for goal, known in goals:
                 work.spend(BETWEEN)
@@ -430,22 +431,41 @@ def at_offset(search: ChainSearch, row: Array, k: int, d: float) -> float:
 
 def _transient_factors(
     plan: PlanFigures, sequence: SampleSequence, search: ChainSearch, own: SampleChain, stop: int
-) -> list[float]:
-    """How much more than the plan's gaps those of a sequence are at most; infinite where they are not the plan's."""
-    factors = np.full(stop, np.inf)
-    given = any(goal.at == "given times" for goal in plan.goals)  # which offsets those are differs from gap to gap
-    if given or sequence.in_parts:
-        return factors.tolist()
-    gaps = {id(gap) for gap in own.gaps}
-    same = np.array([id(gap) in gaps for gap in search.chain.gaps[:stop]])
-    samples = {id(sample) for sample in own.samples}
-    usual = np.array([id(sample) in samples for sample in search.chain.samples[:stop]])  # no noisier than the plan's
-    opens = same & ~(np.append(False, same[:-1]) & usual)
-    for k in np.flatnonzero(opens).tolist():
-        end = k + 1 + int(np.argmin(np.append((same & ~opens)[k + 1 :], False)))
+) -> dict[int, float]:
+    """How much more than the plan's stretches those of a sequence are at most, by node; none where they are not its."""
+    chain, found = search.chain, dict[int, float]()
+    if any(goal.at == "given times" for goal in plan.goals):  # which offsets those are differs from gap to gap
+        return found
+    gaps, samples = ({id(part) for part in parts} for parts in (own.gaps, own.samples))
+    both = zip(chain.gaps[:stop], chain.samples[:stop], strict=False)
+    usual = np.array([id(gap) in gaps and id(sample) in samples for gap, sample in both])  # no noisier than the plan's
+    spans: dict[int, list[KnownSpan]] = {}
+    for span in chain.spans:
+        spans.setdefault(chain.sample_of(span.node), []).append(span)
+    for k in np.flatnonzero(usual & ~np.append(False, usual[:-1])).tolist():
+        end = k + int(np.argmin(np.append(usual[k:], False)))
         phases = [phase_of(plan.schedule, float(t)) for t in sequence.shown[k:end]]
-        factors[k:end] = settled_factors(plan, phases, [search.atoms[i].reach for i in range(k, end)])
-    return factors.tolist()
+        reach = [search.atoms[i].reach for i in range(k, end)]
+        wider, factors = wider_by(plan, phases, reach), settled_factors(plan, phases, reach)
+        for i, phase in enumerate(phases):
+            for span in spans.get(k + i, ()):
+                node = phase if span.node < len(chain) else nodes_out(plan).get(out_at(chain, span.node, phase))
+                if node is None or not _within(span, own.judged.get(node)):
+                    continue
+                factor = float(factors[i])
+                if span.node >= len(chain):
+                    now = search.atoms[span.node].bound(np.eye(own.D.size))
+                    factor = max(*wider_by(plan, [node], [now]), cut_gains(plan)[node].factor(wider[i::-1]))
+                found[span.node] = factor
+    return found
+
+
+def _within(span: KnownSpan, own: KnownSpan | None) -> bool:
+    """Whether a stretch is one of the plan's own, or a part of it."""
+    if own is None:
+        return False
+    tiny = GRAIN * (own.end - own.begin)
+    return span.begin >= own.begin - tiny and span.end <= own.end + tiny
 
 
 def _is_the_plan(search: ChainSearch, own: SampleChain, settled: int) -> bool:

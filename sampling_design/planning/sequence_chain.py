@@ -57,8 +57,8 @@ LEAST = 1e-12  # half-width of what is known exactly at the start, as a share of
 
 
 @lru_cache(maxsize=4)
-def plan_chain(plan: PlanFigures) -> SampleChain:
-    """The plan's samples with the filter whose gains bound the error once and for all.
+def plan_bounds(plan: PlanFigures) -> tuple[SampleChain, Sequence[BoundedDirections]]:
+    """The plan's samples with the filter whose gains bound the error once and for all, and what it bounds.
 
     Raises NotDetectableError if the plan leaves a part of the state unknown for ever: then nothing bounds what a change
     does to it.
@@ -70,7 +70,12 @@ def plan_chain(plan: PlanFigures) -> SampleChain:
         raise NotDetectableError(
             f"`plan` never shows {', '.join(known.modes)}: what a change of its samples does is not bounded."
         )
-    return question.filter_bounds(plan.plant)[0]
+    return question.filter_bounds(plan.plant)
+
+
+def plan_chain(plan: PlanFigures) -> SampleChain:
+    """The same samples. Raises NotDetectableError as `plan_bounds` does."""
+    return plan_bounds(plan)[0]
 
 
 def sequence_chain(

@@ -8,16 +8,18 @@ Gains that reach back m samples leave a rest of the row, of which the error m sa
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from sampling_design.accuracy.accuracy_profile import GapProof
+from sampling_design.accuracy.bounded_directions import BoundedDirections
 from sampling_design.accuracy.gains import ROUNDING
 from sampling_design.accuracy.sample_chain import SampleChain, noise_cost
 from sampling_design.planning.figures import PlanFigures
-from sampling_design.planning.sequence_chain import plan_chain
+from sampling_design.planning.sequence_chain import plan_bounds, plan_chain
 from sampling_design.records.arrays import Array
 
 
@@ -27,6 +29,7 @@ class CutGains:
 
     cost: Array  # cost, rest, (b, m): `rest` in what the plan's filter bounds
     rest: Array
+    out: int = 0  # so many of the last samples have results that are out: what is known after them is not asked
 
     def factor(self, wider: Array) -> float:
         """How much more than the plan's proof they prove, where 1, 2, ... samples ago the error was so much wider."""
@@ -34,6 +37,7 @@ class CutGains:
         if not self.cost.size or not count:
             return np.inf
         proven = self.cost[:count] + wider[:count, None] * self.rest[:count]
+        proven[: self.out] = np.inf
         whole = self.cost[-1] + self.rest[-1]
         ratio = np.divide(proven, whole, out=np.where(proven > 0, np.inf, 0.0), where=whole > 0)
         return float(np.min(np.max(ratio, axis=1))) * (1 + ROUNDING)
@@ -41,11 +45,25 @@ class CutGains:
 
 @lru_cache(maxsize=4)
 def cut_gains(plan: PlanFigures) -> tuple[CutGains, ...]:
-    """The gains of a plan's proof, sample by sample of its period."""
+    """The gains of a plan's proof, node by node of its period."""
     assert plan.accuracy is not None
+    chain, atoms = plan_bounds(plan)
+    count = len(plan.accuracy.question.primitive().nodes)  # the proof is over the shortest period
+    alike = {part.sample: part for part in plan.accuracy.proof if count == len(chain) or part.sample < count}
+    return tuple(_cut(chain, atoms, alike[j]) if j in alike else _nothing() for j in range(len(chain.samples)))
+
+
+def out_at(chain: SampleChain, node: int, phase: int) -> tuple[object, ...]:
+    """What is known at a node of which some results are out: its sample, and what of the last ones is in."""
+    path = [each for each in chain.nodes(node, 1) if each >= len(chain)]
+    return phase, *(tuple(chain.samples[each].outputs.tolist()) for each in path)
+
+
+@lru_cache(maxsize=4)
+def nodes_out(plan: PlanFigures) -> dict[tuple[object, ...], int]:
+    """The nodes of a plan of which some results are out, by what is known there."""
     chain = plan_chain(plan)
-    parts = {part.sample: part for part in plan.accuracy.proof}
-    return tuple(_cut(chain, parts[j]) if j in parts else _nothing() for j in range(len(chain)))
+    return {out_at(chain, node, chain.sample_of(node)): node for node in range(len(chain), len(chain.samples))}
 
 
 def settled_factors(plan: PlanFigures, phases: list[int], reach: list[Array]) -> Array:
@@ -53,28 +71,38 @@ def settled_factors(plan: PlanFigures, phases: list[int], reach: list[Array]) ->
 
     `reach` bounds |z| after each of them. Of these samples only the first may follow a change.
     """
-    own, chain = cut_gains(plan), plan_chain(plan)
-    known = [chain.reach[phase] for phase in phases]
-    each = [
-        float(np.max(np.divide(now, was, out=np.where(now > 0, np.inf, 1.0), where=was > 0), initial=1.0))
-        for now, was in zip(reach, known, strict=True)
-    ]
-    wider = np.array(each)
+    own, wider = cut_gains(plan), wider_by(plan, phases, reach)
     return np.array([max(wider[k], own[phase].factor(wider[k::-1])) for k, phase in enumerate(phases)])
+
+
+def wider_by(plan: PlanFigures, nodes: list[int], reach: list[Array]) -> Array:
+    """How many times as large as at the plan's own nodes the error is at most, by bounds on |z|; 1 at least."""
+    atoms = plan_bounds(plan)[1]
+    each = [(now, atoms[node].reach) for now, node in zip(reach, nodes, strict=True)]
+    return np.array(
+        [
+            float(np.max(np.divide(now, was, out=np.where(now > 0, np.inf, 1.0), where=was > 0), initial=1.0))
+            for now, was in each
+        ]
+    )
 
 
 def _nothing() -> CutGains:
     return CutGains(np.zeros((0, 0)), np.zeros((0, 0)))
 
 
-def _cut(chain: SampleChain, part: GapProof) -> CutGains:
-    """One sample's gains, followed back in time."""
+def _cut(chain: SampleChain, atoms: Sequence[BoundedDirections], part: GapProof) -> CutGains:
+    """One node's gains, followed back in time."""
     back = max(map(len, part.gains), default=0)
     g, total = part.directions.T.copy(), np.zeros(len(part.directions))
     cost, rest = np.zeros((back, total.size)), np.zeros((back, total.size))
     last = np.array([len(given) for given in part.gains])
-    for i in range(back):
-        node = (part.sample - i) % len(chain)
+    path = chain.latest(part.sample, back)[::-1]
+    for i, node in enumerate(path):
+        if i:
+            gap = chain.gap(node)
+            total = total + gap.panels.integral(g, chain.bounds.w_ball)
+            g = gap.F.T @ g
         sample, going = chain.samples[node], i < last
         lam = np.zeros((len(sample.H), total.size))
         for k in np.flatnonzero(going).tolist():
@@ -82,8 +110,5 @@ def _cut(chain: SampleChain, part: GapProof) -> CutGains:
         total = total + noise_cost(lam, sample.exact, chain.bounds.v_ball)
         g = g - sample.H.T @ lam
         cost[i] = np.where(going, total, cost[i - 1])
-        rest[i] = np.where(going, chain.reach[node] @ np.abs(g), rest[i - 1])
-        gap = chain.gaps[node - 1]
-        total = total + gap.panels.integral(g, chain.bounds.w_ball)
-        g = gap.F.T @ g
-    return CutGains(cost, rest)
+        rest[i] = np.where(going, atoms[node].reach @ np.abs(g), rest[i - 1])
+    return CutGains(cost, rest, sum(node >= len(chain) for node in path))

@@ -7,7 +7,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.errors import ArgumentError, UndecidedError
-from sampling_design.planning import sequence_chain
+from sampling_design.planning import sequence, sequence_chain
 from sampling_design.planning.disturbed import without
 from sampling_design.planning.evidence import PlanBound
 from sampling_design.planning.figures import accuracy_of
@@ -266,6 +266,23 @@ def test_a_sample_that_is_lost_while_outputs_fall_apart(parted):
         proven_ratio(parted, without(parted, k, 1), gaps)
         found = searched(parted, late, 2 * count + k + 1, lost=[2 * count + k], periods=4)
         assert parted.reached[0] < found <= max(gaps.values()) * 0.36
+
+
+@pytest.mark.long
+def test_gaps_that_the_plans_own_gains_prove_are_as_good_as_proven_one_by_one_while_outputs_fall_apart(monkeypatch):
+    chosen = np.isin(np.arange(8), (0, 3, 6))[:, None] & np.ones(2, dtype=bool)
+    problem = pose_plan(TWO, BOTH.replace(accuracy={"position": 0.45}, timing_tolerance=APART, initial_error=None))
+    plan = proven_plan(problem, chosen, PlanBound((), None, None), "budget")
+    found = []
+    for factors in (sequence._transient_factors, lambda *_: {}):
+        monkeypatch.setattr(sequence, "_transient_factors", factors)
+        work, gaps = Budget(counted=True), {}
+        plan.oracle.count(work)
+        found.append((proven_ratio(plan, without(plan, 1, 1), gaps), gaps, work.spent))
+    (quick, each, less), (slow, one_by_one, more) = found
+    assert quick <= slow * (1 + 2 * sequence.FADED)
+    assert max(each.values()) == pytest.approx(max(one_by_one.values()), rel=2 * sequence.FADED)
+    assert less < 0.6 * more
 
 
 def read_apart(schedule, late, rng, stop):

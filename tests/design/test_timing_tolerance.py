@@ -91,6 +91,51 @@ def test_no_schedule_beats_the_bound_under_the_tolerance(seed):
     assert own >= 0.96 * design.upper_bound
 
 
+def crossed(seed):
+    """A random plant and requirement: late samples beside whatever else may be asked, in units far apart."""
+    rng = np.random.default_rng(seed)
+    states, outputs, late = 2 + seed % 2, 1 + seed // 2 % 2, (0.02, 0.08)[seed % 2]
+    A, C = rng.normal(size=(states, states)), rng.normal(size=(outputs, states))
+    A -= (np.linalg.eigvals(A).real.min() - 0.05) * np.eye(states)
+    names, delays = ["a", "b"][:outputs], np.array([0.2, 0.0])[:outputs] * (seed % 3 == 0)
+    unit, size = 10.0 ** rng.choice([-12, 0, 12], 2)
+    sensors = {
+        name: {"price": 1.0 + k, "available": [[0.0, (2.0, 1.1)[k] * unit], [2.5 * unit, 4.0 * unit]]}
+        | ({"result_delay": float(delay * unit)} if delay else {})
+        for k, (name, delay) in enumerate(zip(names, delays, strict=True))
+    }
+    times = {"window": (4.0 + 2 * late + delays.max()) * unit, "period": 4.0 * unit, "spacing": 0.45 * unit}
+    more = [{"forbidden": [[0.9 * unit, 1.6 * unit]]}, {"fixed": [0.4 * unit]}, {"cost_limit": 9.0}][seed % 3]
+    asked = sd.Requirement(
+        **times, **more, sensors=sensors, samples={"at_most": 4}, timing_tolerance=late * unit * (1 - 1e-9)
+    )
+    return sd.Plant(A / unit, C * size, outputs=names), asked, late, delays, (unit, size), rng
+
+
+@pytest.mark.parametrize("seed", few(range(12), 0, 7))
+def test_no_real_times_break_a_design_and_no_schedule_beats_its_bound_whatever_else_is_asked(seed):
+    plant, asked, late, delays, (unit, size), rng = crossed(seed)
+    design = sd.design_schedule(plant, asked, starts=1, branches=2)
+    scan = window_sigma_scan(
+        plant.A * unit, plant.C / size, np.array(design.schedule.times) / unit, 4.0, asked.window / unit, places=2,
+        mask=design.schedule.outputs, late=late * (1 - 1e-9), delays=delays,
+    )  # fmt: skip
+    assert design.sigma <= scan * size * (1 + 1e-9)
+    assert design.sigma >= 0.3 * scan * size
+    assert design.verify()
+    problem, window = design.problem, design.requirement.window
+    for _ in range(20):
+        times = random_schedule(rng, problem.period, problem.spacing, len(design.schedule))
+        times = (
+            times if not problem.fixed.size else np.sort(np.mod(times - times[0] + problem.fixed[0], problem.period))
+        )
+        there = problem.mask(times)
+        if there.any(axis=1).all() and np.sum(there * problem.costs) <= problem.cost_limit:
+            other = sd.PeriodicSchedule.from_times(times, problem.period, there, time_unit="s")
+            found = sd.window_sigma(plant, other, window, timing_tolerance=asked.timing_tolerance)
+            assert found.lower <= design.upper_bound * (1 + 1e-9)
+
+
 def test_texts_files_and_losses_say_for_which_times(designs, tmp_path):
     design = designs[1]
     assert "each up to 0.02 s early or late" in design.explain().split(";")[0]

@@ -30,6 +30,7 @@ from sampling_design.estimators.online.envelope import EstimateEnvelope
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.in_order import FEW_STATES, MOST_INTERVALS
 from sampling_design.estimators.record_intervals import estimates_despite_outliers, smoothed_along
+from sampling_design.estimators.records.measurement_table import told_time
 from sampling_design.records.arrays import Array
 from sampling_design.records.file_io import AtomicWriter
 from sampling_design.records.progress import Progress
@@ -139,11 +140,11 @@ def followed(
     after = {"radii_of": kind, "guarantee": guarantee, "horizon": estimator.horizon}
     with ExitStack() as open_files:
         rows = EstimateTable(plant, folder / "estimates.csv", origin=record.origin, radii=kind) if folder else None
-        columns = EstimateColumns(plant, kind) if folder or settings.as_json else None
+        columns = EstimateColumns(plant, kind, record.origin) if folder or settings.as_json else None
         for each in (rows, columns):
             if each is not None:
                 open_files.enter_context(each)
-        counts, last = EstimateCounts(plant.time_unit, moved=kind == "centred"), None
+        counts, last = EstimateCounts(plant.time_unit, kind == "centred", record.origin), None
         tally = counts if columns is None else columns.counts
         with settings.progress("estimate") as progress:
             for some in options.estimates(estimator, record, bounds, kind, curve=curve, progress=progress):
@@ -172,7 +173,7 @@ def followed(
             settings.draw(curve.curve(record), folder / "estimates.png")
     assert last is not None
     shown = rows_table("EstimateRecord", tally.rows())
-    settings.show_tables(shown, _last(plant, last, kind), f"{guarantee} {tally.explain()}")
+    settings.show_tables(shown, _last(plant, last, kind, record.origin), f"{guarantee} {tally.explain()}")
     return tally
 
 
@@ -198,8 +199,8 @@ def _own_radii(estimate: Estimate, kind: str) -> Array:
     return estimate.ellipsoid_radii if kind == "ellipsoids" else estimate.radii
 
 
-def _last(plant: sd.Plant, estimate: Estimate, kind: str) -> RichTable:
+def _last(plant: sd.Plant, estimate: Estimate, kind: str, origin: str) -> RichTable:
     radii, labels = _own_radii(estimate, kind), plant.states.labels()
     rows = [[labels[i], short(estimate.x[i]), short(radii[i])] for i in range(len(labels))]
-    when = f"{short(estimate.t, 12)} {plant.time_unit}"
+    when = told_time(origin, estimate.t, plant.time_unit)
     return table(f"Last estimate, at {when}", ["state", "estimate", "radius"], rows)

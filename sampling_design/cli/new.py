@@ -15,7 +15,7 @@ import typer
 
 import sampling_design as sd
 from sampling_design.cli.settings import Settings
-from sampling_design.cli.wishes import AskedFor, by_name, plan_requirement, positive_numbers, requirement, week
+from sampling_design.cli.wishes import AskedFor, by_name, plan_requirement, positive_times, requirement, week
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.planning.requirement_file import write_plan_requirement
 from sampling_design.records.file_io import read_text, write_text
@@ -60,7 +60,9 @@ class PlantModes:
     oscillation: Annotated[str, typer.Option(help="Periods of undamped oscillations, with commas between.")] = ""
     decay: Annotated[str, typer.Option(help="Times in which a decaying mode falls to a third, commas between.")] = ""
     level: Annotated[bool, typer.Option("--level/--no-level", help="A level that stays, or none.")] = True
-    half_life: Annotated[str, typer.Option(help="Times in which a decaying mode halves, commas between.")] = ""
+    half_life: Annotated[
+        str, typer.Option(help="Times in which a decaying mode halves, commas between: 3, or '3 d'.")
+    ] = ""
     names: Annotated[
         str, typer.Option(help="What the modes are called: the level, oscillations, decaying ones, commas between.")
     ] = ""
@@ -70,12 +72,12 @@ class PlantModes:
     @property
     def decays(self) -> list[float]:
         """Times in which each decaying mode falls to a third."""
-        halves = positive_numbers("--half-life", self.half_life)
-        return [*positive_numbers("--decay", self.decay), *(half * math.log(3.0, 2.0) for half in halves)]
+        halves = positive_times("--half-life", self.half_life, self.unit)
+        return [*positive_times("--decay", self.decay, self.unit), *(half * math.log(3.0, 2.0) for half in halves)]
 
     def plant(self) -> sd.Plant:
         """The sum of a level, oscillations and decaying modes."""
-        oscillations = positive_numbers("--oscillation", self.oscillation)
+        oscillations = positive_times("--oscillation", self.oscillation, self.unit)
         if not oscillations and not self.decays:
             raise ArgumentError(
                 "`new` needs to know what moves: give --oscillation PERIODS, --decay or --half-life TIMES, or both."
@@ -91,7 +93,7 @@ class PlantModes:
 
     def span(self) -> float:
         """The longest oscillation, or twice the longest decay."""
-        oscillations = positive_numbers("--oscillation", self.oscillation)
+        oscillations = positive_times("--oscillation", self.oscillation, self.unit)
         return max(oscillations) if oscillations else 2.0 * max(self.decays)
 
 
@@ -109,7 +111,7 @@ def new(
 
     Example: sampling-design new out/mine --oscillation 24 --half-life 2 --sensors blood --samples 4 --open 7-22
     """
-    modes = replace(modes, name=modes.name or target.name, unit=check_time_unit(modes.unit))
+    modes = replace(modes, name=modes.name or target.name, unit=check_time_unit(modes.unit, "--unit"))
     if not (modes.oscillation or modes.decay or modes.half_life) and sys.stdin.isatty() and not settings.quiet:
         modes, asked = _asked(modes, asked)
     plant, span = modes.plant(), modes.span()
@@ -142,7 +144,11 @@ def _dated(start: str) -> dict[str, str]:
 def _asked(modes: PlantModes, asked: AskedFor) -> tuple[PlantModes, AskedFor]:
     """Ask at the terminal for what was not said; a slip is named at once, and asked again."""
     unit = modes.unit
-    oscillation = _ask(f"Periods of undamped oscillations [{unit}], commas between", "24", _numbers("--oscillation"))
+    oscillation = _ask(
+        f"Periods of undamped oscillations [{unit}], commas between",
+        "24",
+        lambda t: positive_times("--oscillation", t, unit),
+    )
     modes = replace(modes, oscillation=oscillation)
     decay = _ask(
         f"Times in which a decaying mode falls to a third [{unit}], if anything does", "",
@@ -189,10 +195,6 @@ def _asked(modes: PlantModes, asked: AskedFor) -> tuple[PlantModes, AskedFor]:
     if not asked.zone:
         asked = replace(asked, zone=_ask("Time zone", "UTC", lambda t: OpeningCalendar(asked.start, t)))
     return modes, asked
-
-
-def _numbers(flag: str) -> Callable[[str], object]:
-    return lambda text: positive_numbers(flag, text)
 
 
 def _ask(question: str, default: str, read: Callable[[str], object]) -> str:

@@ -145,6 +145,8 @@ def _read(kind: str, reader: Callable[[Path], T], path: Path) -> T:
     except SamplingDesignError:
         if path.is_dir():
             within = path / _WRITTEN.get(kind, "")
+            if kind in ("plant", "schedule") and (path / "plan.json").is_file():  # stands for both, with its bounds
+                within = path / "plan.json"
             slip = f" Did you mean {within}?" if within.is_file() else ""
             raise FileFormatError(f"{path}: is a folder, expected a file.{slip}", str(path)) from None
         found, where = kind_of(path), str(path)

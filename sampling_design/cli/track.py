@@ -63,14 +63,17 @@ def estimate(
     if how.tube and (how.most_outliers or how.smooth):
         raise ArgumentError("`--tube` is of estimates as they came: leave it out with --outliers and --smooth.")
     whole = reading.plan_in(plant_file)
-    plant, schedule = settings.part(reading.plant(plant_file) if whole is None else whole.plant), None
+    full = reading.plant(plant_file) if whole is None else whole.plant
+    plant, schedule = settings.part(full), None
     if schedule_file is not None:
         schedule = schedule_for(settings, plant, schedule_file)
     elif whole is not None and certificate_file is None:
         schedule = whole.schedule
     planned = reading.plan_in(schedule_file) if whole is None else whole
-    bounds = _bounds(settings, plant, typed.of(plant), planned)
-    record = reading.measurements(settings, measurement_file, plant, None if schedule is None else schedule.origin)
+    bounds = _bounds(settings, plant, full, typed.of(plant), planned)
+    zero = None if schedule is None else schedule.origin
+    calendar = None if planned is None else planned.requirement.calendar
+    record = reading.measurements(settings, measurement_file, plant, zero, calendar and calendar.zone)
     if schedule is not None:
         _check_origins(record, schedule)
     if not record.measured.any():
@@ -97,15 +100,22 @@ def estimate(
 
 
 def _bounds(
-    settings: Settings, plant: sd.Plant, typed: ErrorBoundArguments, planned: Plan | None
+    settings: Settings, plant: sd.Plant, full: sd.Plant, typed: ErrorBoundArguments, planned: Plan | None
 ) -> ErrorBoundArguments:
     """The bounds as they were typed, else those that a plan was made with.
 
     Raises ArgumentError if the plan is for another plant, of whose signals its bounds say nothing.
     """
-    if planned is None or settings.of is not None:
+    if planned is None:
         return typed
     own = planned.error_bounds
+    if settings.of is not None:  # of the part that rows need, whose states are others
+        same = all(
+            getattr(plant, kind).names == getattr(planned.plant, kind).names for kind in ("disturbances", "outputs")
+        )
+        own = ErrorBoundArguments(
+            w_bound=own["w_bound"] if same else None, v_bound=own["v_bound"] if same else None, initial_error=None
+        )
     found = ErrorBoundArguments(
         w_bound=own["w_bound"] if typed["w_bound"] is None else typed["w_bound"],
         v_bound=own["v_bound"] if typed["v_bound"] is None else typed["v_bound"],
@@ -114,7 +124,7 @@ def _bounds(
     for (name, used), said in zip(found.items(), typed.values(), strict=True):
         if said is None and used is not None:
             flag = f"--{name.replace('_', '-')}"
-            if other := first_difference(plant, planned.plant):
+            if other := first_difference(full, planned.plant):
                 raise ArgumentError(f"`{flag}` is missing, and the plan is for another plant: {other}. Give the bound.")
             settings.notice(f"{flag} not given: that of the plan, {short(used)}, is used.")
     return found
@@ -157,9 +167,10 @@ def validate(
 
     Example: sampling-design validate examples/plants/oscillator.toml out/schedule.csv -o out
     """
-    plant = settings.part(reading.plant(plant_file))
+    full = reading.plant(plant_file)
+    plant = settings.part(full)
     schedule = schedule_for(settings, plant, schedule_file)
-    bounds = _bounds(settings, plant, typed.of(plant), reading.plan_in(schedule_file))
+    bounds = _bounds(settings, plant, full, typed.of(plant), reading.plan_in(schedule_file))
     if certificate_file is not None:
         certificate = sampling_certificate(certificate_file, plant)
     else:

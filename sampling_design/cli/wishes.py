@@ -16,6 +16,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.records.checks import known_keys
 from sampling_design.records.units import SECONDS
 from sampling_design.schedules.opening import DAYS, OpeningCalendar, WeekHours, minutes, week_hours
+from sampling_design.schedules.sensor import duration
 
 MOST_DAYS = 400
 A_MONDAY = "2001-01-01"
@@ -58,15 +59,21 @@ class AskedFor:
     grid: Annotated[str, typer.Option(metavar="TIME", help='Samples of a plan lie on multiples of it: "1 h".')] = ""
 
 
-def positive_numbers(flag: str, text: str) -> list[float]:
-    """Positive numbers with commas between."""
+def positive_times(flag: str, text: str, unit: str) -> list[float]:
+    """Positive times in `unit` with commas between, each a number or one with a unit of its own."""
     try:
-        values = [float(part) for part in text.split(",") if part.strip()]
+        return [duration(flag, _number_or_text(part), unit) for part in text.split(",") if part.strip()]
+    except ArgumentError:
+        raise ArgumentError(
+            f'`{flag}` must be positive numbers of {unit}, or times like "3 d", with commas between, got {text!r:.40}.'
+        ) from None
+
+
+def _number_or_text(part: str) -> float | str:
+    try:
+        return float(part)
     except ValueError:
-        values = [-1.0]
-    if not all(0 < value < np.inf for value in values):
-        raise ArgumentError(f"`{flag}` must be positive numbers with commas between, got {text!r:.40}.")
-    return values
+        return part
 
 
 def by_name(flag: str, text: str, names: Sequence[str], alone: Sequence[str]) -> dict[str, float]:
@@ -78,17 +85,15 @@ def by_name(flag: str, text: str, names: Sequence[str], alone: Sequence[str]) ->
             value = float(number)
         except ValueError:
             value = -1.0
-        if not 0 <= value < np.inf or (not equals and found) or (name.strip() in found):
+        alone_of_many = not equals and "," in text.strip(" ,")
+        if not 0 <= value < np.inf or alone_of_many or (name.strip() in found):
             raise ArgumentError(
-                f"`{flag}` must be a number, or {names[0]}=NUMBER with commas between, got {text!r:.60}."
+                f"`{flag}` must be a number, or {names[0]}=NUMBER with commas between, got {text!r:.60}. Decimals have "
+                "a point, not a comma."
             )
         keys = [name.strip()] if equals else list(alone)
         known_keys(f"`{flag}`", keys, names)
         found |= dict.fromkeys(keys, value)
-        if not equals and "," in text.strip(" ,"):
-            raise ArgumentError(
-                f"`{flag}` must be a number, or {names[0]}=NUMBER with commas between, got {text!r:.60}."
-            )
     return found
 
 

@@ -104,11 +104,11 @@ class EstimateColumns:
 
     LISTS = ("times", "x", "radii", "radius", "cost", "status", "certified", "on_schedule", "notes")
 
-    def __init__(self, plant: Plant, radii: str = "intervals"):
+    def __init__(self, plant: Plant, radii: str = "intervals", origin: str = ""):
         self.plant, self.radii, self.counts = (
             plant,
             check_radii(radii),
-            EstimateCounts(plant.time_unit, moved=radii == "centred"),
+            EstimateCounts(plant.time_unit, moved=radii == "centred", origin=origin),
         )
         self._begun = False
 

@@ -179,9 +179,10 @@ class NextSample(Record):
             text = f"No allowed sample is proven to bring the tolerances back{after}: keep to the plan's next one"
             return f"{self._state()}{text}, or sample as soon as the place is open."
         if not self.keeps:
-            text = f"A sample at {self._read_at(self.latest, self.outputs)} helps soonest"
+            one = f"{self.when(self.latest)} ({', '.join(self.outputs)})"
+            text = f"A sample at {one} helps soonest"
             if self.exceeded is None:
-                late = "" if self.due is None else f": with one at {self._read_at(self.latest, self.outputs)} "
+                late = "" if self.due is None else f": with one at {one} "
                 late += "" if self.due is None else self._later(self.due)
                 text = f"No single sample keeps every tolerance from now on{late}"
             return f"{self._state()}{text}. Every tolerance is kept {self._again()}."

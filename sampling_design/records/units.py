@@ -15,18 +15,22 @@ FEW, MANY = 1.5, 120.0
 """A time axis is as long as so many of its units, at least and at most, where a longer unit has a name."""
 
 SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "wk": 604800.0}
+WORDS = {"ms": "milli", "s": "sec", "min": "min", "h": "h", "d": "d", "wk": "w"}
+"""How words for the units begin: what is likely meant where one is written out."""
 
 
-def check_time_unit(unit: object) -> str:
+def check_time_unit(unit: object, name: str = "time_unit") -> str:
     """Return `unit` if it is one of the six known units, else raise.
 
     Raises ArgumentError if the unit is missing or unknown.
     """
     if unit is None or (is_text(unit) and not unit):
-        raise ArgumentError(f"`time_unit` is missing. Give one of {', '.join(SECONDS)}.")
+        raise ArgumentError(f"`{name}` is missing. Give one of {', '.join(SECONDS)}.")
     if not is_text(unit) or unit not in SECONDS:
         came = repr(unit) if is_text(unit) else described(unit)
-        raise ArgumentError(f"`time_unit` must be one of {', '.join(SECONDS)}, got {came}.")
+        likely = next((u for u, word in WORDS.items() if is_text(unit) and unit.lower().startswith(word)), None)
+        slip = "" if likely is None else f" Did you mean {likely!r}?"
+        raise ArgumentError(f"`{name}` must be one of {', '.join(SECONDS)}, got {came}.{slip}")
     return str(unit)
 
 

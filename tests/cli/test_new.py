@@ -7,9 +7,10 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.cli.new import PlantModes, flat
-from sampling_design.cli.wishes import AskedFor, by_name, plan_requirement, positive_numbers, requirement, week
+from sampling_design.cli.wishes import AskedFor, by_name, plan_requirement, positive_times, requirement, week
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.requirement_file import read_plan_requirement
+from sampling_design.records.units import check_time_unit
 
 
 def test_what_it_writes_is_what_was_said(shell, tmp_path):
@@ -240,7 +241,10 @@ def test_nothing_is_written_over_unless_forced(shell, tmp_path):
         ((), "`new` needs to know what moves"),
         (("--oscillation", "daily"), "`--oscillation` must be positive numbers"),
         (("--oscillation", "24", "--open", "19-7"), "`--open` must be two hours of a day"),
-        (("--oscillation", "24", "--unit", "fortnight"), "time"),
+        (("--oscillation", "24", "--unit", "fortnight"), "`--unit` must be one of ms, s, min, h, d, wk"),
+        (("--oscillation", "24", "--unit", "days"), "got 'days'. Did you mean 'd'?"),
+        (("--half-life", "3x"), """`--half-life` must be positive numbers of h, or times like "3 d", with"""),
+        (("--half-life", "3", "--within", "0,5", "--noise", "1", "--disturbance", "1"), "Decimals have a point"),
         (("--oscillation", "24", "--period", "24000", "--open", "7-19"), "at most 400"),
         (("--oscillation", "24", "--within", "0.5"), "which needs --noise"),
         (("--oscillation", "24", "--within", "0.5", "--noise", "0.1", "--disturbance", "0", "--start", "no"), "start"),
@@ -255,8 +259,8 @@ def test_a_slip_is_one_sentence_and_writes_nothing(shell, tmp_path, flags, said)
 
 
 def test_what_the_flags_refuse(tmp_path, monkeypatch):
-    with pytest.raises(ArgumentError, match="must be positive numbers with commas between"):
-        positive_numbers("--decay", "-1")
+    with pytest.raises(ArgumentError, match="must be positive numbers of"):
+        positive_times("--decay", "-1", "h")
     with pytest.raises(ArgumentError, match="must be two hours of a day, as 7-19"):
         week("7", weekend=True)
     with pytest.raises(ArgumentError, match=r"has hours of .* that overlap, got"):
@@ -278,3 +282,20 @@ def test_what_the_flags_refuse(tmp_path, monkeypatch):
     (tmp_path / "plant.toml").write_text("")
     with pytest.raises(ArgumentError, match=r"already\. Take another folder, or --force"):
         new(Settings("new"), tmp_path, PlantModes(oscillation="24"), AskedFor())
+
+
+def test_times_may_have_units_of_their_own(shell, tmp_path):
+    """Three days are 72 hours and 4320 minutes, whatever the plant counts in."""
+    for folder, unit, typed in (("a", "h", "72, 1.5"), ("b", "h", "3 d, 90min"), ("c", "min", "3d,1.5 h")):
+        assert shell("new", tmp_path / folder, "--half-life", typed, "--unit", unit).code == 0
+    plants = [sd.read_plant(tmp_path / folder / "plant.toml") for folder in "abc"]
+    assert np.array_equal(plants[0].A, plants[1].A)
+    assert np.allclose(60 * plants[2].A, plants[0].A, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("word", "unit"), [("days", "d"), ("Hours", "h"), ("seconds", "s"), ("minutes", "min"), ("weeks", "wk")]
+)
+def test_a_unit_that_is_written_out_names_its_letter(word, unit):
+    with pytest.raises(ArgumentError, match=rf"got '{word}'\. Did you mean '{unit}'"):
+        check_time_unit(word)

@@ -186,7 +186,7 @@ LINES = {
     "a requirement to follow": ("next r.toml", "is a requirement file, expected a plan file"),
     "a schedule to verify": ("verify s.csv", "is a schedule file, expected a certificate file"),
     "files of a comparison swapped": ("compare p.toml m.csv s.csv", "is a measurement file, expected a schedule file"),
-    "a rhythm in words": ("new x --oscillation daily", "must be positive numbers with commas between"),
+    "a rhythm in words": ("new x --oscillation daily", "must be positive numbers of h, or times like"),
     "hours of an English clock": ("new x --oscillation 24 --open 7am-10pm", 'as "Mon-Fri 8:30-12, 13-17, Sat 9-12"'),
     "a unit in words": ("new x --oscillation 24 --unit days", "must be one of ms, s, min, h, d, wk, got 'days'"),
     "nothing that moves": ("new x --no-level", "give --oscillation PERIODS, --decay or --half-life TIMES, or both"),

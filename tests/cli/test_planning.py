@@ -132,6 +132,17 @@ def test_a_plan_stands_for_plant_schedule_and_bounds(shell, small_plan, place):
     assert json.loads(found.out)["x"] == own.run(sd.read_measurements(measured, plan.plant)).to_dict()["x"]
 
 
+def test_rows_of_a_plan_have_its_bounds_on_disturbance_and_noise(shell, small_plan):
+    """`--of` takes another part of the state; what disturbs and what is read are the same signals."""
+    _, file, measured = small_plan
+    asked = ("estimate", file, measured, "--of", "position", "--initial-error", "1", "--json")
+    found = shell(*asked)
+    assert "--w-bound not given: that of the plan, 0.02, is used." in " ".join(found.err.split())
+    assert "--v-bound not given: that of the plan" in " ".join(found.err.split())
+    typed = shell(*asked, "--w", "0.02", "--v", "0.2,0.2")
+    assert json.loads(found.out)["radii"] == json.loads(typed.out)["radii"]
+
+
 @pytest.mark.parametrize("command", ["estimate", "validate"])
 def test_a_plan_of_another_plant_brings_no_bounds(shell, small_plan, command):
     plan, file, measured = small_plan
@@ -145,7 +156,7 @@ def test_a_plan_of_another_plant_brings_no_bounds(shell, small_plan, command):
     assert "`--w-bound` is missing, and the plan is for another plant: its A[1, 0] is -1.0, not -0.9." in said
     untyped = ErrorBoundArguments(w_bound=None, v_bound=None, initial_error=None)
     with pytest.raises(ArgumentError, match="is missing, and the plan is for another plant"):
-        _bounds(Settings(command), slower, untyped, plan)
+        _bounds(Settings(command), slower, slower, untyped, plan)
     if command == "estimate":  # its schedule stands, in the plant's unit of time
         typed = ("--w-bound", "0.02", "--v-bound", "0.2,0.2", "--initial-error", "1.5")
         assert shell(*(command, *words, *typed, "--json")).code in (0, 1)
@@ -192,3 +203,27 @@ def test_a_plan_without_a_bound_says_so(small_plan):
     assert "proven: what the plan keeps, and what none beats, by trajectories" in str(plan)
     assert "proven: what the plan keeps\n" in str(bare)
     assert "of the tolerances; nobody has bounded how much could be gained" in str(bare)
+
+
+@pytest.mark.parametrize("month", ["03", "07"])
+def test_estimates_of_a_dated_plan_have_dates_of_its_zone(shell, tmp_path, month):
+    """In winter and in summer a date without offset is one of the plan's zone, not of its first day's offset."""
+    plant = sd.Plant([[-0.01]], [[1.0]], time_unit="h", states=["level"], outputs=["lab"])
+    wanted = sd.PlanRequirement(
+        {"level": 2.0}, period="1 d", grid="6 h", w_bound=0.05, sensors={"lab": {"noise_bound": 0.5}},
+        calendar={"start": "2026-03-02", "zone": "Europe/Berlin"},
+    )  # fmt: skip
+    plan = sd.plan_samples(plant, wanted, search_seconds=1.0, certificate=False, robustness=False, start=False)
+    file = plan.save(tmp_path / "plan.json")
+    naive, said = tmp_path / "naive.csv", tmp_path / "said.csv"
+    offset = "+02:00" if month == "07" else "+01:00"
+    naive.write_text(f"date,lab\n2026-{month}-10 08:10,1.0\n2026-{month}-11 08:05,0.9\n")
+    said.write_text(f"date,lab\n2026-{month}-10 08:10{offset},1.0\n2026-{month}-11 08:05{offset},0.9\n")
+    first, second = (shell("estimate", file, each, "--initial-error", "9") for each in (naive, said))
+    assert "Dates without a zone are read in Europe/Berlin." in first.err
+    assert first.out == second.out
+    day = "2026-03-11 08:05+01:00" if month == "03" else "2026-07-11 07:05+01:00"
+    assert f"Last estimate, at {day}" in " ".join(first.out.split())
+    folder = shell("estimate", tmp_path, naive)
+    assert folder.code == 2
+    assert "plan.json?" in " ".join(folder.err.split())

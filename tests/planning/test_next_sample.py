@@ -86,7 +86,7 @@ def test_a_sample_may_be_late_by_so_much_and_the_plan_goes_on(week):
     assert said["evidence"] == "nothing is proven: it may be exceeded"
     assert said["how good"] == "1.001 of the tolerance"
     late = replace(none, latest=day + 14, kept_from=2 * day)
-    again = f"A sample at {found.when(day + 14)}, {', '.join(found.outputs)} helps soonest"
+    again = f"A sample at {found.when(day + 14)} ({', '.join(found.outputs)}) helps soonest"
     assert late.explain() == f"{since}{again}. Every tolerance is kept from {found.when(2 * day)} on."
     first = replace(late, exceeded=None)
     assert "No single sample keeps every tolerance from now on. Every" in first.explain()

@@ -6,7 +6,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from sampling_design.estimators.online.estimate import FAILURES, Contradiction, Estimate, Status
-from sampling_design.records.record import counted, short
+from sampling_design.estimators.records.measurement_table import told_time
+from sampling_design.records.record import counted
 
 
 @dataclass
@@ -15,6 +16,7 @@ class EstimateCounts:
 
     time_unit: str
     moved: bool = False
+    origin: str = ""
     count: int = 0
     first: float = 0.0
     last: float = 0.0
@@ -44,7 +46,8 @@ class EstimateCounts:
     @property
     def what(self) -> str:
         """How many estimates there are, of which times, and where they lie."""
-        span = f" from {short(self.first, 12)} to {short(self.last, 12)} {self.time_unit}" if self.count else ""
+        first, last = (told_time(self.origin, t, self.time_unit) for t in (self.first, self.last))
+        span = f" from {first.removesuffix(f' {self.time_unit}')} to {last}" if self.count else ""
         where = ", in the middle of what data and bounds allow" if self.moved else ""
         return f"{counted(self.count, 'estimate')} of the state{span}{where}"
 

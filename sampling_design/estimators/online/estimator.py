@@ -163,7 +163,7 @@ class EstimateRecord(ListRecord[Estimate], CurveRecord, PlainRecord):
 
     @property
     def _counted(self) -> EstimateCounts:
-        found = EstimateCounts(self.plant.time_unit, moved=MOVED in self.notes)
+        found = EstimateCounts(self.plant.time_unit, moved=MOVED in self.notes, origin=self.origin)
         contradictions = self.contradictions or (None,) * len(self)
         flags = (self.status, self.certified.tolist(), self.on_schedule.tolist(), contradictions)
         for each in zip(self.times.tolist(), *flags, strict=True):

@@ -15,6 +15,7 @@ from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.plant import Signals
 from sampling_design.records import checks, file_io
 from sampling_design.records.arrays import Array, Index
+from sampling_design.records.declarations import moment
 from sampling_design.records.units import SECONDS
 from sampling_design.schedules.files import MARK
 from sampling_design.schedules.time_stamps import time_zone
@@ -404,6 +405,12 @@ def dates_of(origin: str, times: Array, unit: str) -> list[datetime] | None:
         return None
     zero = date_of("origin", 0, origin)
     return [date_of("origin", 0, dated(zero, t, unit)) for t in times.tolist()]
+
+
+def told_time(origin: str, t: float, unit: str) -> str:
+    """Return a time counted from the date `origin` as its date to the minute; as it is where that is ""."""
+    dates = dates_of(origin, np.array([t]), unit)
+    return f"{moment(t)} {unit}" if dates is None else dates[0].isoformat(sep=" ", timespec="minutes")
 
 
 def _is_date(cell: str) -> bool:

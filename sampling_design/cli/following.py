@@ -30,7 +30,7 @@ from sampling_design.estimators.online.envelope import EstimateEnvelope
 from sampling_design.estimators.online.estimate import Estimate
 from sampling_design.estimators.online.in_order import FEW_STATES, MOST_INTERVALS
 from sampling_design.estimators.record_intervals import estimates_despite_outliers, smoothed_along
-from sampling_design.estimators.records.measurement_table import told_time
+from sampling_design.estimators.records.measurement_table import time_or_date
 from sampling_design.records.arrays import Array
 from sampling_design.records.file_io import AtomicWriter
 from sampling_design.records.progress import Progress
@@ -202,5 +202,5 @@ def _own_radii(estimate: Estimate, kind: str) -> Array:
 def _last(plant: sd.Plant, estimate: Estimate, kind: str, origin: str) -> RichTable:
     radii, labels = _own_radii(estimate, kind), plant.states.labels()
     rows = [[labels[i], short(estimate.x[i]), short(radii[i])] for i in range(len(labels))]
-    when = told_time(origin, estimate.t, plant.time_unit)
+    when = time_or_date(origin, estimate.t, plant.time_unit)
     return table(f"Last estimate, at {when}", ["state", "estimate", "radius"], rows)

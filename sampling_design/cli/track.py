@@ -73,7 +73,8 @@ def estimate(
     bounds = _bounds(settings, plant, full, typed.of(plant), planned)
     zero = None if schedule is None else schedule.origin
     calendar = None if planned is None else planned.requirement.calendar
-    record = reading.measurements(settings, measurement_file, plant, zero, calendar and calendar.zone)
+    zone = None if calendar is None else calendar.zone
+    record = reading.measurements(settings, measurement_file, plant, zero, zone)
     if schedule is not None:
         _check_origins(record, schedule)
     if not record.measured.any():

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from sampling_design.estimators.online.estimate import FAILURES, Contradiction, Estimate, Status
-from sampling_design.estimators.records.measurement_table import told_time
+from sampling_design.estimators.records.measurement_table import time_or_date
 from sampling_design.records.record import counted
 
 
@@ -46,7 +46,7 @@ class EstimateCounts:
     @property
     def what(self) -> str:
         """How many estimates there are, of which times, and where they lie."""
-        first, last = (told_time(self.origin, t, self.time_unit) for t in (self.first, self.last))
+        first, last = (time_or_date(self.origin, t, self.time_unit) for t in (self.first, self.last))
         span = f" from {first.removesuffix(f' {self.time_unit}')} to {last}" if self.count else ""
         where = ", in the middle of what data and bounds allow" if self.moved else ""
         return f"{counted(self.count, 'estimate')} of the state{span}{where}"

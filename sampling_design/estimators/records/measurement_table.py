@@ -407,7 +407,7 @@ def dates_of(origin: str, times: Array, unit: str) -> list[datetime] | None:
     return [date_of("origin", 0, dated(zero, t, unit)) for t in times.tolist()]
 
 
-def told_time(origin: str, t: float, unit: str) -> str:
+def time_or_date(origin: str, t: float, unit: str) -> str:
     """Return a time counted from the date `origin` as its date to the minute; as it is where that is ""."""
     dates = dates_of(origin, np.array([t]), unit)
     return f"{moment(t)} {unit}" if dates is None else dates[0].isoformat(sep=" ", timespec="minutes")

@@ -300,7 +300,8 @@ PAGE = MeasuredPage(
     "python -m tests.benchmarks.scale",
     f"""Milliseconds of one thread, the mean of as many calls as fill {ENOUGH} s, each size in a process of its own. The
 exponent is the slope of log(time) over log(size): 1 is linear growth. Sizes grow until a verb refuses, or takes over
-{LONGEST} s.""",
+{LONGEST} s. Other programs ran beside on that day: rows
+measured twice differed by a factor of up to 2.""",
     TABLES,
 )
 

@@ -89,6 +89,13 @@ def test_a_power_in_balls_holds_that_of_every_number(ends, k):
         assert value.abs_upper() <= max(map(abs, ends)) ** k * (1 + 1e-6)
 
 
+def test_a_power_in_balls_of_an_exponent_as_large_as_doubles_go_ends():
+    value, slope = region_balls.powered(region_balls.hull(-0.5, 0.25), 1e308)
+    assert value.abs_upper() < 1e-300
+    assert slope.is_finite()
+    assert region_balls.powered(region_balls.hull(1.0, 1.0), -1e308)[0].contains(1.0)
+
+
 def test_dependent_numbers_are_cut_into_cells(slopes):
     # sin x cos x + sin x cos x = sin 2x: interval by interval twice as wide as it is
     assert both(nonlinear(slopes, TWICE, low=-4.0, high=4.0)) == "proven"

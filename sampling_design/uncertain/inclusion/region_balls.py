@@ -278,8 +278,10 @@ def whole_power(x: Ball, k: int) -> Ball:
     """x^k; python-flint's own is no number where the middle of x is zero."""
     if k < 0:
         return 1 / whole_power(x, -k)
-    half = squared(whole_power(x, k // 2)) if k > 1 else ball(1.0)
-    return half * x if k % 2 else half
+    found = ball(1.0)
+    while k:  # a file may hold exponents of hundreds of digits
+        found, x, k = found * x if k % 2 else found, squared(x), k // 2
+    return found
 
 
 def powered(x: Ball, exponent: float) -> tuple[Ball, Ball]:

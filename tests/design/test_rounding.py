@@ -148,3 +148,10 @@ def test_derivatives_of_a_form_are_bounded_over_its_reach_and_near():
             true = abs(sum(comb(p, i) * np.sum(y[i] * y[p - i], axis=(1, 2)) for i in range(p + 1))).max()
             assert true <= most[p] * (1 + 1e-6)
             assert most[p] <= 40 * true  # norms alone: more than a million times
+
+
+def test_what_has_no_derivative_has_none_however_long_the_reach_is():
+    """A shift by 1e6 at most: y = 1 stays so, where a bound of the growth by norms is e^(2e6)."""
+    A, C = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[[1.0, 0.0]]])
+    most = largest_derivatives(A, C, np.array([[[1.0], [0.0]]]), np.array([1e6]))[:, 0]
+    assert most.tolist() == [1.0, 0.0, 0.0, 0.0]

@@ -67,8 +67,9 @@ def largest_derivatives(A: Array, C: Array, F: Array, reach: Array) -> Array:
     for _ in range(_ORDER):
         Y = A @ Y + Y @ A.T
     with np.errstate(over="ignore"):
-        last = np.einsum("spn,spn->s", C, C) * np.exp(2 * float(np.linalg.norm(A, 2)) * reach)
-        last = last * np.linalg.norm(Y, axis=(1, 2)) * unit**2
+        last = np.einsum("spn,spn->s", C, C) * np.linalg.norm(Y, axis=(1, 2)) * unit**2
+        growth = np.exp(2 * float(np.linalg.norm(A, 2)) * reach)
+        last = np.multiply(last, growth, out=np.zeros_like(last), where=last != 0)  # 0 however much it grows
     found = np.zeros((4, len(F)))
     for q in range(_ORDER + 1):
         pairs = (comb(q, i) * np.einsum("spr,spr->s", seen[i], seen[q - i]) for i in range(q + 1))

@@ -89,6 +89,7 @@ def things() -> dict[str, Any]:
         "spaced": sd.SpacedWindows(4.0, 3, 0.5),
         "gaps": gaps,
         "jitter": sd.Jitter(schedule, 0.05),
+        "apart": sd.schedules.OutputJitter(schedule, [0.05], [0.05]),
         "lost": sd.LostSamples(schedule, 1, 4),
         "family": family,
         "design": design,
@@ -255,6 +256,8 @@ def special() -> dict[str, dict[str, Any]]:
         "write_ics": {"start": "2026-01-01"},
         "find_counterexample": {"eta": 0.1},
         "Jitter.contains": {"schedule": t["finite"]},
+        "OutputJitter.contains": {"schedule": t["finite"]},
+        "OutputJitter": {"early": [0.05], "late": [0.05]},
         "weights_from_bounds": {},
         "information_curve": {"samples": 2},
         "simulate_record": {"inputs": ()},
@@ -297,7 +300,8 @@ def special() -> dict[str, dict[str, Any]]:
 
 OWNERS = {
     "Plant": "plant", "Signals": None, "Schedule": "finite", "PeriodicSchedule": "schedule", "SpacedWindows": "spaced",
-    "GapRange": "gaps", "Jitter": "jitter", "LostSamples": "lost", "SamplingSet": None, "Requirement": "requirement",
+    "GapRange": "gaps", "Jitter": "jitter", "OutputJitter": "apart",
+    "LostSamples": "lost", "SamplingSet": None, "Requirement": "requirement",
     "PlanRequirement": "wanted", "SigmaDeviations": None, "Sensor": None, "OpeningCalendar": None,
     "Certificate": "certificate", "FamilyCertificate": "family", "DetectabilityCertificate": "detectability",
     "ScheduleDesign": "design", "Estimate": "estimate", "EstimateRecord": "estimates", "SimulatedRecord": "record",

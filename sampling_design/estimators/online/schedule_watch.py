@@ -191,11 +191,11 @@ class ScheduleClaim:
             return self.nothing_missed(state.nodes, t)
         for i, watch in self.watches.items():
             before, first = _taken(i, state.nodes)
-            seen = mask if i is None else mask[i : i + 1]
-            if not seen.any():
+            read = mask if i is None else mask[i : i + 1]
+            if not read.any():
                 fit = self._none_missed(i, state.nodes, t)
             else:
-                fit = bool(before) and watch.sample_fits([*(node.t for node in before), t], seen, first)
+                fit = bool(before) and watch.sample_fits([*(node.t for node in before), t], read, first)
             if not fit:
                 return False
         return True

@@ -294,11 +294,15 @@ def test_the_page_is_ready_and_follows_quickly(explorer, page):
     assert follows < 1000
 
 
-def test_a_day_of_seconds_is_told_in_whole_seconds(explorer, page):
-    plant = sd.Plant([[0.0, 1e-4], [-1e-4, 0.0]], [[1.0, 0.0]], time_unit="s")
-    schedule = sd.PeriodicSchedule.from_times([12345.0, 61234.0], 86400.0, time_unit="s")
+@pytest.mark.parametrize(
+    ("unit", "ticks", "place"), [("s", {"6", "12", "18", "24"}, "at 3.429 h"), ("d", {"20000", "80000"}, "at 12345 d")]
+)
+def test_times_are_told_in_units_that_people_read_and_in_whole_numbers(explorer, page, unit, ticks, place):
+    """A day of seconds in hours; where the unit is the largest there is, no power of ten."""
+    plant = sd.Plant([[0.0, 1e-4], [-1e-4, 0.0]], [[1.0, 0.0]], time_unit=unit)
+    schedule = sd.PeriodicSchedule.from_times([12345.0, 61234.0], 86400.0, time_unit=unit)
     visit(page, explorer(Bench(plant, sd.Requirement(window=86400.0, period=86400.0), schedule)))
     texts = page.locator("svg text").all_text_contents()
-    assert {"20000", "80000"} <= set(texts)
+    assert ticks <= set(texts)
     assert not [text for text in texts if "e+" in text]
-    assert page.locator(".mark title").first.text_content().endswith("at 12345 s")
+    assert page.locator(".mark title").first.text_content().endswith(place)

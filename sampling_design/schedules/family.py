@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import ClassVar, Self
 
@@ -95,8 +95,10 @@ class SamplingFamily(PlainRecord, ABC):
     remembers: ClassVar[bool] = True
     """Whether more than the last gap decides what may come next."""
 
-    def __init_subclass__(cls, kind: str, **others: object) -> None:
+    def __init_subclass__(cls, kind: str | None, **others: object) -> None:
         super().__init_subclass__(**others)
+        if kind is None:  # a base of several kinds
+            return
         if kind in SamplingFamily.KINDS:
             raise ArgumentError(f"`kind` {kind!r} is taken by {SamplingFamily.KINDS[kind].__name__}.")
         cls.kind = kind
@@ -206,6 +208,32 @@ class SamplingFamily(PlainRecord, ABC):
     def narrowed(self, fraction: float) -> Self | None:
         """Return the part of the family around its nominal schedule, None where that has no obvious meaning."""
         return None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NominalFamily(SamplingFamily, kind=None):
+    """Base of the families that are built around a nominal schedule, their first field."""
+
+    schedule: AnySchedule
+
+    @property
+    def time_unit(self) -> str | None:
+        """Unit of the nominal schedule."""
+        return self.schedule.time_unit
+
+    @property
+    def nominal(self) -> AnySchedule:
+        """The nominal schedule: without deviations or losses."""
+        return self.schedule
+
+    @property
+    def planned(self) -> AnySchedule:
+        """The nominal schedule."""
+        return self.schedule
+
+    def replanned(self, schedule: PeriodicSchedule) -> Self:
+        """Return the same deviations and losses around another nominal schedule."""
+        return replace(self, schedule=schedule)
 
 
 def gap_steps(shortest: float, longest: float, room: Callable[[Word], float], memory: int, outputs: int) -> Steps:

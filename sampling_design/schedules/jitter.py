@@ -24,7 +24,7 @@ from sampling_design.schedules.family import (
     FamilyStep,
     FamilyVariation,
     Leeway,
-    SamplingFamily,
+    NominalFamily,
     Steps,
     Word,
     extent,
@@ -243,7 +243,7 @@ def begun_late(times: Array, mask: Mask | None, period: float, **details: Unpack
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Jitter(SamplingFamily, kind="jitter"):
+class Jitter(NominalFamily, kind="jitter"):
     """All schedules whose i-th sample lies within `timing_tolerance` of the nominal i-th sample.
 
     Parameters
@@ -270,7 +270,6 @@ class Jitter(SamplingFamily, kind="jitter"):
     (True, False)
     """
 
-    schedule: AnySchedule
     timing_tolerance: float
 
     _plain = "kind schedule timing_tolerance"
@@ -303,11 +302,6 @@ class Jitter(SamplingFamily, kind="jitter"):
         return cls(moved(schedule, by), radius)
 
     @property
-    def time_unit(self) -> str | None:
-        """Unit of the nominal schedule."""
-        return self.schedule.time_unit
-
-    @property
     def min_gap(self) -> float:
         """Least nominal gap less twice the tolerance."""
         return self.schedule.min_gap - 2 * self.timing_tolerance
@@ -318,11 +312,6 @@ class Jitter(SamplingFamily, kind="jitter"):
         nominal = SamplingSet(self.schedule)
         later = float(np.max(nominal.later_gaps, initial=0.0))
         return max(nominal.first + self.timing_tolerance, later + 2 * self.timing_tolerance if later else 0.0)
-
-    @property
-    def nominal(self) -> AnySchedule:
-        """The schedule without deviations."""
-        return self.schedule
 
     def contains(self, schedule: AnySchedule) -> bool:
         """Say whether every sample of `schedule` lies within the tolerance of its nominal place.
@@ -395,15 +384,6 @@ class Jitter(SamplingFamily, kind="jitter"):
             return found
 
         return steps
-
-    @property
-    def planned(self) -> AnySchedule:
-        """The nominal schedule."""
-        return self.schedule
-
-    def replanned(self, schedule: PeriodicSchedule) -> Self:
-        """Return the same deviations around another nominal schedule."""
-        return type(self)(schedule, self.timing_tolerance)
 
     @property
     def leeway(self) -> Leeway:

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import product
-from typing import Self
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from sampling_design.schedules.family import (
     AnySchedule,
     FamilyStep,
     Leeway,
-    SamplingFamily,
+    NominalFamily,
     Steps,
     Word,
     in_family_unit,
@@ -38,7 +37,7 @@ _MOST_PERIODS = 10_000  # periods after which two periods must have met, else th
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LostSamples(SamplingFamily, kind="lost-samples"):
+class LostSamples(NominalFamily, kind="lost-samples"):
     """All schedules that miss at most `most` of any `of` consecutive samples of a nominal schedule.
 
     Parameters
@@ -62,7 +61,6 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
     (True, False)
     """
 
-    schedule: AnySchedule
     most: int
     of: int
 
@@ -78,11 +76,6 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
             )
 
     @property
-    def time_unit(self) -> str | None:
-        """Unit of the nominal schedule."""
-        return self.schedule.time_unit
-
-    @property
     def min_gap(self) -> float:
         """Least nominal gap."""
         return self.schedule.min_gap
@@ -96,11 +89,6 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
         reach = min(self.most + 1, times.size - 1)
         later = float(np.max(times[reach:] - times[: times.size - reach], initial=0.0)) if reach else 0.0
         return max(float(times[min(self.most, times.size - 1)]), later)
-
-    @property
-    def nominal(self) -> AnySchedule:
-        """The schedule without losses."""
-        return self.schedule
 
     def contains(self, schedule: AnySchedule) -> bool:
         """Say whether `schedule` has only nominal samples and misses few enough of them.
@@ -191,15 +179,6 @@ class LostSamples(SamplingFamily, kind="lost-samples"):
             return found
 
         return steps
-
-    @property
-    def planned(self) -> AnySchedule:
-        """The nominal schedule."""
-        return self.schedule
-
-    def replanned(self, schedule: PeriodicSchedule) -> Self:
-        """Return the same losses from another nominal schedule."""
-        return type(self)(schedule, self.most, self.of)
 
     @property
     def leeway(self) -> Leeway:

@@ -22,7 +22,7 @@ from sampling_design.schedules.family import (
     AnySchedule,
     FamilyStep,
     FamilyVariation,
-    SamplingFamily,
+    NominalFamily,
     Steps,
     Word,
     in_family_unit,
@@ -46,7 +46,7 @@ MOST_WORDS = 399  # of a level of memory beyond the first: so many nodes may a g
 
 
 @frozen
-class OutputJitter(SamplingFamily, kind="output-jitter"):
+class OutputJitter(NominalFamily, kind="output-jitter"):
     """All schedules that read output i of each nominal sample at t within [t - early_i, t + late_i], in any order.
 
     One nominal sample becomes up to p real ones; outputs that are read at one instant are one sample.
@@ -74,7 +74,6 @@ class OutputJitter(SamplingFamily, kind="output-jitter"):
     False
     """
 
-    schedule: AnySchedule
     early: Converted[npt.ArrayLike, Array]
     late: Converted[npt.ArrayLike, Array]
 
@@ -98,6 +97,7 @@ class OutputJitter(SamplingFamily, kind="output-jitter"):
     @classmethod
     def around(cls, schedule: AnySchedule, tolerance: TimingTolerance) -> Self:
         """Return the family of a tolerance of its own for each column of the schedule."""
+        tolerance.require_order(SamplingSet(schedule).min_gap)  # it knows the outputs' names
         return cls(schedule, tolerance.early, tolerance.late)
 
     @property
@@ -121,11 +121,6 @@ class OutputJitter(SamplingFamily, kind="output-jitter"):
         return whole if schedule.outputs is None else schedule.outputs
 
     @property
-    def time_unit(self) -> str | None:
-        """Unit of the nominal schedule."""
-        return self.schedule.time_unit
-
-    @property
     def min_gap(self) -> float:
         """Zero: two outputs may be read one right after the other."""
         return 0.0
@@ -137,11 +132,6 @@ class OutputJitter(SamplingFamily, kind="output-jitter"):
         early, late = (np.where(mask, side, np.inf).min(axis=1) for side in (self.early, self.late))
         later = float(np.max(nominal.later_gaps, initial=0.0))
         return float(max(nominal.first + late[0], later + early.max() + late.max() if later else 0.0))
-
-    @property
-    def nominal(self) -> AnySchedule:
-        """The schedule without deviations."""
-        return self.schedule
 
     def contains(self, schedule: AnySchedule) -> bool:
         """Say whether each output is read as the nominal schedule reads it, within its own tolerance.
@@ -209,15 +199,6 @@ class OutputJitter(SamplingFamily, kind="output-jitter"):
             return found
 
         return steps
-
-    @property
-    def planned(self) -> AnySchedule:
-        """The nominal schedule."""
-        return self.schedule
-
-    def replanned(self, schedule: PeriodicSchedule) -> Self:
-        """Return the same deviations around another nominal schedule."""
-        return type(self)(schedule, self.early, self.late)
 
     def suspects(
         self, periods: Sequence[float], rng: np.random.Generator, quick: bool = False

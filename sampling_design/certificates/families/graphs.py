@@ -63,6 +63,9 @@ def _reachable_words(steps: Steps) -> PathCompleteGraph:
                 words[step.word] = len(words)
                 queue.append(step.word)
                 if len(words) > MOST_NODES:
-                    raise ArgumentError(f"`memory`: the graph of this family has more than {MOST_NODES} nodes.")
+                    raise ArgumentError(
+                        f"`memory`: the graph of this family has more than {MOST_NODES} nodes. They are fewer with "
+                        "less memory, fewer samples a period, and fewer outputs at times of their own."
+                    )
             edges.append(Edge(words[word], words[step.word], step.low, step.high, step.outputs))
     return PathCompleteGraph(((), *list(words)[1:]), tuple(edges))

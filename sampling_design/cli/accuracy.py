@@ -56,6 +56,7 @@ class TimeOptions:
 
 
 ON_TIME = TimeOptions()
+BY_COUNT = "sampling-design/accuracy-by-count/1"  # the format of its JSON
 ScheduleOrCounts = Annotated[
     Path | None, typer.Argument(metavar="SCHEDULE", help="Schedule file: .csv or .json; none with --samples.")
 ]
@@ -152,10 +153,10 @@ def _finish_counts(
     counts = numbers("--samples", times.samples)
     each = counts if isinstance(counts, list) else [counts]
     found = by_count([whole("samples", count) for count in each], period=positive("period", times.period))
-    folder = settings.folder()
+    folder, data = settings.folder(), {"format": BY_COUNT, **found.to_dict()}
     if folder is not None:
-        settings.write_json(folder / "accuracy.json", found.to_dict())
-    settings.show(found.to_dict(), record_table(found), found.explain())
+        settings.write_json(folder / "accuracy.json", data)
+    settings.show(data, record_table(found), found.explain())
     if not found.closed:
         raise typer.Exit(3)
     if np.isinf(found.upper[-1]).any():

@@ -122,7 +122,9 @@ def test_without_samples_an_oscillator_has_no_bound(shell):
     never = shell("accuracy", OSCILLATOR, "--samples", "0", "--period", "2", *bounds)
     assert never.code == 1
     assert "position has no bound" in never.out
-    assert shell("accuracy", OSCILLATOR, "--samples", "0,4", "--period", "2", *bounds).code == 0
+    some = shell("accuracy", OSCILLATOR, "--samples", "0,4", "--period", "2", *bounds, "--json")
+    assert some.code == 0
+    assert json.loads(some.out)["format"] == "sampling-design/accuracy-by-count/1"
     assert "`SCHEDULE` is missing: give its file" in shell("accuracy", OSCILLATOR, *bounds).err
 
 

@@ -311,8 +311,8 @@ class ScheduleDesign(PlainRecord):
         left = "" if self.deviations is None else f" {self.deviations.explain()}"
         return (
             f"{many} {makes} {rows or 'every state'} observable in every window, with sigma >= "
-            f"{short(self.sigma)}{late}; no admissible schedule can exceed {short(self.upper_bound)}, so at most "
-            f"{100 * self.gap:.1f} % could be gained.{left}"
+            f"{short(self.sigma)}{late}; no admissible schedule can exceed {short(self.upper_bound)}, an "
+            f"optimality gap of {100 * self.gap:.1f} %.{left}"
         )
 
 

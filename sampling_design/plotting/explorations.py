@@ -56,24 +56,23 @@ def draw_pareto(front: ParetoFront, ax: Axes | None = None) -> Axes | style.Pane
     _front(points, top)
     top.tick_params(labelbottom=False)
     top.set_xlabel("")
-    _room(points, bottom)
+    _gaps(points, bottom)
     for one in (top, bottom):
         one.set_xlim(points[0].samples - 0.6, points[-1].samples + 0.6)
     return style.Panels([top, bottom])
 
 
-def _room(points: Sequence[ParetoPoint], ax: Axes) -> None:
-    """How much better than each design some schedule could be, at most."""
-    room = [100 * (p.upper_bound - p.sigma) / p.sigma if p.sigma > 0 else np.inf for p in points]
-    top = max((r for r in room if np.isfinite(r)), default=0.0) or 1.0
-    ax.bar([p.samples for p in points], [min(r, top) for r in room], width=0.5, color=style.ALLOWED)
-    for p, r in zip(points, room, strict=True):
-        place = (p.samples, min(r, top))
-        said = short(r, 2) if np.isfinite(r) else "unknown"
-        ax.annotate(said, place, xytext=(0, 2), textcoords="offset points", ha="center", fontsize="small")
-    ax.set_ylim(0.0, 1.35 * top)
+def _gaps(points: Sequence[ParetoPoint], ax: Axes) -> None:
+    """By what share of its bound each design may fall short of the best schedule, at most."""
+    gaps = [100 * max(0.0, 1 - p.sigma / p.upper_bound) if p.upper_bound > 0 else 0.0 for p in points]
+    ax.bar([p.samples for p in points], gaps, width=0.5, color=style.ALLOWED)
+    for p, gap in zip(points, gaps, strict=True):
+        ax.annotate(
+            f"{gap:.1f}", (p.samples, gap), xytext=(0, 2), textcoords="offset points", ha="center", fontsize="small"
+        )
+    ax.set_ylim(0.0, 1.35 * (max(gaps) or 1.0))
     _whole_counts(ax)
-    ax.set_ylabel("at most better\nby [%]")
+    ax.set_ylabel("optimality gap\n[%]")
 
 
 def _whole_counts(ax: Axes) -> None:

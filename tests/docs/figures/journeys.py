@@ -95,7 +95,7 @@ ROWS = (
     (r"any (\d+) distinct times in 3 s .*; fewer than (\d+)", researcher(r"Any (\d+) distinct .*? than (\d+) never")),
     (
         rf"\\ge{NUMBER}\$ is proven, and no schedule has more than {NUMBER}: the gap is at most {NUMBER} %",
-        researcher(rf"sigma >= {NUMBER}; no .*? exceed {NUMBER}, so at most {NUMBER} %"),
+        researcher(rf"sigma >= {NUMBER}; no .*? exceed {NUMBER}, an optimality gap of {NUMBER} %"),
     ),
     (
         rf"rate {NUMBER} per s, horizon {NUMBER} s",

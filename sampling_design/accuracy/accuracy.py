@@ -22,7 +22,7 @@ from sampling_design.accuracy.witness import KEPT, AccuracyWitness
 from sampling_design.accuracy.worst_witness import left_open, strongest_witness
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
+from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
@@ -147,7 +147,7 @@ def guaranteed_accuracy(
     late = TimingTolerance.of(timing_tolerance, plant.outputs.names)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
     schedule = meet(plant, schedule)
-    rows = wanted_rows(plant, of)
+    rows = requested_rows(plant, of)
     question = AccuracyQuestion.of(plant, schedule, w_bound, v_bound, initial_error, start, end, late)
     if question.is_late:
         refuse_tolerance(question, w_intensity is not None or v_deviation is not None)
@@ -159,7 +159,7 @@ def guaranteed_accuracy(
 
 def _answered(
     asked: AccuracyQuestion,
-    rows: WantedRows,
+    rows: RequestedRows,
     tolerance: float,
     limit: Budget,
     deviation: StandardDeviation | None,
@@ -246,7 +246,7 @@ def _at_samples(question: AccuracyQuestion, chain: SampleChain, found: RowSearch
 
 def _record(
     question: AccuracyQuestion,
-    rows: WantedRows,
+    rows: RequestedRows,
     known: DetectablePart,
     finder: ChainSearch | None,
     found: dict[int, RowSearch],

@@ -17,7 +17,7 @@ from sampling_design.accuracy.undetectable import DetectablePart, modes_with
 from sampling_design.accuracy.witness import KEPT, AccuracyWitness, attains
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import WantedRows
+from sampling_design.plants.rows import RequestedRows
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.record import CurveRecord, Plain, PlainRecord, TableRecord, Variable, moment, short
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
@@ -26,7 +26,7 @@ from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 class AccuracyBracket(TableRecord, PlainRecord):
     """The least guaranteed error of each wanted row, bracketed: `lower` attained, `upper` guaranteed."""
 
-    rows: WantedRows
+    rows: RequestedRows
     lower: Array
     upper: Array
     closed: Mask
@@ -44,7 +44,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
     ----------
     plant : Plant
     schedule : PeriodicSchedule or Schedule
-    rows : WantedRows
+    rows : RequestedRows
         Matrix, names and units of what is wanted.
     lower : (r,) array
         No estimator whatsoever guarantees less: attained by `witnesses`.
@@ -75,7 +75,7 @@ class Accuracy(AccuracyBracket, CurveRecord):
     """
 
     question: AccuracyQuestion
-    rows: WantedRows
+    rows: RequestedRows
     lower: Array
     upper: Array
     worst: Array

@@ -17,7 +17,7 @@ from sampling_design.numerics.filtering import CovarianceMap, covariance_root
 from sampling_design.numerics.linalg import discounted_flow, psd_root, symmetrise
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
+from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
@@ -48,7 +48,7 @@ class StandardDeviation(TableRecord, PlainRecord):
     ----------
     plant : Plant
     schedule : PeriodicSchedule or Schedule
-    rows : WantedRows
+    rows : RequestedRows
     worst : (r,) array
         Over all times at which the row is known.
     worst_at : (r,) array
@@ -62,7 +62,7 @@ class StandardDeviation(TableRecord, PlainRecord):
 
     plant: Plant
     schedule: Schedule | PeriodicSchedule
-    rows: WantedRows
+    rows: RequestedRows
     worst: Array
     worst_at: Array
     mean: Array
@@ -152,7 +152,7 @@ def standard_deviation(
     True
     """
     schedule = meet(plant, schedule)
-    rows = wanted_rows(plant, of)
+    rows = requested_rows(plant, of)
     nothing = np.zeros(plant.n_outputs)
     if schedule.endless:
         question = AccuracyQuestion.endless(plant, schedule, 0.0, nothing)
@@ -162,7 +162,7 @@ def standard_deviation(
 
 
 def deviations(
-    question: AccuracyQuestion, rows: WantedRows, w_intensity: Intensity, v_deviation: Intensity
+    question: AccuracyQuestion, rows: RequestedRows, w_intensity: Intensity, v_deviation: Intensity
 ) -> StandardDeviation:
     """Return the standard deviations for the schedule of a question."""
     plant, schedule = question.plant, question.schedule

@@ -22,7 +22,7 @@ from sampling_design.accuracy.witness import KEPT
 from sampling_design.checkers.check import verdict
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
+from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.checks import freeze
@@ -124,7 +124,7 @@ class Interval(TableRecord, PlainRecord):
     readings : Readings
         All that it was made from.
     t : float
-    rows : WantedRows
+    rows : RequestedRows
     lower, upper : (r,) arrays
     gains : (r, 2, R) array
         Proof of the upper and of the lower end: one number for each row that was read, in plain units.
@@ -142,7 +142,7 @@ class Interval(TableRecord, PlainRecord):
 
     readings: Readings
     t: float
-    rows: WantedRows
+    rows: RequestedRows
     lower: Array
     upper: Array
     gains: Array = field(repr=False)
@@ -413,7 +413,7 @@ def state_interval(
     """
     items, at = rows_of(record), None if t is None else checks.number("t", t)
     readings = read_record(plant, items, w_bound, v_bound, initial_error, prior, prior_time, at)
-    rows = wanted_rows(plant, of)
+    rows = requested_rows(plant, of)
     at = float(readings.times[-1]) if at is None else at
     if outliers == 0:
         return prove(RecordProgram(readings), at, rows)
@@ -455,7 +455,7 @@ def _ends(pairs: Sequence[tuple[float | None, float | None]]) -> tuple[Array, Ar
     return freeze(lower), freeze([np.inf if high is None else high for _, high in pairs])
 
 
-def prove(program: RecordProgram, t: float, rows: WantedRows, outer: Array | None = None) -> Interval:
+def prove(program: RecordProgram, t: float, rows: RequestedRows, outer: Array | None = None) -> Interval:
     """Return the interval of each row at t, or the proof that the data contradict the bounds."""
     ends, readings = [], program.readings
     for row in rows.matrix:

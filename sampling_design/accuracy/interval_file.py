@@ -16,7 +16,7 @@ from sampling_design.checkers.strict import BadFile
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.plants.files import plant_from_dict
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import WantedRows
+from sampling_design.plants.rows import RequestedRows
 from sampling_design.records import file_io
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
@@ -31,7 +31,7 @@ STATED = 1e-6
 def tree_of(
     readings: Readings,
     t: float,
-    rows: WantedRows,
+    rows: RequestedRows,
     ends: tuple[Array, Array],
     gains: Array,
     scales: Array,
@@ -113,7 +113,7 @@ def read_tree(path: str | os.PathLike[str]) -> tuple[OfInterval, Plant]:
     return found, plant_from_dict(data["plant"], where)
 
 
-def readings_of(found: OfInterval, plant: Plant) -> tuple[Readings, WantedRows]:
+def readings_of(found: OfInterval, plant: Plant) -> tuple[Readings, RequestedRows]:
     """Return readings and rows of a file that was read."""
     readings = Readings(
         plant=plant,
@@ -127,4 +127,4 @@ def readings_of(found: OfInterval, plant: Plant) -> tuple[Readings, WantedRows]:
         ball=found.together,
         inputs=tuple((at, freeze(u)) for at, u in found.inputs),
     )
-    return readings, WantedRows(freeze(found.rows), found.names, found.units)
+    return readings, RequestedRows(freeze(found.rows), found.names, found.units)

@@ -17,7 +17,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.numerics.linalg import forced_flow
 from sampling_design.plants.grouping import balanced_schur
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
+from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.checks import freeze
@@ -54,7 +54,7 @@ class AccuracyLimit(TableRecord, PlainRecord):
     Attributes
     ----------
     plant : Plant
-    rows : WantedRows
+    rows : RequestedRows
     bounds : SignalBounds
     zones : (m, 2) array or None
         Allowed times of each period; None: all times.
@@ -69,7 +69,7 @@ class AccuracyLimit(TableRecord, PlainRecord):
     """
 
     plant: Plant
-    rows: WantedRows
+    rows: RequestedRows
     bounds: SignalBounds
     zones: Array | None
     period: float
@@ -171,7 +171,7 @@ def accuracy_limit(
     >>> bool(0.098 <= found.lower[0] <= 0.1)
     True
     """
-    rows, tolerance = wanted_rows(plant, of), checks.positive("rtol", rtol)
+    rows, tolerance = requested_rows(plant, of), checks.positive("rtol", rtol)
     allowed = _zones(zones, period)
     span = 0.0 if period is None else float(period)
     known = _known(plant)

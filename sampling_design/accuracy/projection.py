@@ -20,7 +20,7 @@ from sampling_design.accuracy.witness import AccuracyWitness, attains, physical
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.filtering import CovarianceMap, information_update, propagate
 from sampling_design.numerics.linalg import discounted_flow
-from sampling_design.plants.rows import WantedRows, wanted_rows
+from sampling_design.plants.rows import RequestedRows, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.checks import freeze
@@ -39,7 +39,7 @@ class BracketedRows(Protocol):
         """Plant, schedule and bounds."""
 
     @property
-    def rows(self) -> WantedRows:
+    def rows(self) -> RequestedRows:
         """The rows."""
 
     @property
@@ -157,7 +157,7 @@ def project_rows(
         raise ArgumentError(
             "`projection` is of samples on time, known at once: leave `timing_tolerance`, `result_delay` out."
         )
-    rows = wanted_rows(question.plant, [first, second])
+    rows = requested_rows(question.plant, [first, second])
     if np.linalg.matrix_rank(rows.matrix) < 2:
         raise ArgumentError(f"`second` must be another row than `first`, got {first!r} and {second!r}.")
     count = checks.whole("directions", directions, 4)

@@ -12,7 +12,7 @@ from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.bounds import Bound, NoiseBound
 from sampling_design.errors import ArgumentError
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
+from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
@@ -35,7 +35,7 @@ class AccuracyByCount(TableRecord, PlainRecord):
         Samples per period, increasing; 0: none at all.
     period : float
         In the plant's time unit.
-    rows : WantedRows
+    rows : RequestedRows
         Matrix, names and units of what is wanted.
     accuracies : tuple of Accuracy
         What `guaranteed_accuracy` says of each count; for 0 of a sensor that reads nothing.
@@ -43,7 +43,7 @@ class AccuracyByCount(TableRecord, PlainRecord):
 
     counts: tuple[int, ...]
     period: float
-    rows: WantedRows
+    rows: RequestedRows
     accuracies: tuple[Accuracy, ...]
 
     _plain = "counts period rows{names units matrix} upper lower closed"
@@ -153,7 +153,7 @@ def accuracy_by_count(
     many = sorted({checks.whole("counts", each) for each in counts})
     if not many:
         raise ArgumentError("`counts` must hold a number of samples, got none: give (0, 4), say.")
-    length, rows = checks.positive("period", period), wanted_rows(plant, of)
+    length, rows = checks.positive("period", period), requested_rows(plant, of)
     limit = Budget(None if budget is None else checks.positive("budget", budget))
     found = []
     for done, k in enumerate(many):

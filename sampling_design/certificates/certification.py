@@ -19,7 +19,7 @@ from sampling_design.certificates.exact.given_weights import NoiseWeights, above
 from sampling_design.certificates.exact.own_decay import own_decay
 from sampling_design.certificates.exact.precise import precisely_chosen
 from sampling_design.certificates.exact.proof import ScheduleProof
-from sampling_design.certificates.exact.retained_part import parted_weights, search_units
+from sampling_design.certificates.exact.retained_part import retained_part_weights, search_units
 from sampling_design.certificates.exact.weight_choice import (
     COMPARED,
     SEARCH_WORK,
@@ -31,7 +31,7 @@ from sampling_design.certificates.exact.weight_choice import (
     round_choices,
 )
 from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
-from sampling_design.checkers.work import Work
+from sampling_design.checkers.work import WorkLimit
 from sampling_design.errors import ArgumentError, CertificateError, UndecidedError
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.observability.alignment import meet
@@ -79,7 +79,7 @@ def certify_given(
         )
     with np.errstate(all="ignore"):  # what overflows is not finite, and then undecided
         proof = ScheduleProof(
-            plant, schedule, weights, eta, SearchEffort(Work(ALL_WORK, stop=lambda: limit.over), alone=True)
+            plant, schedule, weights, eta, SearchEffort(WorkLimit(ALL_WORK, stop=lambda: limit.over), alone=True)
         )
         followed(proof.canon, eta * proof.canon.time)
         if not exists:
@@ -369,11 +369,11 @@ def chosen(
         plain, between = canon, bounds
         canon, bounds = search_units(plant, schedule, weights, bounds)
         problem, searching = (plant, schedule, weights), limit.share(SEARCHED)
-        asked = [(gain, SearchEffort(Work(ALL_WORK, stop=lambda: limit.over))) for gain in gains]
+        asked = [(gain, SearchEffort(WorkLimit(ALL_WORK, stop=lambda: limit.over))) for gain in gains]
         # where lambda is one no search finds a shorter horizon; the slow modes of a large plant are sought alone
         ways = (
-            partial(own_decay, canon, bounds, gains, Work(SEARCH_WORK, stop=lambda: searching.over)),
-            partial(parted_weights, canon, bounds, gains, progress, searching),
+            partial(own_decay, canon, bounds, gains, WorkLimit(SEARCH_WORK, stop=lambda: searching.over)),
+            partial(retained_part_weights, canon, bounds, gains, progress, searching),
         )
         for way in ways:
             try:
@@ -413,7 +413,7 @@ def _without_gain(
     if not own > 0:
         raise error from None
     slower = bounds if eta is not None else (min(bounds[0], own / 2), bounds[1])
-    choice = own_decay(canon, slower, [np.inf], Work(SEARCH_WORK))[0]
+    choice = own_decay(canon, slower, [np.inf], WorkLimit(SEARCH_WORK))[0]
     if choice is None:
         raise error from None
     gain = float(np.exp(-WeightSearch(canon).setting(choice.eta).least(choice.P2)))

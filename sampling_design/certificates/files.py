@@ -120,11 +120,11 @@ def _detectable(data: Tree, plant: Plant, found: detectability.Detectability) ->
 
 def values_of(data: Tree) -> Tree:
     """Weights, numbers, witness and solver record of a certificate about samples."""
-    seen = data["witness"]
+    witness = data["witness"]
     return {
         **{key: data[key] if data[key] else np.zeros((0, 0)) for key in MATRICES},
         **{key: data[key] for key in NUMBERS},
-        "witness": None if seen is None else Witness(**{**seen, "direction": tuple(seen["direction"])}),
+        "witness": None if witness is None else Witness(**{**witness, "direction": tuple(witness["direction"])}),
         "solver": SolverRecord(**data["solver"]),
     }
 

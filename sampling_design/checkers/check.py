@@ -21,10 +21,10 @@ if not __package__:  # run as a file: its folder is the package
 
 if TYPE_CHECKING:
     from .outcome import Proven, Verdict
-    from .work import Work
+    from .work import WorkLimit
 
 
-def verdict(data: Mapping[str, object], work: "Work | None" = None) -> "Verdict":
+def verdict(data: Mapping[str, object], work: "WorkLimit | None" = None) -> "Verdict":
     """Return the `Verdict` on the plain data of a certificate file of any claim; `work` is what it may do."""
     from .claims import certificate, claim_of
     from .outcome import BAD_FILE, Verdict
@@ -36,16 +36,16 @@ def verdict(data: Mapping[str, object], work: "Work | None" = None) -> "Verdict"
         return Verdict(BAD_FILE, error.broken, "the data are no certificate: " * (error.broken == "form") + str(error))
 
 
-def verdict_on(content: object, prove: "Callable[..., Proven]", work: "Work | None" = None) -> "Verdict":
+def verdict_on(content: object, prove: "Callable[..., Proven]", work: "WorkLimit | None" = None) -> "Verdict":
     """Return the `Verdict` on the judged content of a file, as its claim proves it."""
     import numpy as np
 
     from .outcome import PROVEN, UNDECIDED, Refused, Verdict, refused
-    from .work import MOST_WORK, Work
+    from .work import MOST_WORK, WorkLimit
 
     try:
         with np.errstate(all="ignore"):  # what overflows is compared, and never below a bound
-            found = prove(content, Work(MOST_WORK) if work is None else work)
+            found = prove(content, WorkLimit(MOST_WORK) if work is None else work)
     except Refused as error:
         return refused(error)
     except (np.linalg.LinAlgError, OverflowError) as error:
@@ -53,7 +53,7 @@ def verdict_on(content: object, prove: "Callable[..., Proven]", work: "Work | No
     return Verdict(PROVEN, found.inequality, found.reason, found.slack)
 
 
-def check(data: Mapping[str, object], work: "Work | None" = None) -> dict[str, object]:
+def check(data: Mapping[str, object], work: "WorkLimit | None" = None) -> dict[str, object]:
     """Return the verdict as plain data; the check does at most this `work` (`work.MOST_WORK` unless told)."""
     return verdict(data, work).to_dict()
 

@@ -81,14 +81,18 @@ def phases(nominal: Times, word: Word, u: int) -> list[int]:
 
 def patterns(nominal: Times) -> list[tuple[bool, ...]]:
     """What each sample of the nominal period measures."""
-    return [tuple(map(bool, row)) for row in nominal.seen]
+    return [tuple(map(bool, row)) for row in nominal.measured]
 
 
 def lost_samples(family: LostSamples, graph: Graph) -> None:
     """Words are the phase and which of the last samples were lost (1), newest first; less than that may be said."""
     nominal, words = family.nominal, [exact(word) for word in graph.words]
-    lengths, reach, seen = [Fraction(g) for g in nominal.gaps], [Fraction(r) for r in nominal.reach], patterns(nominal)
-    lost = tuple([False] * nominal.seen.shape[1])
+    lengths, reach, measured = (
+        [Fraction(g) for g in nominal.gaps],
+        [Fraction(r) for r in nominal.reach],
+        patterns(nominal),
+    )
+    lost = tuple([False] * nominal.measured.shape[1])
     for u, word in enumerate(words):
         bits, moves = word[1:], dict[tuple[int, bool], list[tuple[Fraction, Fraction]]]()
         for j in phases(nominal, word, u):
@@ -99,7 +103,7 @@ def lost_samples(family: LostSamples, graph: Graph) -> None:
             bit = edge.outputs == lost
             phase, *claimed = words[edge.target]
             j = int(phase)
-            fits = (j, bit) in moves and (bit or edge.outputs == seen[j])
+            fits = (j, bit) in moves and (bit or edge.outputs == measured[j])
             fits = fits and implied(tuple(claimed), (Fraction(bit), *bits))
             need(fits, u, f"the edge to node {edge.target} is no sample of the period, taken or lost, that may follow")
             moves[j, bit].append((Fraction(edge.low), Fraction(edge.high)))
@@ -111,13 +115,17 @@ def lost_samples(family: LostSamples, graph: Graph) -> None:
 def jitter(family: Jitter, graph: Graph) -> None:
     """Words are the phase and the ends of the last deviation from the nominal time."""
     nominal, radius, words = family.nominal, Fraction(family.timing_tolerance), [exact(word) for word in graph.words]
-    lengths, reach, seen = [Fraction(g) for g in nominal.gaps], [Fraction(r) for r in nominal.reach], patterns(nominal)
+    lengths, reach, measured = (
+        [Fraction(g) for g in nominal.gaps],
+        [Fraction(r) for r in nominal.reach],
+        patterns(nominal),
+    )
     for u, word in enumerate(words):
         cells: dict[int, list[tuple[Fraction, Fraction]]] = {j: [] for j in phases(nominal, word, u)}
         for edge in graph.leaving(u):
             phase, a, b = words[edge.target]
             j, what = int(phase), f"the edge to node {edge.target} is no sample of the period that may follow"
-            need(j in cells and edge.outputs == seen[j], u, what)
+            need(j in cells and edge.outputs == measured[j], u, what)
             low, high = (
                 (lengths[j] + a - word[2], lengths[j] + b - word[1]) if u else (Fraction(0), reach[j] + radius + b)
             )
@@ -140,7 +148,7 @@ def orders(read: list[list[int]], word: Word, u: int) -> list[tuple[int, int, Wo
     else:
         j = (int(word[0]) + 1) % len(read)
         parts = [(j, read[j])]
-    return [(j, k, tuple(Fraction(i) for i in due if i != k)) for j, due in parts for k in due]
+    return [(j, k, tuple(Fraction(i) for i in unread if i != k)) for j, unread in parts for k in unread]
 
 
 def output_jitter(family: OutputJitter, graph: Graph) -> None:
@@ -148,7 +156,7 @@ def output_jitter(family: OutputJitter, graph: Graph) -> None:
     nominal, words = family.nominal, [exact(word) for word in graph.words]
     early, late = [-Fraction(e) for e in family.early], [Fraction(t) for t in family.late]
     lengths, reach = [Fraction(g) for g in nominal.gaps], [Fraction(r) for r in nominal.reach]
-    read = [[i for i, on in enumerate(row) if on] for row in nominal.seen]
+    read = [[i for i, on in enumerate(row) if on] for row in nominal.measured]
     need(2 ** max(map(len, read)) <= len(words), 0, "outputs of a sample that are yet to be read")
     for u, word in enumerate(words):
         cells: dict[tuple[int, int, Word], list[tuple[Fraction, Fraction]]] = {

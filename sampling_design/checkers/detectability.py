@@ -21,7 +21,7 @@ from .numbers import EPS
 from .outcome import Proven, Refused
 from .parts import AROUND, RATES, SOLVER, Claim, Plant, symmetric
 from .strict import Array, Tree, matrix, or_nothing, positive, table, word
-from .work import Work
+from .work import WorkLimit
 
 EIGENVALUES = 8  # those of an (n, n) matrix M are computed to within this times n eps |M|_F
 PLAIN = 1e-70, 1e70  # numbers of this size: no product of four underflows or overflows
@@ -161,12 +161,12 @@ def downhill(N: Numbers) -> tuple[Numbers | None, Number]:
 def failure(name: str, amount: float, direction: Array, how: str) -> Refused:
     """What to say of an inequality that fails by `amount` along `direction`."""
     along = (direction / np.linalg.norm(direction)).tolist()
-    shown = ", ".join(f"{x:.3g}" for x in along[:8]) + (", ..." if len(along) > 8 else "")
-    reason = f"{name} fails by {-amount:.3g}, an eigenvalue relative to the size of its terms ({how}), along [{shown}]"
+    parts = ", ".join(f"{x:.3g}" for x in along[:8]) + (", ..." if len(along) > 8 else "")
+    reason = f"{name} fails by {-amount:.3g}, an eigenvalue relative to the size of its terms ({how}), along [{parts}]"
     return Refused(name, reason, amount, direction=along)
 
 
-def proven(c: Detectability, work: Work) -> Proven:
+def proven(c: Detectability, work: WorkLimit) -> Proven:
     """The proof, and what it proves in words."""
     how, slack = prove(c)
     return Proven(INEQUALITY, f"P > 0 and {INEQUALITY}, {how}", slack)

@@ -15,14 +15,14 @@ from .numbers import EPS, definite, problem, targets
 from .outcome import Proven, Refused, holds
 from .parts import Claim
 from .strict import Array, Index
-from .work import Work
+from .work import WorkLimit
 
 CELLS = 8  # cells per interval at first
 ROUNDS = 40  # halvings of a cell
 MOST_CELLS = 400_000  # cells of one target, all rounds together
 
 
-def prove(c: OfFamily, work: Work | None = None) -> tuple[str, float]:
+def prove(c: OfFamily, work: WorkLimit | None = None) -> tuple[str, float]:
     """Prove that the graph holds the family, and every edge and node; return the slack."""
     judge(c.family, c.graph)
     numbers, graph, w = problem(c.plant, c.weights), c.graph, c.weights
@@ -96,7 +96,7 @@ class Intervals(Frame):
             raise Refused(self.inequality, reason, amount, float(h[k]))
 
 
-def proven(c: OfFamily, work: Work) -> Proven:
+def proven(c: OfFamily, work: WorkLimit) -> Proven:
     """The proof, and what it proves in words."""
     return holds(*prove(c, work), "every schedule of the family, every real window start and every later t")
 

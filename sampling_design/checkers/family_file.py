@@ -25,8 +25,8 @@ from .strict import (
     number,
     or_nothing,
     positive,
+    printed,
     refuse,
-    shown,
     table,
     text,
 )
@@ -103,7 +103,7 @@ class OutputJitter(Family):
         """The number of a sample, the ends of the last deviation in order, and the outputs yet to be read, in order."""
         if len(word) < 3 or word[:1] not in _samples(self.nominal) or word[1] > word[2]:
             return False
-        read, left = np.flatnonzero(self.nominal.seen[int(word[0])]).tolist(), word[3:]
+        read, left = np.flatnonzero(self.nominal.measured[int(word[0])]).tolist(), word[3:]
         return left == tuple(i for i in read if i in left) and len(left) < len(read)
 
 
@@ -223,7 +223,7 @@ def jitter(read: Tree, plant: Plant) -> Jitter:
 
 def output_jitter(path: Times, early: list[float], late: list[float]) -> OutputJitter:
     """Deviations of each output that keep the order of nominal samples."""
-    p = path.seen.shape[1]
+    p = path.measured.shape[1]
     for key, side in (("early", early), ("late", late)):
         if len(side) != p:
             raise refuse(f"times.{key}", f"must have {p} entries, one for each output, got {len(side)}")
@@ -265,7 +265,7 @@ def fitting(words: tuple[tuple[float, ...], ...], family: Family) -> None:
     """Refuse a word, other than the start's, that says nothing of this family."""
     for k, word in enumerate(words[1:], 1):
         if not family.has_word(word):
-            raise refuse(f"graph.words[{k}]", f"must be a word of the family, got {shown(list(word))}")
+            raise refuse(f"graph.words[{k}]", f"must be a word of the family, got {printed(list(word))}")
 
 
 def graph_of(read: Tree, plant: Plant, weights: Weights, family: Family) -> Graph:

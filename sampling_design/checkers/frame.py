@@ -18,7 +18,7 @@ import numpy.typing as npt
 from .numbers import EPS, Problem
 from .outcome import Undecided
 from .strict import Array, Index, Mask
-from .work import MOST_WORK, Work
+from .work import MOST_WORK, WorkLimit
 
 APART = 1e-6  # relative gap of two speeds from which on they are told apart
 FLOOR = 1e-6  # of the larger one of two parts: what couples them by rounding counts 1/sqrt(this) times
@@ -129,10 +129,10 @@ class Frame:
     """Plant and weights in coordinates where `target` is I, for samples that measure the `patterns` of outputs."""
 
     def __init__(
-        self, problem: Problem, target: Array, inequality: str, patterns: Mask, work: Work | None = None
+        self, problem: Problem, target: Array, inequality: str, patterns: Mask, work: WorkLimit | None = None
     ) -> None:
         self.problem, self.inequality, self.n, self.I = problem, inequality, problem.n, np.eye(problem.n)
-        self.work = Work(MOST_WORK) if work is None else work
+        self.work = WorkLimit(MOST_WORK) if work is None else work
         try:
             self.L = L = np.linalg.cholesky(target)
         except np.linalg.LinAlgError:
@@ -194,19 +194,19 @@ class Frame:
         problem, l, i = self.problem, np.abs(self.L), np.abs(self.inverse)
         rows, lost = (np.zeros((len(patterns), problem.C.shape[0], self.n)) for _ in range(2))
         loose = np.zeros(len(patterns))
-        for k, seen in enumerate(patterns):
-            m = int(seen.sum())
+        for k, mask in enumerate(patterns):
+            m = int(mask.sum())
             if not m:
                 continue
-            V = problem.V[np.ix_(seen, seen)]
+            V = problem.V[np.ix_(mask, mask)]
             try:
                 root = np.linalg.cholesky(V)
             except np.linalg.LinAlgError:
                 raise self.undecided("R and Qv are nearly singular") from None
             r, back = np.abs(root), np.abs(np.linalg.inv(root))
             wrong = (m + 4) * EPS * float(size(back @ r @ r.T @ back.T))  # root root' is V but for this
-            rows[k, :m] = np.linalg.solve(root, np.linalg.solve(self.L, problem.C[seen].T).T) / np.sqrt(1 + wrong)
-            lost[k, :m] = (4 * self.n + 4 * m + 8) * EPS * (back @ r @ back @ np.abs(problem.C[seen]) @ i.T @ l.T @ i.T)
+            rows[k, :m] = np.linalg.solve(root, np.linalg.solve(self.L, problem.C[mask].T).T) / np.sqrt(1 + wrong)
+            lost[k, :m] = (4 * self.n + 4 * m + 8) * EPS * (back @ r @ back @ np.abs(problem.C[mask]) @ i.T @ l.T @ i.T)
             loose[k] = 2 * wrong + 2 * problem.loose * float(np.linalg.norm(back)) ** 2
         return rows, lost, loose
 

@@ -29,17 +29,17 @@ from .regions import Cells
 from .robust import definite_robustly
 from .slopes import Parts
 from .strict import Array
-from .work import MOST_WORK, Work
+from .work import MOST_WORK, WorkLimit
 
 FLOW = "[P' + A'P + PA + eta P, PG; G'P, -Qw] < 0"
 SUBJECT = "every plant of the model, every schedule of the family and every real window start"
 TURNS = 20  # of the search for a corner where multipliers fail
 
 
-def prove(c: Inclusion, work: Work | None = None) -> tuple[str, float]:
+def prove(c: Inclusion, work: WorkLimit | None = None) -> tuple[str, float]:
     """Prove all inequalities; return what was proven and the least relative slack."""
     name = f"{FLOW}, {JUMP}"
-    work = Work(MOST_WORK) if work is None else work
+    work = WorkLimit(MOST_WORK) if work is None else work
     judge(c.family, c.graph)
     if not c.plant.n:
         return name, 1.0
@@ -101,7 +101,7 @@ def form_radii(P: Array, E: Array, EG: Array) -> Array:
     return np.concatenate([np.concatenate([corner, off], 2), np.concatenate([np.swapaxes(off, 1, 2), zero], 2)], 1)
 
 
-def flows(c: Inclusion, P: Array, Qw: Array, work: Work) -> float:
+def flows(c: Inclusion, P: Array, Qw: Array, work: WorkLimit) -> float:
     """Prove 1; return the least slack."""
     both, slope, size, taus = pieces(c, P)
     if c.model.kind == "nonlinear":
@@ -223,7 +223,7 @@ def broken(c: Inclusion, both: Array, slope: Array, size: Array, taus: Array, Qw
         at_corners(c, replace(found, points=point[None]), both, slope, size, taus, Qw)
 
 
-def proven(c: Inclusion, work: Work) -> Proven:
+def proven(c: Inclusion, work: WorkLimit) -> Proven:
     """The proof, and what it proves in words."""
     return holds(*prove(c, work), SUBJECT)
 

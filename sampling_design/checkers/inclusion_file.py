@@ -128,7 +128,7 @@ class Jumps:
 
     later: Index
     base: Index
-    seen: Mask
+    measured: Mask
 
 
 @dataclass(frozen=True)
@@ -195,8 +195,8 @@ def graph_of(stated: list[list[float]] | None, listed: list[list[object]], famil
     if stated is None:
         if not isinstance(family, GapRange):
             raise refuse("graph", "is missing: only a range of gaps goes without")
-        seen = (True,) * len(plant.C)
-        both = Edge(0, 1, 0.0, family.longest, seen), Edge(1, 1, family.shortest, family.longest, seen)
+        measured = (True,) * len(plant.C)
+        both = Edge(0, 1, 0.0, family.longest, measured), Edge(1, 1, family.shortest, family.longest, measured)
         return Graph(((), ()), both, ())
     words = tuple(tuple(entries) for entries in stated)
     if len(words) < 2 or words[0] != ():
@@ -228,8 +228,8 @@ def jumps_of(graph: Graph, nodes: Array, starts: Index) -> Jumps:
             raise refuse(f"graph.edges[{k}]", "must have ends that are nodes of its source")
         for node in at[(nodes[at] >= low) & (nodes[at] <= edge.high)].tolist():
             found[node, int(starts[edge.target - skip]), edge.outputs] = None
-    later, base, seen = zip(*found, strict=True) if found else ((), (), ())
-    return Jumps(np.array(later, int), np.array(base, int), np.array(seen, bool).reshape(len(later), -1))
+    later, base, measured = zip(*found, strict=True) if found else ((), (), ())
+    return Jumps(np.array(later, int), np.array(base, int), np.array(measured, bool).reshape(len(later), -1))
 
 
 def with_multipliers(c: Inclusion, read: list[list[list[float]]]) -> Inclusion:

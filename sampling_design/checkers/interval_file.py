@@ -45,7 +45,7 @@ class Reading:
 
 
 @dataclass(frozen=True)
-class Timed:
+class TimedReadings:
     """What was read at one time, and where that stands in the file."""
 
     t: float
@@ -143,14 +143,14 @@ def of_interval(read: Tree, plant: Plant) -> OfInterval:
     )
 
 
-def timed(value: object, place: str) -> "Timed":
+def timed(value: object, place: str) -> "TimedReadings":
     """What was read at one time."""
     read = _timed(value, place)
     rows = [Reading(**{**one, "row": np.array(one["row"], dtype=np.float64)}) for one in read["rows"]]
-    return Timed(read["t"], rows, place)
+    return TimedReadings(read["t"], rows, place)
 
 
-def in_order(given: list["Timed"], start: float, n: int) -> tuple[list[float], list[list[Reading]]]:
+def in_order(given: list["TimedReadings"], start: float, n: int) -> tuple[list[float], list[list[Reading]]]:
     """Times and what was read at each: the first is the start; means begin at one of them and do not overlap."""
     times = [each.t for each in given]
     asked(bool(times) and times[0] == start, "readings", "must begin at the time of the start")

@@ -16,7 +16,7 @@ from .outcome import Refused, Undecided
 from .regions import Cells
 from .slopes import Parts
 from .strict import Array, Index, Mask
-from .work import Work
+from .work import WorkLimit
 
 JUMP = "P(0) < P(tau) + C'R~C"
 BELOW = 1e-10  # share by which R~ is taken smaller than its floats, so that its own inequality has room
@@ -37,34 +37,34 @@ def together(R: Array, Qv: Array) -> Array:
     return np.asarray(X)
 
 
-def of_some(X: Array, seen: Mask) -> Array:
+def of_some(X: Array, measured: Mask) -> Array:
     """A matrix that is certainly at most ((X^-1) restricted to what is seen)^-1: Y with X - E'YE > 0."""
-    if seen.all():
+    if measured.all():
         return X
-    off = X[np.ix_(seen, ~seen)]
-    Y = X[np.ix_(seen, seen)] - off @ np.linalg.solve(X[np.ix_(~seen, ~seen)], off.T)
+    off = X[np.ix_(measured, ~measured)]
+    Y = X[np.ix_(measured, measured)] - off @ np.linalg.solve(X[np.ix_(~measured, ~measured)], off.T)
     Y = (1 - BELOW) * (Y + Y.T) / 2
     full = np.zeros_like(X)
-    full[np.ix_(seen, seen)] = Y
+    full[np.ix_(measured, measured)] = Y
     least("R~", (X - full)[None], (np.abs(X) + np.abs(full))[None])
     return np.asarray(Y)
 
 
-def prove_jumps(c: Inclusion, P: Array, Rt: Array, work: Work) -> float:
+def prove_jumps(c: Inclusion, P: Array, Rt: Array, work: WorkLimit) -> float:
     """Prove all of them; return the least slack."""
     slack = 1.0
-    for pattern in sorted(set(map(tuple, c.jumps.seen.tolist()))):
-        seen = np.array(pattern, bool)
-        at = np.flatnonzero((c.jumps.seen == seen).all(axis=1))
+    for pattern in sorted(set(map(tuple, c.jumps.measured.tolist()))):
+        measured = np.array(pattern, bool)
+        at = np.flatnonzero((c.jumps.measured == measured).all(axis=1))
         later, base = P[c.jumps.later[at]], P[c.jumps.base[at]]
-        jump = Jump(later - base, np.abs(later) + np.abs(base), c.nodes[c.jumps.later[at]], of_some(Rt, seen))
-        if not seen.any():
+        jump = Jump(later - base, np.abs(later) + np.abs(base), c.nodes[c.jumps.later[at]], of_some(Rt, measured))
+        if not measured.any():
             slack = min(slack, least(f"{JUMP} without C'R~C", jump.gained, jump.sizes, jump.taus))
         elif c.model.kind == "nonlinear":
-            slack = min(slack, over_region(c, c.model, P, jump, seen, work))
+            slack = min(slack, over_region(c, c.model, P, jump, measured, work))
         else:
             found = outputs(c)
-            slack = min(slack, over_set(found.rows(seen), jump, work))
+            slack = min(slack, over_set(found.rows(measured), jump, work))
     return slack
 
 
@@ -80,13 +80,13 @@ class Jump:
         turned, aside = np.swapaxes(C, 1, 2), np.abs(np.swapaxes(B, 1, 2))
         cross, large = turned @ Rt @ B, np.abs(turned) @ size @ np.abs(B)
         own, same = np.swapaxes(B, 1, 2) @ Rt @ B, aside @ size @ np.abs(B)
-        seen = cross + np.swapaxes(cross, 1, 2) - own
+        reduction = cross + np.swapaxes(cross, 1, 2) - own
         terms = large + np.swapaxes(large, 1, 2) + same
         off = np.swapaxes(EC, 1, 2) @ size @ np.abs(B)
         off = off + np.swapaxes(off, 1, 2)
         gained, sizes = (X if some is None else X[some] for X in (self.gained, self.sizes))
         shape = (len(C), *gained.shape)
-        return gained + seen[:, None], sizes + terms[:, None], np.broadcast_to(off[:, None], shape)
+        return gained + reduction[:, None], sizes + terms[:, None], np.broadcast_to(off[:, None], shape)
 
     def bounds(self, C: Array, EC: Array, B: Array, some: Index | None = None) -> Parts:
         """Lower and upper bounds of the least eigenvalues, (K, samples)."""
@@ -95,7 +95,7 @@ class Jump:
         return below.reshape(parts[0].shape[:2]), above.reshape(parts[0].shape[:2])
 
 
-def over_set(found: Members, jump: Jump, work: Work) -> float:
+def over_set(found: Members, jump: Jump, work: WorkLimit) -> float:
     """The least slack over all C of a box or a list."""
     slack, spent = 1.0, 0
     every: list[tuple[Array, Index]] = [(found.points, np.arange(len(jump.gained)))]
@@ -125,11 +125,11 @@ def over_set(found: Members, jump: Jump, work: Work) -> float:
     return slack
 
 
-def over_region(c: Inclusion, region: Region, P: Array, jump: Jump, seen: Mask, work: Work) -> float:
+def over_region(c: Inclusion, region: Region, P: Array, jump: Jump, measured: Mask, work: WorkLimit) -> float:
     """The least slack over all Jacobians of the outputs in the region."""
 
     def judge(C: Array, EC: Array, B: Array, _: Array) -> Parts:
-        below, above = jump.bounds(C[:, seen], EC[:, seen], B[:, seen])
+        below, above = jump.bounds(C[:, measured], EC[:, measured], B[:, measured])
         return below.min(axis=1), above.min(axis=1)
 
     return Cells(c, region, P, work).prove(JUMP, judge, False, len(jump.gained))

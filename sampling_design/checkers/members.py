@@ -79,9 +79,9 @@ class Members:
         rounding = 0.0 if exact else (len(self.parts) + 4) * EPS
         return self.base + np.tensordot(points, self.parts, 1), rounding * size
 
-    def rows(self, seen: Mask) -> "Members":
+    def rows(self, measured: Mask) -> "Members":
         """Those rows alone."""
-        return replace(self, base=self.base[seen], parts=self.parts[:, seen])
+        return replace(self, base=self.base[measured], parts=self.parts[:, measured])
 
     def name(self, point: Array) -> str:
         """Which plant it is, in words."""

@@ -135,8 +135,8 @@ def plant_of(read: Tree) -> Plant:
         groups = [read.get("states", {}), *(part["plant"].get(key, {}) for key in ("states", "outputs"))]
         names = [group.get("names", []) for group in groups]
         units = [group.get("units") or [""] * len(own) for group, own in zip(groups, names, strict=True)]
-        held = [dict(zip(*labels, strict=True)) for labels in zip(names, units, strict=True)]
-        if (name := misnamed(part["map"], whole.C, *held)) is not None:
+        known = [dict(zip(*labels, strict=True)) for labels in zip(names, units, strict=True)]
+        if (name := misnamed(part["map"], whole.C, *known)) is not None:
             raise refuse("plant.states", f"calls {name!r} what is not that of the whole plant")
     return found
 

@@ -27,7 +27,7 @@ from .numbers import EPS, safe
 from .outcome import Proven, Refused, Undecided, holds
 from .parts import Claim
 from .strict import Array, Mask
-from .work import Work
+from .work import WorkLimit
 
 PANEL = 1 / 128  # length of a panel times |A|, at most
 LEAST_PANELS = 64  # of one gap
@@ -49,7 +49,7 @@ class Columns:
     off: Array
     exact: Array  # sum lambda y + g'centre + int g'(Bu + G centre)
     doubt: Array  # of it
-    pushed: Array  # int |w_root'G'g| at most
+    disturbance: Array  # int |w_root'G'g| at most
     least: Array  # and at least
     noise: Array
 
@@ -64,9 +64,9 @@ class Columns:
         return (self.off + EPS * np.abs(self.g)) * LOOSE
 
 
-def prove(c: OfInterval, work: Work | None = None) -> tuple[str, float]:
+def prove(c: OfInterval, work: WorkLimit | None = None) -> tuple[str, float]:
     """Prove every end (or the contradiction); return the slack, relative to the width."""
-    backward = Backward(c, Work(math.inf) if work is None else work)
+    backward = BackwardRecursion(c, WorkLimit(math.inf) if work is None else work)
     if c.factors is not None:
         return INEQUALITY, contradiction(c, backward)
     targets = np.array([sign * row for row in c.rows for sign in (1.0, -1.0)])
@@ -90,7 +90,7 @@ def prove(c: OfInterval, work: Work | None = None) -> tuple[str, float]:
     return INEQUALITY, slack
 
 
-def contradiction(c: OfInterval, backward: "Backward") -> float:
+def contradiction(c: OfInterval, backward: "BackwardRecursion") -> float:
     """Prove that all bounds, that on w alone and that on v alone would have to be so many times as large."""
     assert c.factors is not None
     names = list(c.factors)
@@ -99,12 +99,12 @@ def contradiction(c: OfInterval, backward: "Backward") -> float:
     slack = math.inf
     for k, name in enumerate(names):
         stated = c.factors[name][0]
-        start, w, v, shown = found.start[k], found.pushed[k], found.noise[k], found.shown[k]
+        start, w, v, readings = found.start[k], found.disturbance[k], found.noise[k], found.readings[k]
         fixed = {"all": 0.0, "w": start + v, "v": start + w}[name]
         grown = {"all": start + w + v, "w": w, "v": v}[name]
-        if not np.isfinite(fixed + grown + shown):
+        if not np.isfinite(fixed + grown + readings):
             raise Undecided(INEQUALITY, f"the factor of {name} could not be decided: its start is not closed")
-        needed = -shown - fixed
+        needed = -readings - fixed
         if not needed >= stated * grown * LOOSE:
             sentence = f"the gains do not prove that {name} must grow by the factor {stated:.6g}"
             raise (Refused if needed < stated * grown * 0.99 else Undecided)(INEQUALITY, sentence)
@@ -115,24 +115,24 @@ def contradiction(c: OfInterval, backward: "Backward") -> float:
 
 
 @dataclass
-class Found:
+class RowBound:
     """What some gains come to: their known part with its doubt added, and the three bounds."""
 
-    shown: Array
+    readings: Array
     least: Array
     start: Array
-    pushed: Array
+    disturbance: Array
     noise: Array
 
     def ends(self) -> tuple[Array, Array]:
         """The proven ends, and what they are at least."""
-        return self.shown + self.start + self.pushed + self.noise, self.least
+        return self.readings + self.start + self.disturbance + self.noise, self.least
 
 
-class Backward:
+class BackwardRecursion:
     """Costates from t back to the start, in states of powers of two of the given sizes."""
 
-    def __init__(self, c: OfInterval, work: Work):
+    def __init__(self, c: OfInterval, work: WorkLimit):
         self.c, self.work = c, work
         n = c.plant.n
         means = dict.fromkeys(one.row.tobytes() for some in c.readings for one in some if one.since is not None)
@@ -158,7 +158,7 @@ class Backward:
         safe(self.d, c.plant.A, G, *rows)
         safe(self.A, self.G, root, *(row * self.d[:n] for row in rows))
 
-    def run(self, targets: Array, gains: Array) -> Found:
+    def run(self, targets: Array, gains: Array) -> RowBound:
         """What gains (k, R) for targets (k, n) come to; a column of its own for each row where the start is open."""
         c, n, count = self.c, self.c.plant.n, len(targets)
         R = gains.shape[1]
@@ -288,17 +288,18 @@ class Backward:
             chord, steep = np.abs(p[1:] + p[:-1]).sum(axis=1), steep * math.sqrt(len(G))
         curve = np.maximum(curve[1:] + off_bend[1:], curve[:-1] + off_bend[:-1]) + d / 2 * steep
         bulge = d**3 / 12 * curve
-        columns.pushed += LOOSE * (d / 2 * (value[1:] + value[:-1] + off[1:] + off[:-1]) + bulge).sum(axis=0)
+        columns.disturbance += LOOSE * (d / 2 * (value[1:] + value[:-1] + off[1:] + off[:-1]) + bulge).sum(axis=0)
         below = d / 2 * (chord - off[1:] - off[:-1]) - bulge
         columns.least += np.maximum(below, 0.0).sum(axis=0) / LOOSE
 
-    def begun(self, columns: Columns, gains: Array, count: int) -> Found:
+    def begun(self, columns: Columns, gains: Array, count: int) -> RowBound:
         """Add what is known of the start, or close it where nothing is."""
         c, n = self.c, self.c.plant.n
         rest, wrong = columns.g[:n], columns.wrong[:n]
         centre = c.centre / self.d[:n]
-        shown = columns.exact + centre @ rest
-        doubt = columns.doubt + np.abs(centre) @ wrong + (n + 4) * EPS * (np.abs(centre) @ np.abs(rest) + np.abs(shown))
+        readings = columns.exact + centre @ rest
+        size = np.abs(centre) @ np.abs(rest) + np.abs(readings)
+        doubt = columns.doubt + np.abs(centre) @ wrong + (n + 4) * EPS * size
         doubt *= LOOSE
         if c.root is not None:
             root = c.root / self.d[:n, None]
@@ -308,21 +309,21 @@ class Backward:
                 start, lost = np.linalg.norm(value, axis=0), np.linalg.norm(off, axis=0)
             else:
                 start, lost = value.sum(axis=0), off.sum(axis=0)
-            least = shown - doubt + np.maximum(start - lost, 0) + columns.least + columns.noise / LOOSE**2
-            return Found(shown + doubt, least, (start + lost) * LOOSE, columns.pushed, columns.noise)
-        return self.closed(columns, gains, shown, doubt)
+            least = readings - doubt + np.maximum(start - lost, 0) + columns.least + columns.noise / LOOSE**2
+            return RowBound(readings + doubt, least, (start + lost) * LOOSE, columns.disturbance, columns.noise)
+        return self.closed(columns, gains, readings, doubt)
 
-    def closed(self, columns: Columns, gains: Array, shown: Array, doubt: Array) -> Found:
+    def closed(self, columns: Columns, gains: Array, readings: Array, doubt: Array) -> RowBound:
         """Change the gains a little, so that nothing of the start is left: the single rows say what that may cost."""
         at, count = np.flatnonzero(self.touched[: self.c.plant.n]), len(gains)
         rows, wrong = columns.g[at, count:], columns.wrong[:, count:][at]
         size = np.abs(columns.g[at, :count]) + columns.wrong[:, :count][at]
         more = np.zeros(count)
         if not size.any():
-            return self.found(columns, shown, doubt, more)
+            return self.found(columns, readings, doubt, more)
         below = np.array([one.below for some in self.c.readings for one in some], dtype=bool)
         # in units of what a row costs, so that the change is a cheap one
-        price = np.abs(shown[count:]) + doubt[count:] + columns.pushed[count:] + columns.noise[count:]
+        price = np.abs(readings[count:]) + doubt[count:] + columns.disturbance[count:] + columns.noise[count:]
         spent, todo = gains * price, np.ones(count, dtype=bool)
         for play in PLAYS if below.any() else PLAYS[-1:]:
             usable = ~below | (spent > play * np.abs(spent).max(axis=1, initial=0.0)[:, None])
@@ -335,14 +336,14 @@ class Backward:
                     todo[own[fits]] = False
         if todo.any():
             raise Undecided(INEQUALITY, "nothing is known of the start, and the readings do not show it well enough")
-        return self.found(columns, shown, doubt, more)
+        return self.found(columns, readings, doubt, more)
 
     @staticmethod
-    def found(columns: Columns, shown: Array, doubt: Array, more: Array) -> Found:
+    def found(columns: Columns, readings: Array, doubt: Array, more: Array) -> RowBound:
         """What the questions come to where gains that leave nothing cost so much more."""
         k = len(more)
-        least = shown[:k] - doubt[:k] + columns.least[:k] + columns.noise[:k] / LOOSE**2 - more
-        return Found(shown[:k] + doubt[:k] + more, least, 0 * more, columns.pushed[:k], columns.noise[:k])
+        least = readings[:k] - doubt[:k] + columns.least[:k] + columns.noise[:k] / LOOSE**2 - more
+        return RowBound(readings[:k] + doubt[:k] + more, least, 0 * more, columns.disturbance[:k], columns.noise[:k])
 
 
 def changes(rows: Array, wrong: Array, weight: Array, size: Array) -> Array | None:
@@ -381,7 +382,7 @@ def flows(a: Array, d: float, panels: int) -> tuple[Array, Array, Array, Array]:
     return E, wrong, mean * d, (4 * (n + TERMS) * EPS * mean_size * LOOSE + 1e-30) * d
 
 
-def proven(c: OfInterval, work: Work) -> Proven:
+def proven(c: OfInterval, work: WorkLimit) -> Proven:
     """The proof, and what it proves in words."""
     return holds(*prove(c, work), "every row and every trajectory within the bounds")
 

@@ -10,7 +10,7 @@ from .numbers import EPS
 from .outcome import Refused, Undecided
 from .slopes import Parts, enclosed
 from .strict import Array, Mask
-from .work import Work
+from .work import WorkLimit
 
 CORNERS = 6  # directions of a cell's Jacobian whose corners are tried; the others are a perturbation
 MORE_CORNERS, FEW = 10, 16  # the same where no more than so many cells are judged at once
@@ -23,15 +23,15 @@ PRICE = 2  # work of one matrix, in microseconds
 class Cells:
     """The region of a nonlinear plant, halved until the Jacobians of every cell are proven."""
 
-    def __init__(self, c: Inclusion, region: Region, P: Array, work: Work) -> None:
+    def __init__(self, c: Inclusion, region: Region, P: Array, work: WorkLimit) -> None:
         self.c, self.region, self.work = c, region, work
         self.n = c.plant.n
         root = np.sqrt(np.einsum("kii->i", P) / len(P))
         self.x = root
         rate = np.abs(np.diag(c.plant.A)) + c.weights.eta + 1 / c.longest
         self.pace = np.sqrt(rate)
-        self.push = np.sqrt(np.diag(c.weights.Qw))
-        self.sight = 1 / np.sqrt(1 / np.diag(c.weights.R) + 1 / np.diag(c.weights.Qv))
+        self.disturbance_scale = np.sqrt(np.diag(c.weights.Qw))
+        self.output_scale = 1 / np.sqrt(1 / np.diag(c.weights.R) + 1 / np.diag(c.weights.Qv))
 
     def prove(
         self,
@@ -101,8 +101,8 @@ class Cells:
     def effect(self, E: Array, of_f: bool) -> Array:
         """Sizes of the radii in units in which the diagonals of what is proven are about 1."""
         if not of_f:
-            return np.asarray(E * self.sight[:, None] / self.x)
-        left, right = self.x / self.pace, np.concatenate([self.x * self.pace, self.push])
+            return np.asarray(E * self.output_scale[:, None] / self.x)
+        left, right = self.x / self.pace, np.concatenate([self.x * self.pace, self.disturbance_scale])
         return np.asarray(E * left[:, None] / right)
 
     def judged(
@@ -154,17 +154,17 @@ class Cells:
         with np.errstate(invalid="ignore"):
             at = np.where(np.isfinite(low) & np.isfinite(high), low / 2 + high / 2, np.clip(0.0, low, high))
         at = at[:64]
-        held = np.all(self.region.rows @ at[:, : self.n].T <= self.region.offsets[:, None], axis=0)
-        if not held.any():
+        inside = np.all(self.region.rows @ at[:, : self.n].T <= self.region.offsets[:, None], axis=0)
+        if not inside.any():
             return
-        M, E = self.jacobians(at[held], at[held], of_f)
+        M, E = self.jacobians(at[inside], at[inside], of_f)
         fine = np.isfinite(E).all(axis=(1, 2))
         if not fine.any():
             return
         _, above = judge(*self.split(M[fine], E[fine], M[fine], of_f))
         k = int(np.argmin(above))
         if above[k] < 0:
-            x = at[held][fine][k, : self.n]
+            x = at[inside][fine][k, : self.n]
             where = ", ".join(f"{v:.6g}" for v in x)
             amount, reason = float(above[k]), f"{name} fails by {-above[k]:.3g} of its terms at x = [{where}]"
             raise Refused(name, reason, amount, direction=x.tolist())

@@ -18,7 +18,7 @@ from .outcome import Proven, Refused, Undecided, holds
 from .parts import Claim
 from .schedule_file import SAMPLED, Sampled, Times, Witness, of_schedule
 from .strict import Array, Index, Mask
-from .work import Work
+from .work import WorkLimit
 
 REPLAY = 1e-6  # what a witness may miss of its ratio
 CELLS = 4  # start cells per gap at first
@@ -33,7 +33,7 @@ LOST = 1e6  # where the target is I: what comes here with more noise does not co
 INFLATION = 1e-2  # noise added per sample, where the target is I, to find the family B_i; then less and less
 
 
-def prove(c: Sampled, work: Work | None = None) -> tuple[str, float]:
+def prove(c: Sampled, work: WorkLimit | None = None) -> tuple[str, float]:
     """Prove P1 and lam over all real starts, lam_samples over sample starts, and the witness; return the slack."""
     numbers, w = problem(c.plant, c.weights), c.weights
     stated = targets(numbers, w.margin, numbers.P1, w.lam)
@@ -51,7 +51,7 @@ def prove(c: Sampled, work: Work | None = None) -> tuple[str, float]:
     return inequality, slack
 
 
-def replay(c: Sampled, work: Work | None = None) -> None:
+def replay(c: Sampled, work: WorkLimit | None = None) -> None:
     """Raise Refused unless the witness, if there is one, reaches its ratio."""
     if c.witness is not None:
         numbers = problem(c.plant, c.weights)
@@ -75,9 +75,9 @@ class Windows(Frame):
     """Proof of Y <= I along one schedule, for one target."""
 
     def __init__(
-        self, numbers: Problem, schedule: Times, target: Array, inequality: str, work: Work | None = None
+        self, numbers: Problem, schedule: Times, target: Array, inequality: str, work: WorkLimit | None = None
     ) -> None:
-        super().__init__(numbers, target, inequality, schedule.seen, work)
+        super().__init__(numbers, target, inequality, schedule.measured, work)
         self.schedule, self.N, self.gaps, self.times, self.reach = (
             schedule,
             schedule.gaps.size,
@@ -124,8 +124,8 @@ class Windows(Frame):
 
     def prove(self, samples: bool = False) -> float:
         """Prove Y <= I from all real starts (or from sample starts only) to all later times; return the slack."""
-        if (held := self.invariant_bound()) is not None:
-            return float(self.one - held)
+        if (bound := self.invariant_bound()) is not None:
+            return float(self.one - bound)
         schedule, Y, E = self.schedule, self.start[None], self.start_band[None]
         last = np.array([self.reach.argmax()])
         if not (before := self.stretch(Y, self.reach[last])[0]):
@@ -305,7 +305,7 @@ class Windows(Frame):
         return float(x @ x / (x @ z)), wrong / float(x @ z)
 
 
-def proven(c: Sampled, work: Work) -> Proven:
+def proven(c: Sampled, work: WorkLimit) -> Proven:
     """The proof, and what it proves in words."""
     return holds(*prove(c, work), "every real window start and every later t")
 

@@ -77,7 +77,7 @@ class Times:
     periodic: bool
     gaps: Array
     first: float
-    seen: Mask
+    measured: Mask
     stated: Array  # the numbers of the file: gaps of a periodic schedule, times of a finite one
 
     @property
@@ -168,8 +168,8 @@ def times_read(read: Tree, plant: Plant, place: str) -> Times:
     if not (np.all(gaps[not periodic :] > 0) and first <= gaps.sum() < np.inf):
         raise refuse(place, "must increase strictly, the first sample within the period")
     p, rows = len(plant.C), read.get("outputs")
-    seen = np.ones((gaps.size, p), bool) if rows is None else np.array([row for row in rows if len(row) == p], bool)
-    if seen.shape != (gaps.size, len(plant.C)) or not seen.any(axis=1).all():
+    measured = np.ones((gaps.size, p), bool) if rows is None else np.array([row for row in rows if len(row) == p], bool)
+    if measured.shape != (gaps.size, len(plant.C)) or not measured.any(axis=1).all():
         rows = f"{gaps.size} rows of {len(plant.C)} numbers"
         raise refuse(f"{place}.outputs", f"must have {rows} 0 or 1, each row with a 1")
-    return Times(periodic, gaps, float(first), seen, stated)
+    return Times(periodic, gaps, float(first), measured, stated)

@@ -48,7 +48,7 @@ def refuse(place: str, what: str) -> BadFile:
     return BadFile(f"`{place}` {what}" if place else what)
 
 
-def shown(value: object) -> str:
+def printed(value: object) -> str:
     """What came, in a few words."""
     names = {bool: "a boolean", str: "a text", dict: "a table", list: "a list", tuple: "a list"}
     if value is None:
@@ -223,9 +223,9 @@ def number(value: object, place: str) -> float:
     if type(value) is float and math.isfinite(value):  # nearly all of a long file
         return value
     if not is_number(value):
-        raise refuse(place, f"must be a number, got {shown(value)}")
+        raise refuse(place, f"must be a number, got {printed(value)}")
     if is_whole(value) and abs(value) > MOST_WHOLE:
-        raise refuse(place, f"must be a number that a double holds, got {shown(value)}")
+        raise refuse(place, f"must be a number that a double holds, got {printed(value)}")
     if not math.isfinite(value):
         raise refuse(place, f"must be finite, got {value}")
     return float(value)
@@ -250,28 +250,28 @@ def nonnegative(value: object, place: str) -> float:
 def count(value: object, place: str) -> int:
     """A whole number >= 0, written without a point."""
     if not is_whole(value) or not 0 <= value <= MOST_WHOLE:
-        raise refuse(place, f"must be a whole number, got {shown(value)}")
+        raise refuse(place, f"must be a whole number, got {printed(value)}")
     return int(value)
 
 
 def bit(value: object, place: str) -> bool:
     """0 or 1, written as a number."""
     if not is_whole(value) or value not in (0, 1):
-        raise refuse(place, f"must be 1 (measured) or 0, got {shown(value)}")
+        raise refuse(place, f"must be 1 (measured) or 0, got {printed(value)}")
     return bool(value)
 
 
 def flag(value: object, place: str) -> bool:
     """true or false."""
     if not is_flag(value):
-        raise refuse(place, f"must be true or false, got {shown(value)}")
+        raise refuse(place, f"must be true or false, got {printed(value)}")
     return bool(value)
 
 
 def text(value: object, place: str) -> str:
     """A text."""
     if not is_text(value):
-        raise refuse(place, f"must be a string, got {shown(value)}")
+        raise refuse(place, f"must be a string, got {printed(value)}")
     return str(value)
 
 
@@ -281,7 +281,7 @@ def word(*known: str) -> Reader:
     def read(value: object, place: str) -> str:
         if not is_text(value) or value not in known:
             expected = repr(known[0]) if len(known) == 1 else f"one of {', '.join(known)}"
-            came = f"{value!r:.60}" if is_text(value) else shown(value)
+            came = f"{value!r:.60}" if is_text(value) else printed(value)
             sentence = f"must be {expected}, got {came}"
             raise refuse(place, sentence)
         return str(value)
@@ -315,7 +315,7 @@ def list_of(read: Reader, length: int | None = None) -> Reader:
         if isinstance(value, np.ndarray):
             value = value.tolist()
         if not is_list(value):
-            raise refuse(place, f"must be a list, got {shown(value)}")
+            raise refuse(place, f"must be a list, got {printed(value)}")
         if length is not None and len(value) != length:
             raise refuse(place, f"must have a length of {length}, got {len(value)}")
         return [read(item, f"{place}[{k}]") for k, item in enumerate(value)]
@@ -328,7 +328,7 @@ def matrix(rows: int | None = None, columns: int | None = None) -> Reader:
 
     def read(value: object, place: str) -> Array:
         if is_list(value) and value and not any(map(is_list, value)):
-            raise refuse(place, f"must be a list of rows, got {shown(value)}. One row is [[...]], in two brackets")
+            raise refuse(place, f"must be a list of rows, got {printed(value)}. One row is [[...]], in two brackets")
         table = list_of(list_of(number))(value, place)
         wide = columns if columns is not None else len(table[0]) if table else 0
         if (rows is not None and len(table) != rows) or any(len(row) != wide for row in table):
@@ -356,7 +356,7 @@ def listed(names: Collection[str]) -> str:
 def a_table(value: object, place: str) -> Mapping[str, object]:
     """Refuse what is no table."""
     if not is_table(value):
-        raise refuse(place, f"must be a table of keys and values, got {shown(value)}")
+        raise refuse(place, f"must be a table of keys and values, got {printed(value)}")
     return value
 
 

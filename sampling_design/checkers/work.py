@@ -5,11 +5,11 @@ from collections.abc import Callable
 MOST_WORK = 1e7  # of one check
 
 
-class Work:
+class WorkLimit:
     """Operations that are left, in units of about a microsecond; what a share of it spends counts here too."""
 
     def __init__(
-        self, most: float, whole: "Work | None" = None, price: float = 1.0, stop: Callable[[], bool] | None = None
+        self, most: float, whole: "WorkLimit | None" = None, price: float = 1.0, stop: Callable[[], bool] | None = None
     ) -> None:
         self.left, self.whole, self.price = most, whole, price  # what one unit costs the whole
         inherited: Callable[[], bool] | None = None if whole is None else whole.stop
@@ -21,9 +21,9 @@ class Work:
         if self.whole is not None:
             self.whole.spend(self.price * amount)
 
-    def share(self, most: float) -> "Work":
+    def share(self, most: float) -> "WorkLimit":
         """A part of what is left, at most this much."""
-        return Work(min(most, self.left), self)
+        return WorkLimit(min(most, self.left), self)
 
     @property
     def over(self) -> bool:

@@ -44,7 +44,7 @@ from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.estimators.windowed_estimator import WindowedEstimator, WindowStart
 from sampling_design.observability.count.functional import part_for
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import RowsAsked
+from sampling_design.plants.rows import RowArguments
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.schedules.jitter import Timing
@@ -162,7 +162,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         schedule_zero: float = 0.0,
         input_side: str = "right",
         maximum_delay: float | None = None,
-        **rows: Unpack[RowsAsked],
+        **rows: Unpack[RowArguments],
     ):
         asked, cost = cost is not None, CostFunction() if cost is None else cost
         plant = part_for(plant, rows.get("of"))

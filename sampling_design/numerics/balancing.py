@@ -94,12 +94,12 @@ def _scaled_by_outputs(A: Array, C: Array | None, d: Array) -> Array:
     size = np.full((len(C), count), -np.inf)
     with np.errstate(divide="ignore"):
         np.maximum.at(size, (np.arange(len(C))[:, None], part), np.log2(np.abs(C)) + np.log2(d))
-    seen = np.isfinite(size)
-    size = np.where(seen, size, 0.0)
+    finite = np.isfinite(size)
+    size = np.where(finite, size, 0.0)
     outputs, factors = np.zeros(len(C)), np.zeros(count)
     for _ in range(ROUNDS):  # alternating means: least squares of the logarithms, which no unit changes
-        factors = -np.sum(np.where(seen, size + outputs[:, None], 0.0), axis=0) / np.maximum(seen.sum(axis=0), 1)
-        outputs = -np.sum(np.where(seen, size + factors, 0.0), axis=1) / np.maximum(seen.sum(axis=1), 1)
+        factors = -np.sum(np.where(finite, size + outputs[:, None], 0.0), axis=0) / np.maximum(finite.sum(axis=0), 1)
+        outputs = -np.sum(np.where(finite, size + factors, 0.0), axis=1) / np.maximum(finite.sum(axis=1), 1)
     return np.asarray(d * np.exp2(np.rint(np.clip(factors, -FARTHEST, FARTHEST)))[part])
 
 

@@ -115,7 +115,7 @@ class StageProgram:
             fixed[flat(z[:1], z[:1])] = np.eye(n)
         self._fixed = fixed
 
-    def _pushed(self, u: Array) -> Array:
+    def _driven(self, u: Array) -> Array:
         """B u of each gap."""
         found = np.empty((self.K - 1, self.n))
         for gaps, spots, B in self._groups:
@@ -190,9 +190,9 @@ class StageProgram:
 
     def _solution(self, z: Array, t: Array, q: Array, p: Array, size: float, gap: float) -> StageSolution:
         at = self._many + self._reading_ends
-        seen = [size * q[i:j] for i, j in pairwise(at)]
+        multipliers = [size * q[i:j] for i, j in pairwise(at)]
         u = [t[i:j] for i, j in pairwise(self._places)]
-        return StageSolution(z, tuple(u), tuple(seen), size * p, size * q[self._many : at[0]], gap)
+        return StageSolution(z, tuple(u), tuple(multipliers), size * p, size * q[self._many : at[0]], gap)
 
     def _first(self, p: Array, target: Array, gains: Array) -> Array:
         """First multipliers, which balance those of a guess; their costates are written to p."""
@@ -211,7 +211,7 @@ class StageProgram:
         return np.asarray(m[: self._entries] - m[self._entries :])
 
     def _drift(self, z: Array, t: Array) -> Array:
-        return np.asarray(z[1:] - (self._F @ z[:-1, :, None])[:, :, 0] - self._pushed(t))
+        return np.asarray(z[1:] - (self._F @ z[:-1, :, None])[:, :, 0] - self._driven(t))
 
     def _off(self, p: Array, m: Array, target: Array) -> float:
         """How far the multipliers are from balanced."""
@@ -244,7 +244,7 @@ class StageProgram:
         blocks[:, 0] = target - self._gathered(aimed[many:])
         if self._at_rest:
             blocks[0, 0] = 0.0
-        blocks[:-1, 1] = -drift - self._pushed(aimed[:many] / D[:many])
+        blocks[:-1, 1] = -drift - self._driven(aimed[:many] / D[:many])
         x, _ = dgbtrs(system[0], self._width, self._width, blocks.ravel()[: self._size], system[1])
         blocks = np.concatenate([x, np.zeros(n)]).reshape(K, 2, n)
         dz, p = blocks[:, 0], blocks[:-1, 1]

@@ -63,7 +63,7 @@ class NextChoices:
     def _listed(self, sensor: int | None) -> list[Option]:
         problem, step = self.plan.problem, self.plan.problem.step
         spaced = float(self.history.times[-1]) + (problem.spacing - 1) * step  # the first may be a step later
-        first = int(np.floor(float(self.clock.shown(max(self.now, spaced))) / step + 1e-6)) + 1
+        first = int(np.floor(float(self.clock.clock_time(max(self.now, spaced))) / step + 1e-6)) + 1
         found = []
         for i, t in enumerate(self.clock.elapsed(np.arange(first, first + problem.steps) * step).tolist(), first):
             allowed = self.allowed(i)
@@ -105,7 +105,7 @@ class NextChoices:
         span = settling_time(plan)
         times, seen = planned(plan, start, start + span, self.clock)
         clock = replace(self.clock, until=float(times[-1]))
-        shown = clock.shown(times)
+        shown = clock.clock_time(times)
         odd = ~np.array([self.is_open(t) for t in shown.tolist()], dtype=bool)
         closed = odd.any()
         odd[1:] |= np.abs(np.diff(shown - times)) > SAME * plan.problem.step  # the first after a change of the clocks
@@ -114,7 +114,7 @@ class NextChoices:
             return self._after[start]
         last = float(times[odd][-1])
         times, seen = planned(plan, start, last + span, clock)
-        shown = clock.shown(times).tolist()
+        shown = clock.clock_time(times).tolist()
         keep = np.array([t > last or self.is_open(c) for t, c in zip(times.tolist(), shown, strict=True)], dtype=bool)
         ways = [(times[keep], seen[keep], clock)]
         dated = self._dated(last) if closed else []
@@ -130,7 +130,7 @@ class NextChoices:
     def _dated(self, last: float) -> list[Option]:
         """Times and sensors of the samples that are added for closed days up to one of them."""
         names = self.plan.plant.outputs.names
-        periods = max(1, int(np.ceil(float(self.clock.shown(last)) / self.plan.schedule.period)) + 1)
+        periods = max(1, int(np.ceil(float(self.clock.clock_time(last)) / self.plan.schedule.period)) + 1)
         if last < 0:
             return []
         if periods not in self._added:
@@ -267,7 +267,7 @@ class NextChoices:
         for t, _ in own:
             if t > kept + tiny:
                 break
-            option = t, self.allowed(round(float(self.clock.shown(t)) / self.plan.problem.step))
+            option = t, self.allowed(round(float(self.clock.clock_time(t)) / self.plan.problem.step))
             found = self._kept(option, kept + tiny)
             if found < planned_ - tiny and found <= kept + tiny:
                 best, kept = option, found

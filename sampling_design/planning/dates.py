@@ -346,7 +346,7 @@ class _Dating:
             shares[int(np.argmin([np.abs(closed.times - t).min() for closed in self.closed]))] += 1
         found = [(float(c.times[0]), c.in_words(n)) for c, n in zip(self.closed, shares, strict=True)]
         hours = np.arange(0.0, float(self.clock.elapsed(self.known)) * self.clock.minutes, 60.0) / self.clock.minutes
-        shown = self.clock.shown(hours)
+        shown = self.clock.clock_time(hours)
         jumps = np.diff(shown - hours)
         for k in np.flatnonzero(np.abs(jumps) > 1e-6 / self.clock.minutes).tolist():
             word = "back" if jumps[k] < 0 else "forward"

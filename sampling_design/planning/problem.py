@@ -11,7 +11,7 @@ from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.count.pbh import unobservable_modes
 from sampling_design.planning.requirement import KINDS, PlanRequirement
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import wanted_rows
+from sampling_design.plants.rows import requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.checks import freeze
@@ -358,7 +358,7 @@ def _steps(name: str, value: float | str, unit: str, plant: Plant, steps: int, s
 def _goals(plant: Plant, requirement: PlanRequirement, unit: str, step: float) -> list[RowGoal]:
     found = []
     for name, goal in requirement.accuracy.items():
-        rows = wanted_rows(plant, [name] if goal.row is None else [list(goal.row)])
+        rows = requested_rows(plant, [name] if goal.row is None else [list(goal.row)])
         at = "all times" if goal.at in ("all times", "until the next") else str(goal.at)
         steps = np.zeros(0)
         if not isinstance(goal.at, str):

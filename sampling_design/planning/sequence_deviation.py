@@ -59,7 +59,7 @@ class SampleSequence:
     @cached_property
     def shown(self) -> Array:
         """The times on the plan's clocks (K,)."""
-        return self.clock.shown(self.times)
+        return self.clock.clock_time(self.times)
 
     @cached_property
     def sides(self) -> Array:
@@ -163,7 +163,7 @@ def planned(plan: PlanFigures, start: float, stop: float, clock: PlanClock = ORD
     times, seen = times[near], seen[near]
     real = clock.elapsed(times)
     keep = (real >= start - GRAIN * period) & (real < stop - GRAIN * period)
-    shows = np.abs(clock.shown(real) - times) < GRAIN * period
+    shows = np.abs(clock.clock_time(real) - times) < GRAIN * period
     if clock.calendar is not None:
         shows[np.flatnonzero(shows)[too_soon(problem, real[shows], seen[shows])]] = False
     return real[keep & shows], seen[keep & shows]

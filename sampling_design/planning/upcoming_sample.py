@@ -488,5 +488,5 @@ def _came(plan: Plan, before: int, taken: _Taken, now: float) -> Array:
 
 def _unchanged(plan: Plan, times: Array) -> int:
     """How many samples there are before the clocks are first changed between them."""
-    changed = np.flatnonzero(np.abs(np.diff(plan.clock.shown(times) - times)) > 1e-6 * plan.problem.step)
+    changed = np.flatnonzero(np.abs(np.diff(plan.clock.clock_time(times) - times)) > 1e-6 * plan.problem.step)
     return int(changed[0]) + 1 if changed.size else times.size

@@ -14,7 +14,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.numerics.balancing import balance
 from sampling_design.plants.modes import ModalSplit, split_modes
 from sampling_design.plants.plant import Plant, Signals, replace_matrices
-from sampling_design.plants.rows import WantedRows
+from sampling_design.plants.rows import RequestedRows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index
 from sampling_design.records.declarations import Converted, frozen
@@ -83,8 +83,8 @@ class FunctionalPlant(Plant):
         apart = not_carried(onto, (self.A, self.C, driven[0]), (whole.A, whole.C, driven[1]))
         if apart is not None:
             raise ArgumentError(f"`map` does not carry `{apart}` of the whole plant, each entry to {CARRIED:g}.")
-        held = [dict(zip(each.names, each.units, strict=True)) for each in (self.states, whole.states, whole.outputs)]
-        if (name := misnamed(onto, whole.C, *held)) is not None:
+        units = [dict(zip(each.names, each.units, strict=True)) for each in (self.states, whole.states, whole.outputs)]
+        if (name := misnamed(onto, whole.C, *units)) is not None:
             raise ArgumentError(f"`states` call {name!r} what is not that state or output of the whole plant.")
 
     @classmethod
@@ -95,9 +95,9 @@ class FunctionalPlant(Plant):
         return cls(**own)
 
     @property
-    def wanted(self) -> WantedRows:
+    def wanted(self) -> RequestedRows:
         """The rows asked for, on the whole plant's state."""
-        return WantedRows(self.map[: self.rows], self.states.names[: self.rows], self.states.units[: self.rows])
+        return RequestedRows(self.map[: self.rows], self.states.names[: self.rows], self.states.units[: self.rows])
 
     def beside(self, window: float, split: ModalSplit | None = None) -> FunctionalPlant:
         """Return the plant with scales in which the rows count and the other states hardly do, over a window.
@@ -117,8 +117,8 @@ class FunctionalPlant(Plant):
         basis, kept = (np.eye(self.n_states), self) if split is None else (split.basis_retained, split.retained)
         weights = balance(kept.A, kept.C).d
         times = np.linspace(0.0, checks.positive("window", window), STEPS * self.n_states)
-        seen = ((self.C / self.outputs.scales[:, None]) @ self.transition(times)).reshape(-1, self.n_states)
-        _, gains, V = np.linalg.svd(seen @ basis * weights, full_matrices=False)
+        outputs = ((self.C / self.outputs.scales[:, None]) @ self.transition(times)).reshape(-1, self.n_states)
+        _, gains, V = np.linalg.svd(outputs @ basis * weights, full_matrices=False)
         gains = np.maximum(gains, DARK * gains[0])
         deviations = np.linalg.norm(basis * weights @ (V / gains[:, None]).T, axis=1)
         scales = np.array(self.states.scales)
@@ -185,11 +185,11 @@ def without(plant: Plant, hidden: Array, weights: Array, cut: float) -> tuple[Pl
     n, m = hidden.shape
     order = qr((hidden / weights[:, None]).T, pivoting=True, mode="r")[1]
     left, kept = np.sort(order[:m]), np.sort(order[m:])
-    held = np.linalg.solve(hidden[left].T, hidden[kept].T).T
-    held[np.abs(held) * weights[left] <= cut * weights[kept][:, None]] = 0.0
+    share = np.linalg.solve(hidden[left].T, hidden[kept].T).T
+    share[np.abs(share) * weights[left] <= cut * weights[kept][:, None]] = 0.0
     onto = np.zeros((n - m, n))
     onto[np.arange(n - m), kept] = 1.0
-    onto[:, left] = -held
+    onto[:, left] = -share
     names = [_sum(plant.states.names, row) for row in onto]
     units = [plant.states.units[j] for j in kept]
     states = Signals(names, units, plant.states.scales[kept])

@@ -116,9 +116,9 @@ class ModalSplit(TableRecord, PlainRecord):
         if not self.near_line.size:
             return said
         kept = np.isin(self.near_line, np.concatenate([cluster.members for cluster in self.retained_clusters])).all()
-        told = "they are observed, the safe side" if kept else "some of them are left to decay"
+        consequence = "they are observed, the safe side" if kept else "some of them are left to decay"
         many = counted(self.near_line.size, "eigenvalue")
-        return f"{said} For {many} rounding does not tell on which side of that rate: {told}."
+        return f"{said} For {many} rounding does not tell on which side of that rate: {consequence}."
 
 
 def _listed(clusters: object) -> str:

@@ -20,14 +20,14 @@ from sampling_design.records.record import counted
 Wanted: TypeAlias = str | Sequence[str] | npt.ArrayLike | None
 
 
-class RowsAsked(TypedDict, total=False):
+class RowArguments(TypedDict, total=False):
     """Rows as verbs of many arguments take them."""
 
     of: Wanted
 
 
 @dataclass(frozen=True, eq=False)
-class WantedRows:
+class RequestedRows:
     """z = matrix x with a name and a unit for each entry."""
 
     matrix: Array
@@ -42,7 +42,7 @@ class WantedRows:
         return tuple(f"{n} [{u}]" if u else n for n, u in zip(self.names, self.units, strict=True))
 
 
-def wanted_rows(plant: Plant, of: Wanted = None) -> WantedRows:
+def requested_rows(plant: Plant, of: Wanted = None) -> RequestedRows:
     """Return the rows named by `of`: None (all states), names of states or outputs, or an (r, n) matrix.
 
     Raises ArgumentError if a name is unknown (the nearest is offered) or is that of a state and of another output, if
@@ -56,22 +56,22 @@ def wanted_rows(plant: Plant, of: Wanted = None) -> WantedRows:
 
     Returns
     -------
-    WantedRows
+    RequestedRows
     """
     if of is None:
-        return WantedRows(freeze(np.eye(plant.n_states)), plant.states.names, plant.states.units)
-    asked = rows_asked(of)
+        return RequestedRows(freeze(np.eye(plant.n_states)), plant.states.names, plant.states.units)
+    asked = row_arguments(of)
     if isinstance(asked, tuple):
         found = [_named(plant, name) for name in asked]
-        return WantedRows(freeze([row for row, _ in found]), asked, tuple(unit for _, unit in found))
+        return RequestedRows(freeze([row for row, _ in found]), asked, tuple(unit for _, unit in found))
     matrix = checks.matrix("of", of, None, plant.n_states)
     taken, letter = {*plant.states.names, *plant.outputs.names}, "z"
     while taken & {f"{letter}{i + 1}" for i in range(len(matrix))}:  # of a part, whose states are called so
         letter += "z"
-    return WantedRows(matrix, tuple(f"{letter}{i + 1}" for i in range(len(matrix))), ("",) * len(matrix))
+    return RequestedRows(matrix, tuple(f"{letter}{i + 1}" for i in range(len(matrix))), ("",) * len(matrix))
 
 
-def rows_asked(of: Wanted) -> tuple[str, ...] | Array | None:
+def row_arguments(of: Wanted) -> tuple[str, ...] | Array | None:
     """Return what `of` asks for as names or as a matrix, before any plant is known; None as it is.
 
     Raises ArgumentError if it holds neither names alone nor rows of numbers, or nothing.
@@ -88,7 +88,7 @@ def rows_asked(of: Wanted) -> tuple[str, ...] | Array | None:
 
 
 def rows_in_words(asked: tuple[str, ...] | Array) -> str:
-    """Say what `rows_asked` found: the names, or how many rows."""
+    """Say what `row_arguments` found: the names, or how many rows."""
     return ", ".join(asked) if isinstance(asked, tuple) else counted(len(asked), "row")
 
 

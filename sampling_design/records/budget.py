@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from sampling_design.checkers.work import Work
+from sampling_design.checkers.work import WorkLimit
 
 
 def now() -> float:
@@ -36,7 +36,7 @@ class Budget:
     counted : bool
         Seconds are not those of the clock, but those that `spend` and `add` count: about what an ordinary processor
         core takes, and the same on every machine, however busy.
-    work : Work, optional
+    work : WorkLimit, optional
         Operations of a checker, which are counted by `check` beside the seconds; it ends with the first of both.
     whole : Budget, optional
         What this is a part of: it ends no later.
@@ -56,7 +56,7 @@ class Budget:
         seconds: float | None = None,
         *,
         counted: bool = False,
-        work: Work | None = None,
+        work: WorkLimit | None = None,
         whole: Budget | None = None,
     ) -> None:
         self.seconds = self.limit = np.inf if seconds is None else float(seconds)

@@ -200,8 +200,8 @@ def _from_csv(text: str, where: str) -> AnySchedule:
     keys = _header(lines[0], where)
     if len(lines) < 2 or not lines[1].strip():
         raise fail(2, "expected the header `time[,output names]`. Was the file cut off?")
-    held = [(n, line) for n, line in enumerate(lines[1:], 2) if n == 2 or (line.strip() and not line.startswith("#"))]
-    rows = csv_rows(held, where)
+    body = [(n, line) for n, line in enumerate(lines[1:], 2) if n == 2 or (line.strip() and not line.startswith("#"))]
+    rows = csv_rows(body, where)
     header = rows[0][1]
     if header[0] != "time":
         raise fail(2, f"the first column must be `time`, got {header[0]!r:.60}.")

@@ -230,7 +230,7 @@ class PlanClock:
         real = [self.calendar.elapsed(c * self.minutes) / self.minutes if 0 < c < last else c for c in given.flat]
         return np.where(given < last, np.reshape(real, given.shape), given - later)
 
-    def shown(self, elapsed: npt.ArrayLike) -> Array:
+    def clock_time(self, elapsed: npt.ArrayLike) -> Array:
         """What the clocks show at real times."""
         given = np.asarray(elapsed, dtype=float)
         if self.calendar is None:
@@ -243,8 +243,8 @@ class PlanClock:
         """What the clocks show when they are changed for the last time, and by how much they are ahead from then on."""
         if self.calendar is None or not np.isfinite(self.until):
             return np.inf, 0.0
-        shown = self.calendar.clock(max(self.until, 0.0) * self.minutes) / self.minutes
-        return shown, shown - max(self.until, 0.0)
+        last = self.calendar.clock(max(self.until, 0.0) * self.minutes) / self.minutes
+        return last, last - max(self.until, 0.0)
 
 
 def _ahead(date: datetime, zero: datetime) -> float:

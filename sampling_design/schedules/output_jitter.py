@@ -237,11 +237,11 @@ def following(word: Word, read: Sequence[tuple[int, ...]]) -> Iterable[tuple[int
                 for left in combinations(own, count):
                     yield from ((j, k, left) for k in own if k not in left)
         return
-    j, due = int(word[0]), tuple(int(i) for i in word[3:])
-    if not due:
+    j, unread = int(word[0]), tuple(int(i) for i in word[3:])
+    if not unread:
         j = (j + 1) % len(read)
-        due = read[j]
-    yield from ((j, k, tuple(i for i in due if i != k)) for k in due)
+        unread = read[j]
+    yield from ((j, k, tuple(i for i in unread if i != k)) for k in unread)
 
 
 def _read_by(schedule: AnySchedule, own: Mask) -> AnySchedule | None:
@@ -265,5 +265,5 @@ def _reads_as(family: Jitter | None, schedule: AnySchedule, own: Mask) -> bool:
     if family is None or schedule.endless or not family.schedule.endless:
         return True
     end, count = float(schedule.times[-1]), int(own.sum())
-    due = nominal_part(family.schedule, None, count + 1, 0.0).times[-1] + family.timing_tolerance
-    return bool(due >= end * (1 - ROUNDING))
+    deadline = nominal_part(family.schedule, None, count + 1, 0.0).times[-1] + family.timing_tolerance
+    return bool(deadline >= end * (1 - ROUNDING))

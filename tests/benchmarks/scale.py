@@ -36,8 +36,8 @@ SPARSE = (100, 1024, 10_000)
 WORKERS = (1, 2)
 BOUNDS = {"w_bound": 0.1, "v_bound": 0.1}
 GAPS = (0.7, 1.6, 0.9, 2.0)
-Work = Callable[[], object]
-Prepared = Callable[[], tuple[Work, float]]
+WorkLimit = Callable[[], object]
+Prepared = Callable[[], tuple[WorkLimit, float]]
 """What a call needs is made before it is timed: the call, and how many of what is counted it does."""
 
 
@@ -73,7 +73,7 @@ def certified(plant: sd.Plant, schedule: sd.PeriodicSchedule) -> Prepared:
 
 
 def verified(plant: sd.Plant, schedule: sd.PeriodicSchedule) -> Prepared:
-    def prepared() -> tuple[Work, float]:
+    def prepared() -> tuple[WorkLimit, float]:
         made = sd.certify(plant, schedule, eta=0.2, P2=np.eye(plant.n_states))
         return lambda: made.verify(rigorous=True), 1
 
@@ -88,7 +88,7 @@ def updated(plant: sd.Plant, schedule: sd.PeriodicSchedule, box: bool = False) -
     """One update of an estimator whose window is a period, once it is full."""
     held = sd.Constraints(x=(np.full(plant.n_states, -0.1), np.full(plant.n_states, 0.1))) if box else sd.Constraints()
 
-    def prepared() -> tuple[Work, float]:
+    def prepared() -> tuple[WorkLimit, float]:
         mhe = sd.MovingHorizonEstimator(plant, horizon=schedule.period, cost=sd.CostFunction(eta=0.1), constraints=held)
         times = schedule.between(0.0, 60 * schedule.period).times
         rows = iter([(t, np.sin(t * np.arange(1, plant.n_outputs + 1))) for t in times.tolist()])
@@ -110,7 +110,7 @@ def planned(plant: sd.Plant, schedule: sd.PeriodicSchedule) -> Prepared:
 
 
 def validated(plant: sd.Plant, schedule: sd.PeriodicSchedule) -> Prepared:
-    def prepared() -> tuple[Work, float]:
+    def prepared() -> tuple[WorkLimit, float]:
         made = sd.certify(plant, schedule, eta=0.2, P2=np.eye(plant.n_states))
         return lambda: sd.validate(plant, schedule, made, runs=4, scenarios=["random"]), 4
 
@@ -162,7 +162,7 @@ def shared(workers: int) -> Prepared:
     """Trials that processes of a Dask cluster on this machine share: seconds by the clock."""
     from distributed import Client, LocalCluster
 
-    def prepared() -> tuple[Work, float]:
+    def prepared() -> tuple[WorkLimit, float]:
         client = Client(LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None))
         plant, schedule = library.oscillator(), sd.PeriodicSchedule([0.7, 1.6], time_unit="s")
         made, pool = sd.certify(plant, schedule), client.get_executor()

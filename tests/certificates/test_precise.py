@@ -13,7 +13,7 @@ from sampling_design.certificates.exact.precise import PreciseWindows, precisely
 from sampling_design.certificates.exact.riccati import supremum
 from sampling_design.certificates.exact.window_gains import WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem
-from sampling_design.checkers.work import Work
+from sampling_design.checkers.work import WorkLimit
 from sampling_design.errors import SolverError, UndecidedError
 from sampling_design.numerics.balls import ball, definite, floats, matrix, precision
 from tests.benchmarks.bench_certify_random import drawn
@@ -33,7 +33,7 @@ def both(schedule, eta=0.3):
     canon = inside(OSCILLATOR, schedule)
     problem = window_problem(canon.plant, canon.schedule, P2, *canon.weights, eta)
     plain = WindowSet.of(window_problem(canon.plant, canon.schedule, np.eye(2), *canon.weights, eta))
-    return PreciseWindows(canon, eta, Work(np.inf)), plain, problem
+    return PreciseWindows(canon, eta, WorkLimit(np.inf)), plain, problem
 
 
 @pytest.mark.parametrize("schedule", [UNEVEN, Schedule([0.5, 1.3, 2.9, 3.4])], ids=["periodic", "finite"])
@@ -52,7 +52,7 @@ def test_the_long_run_of_a_condition_of_1e33_is_right():
     """Three integrators in a row, growing and turning modes behind two gauges: each entry, and what is best known."""
     plant, schedule = drawn(331)
     canon = inside(plant, schedule)
-    found = PreciseWindows(canon, 0.3, Work(np.inf))
+    found = PreciseWindows(canon, 0.3, WorkLimit(np.inf))
     problem = window_problem(canon.plant, canon.schedule, np.eye(plant.n_states), *canon.weights, 0.3)
     exact = settled(problem.A.tolist(), problem.noise.tolist(), problem.rows.tolist(), problem.gaps.tolist(), 0.3)
     for Y, true in zip(found.cycle, exact, strict=True):
@@ -69,7 +69,7 @@ def test_a_gain_in_doubles_would_leave_far_more():
     """Why gains are taken in balls: in some direction that of doubles leaves ten times what a sample could."""
     plant, schedule = drawn(331)
     with precision(precise.BITS):
-        found = PreciseWindows(inside(plant, schedule), 0.3, Work(np.inf))
+        found = PreciseWindows(inside(plant, schedule), 0.3, WorkLimit(np.inf))
         frame, after = found.frame, found.times.after(0)
         before = frame.flow.step(found.cycle[0], found.times.gaps[after]).mid()
         best = frame.sampled(before, after)
@@ -82,7 +82,7 @@ def test_a_gain_in_doubles_would_leave_far_more():
 def test_what_settles_nowhere_says_so():
     blind = Plant(np.diag([0.1, 0.2]), [[1.0, 0.0]])
     with pytest.raises(SolverError, match="did not settle: the schedule is on the edge of what can be certified"):
-        PreciseWindows(inside(blind, PeriodicSchedule([1.0])), 0.3, Work(np.inf))
+        PreciseWindows(inside(blind, PeriodicSchedule([1.0])), 0.3, WorkLimit(np.inf))
 
 
 def test_an_indefinite_weight_is_none():
@@ -103,7 +103,7 @@ def test_a_search_that_has_used_its_work_looks_at_no_further_rate(monkeypatch):
         monkeypatch.setattr(precise, "PRECISE_WORK", work)
         tried.clear()
         with pytest.raises(UndecidedError, match="no proof closes in more digits than doubles have either"):
-            precisely_chosen((OSCILLATOR, UNEVEN, weights), inner, (0.1, 0.3), None, 3.0, Work(whole))
+            precisely_chosen((OSCILLATOR, UNEVEN, weights), inner, (0.1, 0.3), None, 3.0, WorkLimit(whole))
         assert len(tried) == rates + 1  # and a fast one, whose work is its own
         assert tried[-1] * inner.time == pytest.approx((0.1 * 0.3**3) ** 0.25)
 
@@ -113,7 +113,12 @@ def test_a_fast_rate_is_proven_where_the_proofs_before_it_have_used_all_work():
     """Two integrators, three nearly equal slow modes, units 1e22 apart: at slower rates no window settles soon."""
     plant, schedule = drawn(739)
     made = precisely_chosen(
-        (plant, schedule, weights_of(plant, None, None, None)), inside(plant, schedule), (0.06, 2.9), None, 3.0, Work(0)
+        (plant, schedule, weights_of(plant, None, None, None)),
+        inside(plant, schedule),
+        (0.06, 2.9),
+        None,
+        3.0,
+        WorkLimit(0),
     )
     assert made.verify().passed
     assert made.horizon().minimum < 10 * schedule.gaps[0]
@@ -127,4 +132,6 @@ def test_what_cannot_be_proven_is_undecided(without, monkeypatch):
         monkeypatch.setattr(precise, "PRECISE_PROOF", 1.0)
     weights = weights_of(OSCILLATOR, None, None, None)
     with pytest.raises(UndecidedError, match="no proof closes in more digits than doubles have either"):
-        precisely_chosen((OSCILLATOR, UNEVEN, weights), inside(OSCILLATOR, UNEVEN), (0.3, 0.3), 0.3, 3.0, Work(1e7))
+        precisely_chosen(
+            (OSCILLATOR, UNEVEN, weights), inside(OSCILLATOR, UNEVEN), (0.3, 0.3), 0.3, 3.0, WorkLimit(1e7)
+        )

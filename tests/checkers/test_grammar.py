@@ -158,13 +158,13 @@ def test_single_values():
 
 def test_what_floats_can_not_decide_says_so():
     made = claims.certificate(json.loads(text()))
-    numbers, seen = problem(made.plant, made.weights), made.schedule.seen
+    numbers, measured = problem(made.plant, made.weights), made.schedule.measured
     with pytest.raises(Undecided, match="its left side is nearly singular"):
-        Frame(numbers, -np.eye(2), "x", seen)
+        Frame(numbers, -np.eye(2), "x", measured)
     with pytest.raises(Undecided, match="its coordinates are too ill-conditioned for doubles"):
-        Frame(numbers, np.array([[1.0, 1.0], [1.0, 1 + 4e-16]]), "x", seen)
+        Frame(numbers, np.array([[1.0, 1.0], [1.0, 1 + 4e-16]]), "x", measured)
     with pytest.raises(Undecided, match="R and Qv are nearly singular"):
-        Frame(dataclasses.replace(numbers, V=-np.eye(1)), np.eye(2), "x", seen)
+        Frame(dataclasses.replace(numbers, V=-np.eye(1)), np.eye(2), "x", measured)
     windows = sampled.Windows(numbers, made.schedule, numbers.P2, "x")
     with pytest.raises(Undecided, match="the information along the witness is beyond doubles"):
         windows.ratio(np.eye(2), 2 * np.eye(2), np.ones(2))
@@ -226,7 +226,7 @@ def test_what_only_python_can_hold_is_a_sentence(place, value, sentence):
     assert sentence in found["reason"]
     assert "\n" not in found["reason"]
     for holds in (value, [value], {"a": value}):
-        assert "\n" not in strict.shown(holds)  # readers of other files show it too
+        assert "\n" not in strict.printed(holds)  # readers of other files show it too
 
 
 def test_numbers_of_arrays_are_those_of_lists():

@@ -241,12 +241,12 @@ def gains_at(found, gains, k):
 
 def recovered_parts(found):
     c = claims.certificate(found._sealed())
-    return recovered.Backward(c, recovered.Work(np.inf)).run(c.rows, c.gains[:, 0]).ends()[0][0]
+    return recovered.BackwardRecursion(c, recovered.WorkLimit(np.inf)).run(c.rows, c.gains[:, 0]).ends()[0][0]
 
 
 def proven(data, work=np.inf):
     with np.errstate(all="ignore"):  # as the checkers' door does
-        return recovered.prove(claims.certificate(sealed(data)), recovered.Work(work))
+        return recovered.prove(claims.certificate(sealed(data)), recovered.WorkLimit(work))
 
 
 def unseen(data):
@@ -294,7 +294,7 @@ def test_what_rounding_hides_is_undecided(whole):
     """An end between what the gains prove and what they are at least."""
     data = copy.deepcopy(whole[1])
     c = claims.certificate(data)
-    most, least = recovered.Backward(c, recovered.Work(np.inf)).run(c.rows, c.gains[:, 0]).ends()
+    most, least = recovered.BackwardRecursion(c, recovered.WorkLimit(np.inf)).run(c.rows, c.gains[:, 0]).ends()
     data["upper"][0] = float((most[0] + least[0]) / 2)
     with pytest.raises(Undecided, match="rounding is as large as what is left"):
         proven(data)
@@ -393,7 +393,7 @@ if __name__ == "__main__":
 
 
 def test_a_start_that_nothing_closes_decides_no_factor():
-    said = SimpleNamespace(start=[np.inf], pushed=[0.0], noise=[0.0], shown=[0.0])
+    said = SimpleNamespace(start=[np.inf], disturbance=[0.0], noise=[0.0], readings=[0.0])
     c = SimpleNamespace(factors={"all": (2.0, np.zeros(1))}, plant=SimpleNamespace(n=1))
     with pytest.raises(Undecided, match="the factor of all could not be decided: its start is not closed"):
         recovered.contradiction(c, SimpleNamespace(run=lambda *given: said))

@@ -8,7 +8,7 @@ from sampling_design import Certificate, PeriodicSchedule, Plant, Schedule, cert
 from sampling_design.certificates.form.verdict import verdict_of
 from sampling_design.checkers import claims, numbers, sampled
 from sampling_design.checkers.frame import largest
-from sampling_design.checkers.work import Work
+from sampling_design.checkers.work import WorkLimit
 from sampling_design.numerics.ball_flow import BallFlow, fallen
 from sampling_design.numerics.balls import ball, floats, matrix, precision
 from tests.cases import few
@@ -97,7 +97,7 @@ def test_a_large_lambda_is_proven_with_little_work():
     plant = Plant(A, [[1.0, 0.0, 1.0, 0.0, 0.0]])
     made = certify(plant, Schedule([1.8, 2.4, 3.8, 4.3, 5.1, 6.8]), eta=3.0, P2=np.eye(5))
     assert made.lam > 1e8
-    assert verdict_of(made.to_dict(), Work(4e4)).passed
+    assert verdict_of(made.to_dict(), WorkLimit(4e4)).passed
 
 
 @pytest.mark.parametrize("rate", few([1e2, 1e5, 1e9], 1))
@@ -105,10 +105,10 @@ def test_stiff_plants_are_decided_with_little_work(rate):
     """Rates of 1e9 between two samples: thirty doublings, and no more steps than that."""
     plant = Plant(np.diag([-rate, -1.0, 0.1]), [[1.0, 1.0, 1.0]])
     made = certify(plant, PeriodicSchedule([1.0]), eta=0.15, P2=np.eye(3))
-    assert verdict_of(made.to_dict(), Work(2e5)).passed
+    assert verdict_of(made.to_dict(), WorkLimit(2e5)).passed
     short = {"P1": 1.01 * made.P1, "P2": made.P2, "Qw": made.Qw, "R": made.R, "Qv": made.Qv}
     false = Certificate.from_matrices(plant, PeriodicSchedule([1.0]), **short, eta=0.15, lam=made.lam)
-    assert verdict_of(false.to_dict(), Work(2e5)).verdict == "refuted"
+    assert verdict_of(false.to_dict(), WorkLimit(2e5)).verdict == "refuted"
 
 
 def stiff_chain(rate):
@@ -124,9 +124,9 @@ def test_what_is_fast_does_not_set_the_steps_of_a_slow_chain(monkeypatch):
     """Fast and slow are carried apart: a fraction of the work of bounds that know one speed for all states."""
     plant, schedule = stiff_chain(200.0)
     made = certify(plant, schedule, eta=0.3, P2=np.eye(4))
-    assert verdict_of(made.to_dict(), Work(8e4)).passed
+    assert verdict_of(made.to_dict(), WorkLimit(8e4)).passed
     monkeypatch.setattr(sampled.Windows, "split", None)
-    assert not verdict_of(made.to_dict(), Work(8e4)).passed
+    assert not verdict_of(made.to_dict(), WorkLimit(8e4)).passed
 
 
 @pytest.mark.parametrize("rate", [3.0, 30.0, 300.0])
@@ -166,7 +166,7 @@ def test_a_window_that_rounding_hides_ends_the_search():
     still = Plant([[-0.25]], [[1.0]], G=[[0.0]])
     weights = {"P1": [[1.0]], "P2": [[1.0]], "Qw": [[1.0]], "R": [[2.0]], "Qv": [[2.0]]}
     tight = Certificate.from_matrices(still, PeriodicSchedule([1.0]), **weights, eta=0.5, lam=1.0)
-    work = Work(1e6)
+    work = WorkLimit(1e6)
     found = verdict_of(tight.to_dict(), work)
     assert found.verdict == "undecided"
     assert found.reason.endswith("it is tight or nearly so, or rounding hides one window")

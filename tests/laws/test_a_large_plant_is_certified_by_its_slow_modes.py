@@ -11,7 +11,7 @@ from sampling_design.certificates import certification as room
 from sampling_design.certificates.exact.given_weights import weights_of
 from sampling_design.certificates.exact.window_gains import WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem
-from sampling_design.checkers.work import Work
+from sampling_design.checkers.work import WorkLimit
 from tests.rescale import Units
 
 GAIN = 3.0
@@ -65,13 +65,13 @@ def test_modes_that_stand_close_together_are_sought_together():
     close = Plant(np.diag(-0.02 * 1.3 ** np.arange(n)), np.ones((1, n)))
     for plant in (close, plant_of(SLOW["growing"], 15)):
         canon, bounds = room.search_units(plant, PERIODIC, weights_of(plant, None, None, None), (0.05, 1.0))
-        assert room.parted_weights(canon, bounds, [GAIN], None, room.ENDLESS) == [None]
+        assert room.retained_part_weights(canon, bounds, [GAIN], None, room.ENDLESS) == [None]
 
 
 def test_the_price_of_windows_grows_with_the_cube_of_the_states():
     spent = []
     for n in (40, 80):
-        plant, work = plant_of(SLOW["oscillator"], n), Work(1e12)
+        plant, work = plant_of(SLOW["oscillator"], n), WorkLimit(1e12)
         problem = window_problem(
             plant, Schedule(np.arange(1.0, 9.0)), np.eye(n), *weights_of(plant, None, None, None), 0.5
         )

@@ -14,7 +14,7 @@ import sampling_design as sd
 from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.checkers import verdict
 from sampling_design.checkers.parts import digest
-from sampling_design.checkers.work import Work
+from sampling_design.checkers.work import WorkLimit
 from sampling_design.uncertain.inclusion.certify_inclusion import certify_inclusion
 from sampling_design.uncertain.plants.parameter import UncertainParameter
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
@@ -101,7 +101,7 @@ def test_the_two_routes_agree_on_forged_files(kind):
     counts = {}
     for label, data, malformed in forged(kind):
         data = data if label == "without digest" else {**data, "digest": digest(data)}
-        in_floats, in_balls = Work(WORK), Work(WORK)
+        in_floats, in_balls = WorkLimit(WORK), WorkLimit(WORK)
         found = verdict(data, in_floats).verdict, verify_rigorously(data, np.inf, in_balls).verdict
         kinds = {word == "bad file" for word in found}
         assert len(kinds) == 1, (label, found)

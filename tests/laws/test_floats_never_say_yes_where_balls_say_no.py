@@ -18,7 +18,7 @@ from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.form.verdict import verdict_of
 from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.checkers import numbers, parts
-from sampling_design.checkers.work import Work
+from sampling_design.checkers.work import WorkLimit
 from tests.cases import few
 from tests.rescale import Units
 
@@ -85,7 +85,7 @@ def drawn(seed):
     eta = float(rng.uniform(0.05, 1.0)) / float(np.mean(schedule.gaps) if schedule.gaps.size else schedule.times[0])
     try:
         with np.errstate(all="ignore"):
-            anywhere, samples = supremum(window_problem(plant, schedule, P2, Qw, R, Qv, eta), work=Work(EFFORT))
+            anywhere, samples = supremum(window_problem(plant, schedule, P2, Qw, R, Qv, eta), work=WorkLimit(EFFORT))
     except Exception:  # what doubles cannot follow is drawn again by the caller
         return None, ""
     lam, at_samples = max(anywhere.value, 1.0), max(samples.value, 1.0)
@@ -126,7 +126,7 @@ def verdicts(seed):
     data, kind = drawn(seed)
     if data is None:
         return "nothing drawn", "", ""
-    floats, balls = verdict_of(data, Work(EFFORT)), verify_rigorously(data, work=Work(EFFORT))
+    floats, balls = verdict_of(data, WorkLimit(EFFORT)), verify_rigorously(data, work=WorkLimit(EFFORT))
     return kind, floats.verdict, balls.verdict
 
 
@@ -148,7 +148,7 @@ def test_noise_that_is_only_known_from_above_makes_no_answer_false():
     data, _ = drawn(79)
     assert np.linalg.cond(data["R"]) > 1e9
     assert verdict_of(data).verdict == "undecided"
-    assert verify_rigorously(data, work=Work(EFFORT)).passed
+    assert verify_rigorously(data, work=WorkLimit(EFFORT)).passed
 
 
 def test_a_checker_that_drops_directions_breaks_the_law(monkeypatch):

@@ -14,7 +14,7 @@ from sampling_design.certificates.form.verdict import verdict_of
 from sampling_design.certificates.rigorous.decide import verify_rigorously
 from sampling_design.checkers.check import check
 from sampling_design.checkers.parts import digest
-from sampling_design.checkers.work import Work
+from sampling_design.checkers.work import WorkLimit
 from sampling_design.errors import UndecidedError
 from sampling_design.records.budget import Budget, BudgetSpentError
 
@@ -56,14 +56,14 @@ def test_a_search_ends_where_its_work_does(monkeypatch):
 
 def test_a_check_ends_where_its_work_does():
     data = certify(LARGE, UNEVEN, eta=0.3, P2=np.eye(6)).to_dict()
-    short = verdict_of(data, Work(100.0))
+    short = verdict_of(data, WorkLimit(100.0))
     assert short.verdict == "undecided"
     assert "it takes more work than one check may do" in short.reason
     assert verdict_of(data).passed
 
 
 def test_what_a_share_spends_counts_for_the_whole():
-    whole = Work(10.0)
+    whole = WorkLimit(10.0)
     part = whole.share(4.0)
     part.spend(5.0)
     assert part.over
@@ -73,11 +73,11 @@ def test_what_a_share_spends_counts_for_the_whole():
 
 def test_balls_end_where_their_work_does():
     data = certify(LARGE, UNEVEN, eta=0.3, P2=np.eye(6)).to_dict()
-    short = verify_rigorously(data, work=Work(100.0))
+    short = verify_rigorously(data, work=WorkLimit(100.0))
     assert short.verdict == "undecided"
     assert short.reason == "it takes more work than was handed over"
     with pytest.raises(BudgetSpentError, match="the work ran out"):
-        Budget(work=Work(10.0)).check(11.0)
+        Budget(work=WorkLimit(10.0)).check(11.0)
 
 
 def test_a_proof_that_may_do_nothing_is_undecided(monkeypatch):

@@ -5,7 +5,7 @@ import pickle
 import numpy as np
 import pytest
 
-from sampling_design.checkers.work import Work
+from sampling_design.checkers.work import WorkLimit
 from sampling_design.records import budget
 from sampling_design.records.budget import ENDLESS, Budget, BudgetSpentError
 
@@ -80,7 +80,7 @@ def test_nothing_is_counted_of_what_the_clock_measures(clock):
 
 
 def test_work_ends_it_beside_the_seconds(clock):
-    given = Budget(1.0, work=Work(10.0))
+    given = Budget(1.0, work=WorkLimit(10.0))
     given.check(10.0 - 1e-9)
     assert not given.over
     with pytest.raises(BudgetSpentError, match="the work ran out"):

@@ -84,7 +84,7 @@ class _Interval(NamedTuple):
     """Rows (g, p, n) at Gauss points, and their weights."""
     noise: Array
     """What the disturbance of the step adds to the mean covariance of one reading."""
-    flown: CovarianceMap | None
+    continuous: CovarianceMap | None
     """The step of a filter that reads without a break: a sample, and a flow."""
 
     def upper(self, Y: Array) -> Array:
@@ -103,11 +103,11 @@ class _Interval(NamedTuple):
 
     def lower(self, Y: Array) -> Array:
         """1/E[1/Y] after arrivals: as if their information were spread evenly over the step."""
-        if self.flown is None:
+        if self.continuous is None:
             return np.zeros_like(Y)
-        values, vectors = np.linalg.eigh(self.flown.G)
-        seen = _updated_below(Y, (vectors * np.sqrt(np.maximum(values, 0.0))).T)
-        return propagate(seen, self.flown.F, self.flown.Q)
+        values, vectors = np.linalg.eigh(self.continuous.G)
+        updated = _updated_below(Y, (vectors * np.sqrt(np.maximum(values, 0.0))).T)
+        return propagate(updated, self.continuous.F, self.continuous.Q)
 
 
 def planned_steps(problem: WindowProblem, last: int, periods: int, p: float) -> list[_Sample | _Interval]:
@@ -150,7 +150,7 @@ def poisson_steps(problem: WindowProblem, rows: Array, rate: float, M: float) ->
         weights=weights / 2,
         nodes=rows @ flows,
         noise=mean,
-        flown=_filtered(A, problem.noise, rows * np.sqrt(rate / arrives), h),
+        continuous=_filtered(A, problem.noise, rows * np.sqrt(rate / arrives), h),
     )
     return [step] * count
 
@@ -162,8 +162,8 @@ def _filtered(A: Array, noise: Array, rows: Array, h: float) -> CovarianceMap | 
     grow with the root of the information only.
     """
     n = len(A)
-    seen = np.linalg.norm(rows)
-    unit = max(np.sqrt(np.linalg.norm(noise)), 1 / (h * seen)) / seen if seen else 1.0
+    gain = np.linalg.norm(rows)
+    unit = max(np.sqrt(np.linalg.norm(noise)), 1 / (h * gain)) / gain if gain else 1.0
     scaled = rows * np.sqrt(unit)
     hamiltonian = np.block([[A, noise / unit], [scaled.T @ scaled, -A.T]]) * h
     if not (steps := float(np.linalg.norm(hamiltonian, 1))) <= FASTEST:

@@ -49,8 +49,8 @@ def error_map(certificate: Certificate, start: float, horizon: float, cost: str 
         If the cost is unknown.
     """
     problem, ends = _stated(certificate, cost)
-    seen = certificate.schedule.between(start, start + horizon, closed=ends).times
-    found: Array = _along(problem, np.array([start]), horizon, [seen])[0]
+    sampled = certificate.schedule.between(start, start + horizon, closed=ends).times
+    found: Array = _along(problem, np.array([start]), horizon, [sampled])[0]
     return found
 
 
@@ -90,8 +90,8 @@ def spectral_radius(certificate: Certificate, horizon: float, cost: str = "certi
     offsets, worst = first + (schedule.times - schedule.times[0]), 0.0
     for some in np.array_split(offsets, max(1, whole * len(offsets) // MOST_AT_ONCE)):
         starts = (some[:, None] + horizon * np.arange(whole)).ravel()
-        seen = [schedule.between(start, start + horizon, closed=ends).times for start in starts.tolist()]
-        maps = _along(problem, starts, horizon, seen).reshape(len(some), whole, problem.size, problem.size)
+        sampled = [schedule.between(start, start + horizon, closed=ends).times for start in starts.tolist()]
+        maps = _along(problem, starts, horizon, sampled).reshape(len(some), whole, problem.size, problem.size)
         product = maps[:, 0]
         for k in range(1, whole):
             product = maps[:, k] @ product
@@ -144,12 +144,12 @@ def _stated(certificate: Certificate, cost: str) -> tuple[WindowProblem, str]:
     return problem, "both" if cost == "paper" else "right"
 
 
-def _along(problem: WindowProblem, starts: Array, length: float, seen: list[Array]) -> Array:
+def _along(problem: WindowProblem, starts: Array, length: float, inner: list[Array]) -> Array:
     """The error maps over windows of one length, side by side, in the plant's coordinates, shape (windows, n, n)."""
-    n, steps = problem.size, max(map(len, seen))
+    n, steps = problem.size, max(map(len, inner))
     ends = starts + length
-    times = np.stack([np.append(each, np.full(steps - len(each), end)) for each, end in zip(seen, ends, strict=True)])
-    here = np.arange(steps) < np.array([len(each) for each in seen])[:, None]
+    times = np.stack([np.append(each, np.full(steps - len(each), end)) for each, end in zip(inner, ends, strict=True)])
+    here = np.arange(steps) < np.array([len(each) for each in inner])[:, None]
     gaps = np.diff(times, prepend=starts[:, None], append=ends[:, None])
     rows = np.where(here[..., None, None], _rows_at(problem, times), 0.0)  # no sample: nothing is seen
     unlike, which = np.unique(np.round(gaps / length, 14) * length, return_inverse=True)

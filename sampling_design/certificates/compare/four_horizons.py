@@ -163,7 +163,7 @@ def four_horizons(
             note = f"the paper's hypotheses fail: {error}"
     periodic = exact.schedule.endless and bool(plant.n_states)
     improved, paper = exact.horizon("improved"), exact.horizon("paper")
-    chain = None if proof is None else proof.certificate().horizon("paper")
+    by_paper = None if proof is None else proof.certificate().horizon("paper")
     true, missing = None, "" if periodic else "a finite schedule has none"
     if periodic:
         try:
@@ -171,7 +171,7 @@ def four_horizons(
         except UndecidedError as error:
             missing = str(error)
     rows = (
-        HorizonRow("paper chain", "Theorems 5, 14, 16 and 9", None if proof is None else proof.horizon, chain, note),
+        HorizonRow("paper chain", "Theorems 5, 14, 16 and 9", None if proof is None else proof.horizon, by_paper, note),
         HorizonRow("exact, Theorem 9", "Riccati and Theorem 9", paper.minimum, paper),
         HorizonRow("exact, improved", "Riccati and the improved theorem", improved.minimum, improved),
         HorizonRow("true contraction", "spectral radius", true, None, missing),

@@ -327,10 +327,10 @@ def robustness(
             "`certificate` must be about one schedule, got a FamilyCertificate, which is itself about a family "
             "of schedules. Certify the schedule that is planned."
         )
-    held = getattr(certificate, "schedule", None)
-    if not isinstance(held, (Schedule, PeriodicSchedule)):
+    planned_for = getattr(certificate, "schedule", None)
+    if not isinstance(planned_for, (Schedule, PeriodicSchedule)):
         raise ArgumentError(f"`certificate` must be one about samples, got {checks.described(certificate)}.")
-    planned = certificate if isinstance(certificate, Certificate) else certify(plant, held)
+    planned = certificate if isinstance(certificate, Certificate) else certify(plant, planned_for)
     schedule = period_of(
         planned.schedule, "`certificate` must be on a PeriodicSchedule: losses and delays are counted without end."
     )

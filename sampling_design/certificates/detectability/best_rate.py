@@ -163,13 +163,13 @@ def _arguments(plant: Plant, method: str, c_w: float | None, c_y: float | None) 
 
 def _refuse_undetectable(plant: Plant, rate: float) -> None:
     """Refuse modes that no output sees and that do not decay at `rate` (of the squared error)."""
-    unseen = unobservable_modes(plant, rate)
-    if len(unseen):
+    unobservable = unobservable_modes(plant, rate)
+    if len(unobservable):
         asked = f"at the rate {short(rate)} of the squared error (Re < {short(-rate / 2)})" if rate else "(Re < 0)"
         raise NotDetectableError(
-            f"Not detectable: no output observes {unseen.describe()}, which does not decay {asked}.",
-            unseen.eigenvalues,
-            unseen.directions,
+            f"Not detectable: no output observes {unobservable.describe()}, which does not decay {asked}.",
+            unobservable.eigenvalues,
+            unobservable.directions,
         )
 
 

@@ -76,8 +76,8 @@ def canonical(
         if P2 is not None:
             logs = -np.log2(np.diagonal(P2)) / 2
         else:
-            seen = G if driven else 0 * G
-            logs = _balanced(A, C, seen, np.log2(plant.states.scales)) if log_sizes is None else log_sizes
+            inputs = G if driven else 0 * G
+            logs = _balanced(A, C, inputs, np.log2(plant.states.scales)) if log_sizes is None else log_sizes
         x = _power(logs)
         A, C, G = A * x / x[:, None], C * x, G / x[:, None]
         inner = NoiseWeights(time * Qw * w * w[:, None], R * y * y[:, None], Qv * y * y[:, None])

@@ -242,8 +242,8 @@ class SampledCertificate(VerifiableRecord, ABC):
 
     def _stated(self) -> dict[str, object]:
         """What the file states; arrays as they are."""
-        seen = self.witness
-        witness = None if seen is None else {**vars(seen), "direction": list(seen.direction)}
+        peak = self.witness
+        witness = None if peak is None else {**vars(peak), "direction": list(peak.direction)}
         return {**self._file_parts(), **{key: getattr(self, key) for key in (*MATRICES, *NUMBERS)}, "witness": witness}
 
     @property

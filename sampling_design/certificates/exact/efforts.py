@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import log
 
-from sampling_design.checkers.work import Work
+from sampling_design.checkers.work import WorkLimit
 
 LOOK_WORK = 2e6
 """Work, about microseconds, in which the windows of one choice of weights are followed, and of all choices twice that;
@@ -40,7 +40,7 @@ BEYOND = 16 * log(10)
 SEARCHED = 0.5  # share of the seconds of a call that the search of weights may take; the others are for proofs
 
 
-def wider(rooms: Iterator[float], work: Work, tried: float) -> float:
+def wider(rooms: Iterator[float], work: WorkLimit, tried: float) -> float:
     """The next room for a proof that did not close with this work, 0 if there is none; a wide one if that is over."""
     enough = WIDE if work.over else 1.0
     found = next((room for room in rooms if room >= enough and room > tried), 0.0)
@@ -51,13 +51,13 @@ class SearchEffort:
     """What the looks and proofs for a group of choices may do; one choice `alone` may do all of it."""
 
     def __init__(
-        self, total: Work | None = None, share: float = 1.0, balls: float | None = None, *, alone: bool = False
+        self, total: WorkLimit | None = None, share: float = 1.0, balls: float | None = None, *, alone: bool = False
     ) -> None:
-        self.total = Work(ALL_WORK) if total is None else total
+        self.total = WorkLimit(ALL_WORK) if total is None else total
         self.whole = self.total if alone else self.total.share(PARTS[balls is not None] * self.total.left)
         self.one = (CHECK_WORK, BALL_WORK) if alone else (ONE_CHECK, ONE_IN_BALLS)
-        self.looks, self.floats = Work(2 * share * LOOK_WORK), Work(share * CHECK_WORK, self.whole)
-        self.balls = Work(BALL_WORK if balls is None else balls, self.whole, BALL_PRICE)
+        self.looks, self.floats = WorkLimit(2 * share * LOOK_WORK), WorkLimit(share * CHECK_WORK, self.whole)
+        self.balls = WorkLimit(BALL_WORK if balls is None else balls, self.whole, BALL_PRICE)
 
     def later(self) -> SearchEffort:
         """Those of the next group: of what is left."""
@@ -68,10 +68,10 @@ class SearchEffort:
         """Whether no proof can follow."""
         return self.floats.over or self.whole.over
 
-    def check(self) -> Work:
+    def check(self) -> WorkLimit:
         """What the next check in floats may do."""
         return self.floats.share(min(self.one[0], self.whole.left))
 
-    def check_in_balls(self) -> Work:
+    def check_in_balls(self) -> WorkLimit:
         """What the next check in balls may do."""
         return self.balls.share(min(self.one[1], self.whole.left / BALL_PRICE))

@@ -16,7 +16,7 @@ from scipy.linalg import solve_continuous_lyapunov
 from sampling_design.certificates.exact.canonical import ScaledProblem
 from sampling_design.certificates.exact.weight_choice import ChosenWeights, WeightSearch
 from sampling_design.certificates.exact.window_problem import noise_input
-from sampling_design.checkers.work import Work
+from sampling_design.checkers.work import WorkLimit
 from sampling_design.errors import SolverError
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.records.arrays import Array
@@ -29,7 +29,7 @@ ROUNDNESS = 1e-2, 1e-6
 
 
 def own_decay(
-    canon: ScaledProblem, bounds: tuple[float, float], budgets: list[float], work: Work
+    canon: ScaledProblem, bounds: tuple[float, float], budgets: list[float], work: WorkLimit
 ) -> list[ChosenWeights | None]:
     """The weights at the fastest rate within `bounds` that keep each budget; None where the decay alone does not."""
     found: list[ChosenWeights | None] = [None] * len(budgets)

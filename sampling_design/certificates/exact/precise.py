@@ -27,7 +27,7 @@ from sampling_design.certificates.rigorous.decide import decided_on_schedule
 from sampling_design.checkers.parts import Plant as FilePlant
 from sampling_design.checkers.parts import Weights
 from sampling_design.checkers.schedule_file import times_of
-from sampling_design.checkers.work import Work
+from sampling_design.checkers.work import WorkLimit
 from sampling_design.errors import SolverError, UndecidedError
 from sampling_design.numerics.balls import Ball, Matrix, ball, cholesky, definite, floats, identity, matrix, precision
 from sampling_design.numerics.linalg import symmetrise
@@ -51,7 +51,7 @@ STEP_WORK = 60, 0.5  # work of one sample, in units of that of a proof in balls:
 class PreciseWindows:
     """The windows of a plant in internal units at one rate, P2 left open: what a search asks of `WindowSet`."""
 
-    def __init__(self, canon: ScaledProblem, eta: float, work: Work) -> None:
+    def __init__(self, canon: ScaledProblem, eta: float, work: WorkLimit) -> None:
         plant, (Qw, R, Qv) = canon.plant, canon.weights
         self.n, self.work = plant.n_states, work
         stated = FilePlant(plant.A, plant.C, plant.G, plant.time_unit)
@@ -169,7 +169,7 @@ def precisely_chosen(
     bounds: tuple[float, float],
     eta: float | None,
     budget: float,
-    whole: Work,
+    whole: WorkLimit,
 ) -> Certificate:
     """A certificate at the first rate, of few within `bounds` and below (internal units), at which balls prove one.
 
@@ -183,8 +183,8 @@ def precisely_chosen(
         low, high = bounds
         stages = [([(low * high) ** 0.5, low, low / 10], 0.0), ([(low * high**3) ** 0.25], SPARE_WORK)]
     for rates, spare in stages if find_spec("flint") else ():
-        left = whole if whole.left > spare else Work(spare, stop=whole.stop)
-        dear = Work(left.left / BALL_PRICE, left, BALL_PRICE)
+        left = whole if whole.left > spare else WorkLimit(spare, stop=whole.stop)
+        dear = WorkLimit(left.left / BALL_PRICE, left, BALL_PRICE)
         search, proofs = PreciseSearch(canon, SHARE, dear.share(PRECISE_WORK)), dear.share(2 * PRECISE_PROOF)
         for rate in rates:
             choice = None if search.late or proofs.over else search.best_guess(rate, budget)
@@ -208,7 +208,7 @@ def _proven(
     choice: ChosenWeights,
     met: tuple[float, float],
     solver: SolverRecord,
-    proofs: Work,
+    proofs: WorkLimit,
 ) -> Certificate:
     """The certificate of this choice, in the plant's units, that balls prove with the widest `ROOM` above what was met.
 

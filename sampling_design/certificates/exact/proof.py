@@ -20,7 +20,7 @@ from sampling_design.certificates.form.digest import RESOLUTION, STATED_MARGIN
 from sampling_design.certificates.form.verdict import replays, verdict_on_schedule
 from sampling_design.certificates.rigorous.decide import decided_on_schedule, replays_in_balls
 from sampling_design.checkers.claims import certificate
-from sampling_design.checkers.work import Work
+from sampling_design.checkers.work import WorkLimit
 from sampling_design.errors import ArgumentError, SolverError, UndecidedError
 from sampling_design.plants.plant import Plant
 from sampling_design.records import checks
@@ -45,7 +45,9 @@ class ScheduleProof:
         long_run: float = 0.0,
     ) -> None:
         self.long_run = long_run  # lambda that the search expects there, where it has looked
-        self.left_open: tuple[Work, float, UndecidedError] | None = None  # of the last check: work, room, why it failed
+        self.left_open: tuple[WorkLimit, float, UndecidedError] | None = (
+            None  # of the last check: work, room, why it failed
+        )
         self.plant, self.schedule, self.weights, self.eta, self.efforts = plant, schedule, weights, eta, efforts
         self.canon = canon = canonical(plant, schedule, NoiseWeights(*weights[1:]), weights[0])
         inner = (canon.inside(weights[0]), *canon.weights)
@@ -155,12 +157,12 @@ def _made(
         spare = f"{room:g} times the largest met: the proof needs the room"
         solver = replace(solver, details={**solver.details, "lambda": spare})
     P2, Qw, R, Qv = proof.weights
-    P1, seen = (1 - RESOLUTION) * P2 / lam, proof.witness_of(peaks[0])
+    P1, witness = (1 - RESOLUTION) * P2 / lam, proof.witness_of(peaks[0])
     try:
         checks.definite("P1", P1, proof.plant.n_states)
     except ArgumentError as error:
         raise UndecidedError(f"undecided: P1 = P2/lambda cannot be held in doubles ({error})") from None
     return Certificate(
         proof.plant, proof.schedule, P1=P1, P2=P2, Qw=Qw, R=R, Qv=Qv, eta=proof.eta, lam=lam, lam_samples=lam_samples,
-        margin=STATED_MARGIN, witness=seen, solver=solver,
+        margin=STATED_MARGIN, witness=witness, solver=solver,
     )  # fmt: skip

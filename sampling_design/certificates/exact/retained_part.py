@@ -20,7 +20,7 @@ from sampling_design.certificates.exact.own_decay import lyapunov_shapes
 from sampling_design.certificates.exact.weight_choice import SEARCH_WORK, ChosenWeights, WeightSearch, choose_weights
 from sampling_design.certificates.exact.window_gains import WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem
-from sampling_design.checkers.work import Work
+from sampling_design.checkers.work import WorkLimit
 from sampling_design.errors import SolverError, UndecidedError
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
@@ -68,7 +68,7 @@ def search_units(
     return canon, (bounds[0] * canon.time / longer, bounds[1] * canon.time / longer)
 
 
-def parted_weights(
+def retained_part_weights(
     canon: ScaledProblem, bounds: tuple[float, float], budgets: list[float], progress: Progress | None, limit: Budget
 ) -> list[ChosenWeights | None]:
     """For each budget the weights from the slow modes; None where the plant is small, or has no fast modes apart."""
@@ -84,7 +84,7 @@ def parted_weights(
         found = choose_weights(inner, between, [max(SHARE * budget, LEAST_GAIN) for budget in budgets], progress, limit)
     except UndecidedError:
         return nothing
-    search, made = WeightSearch(canon, work=Work(SEARCH_WORK, stop=lambda: limit.over)), nothing
+    search, made = WeightSearch(canon, work=WorkLimit(SEARCH_WORK, stop=lambda: limit.over)), nothing
     for k, (budget, choices) in enumerate(zip(budgets, found, strict=True)):
         for choice in choices[:1]:
             rate = choice.eta / inner.time

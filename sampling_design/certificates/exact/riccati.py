@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sampling_design.certificates.exact.window_problem import WindowProblem
-from sampling_design.checkers.work import Work
+from sampling_design.checkers.work import WorkLimit
 from sampling_design.errors import SolverError
 from sampling_design.numerics.filtering import CovarianceMap, measurement_update, propagate
 from sampling_design.numerics.linalg import symmetrise
@@ -62,7 +62,7 @@ class RiccatiPeak:
     fraction: float
 
 
-def periodic_riccati_solution(problem: WindowProblem, work: Work | None = None, walk: bool = True) -> Array:
+def periodic_riccati_solution(problem: WindowProblem, work: WorkLimit | None = None, walk: bool = True) -> Array:
     """Return Y just after each sample of the period in the long run, shape (N, n, n).
 
     One period is a `CovarianceMap`; two periods are again one, so that 2^k periods cost k compositions and slow plants
@@ -84,7 +84,7 @@ def periodic_riccati_solution(problem: WindowProblem, work: Work | None = None, 
     except (np.linalg.LinAlgError, SolverError):
         pass
     for share in (0.0, FLOOR) if walk else ():
-        found = _walked(problem, flows, share, Work(np.inf) if work is None else work)
+        found = _walked(problem, flows, share, WorkLimit(np.inf) if work is None else work)
         if found is not None:
             return found
     raise SolverError(
@@ -93,7 +93,7 @@ def periodic_riccati_solution(problem: WindowProblem, work: Work | None = None, 
     )
 
 
-def _walked(problem: WindowProblem, flows: tuple[Array, Array], share: float, work: Work) -> Array | None:
+def _walked(problem: WindowProblem, flows: tuple[Array, Array], share: float, work: WorkLimit) -> Array | None:
     """The periodic solution by following it: slower, but no composition of periods is lost in rounding.
 
     Every `JUMP` periods it jumps to where the gains of the last one would settle (a step of Newton's method, from
@@ -193,10 +193,10 @@ def _one_period(problem: WindowProblem, flows: tuple[Array, Array]) -> Covarianc
     for i in range(problem.count):
         F, W = flows[0][i] @ F, propagate(W, flows[0][i], flows[1][i])
         for row in problem.rows[i]:
-            cross, seen = W @ row, row @ F
+            cross, output = W @ row, row @ F
             spread = 1 + cross @ row
             left = np.eye(n) - np.outer(cross / spread, row)
-            F, W, H = left @ F, measurement_update(W, row[None]), H + np.outer(seen, seen) / spread
+            F, W, H = left @ F, measurement_update(W, row[None]), H + np.outer(output, output) / spread
     return CovarianceMap(F, H, W)
 
 
@@ -217,14 +217,14 @@ def sweep(
     fractions: npt.ArrayLike = TIME_FRACTIONS,
     steady: Array | None = None,
     last_step: int = MAX_STEPS,
-    work: Work | None = None,
+    work: WorkLimit | None = None,
 ) -> list[RiccatiPeak]:
     """Return the peak of each window, looked for at `fractions` of every gap (0 is just before its first sample).
 
     A window ends with a finite schedule, after `last_step` gaps, or where its Y lies below the periodic solution.
     All end where the `work` is used up: what they have met by then stands.
     """
-    work = Work(np.inf) if work is None else work
+    work = WorkLimit(np.inf) if work is None else work
     part = np.append(np.asarray(fractions, dtype=np.float64), 1.0)
     m = part.size
     ahead = np.arange(problem.count) if last_step + 1 >= problem.count else np.arange(1, last_step + 2) + index.min()
@@ -283,7 +283,7 @@ def _note(best: Array, alive: Index, Y: Array, part: Array, step: int) -> None:
     best[:, alive[higher]] = value[higher], np.full(higher.sum(), step), part[column[higher]]
 
 
-def supremum(problem: WindowProblem, finer: int = 1, work: Work | None = None) -> tuple[RiccatiPeak, RiccatiPeak]:
+def supremum(problem: WindowProblem, finer: int = 1, work: WorkLimit | None = None) -> tuple[RiccatiPeak, RiccatiPeak]:
     """Return the largest attained lambda over all real starts, and over sample starts.
 
     A coarse look at starts and times, then a finer and finer one around the best; what lies between is
@@ -311,7 +311,7 @@ def supremum(problem: WindowProblem, finer: int = 1, work: Work | None = None) -
     return max(anywhere, at_sample, key=attrgetter("value")), at_sample
 
 
-def long_run(problem: WindowProblem, steady: Array, best: RiccatiPeak, work: Work | None = None) -> RiccatiPeak:
+def long_run(problem: WindowProblem, steady: Array, best: RiccatiPeak, work: WorkLimit | None = None) -> RiccatiPeak:
     """Return `best`, or where the periodic solution exceeds it: a window followed until it reaches that."""
     follower = (np.arange(problem.count) + 1) % problem.count
     part = np.asarray(TIME_FRACTIONS)
@@ -331,7 +331,7 @@ def long_run(problem: WindowProblem, steady: Array, best: RiccatiPeak, work: Wor
 
 
 def refine(
-    problem: WindowProblem, peak: RiccatiPeak, width: float, time_width: float = 0.25, work: Work | None = None
+    problem: WindowProblem, peak: RiccatiPeak, width: float, time_width: float = 0.25, work: WorkLimit | None = None
 ) -> RiccatiPeak:
     """Return a better peak near `peak`: its start may move by `width`, its time by `time_width` of the gap."""
     for _ in range(REFINEMENTS if peak.step <= LONGEST_REFINED else 0):

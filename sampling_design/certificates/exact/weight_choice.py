@@ -17,7 +17,7 @@ from sampling_design.certificates.exact.noise_gain_scale import COARSE, EXACT, R
 from sampling_design.certificates.exact.window_gains import WindowConditions, WindowSet
 from sampling_design.certificates.exact.window_problem import window_problem
 from sampling_design.certificates.existence.periodic import certificate_exists, require_certificate
-from sampling_design.checkers.work import Work
+from sampling_design.checkers.work import WorkLimit
 from sampling_design.errors import SolverError, UndecidedError
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.plant import Plant
@@ -90,13 +90,13 @@ class ChosenWeights:
 class WeightSearch:
     """Minimise ln(lam)/eta over the shape of P2 and eta, in internal units."""
 
-    def __init__(self, canon: ScaledProblem, roundness: float = LEAST_ROUND, work: Work | None = None) -> None:
+    def __init__(self, canon: ScaledProblem, roundness: float = LEAST_ROUND, work: WorkLimit | None = None) -> None:
         self.canon, self.roundness = canon, roundness
         self.known: dict[float, RateWindows] = {}
         large = canon.plant.n_states > SMALL
         self.starts, self.iterations, self.restarts = STARTS[large], MAX_ITERATIONS[large], RESTARTS[large]
         self.joint, self.below = JOINT[large], BELOW[large]
-        self.work = Work(SEARCH_WORK) if work is None else work
+        self.work = WorkLimit(SEARCH_WORK) if work is None else work
         self.interrupted = False
 
     @contextmanager
@@ -133,8 +133,8 @@ class WeightSearch:
         prior = np.diag(canon.sizes**2)
         size = 1.0 / canon.plant.states.scales
         along = rounded(np.mean(windows.long_run(prior), axis=0), self.roundness)
-        held = np.linalg.inv(along)
-        B = np.diag(size**2) / windows.least_floor(size) + LEAST_SHARE * held
+        covariance = np.linalg.inv(along)
+        B = np.diag(size**2) / windows.least_floor(size) + LEAST_SHARE * covariance
         mean = along if windows.steady is None else rounded(np.mean(windows.steady, axis=0), self.roundness)
         return RateWindows(windows, np.asarray(np.linalg.cholesky(symmetrise(B))), mean)
 
@@ -339,7 +339,7 @@ def choose_weights(
     every shape met is scaled to the budget asked for. A local optimum, never evidence. After `SEARCH_WORK` no further
     descent begins and the one that runs ends; so they do once `budget` is spent, or after an interrupt.
     """
-    search = WeightSearch(canon, work=Work(SEARCH_WORK, stop=lambda: budget.over))
+    search = WeightSearch(canon, work=WorkLimit(SEARCH_WORK, stop=lambda: budget.over))
     report = progress or (lambda fraction, message: None)
     free = bounds[0] < bounds[1]
     rates = [float(rate) for rate in np.geomspace(*bounds, SCAN)] if free else [bounds[0]]
@@ -422,7 +422,7 @@ def _guesses_at_other_rates(search: WeightSearch, guesses: list[ChosenWeights], 
 
 
 def round_choices(
-    canon: ScaledProblem, rates: list[float], budget: float, whole: Work
+    canon: ScaledProblem, rates: list[float], budget: float, whole: WorkLimit
 ) -> Iterator[list[ChosenWeights]]:
     """First guesses of less and less condition at these rates: for where nothing better can be proven."""
     work = whole.share(ROUND_WORK)
@@ -464,7 +464,7 @@ def choose_rate(
     """
     report = progress or (lambda fraction, message: None)
     root = np.asarray(np.linalg.cholesky(P2), dtype=np.float64)
-    n, work, met = canon.plant.n_states, Work(RATE_WORK, stop=lambda: budget.over), dict[float, float]()
+    n, work, met = canon.plant.n_states, WorkLimit(RATE_WORK, stop=lambda: budget.over), dict[float, float]()
 
     def horizon(log_rate: float) -> float:
         rate = float(np.exp(log_rate))

@@ -13,7 +13,7 @@ import numpy as np
 
 from sampling_design.certificates.exact.riccati import periodic_riccati_solution
 from sampling_design.certificates.exact.window_problem import WindowProblem
-from sampling_design.checkers.work import Work
+from sampling_design.checkers.work import WorkLimit
 from sampling_design.numerics.filtering import joint_update, propagate
 from sampling_design.records.arrays import Array, Index, Mask
 
@@ -58,10 +58,10 @@ class WindowSet:
     head: tuple[Array, Array]
     inside: tuple[Array, Array]
     steady: Array | None
-    work: Work = field(default_factory=lambda: Work(np.inf))
+    work: WorkLimit = field(default_factory=lambda: WorkLimit(np.inf))
 
     @classmethod
-    def of(cls, problem: WindowProblem, work: Work | None = None) -> WindowSet:
+    def of(cls, problem: WindowProblem, work: WorkLimit | None = None) -> WindowSet:
         """Sample starts and starts in the middle of each gap; where these are too many, evenly chosen ones."""
         index, remaining = problem.sample_starts()
         index = np.append(index, np.arange(problem.count))
@@ -71,7 +71,7 @@ class WindowSet:
             order = np.argsort(-remaining, kind="stable")
             chosen = order[np.linspace(0, order.size - 1, most).astype(int)]
             index, remaining = index[chosen], remaining[chosen]
-        work = Work(np.inf) if work is None else work
+        work = WorkLimit(np.inf) if work is None else work
         work.spend(SET_UP + 100 * problem.count)
         parts = np.asarray(PARTS)
         F, W = problem.flow(np.outer(problem.gaps, parts).ravel())
@@ -167,30 +167,30 @@ class WindowSet:
         return np.append(values, last), np.concatenate([gradients, slope])
 
 
-def _log_largest_eigenvalues(seen: Array, valid: Mask) -> tuple[Array, Array]:
+def _log_largest_eigenvalues(ratios: Array, valid: Mask) -> tuple[Array, Array]:
     """ln lambda_max of each matrix, times first; -inf where it cannot enter a smooth maximum over times; the matrices.
 
     Bounds from the diagonal and the Frobenius norm spare most of the eigenvalues.
     """
-    n = seen.shape[-1]
-    mean = np.trace(seen, axis1=-2, axis2=-1) / n
-    spread = np.maximum(np.einsum("...ij,...ij->...", seen, seen) / n - mean**2, 0.0)
+    n = ratios.shape[-1]
+    mean = np.trace(ratios, axis1=-2, axis2=-1) / n
+    spread = np.maximum(np.einsum("...ij,...ij->...", ratios, ratios) / n - mean**2, 0.0)
     above = mean + np.sqrt((n - 1) * spread)
-    below = np.where(valid, np.diagonal(seen, axis1=-2, axis2=-1).max(axis=-1), 0.0).max(axis=0)
+    below = np.where(valid, np.diagonal(ratios, axis1=-2, axis2=-1).max(axis=-1), 0.0).max(axis=0)
     hopeful = valid & ~(above < np.exp(-ACTIVE) * below)
-    logs = np.full(seen.shape[:-2], -np.inf)
-    logs[hopeful] = np.log(np.maximum(np.linalg.eigvalsh(seen[hopeful])[..., -1], 1e-300))
-    return logs, seen
+    logs = np.full(ratios.shape[:-2], -np.inf)
+    logs[hopeful] = np.log(np.maximum(np.linalg.eigvalsh(ratios[hopeful])[..., -1], 1e-300))
+    return logs, ratios
 
 
 def _smooth_max(L: Array, half: Array, X: Array, Y: Array, Phi: Array, valid: Mask) -> tuple[Array, Array]:
     """Smooth maximum over times (first axis) of ln lambda_max(L'YL) per window, and its gradient in P2."""
-    logs, seen = _log_largest_eigenvalues(L.T @ Y @ L, valid)
+    logs, ratios = _log_largest_eigenvalues(L.T @ Y @ L, valid)
     top = logs.max(axis=0)
     time, window = np.nonzero(logs > top - ACTIVE)
     share = np.exp(SHARPNESS * (logs[time, window] - top[window]))
     total = np.bincount(window, share, minlength=top.size)
-    values, vectors = np.linalg.eigh(seen[time, window])
+    values, vectors = np.linalg.eigh(ratios[time, window])
     e, lam = vectors[..., -1], values[..., -1]
     a = e @ half
     b = np.einsum("kji,kj->ki", Phi[time, window], e @ L.T) @ X

@@ -103,9 +103,9 @@ def whitened_rows(C: Array, R: Array, Qv: Array, mask: Mask | None, count: int) 
         return np.broadcast_to(np.linalg.solve(np.linalg.cholesky(V), C), (count, *C.shape))
     rows = np.zeros((count, *C.shape))
     for pattern in np.unique(mask, axis=0):
-        seen = np.flatnonzero(pattern)
-        part = np.linalg.solve(np.linalg.cholesky(V[np.ix_(seen, seen)]), C[seen])
-        rows[np.ix_(np.flatnonzero((mask == pattern).all(axis=1)), np.arange(seen.size))] = part
+        measured = np.flatnonzero(pattern)
+        part = np.linalg.solve(np.linalg.cholesky(V[np.ix_(measured, measured)]), C[measured])
+        rows[np.ix_(np.flatnonzero((mask == pattern).all(axis=1)), np.arange(measured.size))] = part
     return rows
 
 

@@ -121,9 +121,9 @@ def _residual(M: Array, rows: Array, mu: complex, z: Complex) -> float:
     if not np.isfinite(M).all() or not np.isfinite(rows).all():
         return np.inf
     size = np.abs(z)
-    seen = np.abs(rows @ z) / positive_or_one(np.linalg.norm(rows, axis=1) * np.linalg.norm(z))
+    outputs = np.abs(rows @ z) / positive_or_one(np.linalg.norm(rows, axis=1) * np.linalg.norm(z))
     moved = np.linalg.norm(M @ z - mu * z) / (np.linalg.norm(np.abs(M) @ size) or 1.0)
-    return float(max(moved, seen.max(initial=0.0)))
+    return float(max(moved, outputs.max(initial=0.0)))
 
 
 def counterexample(plant: Plant, schedule: PeriodicSchedule, eta: float, found: Existence) -> Counterexample | None:
@@ -131,16 +131,16 @@ def counterexample(plant: Plant, schedule: PeriodicSchedule, eta: float, found: 
     modes = period_modes(plant, float(eta))
     if not modes.blocks or too_dense(plant, schedule, eta, found) or stays_bounded(plant, schedule, eta):
         return None
-    sight = modes.least_seen(schedule)
-    direction = modes.direction(sight, schedule, float(schedule.gaps[0]))
+    least = modes.least_observed(schedule)
+    direction = modes.direction(least, schedule, float(schedule.gaps[0]))
     with np.errstate(over="ignore", invalid="ignore"):
-        mu = complex(np.exp(sight.rate * schedule.period))
+        mu = complex(np.exp(least.rate * schedule.period))
     M, rows, units = _lifted(plant, schedule)
     residual = _residual(M, rows, mu, (direction / units).astype(complex))
     if not residual <= RESIDUAL:
         return None
-    main = found.eigenvalue if found.eigenvalue is not None else sight.rate
-    unseen = tuple(complex(x) for x in direction)
+    main = found.eigenvalue if found.eigenvalue is not None else least.rate
+    state = tuple(complex(x) for x in direction)
     return Counterexample(
         plant=plant,
         schedule=schedule,
@@ -148,7 +148,7 @@ def counterexample(plant: Plant, schedule: PeriodicSchedule, eta: float, found: 
         eigenvalue=main,
         partners=found.partners,
         multiplier=mu,
-        direction=unseen,
+        direction=state,
         residual=residual,
         reason=found.reason,
     )

@@ -173,18 +173,18 @@ def judged(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Existence:
     modes = period_modes(plant, float(eta))
     if not modes.blocks:
         return Existence(True, float("inf"), period=schedule.period, reason="every mode decays by itself at that rate")
-    sight = modes.least_seen(schedule)
-    if sight.margin > REPAIRED:
-        return Existence(True, sight.margin, period=schedule.period)
-    main, partners = _involved(modes, sight, schedule.period)
+    least = modes.least_observed(schedule)
+    if least.margin > REPAIRED:
+        return Existence(True, least.margin, period=schedule.period)
+    main, partners = _involved(modes, least, schedule.period)
     reason = _reason(main, partners, schedule, eta)
-    if sight.margin > UNSEEN_TOLERANCE:
-        seen = f"every mode that does not decay by itself is observable, but barely (margin {short(sight.margin, 3)})"
-        reason = f"{seen}: nearly, {reason}"
-        return Existence(True, sight.margin, period=schedule.period, reason=reason)
+    if least.margin > UNSEEN_TOLERANCE:
+        claim = f"every mode that does not decay by itself is observable, but barely (margin {short(least.margin, 3)})"
+        reason = f"{claim}: nearly, {reason}"
+        return Existence(True, least.margin, period=schedule.period, reason=reason)
     if isinstance(plant, FunctionalPlant):
         reason += rows_between_samples(plant, schedule, eta)
-    return Existence(False, sight.margin, main, partners, schedule.period, reason)
+    return Existence(False, least.margin, main, partners, schedule.period, reason)
 
 
 def too_dense(plant: Plant, schedule: PeriodicSchedule, eta: float, found: Existence) -> float:
@@ -256,7 +256,7 @@ def smallest_repair(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Rep
             gaps = np.array(schedule.gaps)
             gaps[gap] += sign * changes[gap, column]
             changed = PeriodicSchedule(gaps, outputs=schedule.outputs, time_unit=schedule.time_unit)
-            margin = modes.least_seen(changed).margin
+            margin = modes.least_observed(changed).margin
             if margin >= REPAIRED:
                 return {
                     "gap": int(gap),
@@ -267,14 +267,14 @@ def smallest_repair(plant: Plant, schedule: PeriodicSchedule, eta: float) -> Rep
     return None
 
 
-def _involved(modes: PeriodModes, sight: LeastObservedMode, period: float) -> tuple[complex, tuple[complex, ...]]:
+def _involved(modes: PeriodModes, least: LeastObservedMode, period: float) -> tuple[complex, tuple[complex, ...]]:
     """The eigenvalues of A of which the unseen direction is made, the largest share first."""
     shares = [
-        (float(share), c) for block, share in zip(modes.blocks, sight.shares, strict=True) for c in block.clusters
+        (float(share), c) for block, share in zip(modes.blocks, least.shares, strict=True) for c in block.clusters
     ]
     # a turn more or less in e^{(a - b) P} does not count; what is left is how far a and b are from being aliased
-    near = [(share, c.value) for share, c in shares if _turned(c.value - sight.rate, period) <= NEARLY]
-    found = [v for share, v in sorted(near, key=lambda pair: -round(pair[0], 9)) if share > 1e-6] or [sight.rate]
+    near = [(share, c.value) for share, c in shares if _turned(c.value - least.rate, period) <= NEARLY]
+    found = [v for share, v in sorted(near, key=lambda pair: -round(pair[0], 9)) if share > 1e-6] or [least.rate]
     main = next((v for v in found if v.imag > 0), found[0])
     return main, tuple(v for v in found if v != main)
 

@@ -135,9 +135,9 @@ class FamilySearch:
             if found is None:
                 low = lam
             else:
-                high, best, seen = lam, found, record
+                high, best, of_best = lam, found, record
             lam = lam**2 * 2 if np.isinf(high) else float(np.sqrt(low * high))
-        return (high, best, kept, seen) if best is not None else (np.inf, None, kept, record)
+        return (high, best, kept, of_best) if best is not None else (np.inf, None, kept, record)
 
     def propose(self, eta: float, memory: int, worst: float = LARGEST_LAM) -> FamilyProposal:
         """Return matrices for which every inequality is proven along its interval, or why there are none.

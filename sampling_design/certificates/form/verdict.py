@@ -13,7 +13,7 @@ from sampling_design.checkers.check import verdict_on
 from sampling_design.checkers.outcome import UNDECIDED, Proven, Refused, Verdict
 from sampling_design.checkers.sampled import proven, replay
 from sampling_design.checkers.schedule_file import Sampled
-from sampling_design.checkers.work import Work
+from sampling_design.checkers.work import WorkLimit
 from sampling_design.records.record import PlainRecord, YesOrNo
 
 
@@ -90,12 +90,12 @@ def replays(content: Sampled) -> bool:
     return True
 
 
-def verdict_of(data: Mapping[str, object], work: Work | None = None) -> Verification:
+def verdict_of(data: Mapping[str, object], work: WorkLimit | None = None) -> Verification:
     """Return the verdict of the independent checker on the plain data of a certificate; it does at most this work."""
     return verification(verdict(data, work))
 
 
-def verdict_on_content(content: object, prove: Callable[..., Proven], work: Work | None = None) -> Verification:
+def verdict_on_content(content: object, prove: Callable[..., Proven], work: WorkLimit | None = None) -> Verification:
     """The same of what a file would hold, while it is sought, as its claim proves it."""
     return verification(verdict_on(content, prove, work))
 
@@ -105,6 +105,6 @@ def verification(found: Verdict, bits: int = 0, seconds: float = 0.0) -> Verific
     return Verification(passed=found.passed, **vars(found), bits=bits, seconds=seconds)
 
 
-def verdict_on_schedule(content: Sampled, work: Work) -> Verification:
+def verdict_on_schedule(content: Sampled, work: WorkLimit) -> Verification:
     """The same of a file on one schedule."""
     return verdict_on_content(content, proven, work)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
 from sampling_design.certificates.form.constants import Constant, ConstantList
-from sampling_design.certificates.paper.observable_case import SAFE, ProofChain, _in_range
+from sampling_design.certificates.paper.observable_case import SAFE, ProvenWeights, _in_range
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.plants.modes import ModalSplit
 from sampling_design.plants.plant import Plant
@@ -52,7 +52,7 @@ def _lyapunov(A: Array, Q: Array) -> Array:
     return symmetrise(np.asarray(solve_continuous_lyapunov(A.T, -Q), dtype=np.float64))
 
 
-def compose(split: ModalSplit, chain: ProofChain, decay: ResidualDecay, window: float, kappa: int) -> ProofChain:
+def compose(split: ModalSplit, proven: ProvenWeights, decay: ResidualDecay, window: float, kappa: int) -> ProvenWeights:
     """Put the retained part's chain and the residual's decay together (theory 3.3).
 
         eta = min(eta_u, .9 eta_s),  S = kappa/(1 - e^{-(eta_s - eta) T}),  beta = 2 R0u |C_s|^2 S/lambda_min(P_s),
@@ -64,17 +64,17 @@ def compose(split: ModalSplit, chain: ProofChain, decay: ResidualDecay, window: 
     *Claim.* lambda_max(P2, P1) = lambda_u: the residual part costs rate, not lambda. *Assumptions.* The chain
     holds for the retained plant with its own disturbance input; both parts are driven by the same w.
     """
-    eta = min(chain.eta, RATE_SHARE * decay.eta)
+    eta = min(proven.eta, RATE_SHARE * decay.eta)
     size_C = float(np.linalg.norm(split.residual.C, 2))
     S = kappa / -np.expm1(-(decay.eta - eta) * window)
-    beta = max(2 * chain.R0 * size_C**2 * S / float(np.linalg.eigvalsh(decay.P)[0]) * SAFE, np.finfo(float).tiny)
-    lam_u = chain.lam
+    beta = max(2 * proven.R0 * size_C**2 * S / float(np.linalg.eigvalsh(decay.P)[0]) * SAFE, np.finfo(float).tiny)
+    lam_u = proven.lam
     # an output that does not see the residual part leaves rho free: its size then sets nothing but the norm
-    rho = beta / (lam_u - 1) if size_C else chain.R0
+    rho = beta / (lam_u - 1) if size_C else proven.R0
     L_r, L_s = split.left_retained, split.left_residual
-    P1 = rho * L_s.T @ decay.P @ L_s + L_r.T @ chain.P1 @ L_r
-    P2 = (rho + beta) * L_s.T @ decay.P @ L_s + L_r.T @ chain.P2 @ L_r
-    Qw = (rho + beta) * decay.W + chain.Qw
+    P1 = rho * L_s.T @ decay.P @ L_s + L_r.T @ proven.P1 @ L_r
+    P2 = (rho + beta) * L_s.T @ decay.P @ L_s + L_r.T @ proven.P2 @ L_r
+    Qw = (rho + beta) * decay.W + proven.Qw
     steps = (
         Constant("eta_s", decay.eta, r"1/(2\lambda_{\max}(P_s))", "Theorem 16, residual part", r"\eta_s"),
         Constant("eta_composed", eta, r"\min(\eta_u, 0.9\,\eta_s)", "Theorem 16 (E27)", r"\eta"),
@@ -82,14 +82,14 @@ def compose(split: ModalSplit, chain: ProofChain, decay: ResidualDecay, window: 
         Constant("beta_s", beta, r"2R_{0u}|C_s|^2S/\lambda_{\min}(P_s)", "Theorem 16", r"\beta_s"),
         Constant("lam_u", lam_u, r"\lambda_{\max}(P_{2u},P_{1u})", "Theorem 16, retained part", r"\lambda_u"),
         Constant("rho_s", rho, r"\beta_s/(\lambda_u-1)", "Theorem 16", r"\rho_s"),
-        Constant("R0_composed", 2 * chain.R0, r"2R_{0u}", "Theorem 16", "R_0"),
+        Constant("R0_composed", 2 * proven.R0, r"2R_{0u}", "Theorem 16", "R_0"),
     )
     _in_range(steps)
-    constants = ConstantList((*chain.constants, *steps))
-    return ProofChain(symmetrise(P1), symmetrise(P2), symmetrise(Qw), 2 * chain.R0, eta, constants)
+    constants = ConstantList((*proven.constants, *steps))
+    return ProvenWeights(symmetrise(P1), symmetrise(P2), symmetrise(Qw), 2 * proven.R0, eta, constants)
 
 
-def residual_alone(plant: Plant, decay: ResidualDecay) -> ProofChain:
+def residual_alone(plant: Plant, decay: ResidualDecay) -> ProvenWeights:
     """Chain of a plant of which nothing is retained: no sample is needed, lambda = 1 but for SLACK."""
     eta = decay.eta
     sizes = np.diagonal(decay.W)
@@ -98,4 +98,4 @@ def residual_alone(plant: Plant, decay: ResidualDecay) -> ProofChain:
         Constant("eta_s", eta, r"1/(2\lambda_{\max}(P_s))", "Theorem 16 with an empty retained part", r"\eta_s"),
         Constant("R0", 1.0, r"\text{any positive number}", "Theorem 16 with an empty retained part", "R_0"),
     )
-    return ProofChain((1 - SLACK) * decay.P, decay.P, decay.W + floor, 1.0, eta, ConstantList(steps))
+    return ProvenWeights((1 - SLACK) * decay.P, decay.P, decay.W + floor, 1.0, eta, ConstantList(steps))

@@ -77,9 +77,9 @@ def _cells(M: Array, A: Array, N: Array, starts: Array, half: float) -> tuple[Ar
         second = np.maximum(_norms(X + half * Y), _norms(X - half * Y)) + remainder
         zeroth = _norms(left) * _norms(N) * np.exp(min(max(growth, 0.0) * 2 * half, 700.0))
         zeroth = np.fmin(zeroth, _modal_bound(left, A, N, 2 * half))
-    seen = np.stack([_norms(left @ N), _norms(X), _norms(right @ N)])
-    which = np.argmax(seen, axis=0)
-    return np.fmin(second, zeroth), seen.max(axis=0), starts + which * half
+    norms = np.stack([_norms(left @ N), _norms(X), _norms(right @ N)])
+    which = np.argmax(norms, axis=0)
+    return np.fmin(second, zeroth), norms.max(axis=0), starts + which * half
 
 
 def _modal_bound(left: Array, A: Array, N: Array, length: float) -> Array:

@@ -38,7 +38,7 @@ class SamplingHypotheses:
 
 
 @dataclass(frozen=True, eq=False)
-class ProofChain:
+class ProvenWeights:
     """P1, P2, Qw, R0, eta of the noise-free Assumption 7 (R0 a multiple of the identity), and how they came about."""
 
     P1: Array
@@ -78,7 +78,7 @@ def lemma_12(detectability: DetectabilityCertificate, samples: SamplingHypothese
     )
 
 
-def paper_chain(detectability: DetectabilityCertificate, samples: SamplingHypotheses) -> ProofChain:
+def paper_weights(detectability: DetectabilityCertificate, samples: SamplingHypotheses) -> ProvenWeights:
     """The paper's own constants, its misprints corrected (theory 3.1).
 
         P1 = P/2,  P2 = 4 lambda_max(P) e^{(2 Lf + eta) t*} I,
@@ -123,10 +123,10 @@ def paper_chain(detectability: DetectabilityCertificate, samples: SamplingHypoth
     _in_range(steps)
     eye_w = np.eye(plant.n_disturbances)
     constants = ConstantList((*_detectability(detectability), *first, *steps))
-    return ProofChain(detectability.P / 2, P2 * np.eye(n), Qw * eye_w, R0, eta, constants)
+    return ProvenWeights(detectability.P / 2, P2 * np.eye(n), Qw * eye_w, R0, eta, constants)
 
 
-def tightened_chain(detectability: DetectabilityCertificate, samples: SamplingHypotheses) -> ProofChain:
+def tightened_weights(detectability: DetectabilityCertificate, samples: SamplingHypotheses) -> ProvenWeights:
     """The same proof without its avoidable losses (theory 3.2): Fubini for the overlap, |H| as a whole, P-norms.
 
         P1 = P,  P2 = beta P,  beta = 2 max_{s<=t*} e^{eta s} lambda_max(e^{A's} P e^{As}, P),  f = (e^{eta T}-1)/eta,
@@ -170,7 +170,7 @@ def tightened_chain(detectability: DetectabilityCertificate, samples: SamplingHy
     _in_range(steps)
     constants = ConstantList((*_detectability(detectability), *first, *steps))
     P = detectability.P
-    return ProofChain(P, beta * P, Qw * np.eye(plant.n_disturbances), R0, eta, constants)
+    return ProvenWeights(P, beta * P, Qw * np.eye(plant.n_disturbances), R0, eta, constants)
 
 
 def _inverse(triangle: Array) -> Array:

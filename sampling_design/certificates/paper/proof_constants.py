@@ -16,10 +16,10 @@ from sampling_design.certificates.form.constants import Constant, ConstantList
 from sampling_design.certificates.paper.composition import RATE_SHARE, compose, residual_alone, residual_decay
 from sampling_design.certificates.paper.gain_sweep import best_gain
 from sampling_design.certificates.paper.observable_case import (
-    ProofChain,
+    ProvenWeights,
     SamplingHypotheses,
-    paper_chain,
-    tightened_chain,
+    paper_weights,
+    tightened_weights,
     within_range,
 )
 from sampling_design.certificates.paper.sampling_hypotheses import measure_hypotheses
@@ -229,7 +229,7 @@ def constants_from_proof(
     >>> round(proof.horizon, 1)
     44.3
     """
-    checks.word("variant", variant, _CHAINS)
+    checks.word("variant", variant, _VARIANTS)
     if not plant.n_states:
         raise ArgumentError("`plant` must have at least one state: of none the paper's proof says nothing.")
     if isinstance(schedule, SamplingFamily):
@@ -244,10 +244,10 @@ def constants_from_proof(
     samples = measure_hypotheses(split.retained, schedule, window, sigma_bar, kappa)
     cap = np.inf if decay is None else RATE_SHARE * decay.eta
     found = _detectability(split.retained, variant, samples, cap, gain, Q, detectability)
-    chain = _CHAINS[variant](found, samples)
+    proven = _VARIANTS[variant](found, samples)
     if decay is not None:
-        chain = compose(split, chain, decay, samples.window, samples.kappa)
-    return _record(plant, schedule, variant, split, chain, found)
+        proven = compose(split, proven, decay, samples.window, samples.kappa)
+    return _record(plant, schedule, variant, split, proven, found)
 
 
 class ProofChoices(TypedDict, total=False):
@@ -260,7 +260,7 @@ class ProofChoices(TypedDict, total=False):
     kappa: int | None
 
 
-_CHAINS = {"paper": paper_chain, "tightened": tightened_chain}
+_VARIANTS = {"paper": paper_weights, "tightened": tightened_weights}
 
 
 @checked
@@ -352,12 +352,12 @@ def _record(
     schedule: Schedule | PeriodicSchedule,
     variant: str,
     split: ModalSplit,
-    chain: ProofChain,
+    proven: ProvenWeights,
     found: DetectabilityCertificate | None,
 ) -> ProofConstants:
     """Add measurement noise and the horizon, and freeze everything."""
-    R = checks.freeze(2 * chain.R0 * np.eye(plant.n_outputs))
-    frozen = {key: checks.freeze(getattr(chain, key)) for key in ("P1", "P2", "Qw")}
+    R = checks.freeze(2 * proven.R0 * np.eye(plant.n_outputs))
+    frozen = {key: checks.freeze(getattr(proven, key)) for key in ("P1", "P2", "Qw")}
     return ProofConstants(
         plant=plant,
         schedule=schedule,
@@ -365,23 +365,23 @@ def _record(
         **frozen,
         R=R,
         Qv=R,
-        eta=chain.eta,
-        constants=ConstantList((*chain.constants, *theorem_9(chain))),
+        eta=proven.eta,
+        constants=ConstantList((*proven.constants, *theorem_9(proven))),
         detectability=found,
         split=split,
     )
 
 
-def theorem_9(chain: ProofChain) -> tuple[Constant, ...]:
+def theorem_9(proven: ProvenWeights) -> tuple[Constant, ...]:
     """Noise weight, lambda, horizon and gains of Theorem 9."""
-    lam = max(chain.lam, 1.0)
-    horizon = 2 * float(np.log(2 * lam)) / chain.eta
-    least = float(np.linalg.eigvalsh(chain.P1)[0])
-    C_x = 4 * lam * float(np.linalg.eigvalsh(chain.P2)[-1]) / least
-    C_w = 4 * lam * float(np.max(np.linalg.eigvalsh(chain.Qw), initial=0.0)) / least
-    C_v, source = 16 * lam * chain.R0 / least, "Theorem 9, Definition 6"
+    lam = max(proven.lam, 1.0)
+    horizon = 2 * float(np.log(2 * lam)) / proven.eta
+    least = float(np.linalg.eigvalsh(proven.P1)[0])
+    C_x = 4 * lam * float(np.linalg.eigvalsh(proven.P2)[-1]) / least
+    C_w = 4 * lam * float(np.max(np.linalg.eigvalsh(proven.Qw), initial=0.0)) / least
+    C_v, source = 16 * lam * proven.R0 / least, "Theorem 9, Definition 6"
     return (
-        Constant("R", 2 * chain.R0, r"R=Q_v=2R_0:\ (R^{-1}+Q_v^{-1})^{-1}=R_0", "measurement noise (E36)", "R=Q_v"),
+        Constant("R", 2 * proven.R0, r"R=Q_v=2R_0:\ (R^{-1}+Q_v^{-1})^{-1}=R_0", "measurement noise (E36)", "R=Q_v"),
         Constant("lam", lam, r"\lambda_{\max}(P_2,P_1)", "Theorem 9", r"\lambda"),
         Constant("horizon", horizon, r"M>2\ln(2\lambda)/\eta", "Theorem 9", "M"),
         Constant("C_x", C_x, r"4\lambda\lambda_{\max}(P_2)/\lambda_{\min}(P_1)", source, "C_x"),

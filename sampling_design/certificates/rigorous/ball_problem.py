@@ -89,9 +89,9 @@ class BallWeights:
         """P2^-1."""
         return self.P2.inv()
 
-    def noise_of(self, seen: Mask) -> Matrix:
+    def noise_of(self, measured: Mask) -> Matrix:
         """V restricted to the measured outputs."""
-        index = np.flatnonzero(seen)
+        index = np.flatnonzero(measured)
         made: Matrix = flint().arb_mat([[self.V[int(i), int(j)] for j in index] for i in index])
         return made
 
@@ -132,7 +132,7 @@ class BallTimes:
     """When and what a schedule measures: gaps before each sample, reach of a window start, measured outputs."""
 
     def __init__(self, times: Times) -> None:
-        self.periodic, self.seen = times.periodic, times.seen
+        self.periodic, self.measured = times.periodic, times.measured
         stated = [ball(number) for number in times.stated.tolist()]
         if self.periodic:
             self.gaps, self.first = stated, ball(times.first)
@@ -154,10 +154,10 @@ class BallTimes:
 class BallFrame:
     """The recursion of Y = Pi^-1 in coordinates where the target is I: the claim is Y <= I.
 
-    `seen` says which outputs each kind of sample measures.
+    `patterns` says which outputs each kind of sample measures.
     """
 
-    def __init__(self, weights: BallWeights, seen: Iterable[Mask], target: Matrix, inequality: str) -> None:
+    def __init__(self, weights: BallWeights, patterns: Iterable[Mask], target: Matrix, inequality: str) -> None:
         L = cholesky(target)
         if L is None:
             raise Undecided(inequality, f"{inequality}: the left side is not certainly positive definite")
@@ -168,7 +168,7 @@ class BallFrame:
         self.start = Lt * weights.prior * L
         turned = L.solve(matrix(weights.C).transpose()).transpose().tolist()
         self.rows, self.noises = [], []
-        for measured in seen:
+        for measured in patterns:
             self.rows.append(flint().arb_mat([turned[int(j)] for j in np.flatnonzero(measured)]))
             self.noises.append(weights.noise_of(measured))
         self.identity = identity(self.n)
@@ -207,5 +207,5 @@ class ScheduleFrame(BallFrame):
     """The same, with the schedule that it runs along."""
 
     def __init__(self, weights: BallWeights, schedule: BallTimes, target: Matrix, inequality: str) -> None:
-        super().__init__(weights, schedule.seen, target, inequality)
+        super().__init__(weights, schedule.measured, target, inequality)
         self.schedule = schedule

@@ -88,9 +88,9 @@ def _sampled(frame: ScheduleFrame, i: int, inflation: float) -> Period:
     """The gap before sample i, the sample, and what is inflated after it."""
     F, W = frame.flow.over(frame.schedule.gaps[i])
     C, K = frame.rows[i], frame.gain(W, i)
-    seen, variance = C * F, C * W * C.transpose() + frame.noises[i]
+    output, variance = C * F, C * W * C.transpose() + frame.noises[i]
     left = _even(frame.with_gain(W, i, K)) + ball(inflation) * frame.identity
-    return ((frame.identity - K * C) * F).mid(), _even(seen.transpose() * variance.solve(seen)), left
+    return ((frame.identity - K * C) * F).mid(), _even(output.transpose() * variance.solve(output)), left
 
 
 def _then(first: Period, second: Period) -> Period:

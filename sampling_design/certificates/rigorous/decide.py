@@ -40,7 +40,7 @@ from sampling_design.checkers.outcome import (
 from sampling_design.checkers.parts import FORMAT, Weights
 from sampling_design.checkers.schedule_file import Sampled
 from sampling_design.checkers.strict import BadFile
-from sampling_design.checkers.work import Work
+from sampling_design.checkers.work import WorkLimit
 from sampling_design.errors import ArgumentError
 from sampling_design.numerics.balls import (
     BITS,
@@ -129,8 +129,8 @@ class VerifiableRecord(Record):
             ("Assumptions", "; ".join(each for each in claim.assumptions if each != times)), ("Sample times", times),
             ("Plant", f"{plant.name or 'no name'}; states {', '.join(plant.states.names)}; time in {plant.time_unit}"),
         ]  # fmt: skip
-        shown = {name: getattr(self, name) for name in self._weights} | {k: getattr(plant, k) for k in ("A", "C", "G")}
-        texts = {name: latex_matrix(matrix) for name, matrix in shown.items() if matrix.size}
+        shapes = {name: getattr(self, name) for name in self._weights} | {k: getattr(plant, k) for k in ("A", "C", "G")}
+        texts = {name: latex_matrix(matrix) for name, matrix in shapes.items() if matrix.size}
         written = [f"  {'_'.join(name)} &= {text}" for name, text in texts.items() if text]
         parts = [
             "{\\sloppy\n"
@@ -177,7 +177,7 @@ def judged(data: Mapping[str, object], rigorous: bool, budget: float) -> Verific
     found = None if rigorous else verdict_of(data)
     if found is not None and (found.verdict != "undecided" or find_spec("flint") is None):
         return found
-    return verify_rigorously(data, budget, None if rigorous else Work(HANDED_OVER))
+    return verify_rigorously(data, budget, None if rigorous else WorkLimit(HANDED_OVER))
 
 
 def judged_while_sought(content: object, claim: str, budget: float) -> Verification:
@@ -185,10 +185,10 @@ def judged_while_sought(content: object, claim: str, budget: float) -> Verificat
     found = verdict_on_content(content, claim_of({"format": FORMAT, "claim": claim}).prove)
     if found.verdict != "undecided" or find_spec("flint") is None:
         return found
-    return _verified(lambda clock: _decided_as(claim, content, clock), budget, Work(HANDED_OVER))
+    return _verified(lambda clock: _decided_as(claim, content, clock), budget, WorkLimit(HANDED_OVER))
 
 
-def verify_rigorously(data: Mapping[str, object], budget: float = 60.0, work: Work | None = None) -> Verification:
+def verify_rigorously(data: Mapping[str, object], budget: float = 60.0, work: WorkLimit | None = None) -> Verification:
     """Decide in ball arithmetic whether what a certificate file states is true.
 
         Pi(t) >= (1 + margin) P1,   lam Pi(t) >= (1 - 1e-3) P2    for all real window starts and all t
@@ -201,7 +201,7 @@ def verify_rigorously(data: Mapping[str, object], budget: float = 60.0, work: Wo
         Plain data of the file.
     budget : float [seconds]
         When it runs out the verdict is "undecided".
-    work : Work, optional
+    work : WorkLimit, optional
         Counted instead of timed, and likewise "undecided" when it runs out.
 
     Returns
@@ -229,12 +229,12 @@ def verify_rigorously(data: Mapping[str, object], budget: float = 60.0, work: Wo
     return _verified(decide, budget, work)
 
 
-def decided_on_schedule(content: Sampled, work: Work) -> Verification:
+def decided_on_schedule(content: Sampled, work: WorkLimit) -> Verification:
     """The same of what a file on one schedule would hold, while it is sought."""
     return _verified(lambda clock: assumption_7(content, clock), np.inf, work)
 
 
-def _verified(decide: Callable[[Budget], Proven], budget: float, work: Work | None) -> Verification:
+def _verified(decide: Callable[[Budget], Proven], budget: float, work: WorkLimit | None) -> Verification:
     """The verdict that `decide` finds, or is stopped with."""
     flint()
     clock = Budget(budget, work=work)

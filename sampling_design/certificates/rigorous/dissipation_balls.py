@@ -31,8 +31,8 @@ def detectability(c: Detectability, clock: Budget) -> Proven:
         return holds(INEQUALITY, 1.0, "a plant without states")
     P = symmetric(c.P)
     A, C = matrix(c.plant.A), matrix(c.plant.C)
-    seen, bound = C.transpose() * C * ball(c.c_y), identity(c.plant.G.shape[1]) * ball(c.c_w)
-    form, sizes = dissipation(P, -seen, A, matrix(c.plant.G), bound, (1 + ball(c.margin)) * ball(c.eta))
+    supply, bound = C.transpose() * C * ball(c.c_y), identity(c.plant.G.shape[1]) * ball(c.c_w)
+    form, sizes = dissipation(P, -supply, A, matrix(c.plant.G), bound, (1 + ball(c.margin)) * ball(c.eta))
     decided("P > 0", P, [abs(P[i, i]) for i in range(c.plant.n)])
     return holds(INEQUALITY, decided(INEQUALITY, form, sizes), "every state and disturbance")
 

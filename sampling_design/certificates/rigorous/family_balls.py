@@ -48,8 +48,8 @@ class BallIntervals:
     def __init__(
         self, weights: BallWeights, target: Matrix, patterns: list[tuple[bool, ...]], name: str, clock: Budget
     ) -> None:
-        seen = [np.array(pattern, dtype=bool) for pattern in patterns]
-        self.frame = BallFrame(weights, seen, target, name)
+        masks = [np.array(pattern, dtype=bool) for pattern in patterns]
+        self.frame = BallFrame(weights, masks, target, name)
         self.patterns, self.name, self.clock, self.reached = patterns, name, clock, 0.0
 
     def prove(self, P: Matrix, pattern: Pattern | None, low: Fraction, high: Fraction) -> None:

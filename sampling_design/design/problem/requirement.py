@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sampling_design.checkers.strict import is_table
 from sampling_design.errors import ArgumentError
-from sampling_design.plants.rows import Wanted, rows_asked, rows_in_words
+from sampling_design.plants.rows import Wanted, row_arguments, rows_in_words
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.declarations import Converted, frozen
@@ -133,7 +133,7 @@ class Requirement(WrittenRecord):
                     raise ArgumentError(
                         f"`sensors.{name}.{key}` is for plans: a design has one `spacing` and counts samples together."
                     )
-        own["of"] = rows_asked(self.of)
+        own["of"] = row_arguments(self.of)
         if self.time_unit is not None:
             check_time_unit(self.time_unit)
         self._hold(**own)

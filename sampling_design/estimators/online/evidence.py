@@ -14,7 +14,7 @@ from sampling_design.estimators.online.estimate import Contradiction
 from sampling_design.estimators.online.history import HistoryNode, InputHistory
 from sampling_design.estimators.online.state_tube import StateTube, open_tube
 from sampling_design.plants.plant import Plant
-from sampling_design.plants.rows import Wanted, wanted_rows
+from sampling_design.plants.rows import Wanted, requested_rows
 from sampling_design.records.arrays import Array
 
 SUSPECTS = 5  # samples that are left out in turn to find the one that contradicts the bounds
@@ -85,7 +85,7 @@ class EstimateEvidence:
         """Return the interval of wanted rows at t; `ellipsoid` (x, covariance, radius) holds the state, too."""
         if self._program is None:
             self._program = self.assumed.program(self._readings())
-        program, rows = self._program, wanted_rows(self.assumed.plant, of)
+        program, rows = self._program, requested_rows(self.assumed.plant, of)
         if self.assumed.state and t > program.readings.times[-1]:
             program = self.assumed.program(self._readings(t))
         outer = None

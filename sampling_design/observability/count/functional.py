@@ -11,7 +11,7 @@ from sampling_design.numerics.linalg import expm_batch, positive_or_one
 from sampling_design.observability.count.pbh import RANK_TOLERANCE, UnobservableModes, unobservable_modes
 from sampling_design.plants.functional import FunctionalPlant, without
 from sampling_design.plants.plant import Plant, Signals, replace_matrices
-from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
+from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.signatures import checked
@@ -70,7 +70,7 @@ def functional_plant(plant: Plant, of: Wanted, *, decay_rate: float = 0.0) -> Fu
     (('x1', 'x3'), array([ 0.1, -1. ]))
     """
     checks.nonnegative("decay_rate", decay_rate)
-    rows = wanted_rows(plant, of)
+    rows = requested_rows(plant, of)
     part, onto, H = plant, np.eye(plant.n_states), rows.matrix
     while len(hidden := unobservable_modes(_with_rows(part, H))):
         weights = balance(part.A, np.vstack([part.C, H])).d
@@ -103,10 +103,10 @@ def rows_between_samples(plant: FunctionalPlant, schedule: PeriodicSchedule, dec
     C, growth = C / positive_or_one(np.linalg.norm(C, axis=1))[:, None], float(np.max(np.linalg.eigvals(A).real))
     flows = expm_batch(A - growth * np.eye(n), np.append(schedule.times - schedule.times[0], schedule.period))
     taken = np.ones((len(schedule), len(C)), bool) if schedule.outputs is None else schedule.outputs
-    shown = [np.vstack([C[mask] @ F for mask, F in zip(taken, flows, strict=False)])]
+    stacked = [np.vstack([C[mask] @ F for mask, F in zip(taken, flows, strict=False)])]
     for _ in range(n - 1):
-        shown.append(shown[-1] @ flows[-1])
-    _, sizes, V = np.linalg.svd(np.vstack(shown))
+        stacked.append(stacked[-1] @ flows[-1])
+    _, sizes, V = np.linalg.svd(np.vstack(stacked))
     N = V[np.count_nonzero(sizes > MISSED * sizes[0]) :].T
     kept = np.exp((-decay_rate / 2 - growth) * schedule.period) * (1 - RANK_TOLERANCE)
     _, Z, count = schur(N.T @ flows[-1] @ N, output="complex", sort=lambda mu: abs(mu) >= kept)
@@ -142,7 +142,7 @@ def _real(hidden: UnobservableModes, weights: Array) -> Array:
     return np.asarray(weights[:, None] * left[:, : len(hidden)])
 
 
-def _rows_first(plant: Plant, part: Plant, onto: Array, H: Array, rows: WantedRows) -> tuple[Plant, Array]:
+def _rows_first(plant: Plant, part: Plant, onto: Array, H: Array, rows: RequestedRows) -> tuple[Plant, Array]:
     """The quotient in coordinates whose first entries are the rows, in the sizes that the user gave."""
     count, weights = len(rows), balance(part.A, np.vstack([part.C, H])).d
     sizes = positive_or_one(np.linalg.norm(H * weights, axis=1))[:, None]
@@ -172,7 +172,7 @@ def _rows_first(plant: Plant, part: Plant, onto: Array, H: Array, rows: WantedRo
     return replace_matrices(plant, A, C, whole, signals), whole
 
 
-def _require_detectable(plant: Plant, part: Plant, rows: WantedRows, decay_rate: float) -> None:
+def _require_detectable(plant: Plant, part: Plant, rows: RequestedRows, decay_rate: float) -> None:
     """Refuse rows into which a mode enters that no output shows and that does not decay fast enough."""
     hidden = unobservable_modes(part, decay_rate)
     if not len(hidden):

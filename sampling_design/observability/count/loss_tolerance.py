@@ -262,8 +262,8 @@ def largest_hidden(rows: Array) -> frozenset[int] | None:
     looks = 0
     while stack:
         space = stack.pop()
-        shown = np.linalg.norm(rows @ space, axis=(1, 2))
-        closure = frozenset(np.flatnonzero(shown <= NEARLY_HIDDEN).tolist())
+        norms = np.linalg.norm(rows @ space, axis=(1, 2))
+        closure = frozenset(np.flatnonzero(norms <= NEARLY_HIDDEN).tolist())
         if closure in visited:
             continue
         visited.add(closure)

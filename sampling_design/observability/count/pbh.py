@@ -146,11 +146,11 @@ def unobservable_modes(
             continue
         mirror = known.get(cluster.value.conjugate()) if cluster.value.imag < 0 else None
         if mirror is None:
-            directions, seen = known[cluster.value] = pair.unobservable(cluster, group, tolerance)
+            directions, residual = known[cluster.value] = pair.unobservable(cluster, group, tolerance)
         else:
-            directions, seen = [d.conj() for d in mirror[0]], mirror[1]
+            directions, residual = [d.conj() for d in mirror[0]], mirror[1]
         if not directions:
-            margin = min(margin, seen)
+            margin = min(margin, residual)
         vectors.extend(directions)
         values.extend([pair.value(cluster)] * len(directions))
     found = np.column_stack(vectors) if vectors else np.zeros((n, 0), dtype=complex)
@@ -191,8 +191,8 @@ class _Pair:
         inner = T - value * np.eye(len(group))
         size = float(np.linalg.norm(inner))
         reach = np.linalg.norm(X, axis=1)
-        shown = np.abs(self.C) @ reach
-        small = np.vstack([inner / size if size > noise else 0 * inner, self.C @ X / positive_or_one(shown)[:, None]])
+        terms = np.abs(self.C) @ reach
+        small = np.vstack([inner / size if size > noise else 0 * inner, self.C @ X / positive_or_one(terms)[:, None]])
         found: list[Complex] = []
         while len(found) < len(group):
             taken = np.array([X.conj().T @ z for z in found]).reshape(-1, len(group))

@@ -61,12 +61,12 @@ class PeriodModes:
     d: Array
     C: Array
 
-    def least_seen(self, schedule: PeriodicSchedule) -> LeastObservedMode:
+    def least_observed(self, schedule: PeriodicSchedule) -> LeastObservedMode:
         """Least singular value of [e^{AP} - mu I; rows of one period] over mu = e^{rate P}, in scaled coordinates."""
         period, tau = schedule.period, schedule.times - schedule.times[0]
         sizes = [len(block.N) for block in self.blocks]
         ends = np.cumsum([0, *sizes])
-        rows, shown, ladders = [], [], []
+        rows, norms, ladders = [], [], []
         for block in self.blocks:
             growth = float(np.max(block.mean.real * tau))
             here = self._rows(block, tau, schedule)
@@ -75,20 +75,20 @@ class PeriodModes:
             ladders.append(_ladder(block, period))
             if block.N.any():  # one scale for a block whose columns drive each other, beside its ladder
                 size = np.broadcast_to(np.max(size * ladders[-1], axis=1, keepdims=True), size.shape)
-            shown.append(size)
+            norms.append(size)
             rows.append(here * np.exp(block.mean * tau - growth)[:, None, None])
-        outputs, scales = _scales(np.hstack(shown))
+        outputs, scales = _scales(np.hstack(norms))
         columns = [c * ladder for c, ladder in zip(np.split(scales, ends[1:-1]), ladders, strict=True)]
-        seen = np.concatenate(
+        measured = np.concatenate(
             [(outputs[:, None] * r * c).reshape(-1, c.size) for r, c in zip(rows, columns, strict=True)], axis=1
         )
-        if len(seen) > seen.shape[1]:
-            seen = np.asarray(np.linalg.qr(seen, mode="r"))
+        if len(measured) > measured.shape[1]:
+            measured = np.asarray(np.linalg.qr(measured, mode="r"))
         flows = [expm_batch(b.N * c / c[:, None], period)[0] for b, c in zip(self.blocks, columns, strict=True)]
         best: LeastObservedMode | None = None
         for rate in dict.fromkeys(c.value for block in self.blocks for c in block.clusters):
             parts = [_less(f, b.mean * period, rate * period) for b, f in zip(self.blocks, flows, strict=True)]
-            _, singular, right = np.linalg.svd(np.vstack([block_diag(*parts), seen]))
+            _, singular, right = np.linalg.svd(np.vstack([block_diag(*parts), measured]))
             if best is None or singular[-1] < best.margin:
                 z = np.split(right[-1].conj(), ends[1:-1])
                 shares = np.array([np.linalg.norm(part) for part in z])
@@ -105,15 +105,15 @@ class PeriodModes:
         rows = out @ expm_batch(block.N, times)
         return rows if schedule.outputs is None else rows * schedule.outputs[:, :, None]
 
-    def direction(self, sight: LeastObservedMode, schedule: PeriodicSchedule, before: float) -> Entries:
+    def direction(self, mode: LeastObservedMode, schedule: PeriodicSchedule, before: float) -> Entries:
         """The least seen state, in the plant's coordinates and of length 1, `before` the period's first sample."""
         tau = schedule.times - schedule.times[0]
         tops = np.array([np.max(block.mean.real * tau) + block.mean.real * before for block in self.blocks])
         # parts that the direction is not made of must not decide what overflows
-        taking = np.array([np.linalg.norm(part) for part in sight.parts]) > 0
+        taking = np.array([np.linalg.norm(part) for part in mode.parts]) > 0
         least = np.min(tops[taking], initial=np.inf)
         x = np.zeros(self.d.size, dtype=complex)
-        for block, part, top, takes in zip(self.blocks, sight.parts, tops, taking, strict=True):
+        for block, part, top, takes in zip(self.blocks, mode.parts, tops, taking, strict=True):
             if takes:
                 turned = np.exp(complex(least - top, -block.mean.imag * before))
                 x += block.X @ (turned * (expm_batch(block.N, -before)[0] @ part))

@@ -242,7 +242,7 @@ def _least(plant: Plant) -> int:
     sizes = range(p) if p <= LARGEST_SUBSETS else (0, 1, p - 1)
     least = 0
     for size in sizes:
-        for seen in combinations(range(p), size):
-            rank = observable_rank(plant, list(seen)) if seen else 0
+        for measured in combinations(range(p), size):
+            rank = observable_rank(plant, list(measured)) if measured else 0
             least = max(least, -(-(n - rank) // (p - size)))
     return least

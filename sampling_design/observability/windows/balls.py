@@ -16,7 +16,7 @@ from sampling_design.numerics.ball_flow import BallFlow, highest
 from sampling_design.numerics.balls import Matrix, ball, flint, floats, matrix, precision, rational
 from sampling_design.numerics.linalg import symmetrise
 from sampling_design.observability.sigma_bracket import ProvenSigma
-from sampling_design.observability.windows.pieces import Pieces, WindowWitness
+from sampling_design.observability.windows.pieces import WindowPieces, WindowWitness
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Mask
 from sampling_design.records.budget import Budget, BudgetSpentError
@@ -80,7 +80,7 @@ def nearest_proven(
 
 
 def prove_window_sigma(
-    plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, guess: float, seconds: float = 60.0
+    plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: WindowPieces, guess: float, seconds: float = 60.0
 ) -> ProvenSigma:
     """Prove a lower bound of sigma over all real window positions: see `nearest_proven`.
 
@@ -108,8 +108,8 @@ def prove_window_sigma(
     return nearest_proven(guess, seconds, begin, slack=needed_slack(schedule, pieces, exact), precisions=PRECISIONS)
 
 
-def see_in_balls(
-    plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, seconds: float = 60.0
+def sigma_in_balls(
+    plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: WindowPieces, seconds: float = 60.0
 ) -> WindowWitness | None:
     """The least sigma among some windows of every piece, where growth hides it from floats; None where it is zero.
 
@@ -120,17 +120,17 @@ def see_in_balls(
     for bits in PRECISIONS:
         with precision(bits):
             try:
-                seen = _observed(plant, schedule, pieces, exact, clock)
+                exact_sigma = _observed(plant, schedule, pieces, exact, clock)
             except BudgetSpentError:
                 return None
             except ZeroDivisionError:  # the Gramian is not certainly invertible at this precision
                 continue
-        return seen if seen.sigma > least else None
+        return exact_sigma if exact_sigma.sigma > least else None
     return None
 
 
 def _observed(
-    plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, exact: list[Fraction], clock: Budget
+    plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: WindowPieces, exact: list[Fraction], clock: Budget
 ) -> WindowWitness:
     """The least of the windows that are looked at, at the precision that is set: all over, then around the least."""
     flow, rows = BallFlow(matrix(plant.A), matrix(np.zeros_like(plant.A))), BallRows(plant)
@@ -161,7 +161,7 @@ def _observed(
     return best
 
 
-def exact_times(schedule: Schedule | PeriodicSchedule, pieces: Pieces) -> list[Fraction]:
+def exact_times(schedule: Schedule | PeriodicSchedule, pieces: WindowPieces) -> list[Fraction]:
     """The times of the pieces without rounding: times of one period plus whole periods."""
     if not schedule.endless:
         return [Fraction(t) for t in pieces.times.tolist()]
@@ -174,14 +174,14 @@ def exact_times(schedule: Schedule | PeriodicSchedule, pieces: Pieces) -> list[F
     return found
 
 
-def last_start(schedule: Schedule | PeriodicSchedule, pieces: Pieces) -> Fraction:
+def last_start(schedule: Schedule | PeriodicSchedule, pieces: WindowPieces) -> Fraction:
     """The last window start that has to be looked at, without rounding."""
     if schedule.endless:
         return Fraction(schedule.first) + Fraction(schedule.period)
     return max(Fraction(float(schedule.times[-1])) - Fraction(pieces.window), Fraction(float(pieces.left[0])))
 
 
-def needed_slack(schedule: Schedule | PeriodicSchedule, pieces: Pieces, exact: list[Fraction]) -> float:
+def needed_slack(schedule: Schedule | PeriodicSchedule, pieces: WindowPieces, exact: list[Fraction]) -> float:
     """How far the samples of a piece may lie outside its closed windows: zero, or the rounding of joined events."""
     T, need = Fraction(pieces.window), Fraction(0)
     for g in range(len(pieces)):
@@ -192,7 +192,7 @@ def needed_slack(schedule: Schedule | PeriodicSchedule, pieces: Pieces, exact: l
     return float(np.nextafter(float(need), np.inf)) if need else 0.0
 
 
-def piece_ends(schedule: Schedule | PeriodicSchedule, pieces: Pieces, g: int) -> tuple[Fraction, Fraction]:
+def piece_ends(schedule: Schedule | PeriodicSchedule, pieces: WindowPieces, g: int) -> tuple[Fraction, Fraction]:
     """Ends of piece g without rounding; the last one reaches to the last window start that there is."""
     right = Fraction(float(pieces.right[g]))
     if g + 1 == len(pieces):
@@ -207,11 +207,11 @@ class BallRows:
         self.C = plant.C
         self._kept: dict[bytes, Matrix] = {}
 
-    def of(self, seen: Mask) -> Matrix:
+    def of(self, measured: Mask) -> Matrix:
         """C'C of the outputs that a sample measures."""
-        key = seen.tobytes()
+        key = measured.tobytes()
         if key not in self._kept:
-            C = matrix(self.C[seen])
+            C = matrix(self.C[measured])
             self._kept[key] = C.transpose() * C
         return self._kept[key]
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sampling_design.errors import ArgumentError
-from sampling_design.observability.windows.pieces import Pieces, WindowWitness
+from sampling_design.observability.windows.pieces import WindowPieces, WindowWitness
 from sampling_design.observability.windows.timing import rows_of_any_time
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Integers, Mask
@@ -36,7 +36,7 @@ class WindowBracket:
     lower: float
     status: str
     witness: WindowWitness
-    pieces: Pieces
+    pieces: WindowPieces
     nodes: Array
     sigma: Array
     owner: Integers
@@ -57,10 +57,10 @@ def require_moderate(plant: Plant) -> None:
             )
 
 
-class _Pieced:
+class _PieceRows:
     """The pseudo-inverse F of each piece at its right end, carried to any other position."""
 
-    def __init__(self, plant: Plant, pieces: Pieces) -> None:
+    def __init__(self, plant: Plant, pieces: WindowPieces) -> None:
         self.plant, self.pieces, n = plant, pieces, plant.n_states
         self.A2 = plant.A @ plant.A
         self.fourth = float(np.linalg.norm(self.A2 @ self.A2, 2))
@@ -108,10 +108,10 @@ class _Pieced:
             weight = there[..., None] & (True if pieces.mask is None else pieces.mask[index])
             rows = np.where(weight[..., None], self.plant.C @ flow, 0.0)
             if late := pieces.timing_tolerance:
-                held = rows_of_any_time(rows, self.plant.A, late.radii)
+                stacked = rows_of_any_time(rows, self.plant.A, late.radii)
             else:
-                held = np.asarray(np.linalg.qr(rows.reshape(len(tau), -1, n), mode="r"))
-            _, singular[part], right[part] = np.linalg.svd(held)
+                stacked = np.asarray(np.linalg.qr(rows.reshape(len(tau), -1, n), mode="r"))
+            _, singular[part], right[part] = np.linalg.svd(stacked)
             c = np.abs(self.plant.C).max(initial=np.finfo(float).tiny)
             f = np.abs(flow).max()  # no square of an entry of C/c or flow/f overflows, nor do all underflow
             squares = np.sum(np.where(weight, np.sum((self.plant.C / c) ** 2, axis=1), 0.0), axis=-1)
@@ -160,7 +160,7 @@ class _Pieced:
 class _BracketSearch:
     """Open intervals, all nodes so far, and the least proven bound of the closed ones."""
 
-    def __init__(self, pieced: _Pieced, rtol: float, reached: float) -> None:
+    def __init__(self, pieced: _PieceRows, rtol: float, reached: float) -> None:
         self.pieced, self.rtol = pieced, rtol
         left, right = pieced.pieces.left, pieced.pieces.right
         cuts = _FIRST_CUTS if reached == np.inf else 1
@@ -229,7 +229,7 @@ class _BracketSearch:
 
 def bracket_sigma(
     plant: Plant,
-    pieces: Pieces,
+    pieces: WindowPieces,
     rtol: float,
     seconds: float,
     progress: Progress | None,
@@ -243,7 +243,7 @@ def bracket_sigma(
         return _nothing_to_see(pieces)
     require_moderate(plant)
     short = _too_few(plant, pieces)
-    search = _BracketSearch(_Pieced(plant, pieces), rtol, reached)
+    search = _BracketSearch(_PieceRows(plant, pieces), rtol, reached)
     if short is not None:
         status, g, start = "too few samples", short, (pieces.left[short] + pieces.right[short]) / 2
     elif search.zero.any():
@@ -291,14 +291,14 @@ def _bracket(plant: Plant, search: _BracketSearch, status: str, g: int, start: f
     )
 
 
-def _rows(plant: Plant, pieces: Pieces, g: int, start: float) -> Array:
+def _rows(plant: Plant, pieces: WindowPieces, g: int, start: float) -> Array:
     """Rows C e^{A(tau - start)} of the samples on piece g."""
     rows = plant.C @ plant.transition(pieces.samples(g) - start)
     mask = pieces.measured(g)
     return rows.reshape(-1, plant.n_states) if mask is None else rows[mask]
 
 
-def _too_few(plant: Plant, pieces: Pieces) -> int | None:
+def _too_few(plant: Plant, pieces: WindowPieces) -> int | None:
     """The piece with fewest measurements, where these are fewer than the states."""
     if pieces.mask is None:
         count = plant.n_outputs * (pieces.stop - pieces.first)
@@ -309,7 +309,7 @@ def _too_few(plant: Plant, pieces: Pieces) -> int | None:
     return g if count[g] < plant.n_states else None
 
 
-def _nothing_to_see(pieces: Pieces) -> WindowBracket:
+def _nothing_to_see(pieces: WindowPieces) -> WindowBracket:
     """A plant without states: sigma is the least over no direction, infinity."""
     infinite = np.full(len(pieces), np.inf)
     owner = np.arange(len(pieces))

@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 
 from sampling_design.observability.sigma_bracket import SHARE, SigmaDeviations
-from sampling_design.observability.windows.pieces import Pieces, window_pieces
+from sampling_design.observability.windows.pieces import WindowPieces, window_pieces
 from sampling_design.observability.windows.window_record import sigma_of_pieces
 from sampling_design.plants.plant import Plant
 from sampling_design.records.budget import Budget
@@ -16,9 +16,9 @@ from sampling_design.schedules.jitter import ON_TIME, TimingTolerance
 from sampling_design.schedules.sampling_set import SamplingSet
 from sampling_design.schedules.schedule import PeriodicSchedule, Schedule
 
-LeastOf: TypeAlias = Callable[[Pieces, float, float], tuple[float, float]]
+LeastOf: TypeAlias = Callable[[WindowPieces, float, float], tuple[float, float]]
 """Proven and attained sigma of some pieces, in so many seconds; what sees more than a number needs no close look."""
-LeastLost: TypeAlias = Callable[[Pieces, Budget], tuple[float, int]]
+LeastLost: TypeAlias = Callable[[WindowPieces, Budget], tuple[float, int]]
 """Proven sigma if any one sample is lost once, and whose loss leaves that."""
 RTOL = 0.01  # width of the brackets here: they say how steep the ground is, not where it lies
 
@@ -38,11 +38,11 @@ def deviations_of(
     there is one sample). None, too, where doubles do not show sigma itself, which ball arithmetic may prove.
     """
 
-    def least(pieces: Pieces, seconds: float, reached: float) -> tuple[float, float]:
+    def least(pieces: WindowPieces, seconds: float, reached: float) -> tuple[float, float]:
         found = sigma_of_pieces(plant, schedule, pieces, RTOL, seconds, reached=reached, handed_over=0.0)
         return found.lower, found.upper
 
-    def lost(pieces: Pieces, limit: Budget) -> tuple[float, int]:
+    def lost(pieces: WindowPieces, limit: Budget) -> tuple[float, int]:
         return lost_one_by_one(least, plant.n_outputs, len(schedule), pieces, limit)
 
     found = left_of_sigma(
@@ -90,7 +90,9 @@ def _is_hidden(
     return sigma_of_pieces(plant, schedule, pieces, RTOL, np.inf, handed_over=0.0).status == "below rounding"
 
 
-def lost_one_by_one(least: LeastOf, outputs: int, samples: int, pieces: Pieces, limit: Budget) -> tuple[float, int]:
+def lost_one_by_one(
+    least: LeastOf, outputs: int, samples: int, pieces: WindowPieces, limit: Budget
+) -> tuple[float, int]:
     """Prove sigma if any one sample is lost once, over the windows that could hold it, and say whose loss leaves that.
 
     What sees more than the worst that was found by then is not looked at closely.

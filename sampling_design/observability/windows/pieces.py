@@ -69,7 +69,7 @@ class WindowWitness(Record):
 
 
 @dataclass(frozen=True)
-class Pieces:
+class WindowPieces:
     """Window starts in [left[g], right[g]] hold the samples times[first[g]:stop[g]] and no other.
 
     They stand for every window that begins at `start` or later (and ends with the last sample of a finite schedule).
@@ -91,7 +91,7 @@ class Pieces:
     def __len__(self) -> int:
         return self.left.size
 
-    def widened(self, late: TimingTolerance) -> Pieces:
+    def widened(self, late: TimingTolerance) -> WindowPieces:
         """The windows that are wider by the radius at both ends, and what these hold of samples at their centres."""
         by, shift = late.radius, late.shift
         return replace(
@@ -99,7 +99,7 @@ class Pieces:
             times=self.times + shift, timing_tolerance=late,
         )  # fmt: skip
 
-    def losing(self, k: int, outputs: int) -> Pieces | None:
+    def losing(self, k: int, outputs: int) -> WindowPieces | None:
         """The windows that hold sample k, without what it measures; None where none holds it."""
         on = (self.first <= k) & (k < self.stop)
         if not on.any():
@@ -135,7 +135,7 @@ def window_pieces(
     window: float,
     start: float | None = None,
     late: TimingTolerance = ON_TIME,
-) -> Pieces:
+) -> WindowPieces:
     """Return the pieces of all full windows that begin at `start` or later.
 
     With samples that may come early or late, those of windows that are by the radius shorter at both ends: a window
@@ -151,9 +151,9 @@ def window_pieces(
         high, missed = schedule.first + schedule.period, schedule.first - float(schedule.gaps[0])
         low = min(start + back, schedule.first) if start + back < missed - SAME_TIME * high else schedule.first
         slack = SAME_TIME * (high + window)
-        held = schedule.between(low - late.radius, high + window + slack + late.radius)
+        near = schedule.between(low - late.radius, high + window + slack + late.radius)
     else:
-        held = schedule
+        near = schedule
         first, last = (float(schedule.times[0]), float(schedule.times[-1])) if len(schedule) else (0.0, 0.0)
         low = first if start is None else start + back
         high = last - window
@@ -168,19 +168,19 @@ def window_pieces(
                 "A finite schedule is judged from its first full window to its last."
             )
         start, high = first if start is None else start, max(high, low)
-    found = _cut(held.times, held.outputs, low, high, window, start)
+    found = _cut(near.times, near.outputs, low, high, window, start)
     return found.widened(late) if late else found
 
 
-def _cut(times: Array, mask: Mask | None, low: float, high: float, window: float, start: float) -> Pieces:
+def _cut(times: Array, mask: Mask | None, low: float, high: float, window: float, start: float) -> WindowPieces:
     """Pieces of the window starts [low, high]; one piece of no width where there is one position only."""
     tolerance = SAME_TIME * max(abs(high) + window, float(np.max(times, initial=0.0)))
-    pieces = partial(Pieces, times=times, mask=mask, window=window, tolerance=tolerance, start=start)
+    pieces = partial(WindowPieces, times=times, mask=mask, window=window, tolerance=tolerance, start=start)
     if high - low <= tolerance:
         ends = np.array([low - tolerance, low + window + tolerance])
-        held = np.searchsorted(times, ends)
+        counts = np.searchsorted(times, ends)
         here = np.array([low])
-        return pieces(here, here, held[:1], held[1:])
+        return pieces(here, here, counts[:1], counts[1:])
     events = np.sort(np.concatenate([times, times - window]))
     events = events[(events > low + tolerance) & (events < high - tolerance)]
     cuts = np.concatenate([[low], events[np.diff(events, prepend=low) > tolerance], [high]])

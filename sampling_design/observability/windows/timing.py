@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sampling_design.observability.windows.pieces import Pieces, WindowWitness
+from sampling_design.observability.windows.pieces import WindowPieces, WindowWitness
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.schedules.jitter import TimingTolerance
@@ -77,11 +77,11 @@ def _grouped(rows: Array, apart: int) -> Array:
 def _rows_of_size_one(rows: Array, A: Array, d: Array, together: int) -> Array:
     """The same of rows of size one at most."""
     m, _, n = rows.shape
-    Q, seen, right = np.linalg.svd(rows, full_matrices=False)
-    shown = seen[:, -1] > n * _EPS * seen[:, 0]
-    seen = np.where(shown[:, None], seen, 1.0)
-    kept = np.minimum(seen / seen[:, -1:], _SPREAD)
-    into, back = (seen / kept)[:, :, None] * right, np.swapaxes(right, 1, 2) / (seen / kept)[:, None, :]
+    Q, singular, right = np.linalg.svd(rows, full_matrices=False)
+    resolved = singular[:, -1] > n * _EPS * singular[:, 0]
+    singular = np.where(resolved[:, None], singular, 1.0)
+    kept = np.minimum(singular / singular[:, -1:], _SPREAD)
+    into, back = (singular / kept)[:, :, None] * right, np.swapaxes(right, 1, 2) / (singular / kept)[:, None, :]
     terms = [Q * kept[:, None]]
     with np.errstate(over="ignore", invalid="ignore"):
         turned = into @ A @ back
@@ -100,12 +100,12 @@ def _rows_of_size_one(rows: Array, A: Array, d: Array, together: int) -> Array:
     rest = np.where(moderate, rest, 0.0)
     X = (1 / kept**2)[:, :, None] * np.eye(n)
     least, M = _best_factors(samples, rest, X, _TURNS_OF_FACTORS)
-    poor = np.flatnonzero(shown & (least < _ENOUGH))
+    poor = np.flatnonzero(resolved & (least < _ENOUGH))
     if poor.size:
         again, other = _best_factors(samples[poor], rest[poor], X[poor], _MORE_TURNS)
         better = again > least[poor]
         M[poor[better]] = other[better]
-    return np.asarray(np.where(shown[:, None, None], _root(M), 0.0) @ into)
+    return np.asarray(np.where(resolved[:, None, None], _root(M), 0.0) @ into)
 
 
 def _best_factors(samples: Array, rest: Array, X: Array, turns: int) -> tuple[Array, Array]:
@@ -217,11 +217,11 @@ def middle_rows(plant: Plant, late: TimingTolerance) -> Plant:
     return Plant(plant.A, np.einsum("pi,pij->pj", plant.C, plant.transition(late.offsets)))
 
 
-def moved_window(plant: Plant, pieces: Pieces, g: int, start: float) -> WindowWitness:
+def moved_window(plant: Plant, pieces: WindowPieces, g: int, start: float) -> WindowWitness:
     """Return a window along real times of its samples at which it sees little: they and a state are sought in turn."""
     centres, mask, late, n = pieces.samples(g), pieces.measured(g), pieces.timing_tolerance, plant.n_states
     if late.apart:  # outputs that come nearly on time may be in it where others may be out
-        centres, mask = pieces.times, _surely_held(pieces, g, start)
+        centres, mask = pieces.times, _surely_inside(pieces, g, start)
         inside = mask.any(axis=1)
         centres, mask = centres[inside], mask[inside]
     apart = np.zeros((centres.size, plant.n_outputs if late.apart else 1))
@@ -234,18 +234,18 @@ def moved_window(plant: Plant, pieces: Pieces, g: int, start: float) -> WindowWi
         _, singular, right = np.linalg.svd(full)
         if kept is not None and not singular[-1] < kept.sigma * (1 - _GAIN):
             break
-        held = times if mask is None or not late.apart else times[mask]
-        kept = WindowWitness(start + pieces.window, "at", np.unique(held), right[-1], float(singular[-1]))
-        seen = np.array([_rows(plant, centres[:, None] + e - start, mask) @ right[-1] for e in places])
-        seen /= max(float(np.abs(seen).max(initial=0.0)), np.finfo(float).tiny)
-        size = np.abs(seen) if late.apart else np.linalg.norm(seen, axis=2, keepdims=True)
+        sampled = times if mask is None or not late.apart else times[mask]
+        kept = WindowWitness(start + pieces.window, "at", np.unique(sampled), right[-1], float(singular[-1]))
+        outputs = np.array([_rows(plant, centres[:, None] + e - start, mask) @ right[-1] for e in places])
+        outputs /= max(float(np.abs(outputs).max(initial=0.0)), np.finfo(float).tiny)
+        size = np.abs(outputs) if late.apart else np.linalg.norm(outputs, axis=2, keepdims=True)
         best = np.argmin(size, axis=0)
         moves = np.choose(best, places)
     assert kept is not None  # the first turn keeps one
     return kept
 
 
-def starts_tried(pieces: Pieces, g: int, start: float) -> list[float]:
+def starts_tried(pieces: WindowPieces, g: int, start: float) -> list[float]:
     """The start of a window on piece g, and those next to it at which it is sure of no output of an earlier sample, or
     of a later one: outputs that come nearly on time may be in it where others may be out."""
     late = pieces.timing_tolerance
@@ -260,16 +260,16 @@ def starts_tried(pieces: Pieces, g: int, start: float) -> list[float]:
     return [float(each) for each in np.unique([start, low, high])]
 
 
-def _surely_held(pieces: Pieces, g: int, start: float) -> Mask:
+def _surely_inside(pieces: WindowPieces, g: int, start: float) -> Mask:
     """(K, p): which outputs of which samples are read in the window that starts there, whenever they are read.
 
     All of those on its piece, also where that is a point and only the half-open window holds them.
     """
     late, tiny = pieces.timing_tolerance, pieces.tolerance
     first, last = pieces.times[:, None] - late.back, pieces.times[:, None] + late.forward
-    held = (first > start + tiny) & (last < start + pieces.window - tiny)
-    held[pieces.first[g] : pieces.stop[g]] = True
-    return held if pieces.mask is None else held & pieces.mask
+    inside = (first > start + tiny) & (last < start + pieces.window - tiny)
+    inside[pieces.first[g] : pieces.stop[g]] = True
+    return inside if pieces.mask is None else inside & pieces.mask
 
 
 def _rows(plant: Plant, lags: Array, mask: Mask | None) -> Array:

@@ -15,7 +15,7 @@ from sampling_design.observability.sigma_bracket import (
     rtol_and_seconds,
 )
 from sampling_design.observability.windows.bracket import WindowBracket, bracket_sigma
-from sampling_design.observability.windows.pieces import Pieces, WindowWitness, window_pieces
+from sampling_design.observability.windows.pieces import WindowPieces, WindowWitness, window_pieces
 from sampling_design.observability.windows.timing import MOST_TRIED, middle_rows, moved_window, starts_tried
 from sampling_design.plants.functional import FunctionalPlant
 from sampling_design.plants.plant import Plant
@@ -198,7 +198,7 @@ def asked(
     rtol: float,
     budget: float | None,
     late: TimingTolerance = ON_TIME,
-) -> tuple[Pieces, float, float]:
+) -> tuple[WindowPieces, float, float]:
     """Return the window's pieces along a schedule in the plant's unit, the tolerance and the seconds, all checked.
 
     Raises ArgumentError if the window does not fit, or a number is out of range.
@@ -210,7 +210,7 @@ def asked(
 def sigma_of_pieces(
     plant: Plant,
     schedule: Schedule | PeriodicSchedule,
-    pieces: Pieces,
+    pieces: WindowPieces,
     rtol: float,
     seconds: float,
     progress: Progress | None = None,
@@ -225,8 +225,8 @@ def sigma_of_pieces(
     `handed_over` seconds for what growth hides from floats.
     """
     own = plant.scaled() if plant.has_scales else plant
-    shown = middle_rows(own, pieces.timing_tolerance)
-    found = bracket_sigma(shown, pieces, rtol, seconds, progress, reached)
+    middle = middle_rows(own, pieces.timing_tolerance)
+    found = bracket_sigma(middle, pieces, rtol, seconds, progress, reached)
     result = record_of(
         found, rtol, plant.time_unit, coordinates_of(plant.has_scales, isinstance(plant, FunctionalPlant))
     )
@@ -261,15 +261,15 @@ def _hidden(found: WindowBracket) -> bool:
 
 
 def _in_balls(
-    result: WindowSigma, plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: Pieces, seconds: float
+    result: WindowSigma, plant: Plant, schedule: Schedule | PeriodicSchedule, pieces: WindowPieces, seconds: float
 ) -> WindowSigma:
     """The record with the lower bound that ball arithmetic proves."""
-    from sampling_design.observability.windows.balls import prove_window_sigma, see_in_balls
+    from sampling_design.observability.windows.balls import prove_window_sigma, sigma_in_balls
 
     if result.status in ("below rounding", "rounding"):
-        seen = see_in_balls(plant, schedule, pieces, seconds)
-        if seen is not None:
-            result = replace(result, lower=seen.sigma, upper=seen.sigma, witness=seen, status="closed")
+        witness = sigma_in_balls(plant, schedule, pieces, seconds)
+        if witness is not None:
+            result = replace(result, lower=witness.sigma, upper=witness.sigma, witness=witness, status="closed")
     proof = prove_window_sigma(plant, schedule, pieces, result.lower, seconds)
     result = in_balls(result, proof)
     return replace(result, slack=proof.slack) if result.rigorous else result

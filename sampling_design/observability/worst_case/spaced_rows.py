@@ -80,8 +80,8 @@ class SpacedRows:
 
         An unobservable direction is scaled as if it were seen n eps of the best seen one.
         """
-        seen = self.survey if worst is None else np.vstack([self.survey, self.observed(worst[None])[0]])
-        _, singular, right = np.linalg.svd(seen, full_matrices=False)
+        stacked = self.survey if worst is None else np.vstack([self.survey, self.observed(worst[None])[0]])
+        _, singular, right = np.linalg.svd(stacked, full_matrices=False)
         scale = np.maximum(singular, max(self.n * _EPS * float(singular[0]), 1e-300))
         return right.T / scale, scale[:, None] * right
 

@@ -75,8 +75,8 @@ def polish(rows: SpacedRows, slacks: Array, step: float, budget: Budget = ENDLES
         near = (best.slacks[:, None] + step * np.linspace(-1, 1, 9)).ravel()
         far = _dips(rows, best.direction) if tight else best.slacks  # what the grid has not resolved may be elsewhere
         local = np.unique(np.clip(np.append(near, far), 0.0, rows.slack))
-        seen = rows.at(rows.times(local[:, None])) @ best.direction
-        path = least_path(np.sum(seen**2, axis=-1).T[None])[0]
+        outputs = rows.at(rows.times(local[:, None])) @ best.direction
+        path = least_path(np.sum(outputs**2, axis=-1).T[None])[0]
         trial = worst_of(rows, local[path][None])
         if trial.sigma < best.sigma * (1 - 1e-6):
             best = trial
@@ -92,8 +92,8 @@ def _clustered(rows: SpacedRows, direction: Array) -> Array:
     slacks = np.unique(_dips(rows, direction))
     if not slacks.size:
         return np.zeros((0, rows.count))
-    seen = rows.at(rows.times(slacks[:, None])) @ direction
-    return slacks[least_path(np.sum(seen**2, axis=-1).T[None])]
+    outputs = rows.at(rows.times(slacks[:, None])) @ direction
+    return slacks[least_path(np.sum(outputs**2, axis=-1).T[None])]
 
 
 def _dips(rows: SpacedRows, direction: Array) -> Array:
@@ -131,8 +131,8 @@ def _alternate(rows: SpacedRows, slacks: Array, table: Array, directions: Array,
     """Schedules (B, k) on a grid: from each direction its worst times, from these their worst direction, in turn."""
     count, last = directions.shape[0], np.full(directions.shape[0], np.inf)
     for _ in range(_TURNS):
-        seen = (table @ directions.T).reshape(rows.count, slacks.size, rows.p, count)
-        found = slacks[least_path(np.moveaxis(np.sum(seen**2, axis=2), 2, 0))]
+        outputs = (table @ directions.T).reshape(rows.count, slacks.size, rows.p, count)
+        found = slacks[least_path(np.moveaxis(np.sum(outputs**2, axis=2), 2, 0))]
         sigma, directions = _weakest(rows.observed(found))
         if np.all(sigma >= last * (1 - 1e-6)) or budget.over:
             break

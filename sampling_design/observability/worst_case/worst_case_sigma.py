@@ -155,8 +155,8 @@ class WorstCaseSigma(SigmaBracket):
             return f"Sigma is 0: fewer measurements than the {counted(self.direction.size, 'state')} ({many})."
         where = f"The worst times are {short(self.witness)} {unit}"
         if self.status == "below rounding":
-            seen = f"of the state {short(self.direction)} they measure {short(self.upper)}"
-            return f"{where}; {seen}, which rounding does not tell from zero."
+            measured = f"of the state {short(self.direction)} they measure {short(self.upper)}"
+            return f"{where}; {measured}, which rounding does not tell from zero."
         proven = f"With {many}, sigma is at least {short(self.lower)} ({self._grounds})"
         return self._concluded(proven, where, _REASONS)
 

@@ -16,7 +16,7 @@ from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.branch_and_bound import LeastOverCells
 from sampling_design.observability.alignment import meet
 from sampling_design.plants.plant import Plant, Signals
-from sampling_design.plants.rows import Wanted, WantedRows, wanted_rows
+from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
@@ -62,7 +62,7 @@ class AccuracyOverBox(AccuracyBracket):
     cells : int
     """
 
-    rows: WantedRows
+    rows: RequestedRows
     lower: Array
     upper: Array
     worst: tuple[Mapping[str, float], ...]
@@ -132,7 +132,7 @@ def accuracy_over_box(
     schedule = period_of(aligned, "`schedule` must be periodic for accuracy over a box of parameters.")
     w = _entries("w_bound", w_bound, plant.nominal.n_disturbances)
     v = _entries("v_bound", v_bound, plant.nominal.n_outputs)
-    rows = wanted_rows(plant.nominal, of)
+    rows = requested_rows(plant.nominal, of)
     given = Budget(SECONDS if budget is None else checks.positive("budget", budget))
     middle, whole = plant.low / 2 + plant.high / 2, plant.high / 2 - plant.low / 2
     worst = [middle] * len(rows)
@@ -190,7 +190,7 @@ def _corners(plant: UncertainPlant) -> list[Array]:
 
 
 def _cell(
-    plant: UncertainPlant, theta: Array, half: Array, bounds: Both, rows: WantedRows, rtol: float, one: OnePlant
+    plant: UncertainPlant, theta: Array, half: Array, bounds: Both, rows: RequestedRows, rtol: float, one: OnePlant
 ) -> Both:
     """What the centre attains, and what holds for every plant of a cell; infinite where nothing is proven."""
     w, v = bounds

@@ -14,7 +14,7 @@ from sampling_design.accuracy.bounds import Bound, SignalBounds
 from sampling_design.accuracy.start import InitialError, InitialSet
 from sampling_design.errors import ArgumentError, SolverError
 from sampling_design.observability.alignment import meet
-from sampling_design.plants.rows import Wanted, WantedRows, rows_asked, wanted_rows
+from sampling_design.plants.rows import RequestedRows, Wanted, requested_rows, row_arguments
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import Budget
@@ -57,7 +57,7 @@ class AccuracyAlong(AccuracyBracket):
 
     plant: TimeVaryingPlant
     schedule: Schedule
-    rows: WantedRows
+    rows: RequestedRows
     times: Array
     lower: Array
     upper: Array
@@ -208,8 +208,8 @@ class _ScaledProblem:
                 f"{checks.described(schedule)}."
             )
         still = plant.at(0.0)
-        self.plant, self.schedule, self.rows = plant, meet(still, schedule), wanted_rows(still, of)
-        asked = rows_asked(of)
+        self.plant, self.schedule, self.rows = plant, meet(still, schedule), requested_rows(still, of)
+        asked = row_arguments(of)
         if isinstance(asked, tuple) and not set(asked) <= set(still.states.names):
             raise ArgumentError("`of` must name states, or be rows of a matrix: the rows of outputs vary in time.")
         times = self.schedule.times

@@ -153,12 +153,12 @@ def multipliers_fail(c: Inclusion, error: Refused) -> Refused:
 def jumps(c: Inclusion, P: list[Matrix], Rt: Matrix, clock: Budget) -> float:
     """The jump condition for every member: tangents from below, as in `checkers/jumps.py`."""
     slack = 1.0
-    for pattern in sorted(set(map(tuple, c.jumps.seen.tolist()))):
+    for pattern in sorted(set(map(tuple, c.jumps.measured.tolist()))):
         measured = np.array(pattern, bool)
         Y = of_some(Rt, measured)
         every = [
             (P[i], P[j], float(c.nodes[i]))
-            for i, j, row in zip(c.jumps.later, c.jumps.base, c.jumps.seen, strict=True)
+            for i, j, row in zip(c.jumps.later, c.jumps.base, c.jumps.measured, strict=True)
             if np.array_equal(row, measured)
         ]
         if not measured.any():

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sampling_design.certificates.form.constants import Constant, ConstantList
-from sampling_design.certificates.paper.observable_case import LARGEST, SAFE, ProofChain
+from sampling_design.certificates.paper.observable_case import LARGEST, SAFE, ProvenWeights
 from sampling_design.certificates.paper.proof_constants import PaperConstants, theorem_9
 from sampling_design.errors import ArgumentError, UndecidedError
 from sampling_design.numerics.balancing import balance
@@ -260,12 +260,12 @@ def theorem_5(
         return None
     matrices = {"P1": found.P1, "P2": P2 * W, "Qw": Qw * found.Qw, "R": 2 * R0 * found.Rtilde}
     top = float(np.linalg.eigvalsh(R0 * found.Rtilde)[-1])
-    chain = ProofChain(matrices["P1"], matrices["P2"], matrices["Qw"], top, eta, ConstantList(steps))
+    proven = ProvenWeights(matrices["P1"], matrices["P2"], matrices["Qw"], top, eta, ConstantList(steps))
     weights = {key: checks.freeze(value) for key, value in matrices.items()}
     family = GapRange(found.min_gap, b, time_unit=found.plant.time_unit)
     return InclusionConstants(
         plant=found.plant, family=family, variant="inclusion", **weights, Qv=weights["R"], eta=eta,
-        constants=ConstantList((*steps, *theorem_9(chain))), metric=checks.freeze(W), inclusion=found,
+        constants=ConstantList((*steps, *theorem_9(proven))), metric=checks.freeze(W), inclusion=found,
     )  # fmt: skip
 
 

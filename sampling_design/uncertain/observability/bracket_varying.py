@@ -24,7 +24,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from sampling_design.observability.windows.bracket import WindowBracket
-from sampling_design.observability.windows.pieces import Pieces
+from sampling_design.observability.windows.pieces import WindowPieces
 from sampling_design.observability.windows.timing import rows_without
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
@@ -54,7 +54,7 @@ class _Node(NamedTuple):
 class VaryingSearch:
     """The bracket of one plant; transitions are scaled, and rows refer to scaled states."""
 
-    def __init__(self, plant: TimeVaryingPlant, pieces: Pieces, flows: Flows) -> None:
+    def __init__(self, plant: TimeVaryingPlant, pieces: WindowPieces, flows: Flows) -> None:
         self.plant, self.pieces, self.flows = plant, pieces, flows
         self.unit = plant.states.scales
         self.d = pieces.timing_tolerance.radius
@@ -164,7 +164,9 @@ class VaryingSearch:
         return float(np.exp(min(ends)))
 
 
-def bracket_varying(plant: TimeVaryingPlant, pieces: Pieces, rtol: float, budget: float, flows: Flows) -> WindowBracket:
+def bracket_varying(
+    plant: TimeVaryingPlant, pieces: WindowPieces, rtol: float, budget: float, flows: Flows
+) -> WindowBracket:
     """Bracket the least sigma; `status` as of `WindowSigma`, and "sampled" of functions, where `lower` is 0.
 
     `flows` are the plant's transitions, kept for windows that are judged again without a sample.

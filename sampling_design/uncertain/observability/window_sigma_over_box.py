@@ -12,7 +12,7 @@ from sampling_design.observability.alignment import meet
 from sampling_design.observability.sigma_bracket import NO_STATES, SigmaBracket, coordinates_of, in_balls
 from sampling_design.observability.windows.bracket import require_moderate
 from sampling_design.observability.windows.deviations import left_of_sigma
-from sampling_design.observability.windows.pieces import Pieces
+from sampling_design.observability.windows.pieces import WindowPieces
 from sampling_design.observability.windows.window_record import asked
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
@@ -161,13 +161,13 @@ def window_sigma_over_box(
     return replace(found, beside=beside)
 
 
-def _least(model: BoxModel, rtol: float, pieces: Pieces, seconds: float, _: float) -> tuple[float, float]:
+def _least(model: BoxModel, rtol: float, pieces: WindowPieces, seconds: float, _: float) -> tuple[float, float]:
     """Proven sigma of pieces for all real times within their tolerance, and the least such bound of one plant."""
     found = _searched(WindowsOverBox(model, pieces), rtol, seconds, None)
     return found.lower, found.upper
 
 
-def _lost(model: BoxModel, rtol: float, samples: int, pieces: Pieces, limit: Budget) -> tuple[float, int]:
+def _lost(model: BoxModel, rtol: float, samples: int, pieces: WindowPieces, limit: Budget) -> tuple[float, int]:
     """Proven sigma if any one sample is lost, and whose loss leaves what is attained: all in one search."""
     asked = WindowsOverBox(model, pieces, losing=True)
     found = _searched(asked, rtol, limit.left, None)

@@ -11,7 +11,7 @@ from sampling_design.errors import ArgumentError
 from sampling_design.observability.alignment import meet
 from sampling_design.observability.sigma_bracket import SigmaDeviations, coordinates_of
 from sampling_design.observability.windows.deviations import left_of_sigma, lost_one_by_one
-from sampling_design.observability.windows.pieces import Pieces
+from sampling_design.observability.windows.pieces import WindowPieces
 from sampling_design.observability.windows.window_record import WindowSigma, asked, record_of
 from sampling_design.records import checks
 from sampling_design.records.budget import Budget
@@ -62,7 +62,7 @@ def window_sigma_varying(
     proven = plant.tabled and isinstance(plant.C, MatrixTable)  # between samples other C are only looked at
     rough = tolerance if proven else max(tolerance, ROUGH)
 
-    def least(pieces: Pieces, seconds: float, _: float) -> tuple[float, float]:
+    def least(pieces: WindowPieces, seconds: float, _: float) -> tuple[float, float]:
         # windows that are longer may begin before the horizon: the state is that at its beginning
         left, right = np.maximum(pieces.left, 0.0), np.maximum(pieces.right, 0.0)
         found = bracket_varying(plant, replace(pieces, left=left, right=right), rough, seconds, flows)

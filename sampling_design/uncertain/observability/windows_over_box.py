@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sampling_design.observability.windows.pieces import Pieces
+from sampling_design.observability.windows.pieces import WindowPieces
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.uncertain.box.branching import UNSEEN
 from sampling_design.uncertain.box.expansion import BoxCells
@@ -18,7 +18,7 @@ class WindowsOverBox:
     """Sigma of the windows of one schedule, for cells of a box."""
 
     def __init__(
-        self, model: BoxModel, pieces: Pieces, *, losing: bool = False, unobservable_share: float = UNSEEN
+        self, model: BoxModel, pieces: WindowPieces, *, losing: bool = False, unobservable_share: float = UNSEEN
     ) -> None:
         """With `losing` every piece once for each of its samples, without that: of the number `lost`."""
         held = np.maximum(pieces.stop - pieces.first, 0) if losing else np.ones(len(pieces), dtype=np.intp)
@@ -65,7 +65,7 @@ class WindowsOverBox:
         return np.asarray((plant.C @ plant.transition(at))[self.measured[piece][: at.size]])
 
 
-def _padded(pieces: Pieces, outputs: int) -> tuple[Array, Mask]:
+def _padded(pieces: WindowPieces, outputs: int) -> tuple[Array, Mask]:
     """Sample times (P, N) of every piece and what is measured (P, N, p), filled up with what is not."""
     count = pieces.stop - pieces.first
     most = max(1, int(count.max(initial=0)))

@@ -9,7 +9,7 @@ import numpy as np
 
 from sampling_design.errors import NotObservableError, UndecidedError
 from sampling_design.observability.count.zero_count import SampleCount, samples_above
-from sampling_design.observability.windows.pieces import Pieces
+from sampling_design.observability.windows.pieces import WindowPieces
 from sampling_design.records import checks
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import Claim
@@ -145,7 +145,7 @@ def require_every_plant_observable(model: BoxModel) -> None:
     fastest = float(np.max(np.abs(np.linalg.eigvals(model.A)), initial=0.0)) or 1.0
     times = np.linspace(0.0, 1.0, 2 * n + 1) * n / fastest
     place = np.zeros(1, dtype=int)
-    window = Pieces(
+    window = WindowPieces(
         start,
         start,
         place,

@@ -19,8 +19,8 @@ from sampling_design.checkers.strict import (
     list_of,
     matrix,
     number,
+    printed,
     refuse,
-    shown,
     table,
     text,
     word,
@@ -45,7 +45,7 @@ def ends(value: object, place: str) -> Ends:
     if is_text(value):
         found = _AROUND.fullmatch(value.strip())
         if found is None:
-            raise refuse(place, f'must be a number, a range [low, high] or "middle +- half", got {shown(value)}')
+            raise refuse(place, f'must be a number, a range [low, high] or "middle +- half", got {printed(value)}')
         middle, half = (number(float(part), place) for part in found.groups())
         low, high = middle - half, middle + half
     elif is_list(value):

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from sampling_design import MovingHorizonEstimator, PeriodicSchedule, certify, window_sigma
 from sampling_design.plants import library
-from sampling_design.plotting.style import ATTAINED, FAILED, MEASURED, PROVEN, TRUTH
+from sampling_design.plotting.style import ATTAINED, ESTIMATE, FAILED, MEASURED, PROVEN, TRUTH
 
 PERIOD = 2 * np.pi
 WINDOW = 4.2
@@ -81,7 +81,7 @@ def _estimate(ax, plant, schedule) -> None:
         centre[i], radius[i] = now.x[1], now.interval(velocity).radii_from(now.x[1:])[0]
     ax.fill_between(drawn, centre - radius, centre + radius, color=PROVEN, alpha=0.18, lw=0, label="guaranteed")
     ax.plot(grid, truth[:, 1], color=TRUTH, lw=1.2, label="velocity, never measured")
-    ax.plot(drawn, centre, color=ATTAINED, lw=1.4, label="estimate")
+    ax.plot(drawn, centre, color=ESTIMATE, lw=1.4, label="estimate")
     ax.plot(times[: len(heard)], heard, "o", color=MEASURED, ms=4, label="position, measured")
     ax.set(ylim=(-2.6, 2.9), ylabel="state")
     ax.set_title("3  what the state is, with a radius that holds", loc="left", fontsize=9.5, fontweight="bold")

@@ -280,7 +280,7 @@ export async function mount(element, ask) {
   }
 
   /* What the first sample, the first two, ... leave possible: one polygon in the next, the last one filled. */
-  const SHADES = ["#767676", "#9b6205", "#2b6398", "#20793e", "#910d11", "#222222"];
+  const SHADES = ["#767676", "#6929c4", "#222222"]; // none says how sure anything is; dashed from the fourth on
   function drawProjection(answer) {
     set.replaceChildren();
     set.classList.remove("stale");
@@ -299,7 +299,7 @@ export async function mount(element, ask) {
     node("text", { x: LEFT + 6, y: 24, class: "soft" }, chart, `error of ${answer.names[1]}`);
     seen.forEach((step, k) => {
       const colour = SHADES[(step.after - 1) % SHADES.length], last = k === seen.length - 1;
-      node("polygon", { points: step.corners.map((p) => `${x(p[0]).toFixed(1)},${y(p[1]).toFixed(1)}`).join(" "), fill: colour, "fill-opacity": last ? 0.35 : 0.08, stroke: colour, "stroke-width": 2, class: "set" }, chart);
+      node("polygon", { points: step.corners.map((p) => `${x(p[0]).toFixed(1)},${y(p[1]).toFixed(1)}`).join(" "), fill: colour, "fill-opacity": last ? 0.35 : 0.08, stroke: colour, "stroke-width": 2, "stroke-dasharray": step.after > SHADES.length ? "5 3" : "none", class: "set" }, chart);
       html("span", { class: "after", style: `color: ${colour}` }, set, `after ${step.after}: area ${short(step.area)}`);
     });
     return undefined;

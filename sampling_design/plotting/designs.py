@@ -50,7 +50,9 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str |
         style.dates(bottom, schedule.time_unit, schedule.origin)
         bottom.set_xlabel(label.partition(" [")[0])
     late = f" for samples {result.late.describe(result.plant.time_unit)}" if result.late else ""
-    figure.suptitle(f"{result.plant.name}: sigma {short(result.sigma, 4)} proven{late}, gap {100 * result.gap:.1f} %")
+    figure.suptitle(
+        f"{result.plant.name}: sigma {short(result.sigma, 4)} proven{late}, gap {100 * result.gap:.1f} %", wrap=True
+    )
     return style.Panels([top, bottom])
 
 

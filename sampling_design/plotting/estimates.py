@@ -67,7 +67,7 @@ def _bars(ax: Axes, record: EstimateEnvelope, i: int, read: Array) -> None:
         t[known], low[known], high[known], color=style.PROVEN, alpha=0.4, linewidth=width, label="proven at the samples"
     )
     x = (record.lowest[:, i] + record.highest[:, i]) / 2
-    ax.plot(t, x, ".-", color=style.ATTAINED, linewidth=0.7, markersize=width, label="estimate")
+    ax.plot(t, x, ".-", color=style.ESTIMATE, linewidth=0.7, markersize=width, label="estimate")
     style.not_ruled_by_the_start(ax, t, low, high, np.append(x, read))
     if record.failed.any():
         ax.plot(t[record.failed], x[record.failed], "x", color=style.FAILED, label="failed")
@@ -79,7 +79,7 @@ def _stretches(ax: Axes, record: EstimateEnvelope, i: int, read: Array) -> None:
     least, largest = record.lowest[:, i], record.highest[:, i]
     ax.use_sticky_edges = False  # else the axis ends where the band does, as if it went on
     ax.stairs(high, edges, baseline=low, fill=True, color=style.PROVEN, alpha=0.2, label="proven at the samples")
-    style.filled(ax, edges, least, largest, style.ATTAINED, "estimates, least to largest")
+    style.filled(ax, edges, least, largest, style.ESTIMATE, "estimates, least to largest")
     style.not_ruled_by_the_start(ax, record.times, low, high, np.concatenate([least, largest, read]))
     for edge in edges[:-1][record.failed]:
         ax.axvline(float(edge), color=style.FAILED, linewidth=0.5)
@@ -95,7 +95,7 @@ def _band(ax: Axes, curve: EstimateCurve, i: int, read: Array) -> None:
         said = "proven to hold the truth at all times"
         ax.fill_between(t, low, high, color=style.PROVEN, alpha=0.2, linewidth=0, label=said)
         style.not_ruled_by_the_start(ax, t, low, high, np.append(record.x[:, i], read))
-    ax.plot(record.times, record.x[:, i], color=style.ATTAINED, linewidth=1.2, label="estimate")
+    ax.plot(record.times, record.x[:, i], color=style.ESTIMATE, linewidth=1.2, label="estimate")
     failed = np.array([s in FAILURES for s in record.status], dtype=bool)
     if failed.any():
         ax.plot(record.times[failed], record.x[failed, i], "x", color=style.FAILED, label="failed")

@@ -34,7 +34,7 @@ def draw_plan_comparison(result: PlanComparison, ax: Axes | None = None) -> Axes
         mark_days(longest, one)
     style.one_time_axis(axes)
     each = [f"{name} {priced(plan)} a period" for plan, name in zip(result.plans, result.names, strict=True)]
-    figure.suptitle(f"{result.first.plant.name or 'plans'}: {', '.join(each)}")
+    figure.suptitle(f"{result.first.plant.name or 'plans'}: {', '.join(each)}", wrap=True)
     return axes
 
 

@@ -29,7 +29,7 @@ def draw_plan(result: PlanFigures, ax: Axes | None = None) -> Axes | style.Panel
         mark_days(result, one)
     style.one_time_axis(axes)
     kept = "the tolerances are kept" if result.keeps else f"errors reach {short(result.ratio, 3)} of the tolerances"
-    figure.suptitle(f"{result.plant.name or 'plan'}: {kept}, {priced(result)} a period")
+    figure.suptitle(f"{result.plant.name or 'plan'}: {kept}, {priced(result)} a period", wrap=True)
     return axes
 
 

@@ -27,7 +27,7 @@ def draw_robustness(result: Robustness, ax: Axes | None = None) -> Axes | style.
     _radii(result, panels[0])
     if found:
         _losses(result, panels[1])
-    figure.suptitle(words)
+    figure.suptitle(words, wrap=True)
     return panels
 
 

@@ -22,8 +22,8 @@ def draw_smoothed(window: SmoothedWindow, ax: Axes | None = None) -> Axes | styl
     for i, panel in enumerate(panels):
         x, far = window.x[:, i], window.deviation[:, i]
         said = "one standard deviation, to first order"
-        panel.fill_between(window.times, x - far, x + far, color=style.ATTAINED, alpha=0.2, linewidth=0, label=said)
-        panel.plot(window.times, x, color=style.ATTAINED, linewidth=1.2, label="smoothed")
+        panel.fill_between(window.times, x - far, x + far, color=style.ESTIMATE, alpha=0.2, linewidth=0, label=said)
+        panel.plot(window.times, x, color=style.ESTIMATE, linewidth=1.2, label="smoothed")
         place = panel.get_xaxis_transform()
         panel.vlines(sampled, 0.0, 0.06, color=style.MEASURED, linewidth=0.8, transform=place, label="samples")
         panel.set_ylabel(labels[i], fontsize="small")

@@ -25,6 +25,7 @@ from sampling_design.schedules.time_stamps import parse_date
 MEASURED = "#2b6398"
 PROVEN = "#20793e"
 ATTAINED = "#9b6205"
+ESTIMATE = "#6929c4"
 ALLOWED = "#767676"
 FAILED = "#910d11"
 TRUTH = "#222222"

@@ -28,7 +28,7 @@ def draw_figure(figure: PatientFigure, ax: Axes | None = None) -> Axes | style.P
         row.label_outer()
         if figure.number == 3:
             _inset(figure.of, state, row)
-    whole.suptitle(figure.explain())
+    whole.suptitle(figure.explain(), fontsize="medium", wrap=True)
     style.legend(axes[0])
     return axes
 
@@ -47,7 +47,7 @@ def draw_patient_run(run: PatientRun, ax: Axes | None = None) -> Axes | style.Pa
         style.not_ruled_by_the_start(row, run.times, paths.min(axis=0), paths.max(axis=0))
         row.label_outer()
     style.legend(axes[0])
-    whole.suptitle(run.explain(), fontsize="medium")
+    whole.suptitle(run.explain(), fontsize="medium", wrap=True)
     return axes
 
 
@@ -59,8 +59,8 @@ def _inset(run: PatientRun, state: int, row: Axes) -> None:
     late = run.times >= SETTLED
     if late.sum() < 2:
         return
-    inset = row.inset_axes((0.35, 0.42, 0.63, 0.52))
-    paths = [(run.truth, style.TRUTH), (run.standard, style.ATTAINED), (run.sample_based, style.MEASURED)]
+    inset = row.inset_axes((0.35, 0.25, 0.63, 0.5))
+    paths = [(run.truth, style.TRUTH), (run.standard, style.ALLOWED), (run.sample_based, style.ESTIMATE)]
     for path, colour in paths:
         inset.plot(run.times[late], path[late, state] * SCALING[state], color=colour, linewidth=0.9)
     inset.tick_params(labelsize="x-small")
@@ -76,12 +76,12 @@ def _row(run: PatientRun, number: int, state: int, ax: Axes) -> Axes:
         ax.plot(run.times[run.sampled], y[run.sampled], "o", color=style.MEASURED, markersize=5, label="samples")
     else:
         ax.plot(run.times, run.truth[:, state] * scale, color=style.TRUTH, linewidth=1.4, label="truth")
-        ax.plot(
-            run.times, run.standard[:, state] * scale, color=style.ATTAINED, linewidth=1.1, label="standard, every 2 h"
+        schemes = (
+            (run.standard, style.ALLOWED, "standard, every 2 h"),
+            (run.sample_based, style.ESTIMATE, "sample-based"),
         )
-        ax.plot(
-            run.times, run.sample_based[:, state] * scale, color=style.MEASURED, linewidth=1.1, label="sample-based"
-        )
+        for path, colour, label in schemes:
+            ax.plot(run.times, path[:, state] * scale, color=colour, linewidth=1.1, label=label)
     ax.set_ylabel(f"{_STATES[state]} [{_UNITS[state]}]")
     ax.set_xlabel(style.time_label("d"))
     return ax

@@ -125,7 +125,7 @@ def _times(log: ScheduleLog, ax: Axes, low: float, high: float) -> Axes:
         ax.plot([log.planned.times[k], log.actual.times[log.match[k]]], [0.6, 0.4], color=style.TRUTH, linewidth=0.6)
     missed, extra = visible(log.missed), visible(log.extra)
     ax.plot(missed, np.ones(missed.size), "x", color=style.FAILED)
-    ax.plot(extra, np.zeros(extra.size), "o", color=style.ATTAINED, markerfacecolor="none")
+    ax.plot(extra, np.zeros(extra.size), "o", color=style.MEASURED, markerfacecolor="none")
     ax.set_yticks([0, 1], ["actual", "planned"])
     ax.set_ylim(-0.6, 1.6)
     style.time_axis(ax, log.time_unit)

@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 from sampling_design.errors import ArgumentError
 from sampling_design.nonlinear.patient_run import PatientRun
 from sampling_design.nonlinear.thyroid import SCALING
+from sampling_design.plotting import style
 
 RNG = np.random.default_rng(0)
 TIMES = np.arange(5) / 12
@@ -38,3 +39,18 @@ def test_a_run_has_six_rows_and_fits_no_single_axes():
     assert RUN.figure(1).plot(single) is single
     with pytest.raises(ArgumentError, match="`ax` cannot hold a run: it has six rows"):
         RUN.plot(single)
+
+
+def test_schemes_are_not_drawn_in_a_colour_that_says_how_sure_something_is():
+    taken = {style.PROVEN, style.ATTAINED, style.FAILED, style.MEASURED}
+    drawn = {line.get_color() for number in (2, 3) for ax in RUN.figure(number).plot() for line in ax.lines}
+    assert len(drawn) == 3
+    assert not drawn & taken
+
+
+def test_titles_and_insets_lie_within_their_figure():
+    for picture in (RUN.figure(2).plot(), RUN.figure(3).plot(), RUN.plot()):
+        whole = picture[0].figure
+        whole.canvas.draw()
+        box = whole._suptitle.get_window_extent()
+        assert 0 <= box.x0 < box.x1 <= whole.bbox.width

@@ -162,7 +162,7 @@ def test_label(name: str, printed: bool) -> str:
 BESIDE = {
     "estimators": ("estimators.online.curve.estimate_curve",),
     "plotting": ("plotting.draw", "plotting.save"),
-    "explorer": ("explorer.scene", "explorer.serve", "explorer.Bench", "explorer.explore"),
+    "explorer": ("explorer.scene", "explorer.serve", "explorer.ScheduleExplorer", "explorer.explore"),
 }
 """What a room offers beside the front door."""
 

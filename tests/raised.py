@@ -25,8 +25,8 @@ ROOTS = {
     "explorer.socket_frames": "ConnectionOver",
     "records.budget": "BudgetSpentError",
     "certificates.exact.weight_choice": "_WorkExhausted",
-    "records.signatures": "_Unchecked",
-    "design.problem.stopping": "Interrupted",
+    "records.signatures": "_UncheckedAnnotation",
+    "design.problem.interrupt": "DesignInterrupt",
 }
 """Every exception that the house defines is one of these or inherits from one (a test walks the package)."""
 OTHERS = {"NotImplementedError", "AttributeError", "KeyboardInterrupt", "typer.Exit", "typer.BadParameter"}

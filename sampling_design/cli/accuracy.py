@@ -15,7 +15,7 @@ import sampling_design as sd
 from sampling_design.accuracy.accuracy_record import Accuracy
 from sampling_design.accuracy.projection import Projection
 from sampling_design.accuracy.sample_counts import AccuracyByCount
-from sampling_design.cli import reading
+from sampling_design.cli import files
 from sampling_design.cli.plan import PlantFile, schedule_for
 from sampling_design.cli.settings import Settings, TimingOption, numbers, record_table, timing, timing_number
 from sampling_design.errors import ArgumentError
@@ -97,7 +97,7 @@ def accuracy(
 
     Example: sampling-design accuracy examples/plants/oscillator.toml out/schedule.csv --w 0.02 --v 0.4
     """
-    plant = reading.plant(plant_file)
+    plant = files.plant(plant_file)
     names = [name.strip() for name in of.split(",") if name.strip()]
     w = numbers("--w-bound", w_bound, plant.disturbances.names)
     v = _noise(plant, numbers("--v-bound", v_bound, plant.outputs.names), times.result_delay)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from sampling_design.cli import reading
+from sampling_design.cli import files
 from sampling_design.cli.accuracy import NUMBERS
 from sampling_design.cli.plan import schedule_for
 from sampling_design.cli.settings import Settings, numbers
@@ -46,14 +46,14 @@ def explore(
 
     Example: sampling-design explore examples/plants/oscillator.toml examples/requirements/oscillator.toml -o out
     """
-    from sampling_design.explorer import SCENES, Bench, serve
+    from sampling_design.explorer import SCENES, ScheduleExplorer, serve
     from sampling_design.explorer import scene as ready_made
 
     if scene is not None:
         if plant_file is not None:
             raise ArgumentError(f"`--scene` {scene} brings its own plant, got {plant_file} too. Leave one out.")
-        bench = ready_made(checks.word("--scene", scene, SCENES))
-        bench.folder = settings.folder()
+        explorer = ready_made(checks.word("--scene", scene, SCENES))
+        explorer.folder = settings.folder()
     else:
         plant, requirement = _wanted(settings, plant_file, requirement_file)
         schedule = None if schedule_file is None else schedule_for(settings, plant, schedule_file)
@@ -62,7 +62,7 @@ def explore(
                 f"`--schedule` must be a schedule that repeats, got {schedule_file}, which has no period."
             )
         wanted = numbers("--tolerance", tolerance)
-        bench = Bench(
+        explorer = ScheduleExplorer(
             plant,
             requirement,
             schedule,
@@ -80,7 +80,7 @@ def explore(
 
             webbrowser.open(address)
 
-    serve(bench, port, idle, ready)
+    serve(explorer, port, idle, ready)
 
 
 def _wanted(
@@ -89,10 +89,10 @@ def _wanted(
     """The plant and what is wanted of its schedule; a plan requirement may hold its plant."""
     if plant_file is None:
         raise ArgumentError("`PLANT` is missing: give a plant file, or one of the scenes with `--scene`.")
-    if reading.is_plan_requirement(requirement_file or plant_file):
-        wanted, plant = reading.plan_requirement(plant_file, requirement_file)
+    if files.is_plan_requirement(requirement_file or plant_file):
+        wanted, plant = files.plan_requirement(plant_file, requirement_file)
         return plant, wanted
-    requirement = reading.requirement(requirement_file)
+    requirement = files.requirement(requirement_file)
     if settings.decay_rate is not None:
         requirement = requirement.replace(decay_rate=settings.decay_rate)
-    return reading.plant(plant_file), requirement
+    return files.plant(plant_file), requirement

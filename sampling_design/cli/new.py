@@ -14,8 +14,15 @@ from typing import Annotated
 import typer
 
 import sampling_design as sd
+from sampling_design.cli.requirement_flags import (
+    RequirementFlags,
+    by_name,
+    plan_requirement,
+    positive_times,
+    requirement,
+    week,
+)
 from sampling_design.cli.settings import Settings
-from sampling_design.cli.wishes import AskedFor, by_name, plan_requirement, positive_times, requirement, week
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.planning.requirement_file import write_plan_requirement
 from sampling_design.records.file_io import read_text, write_text
@@ -101,7 +108,7 @@ def new(
     settings: Settings,
     target: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the files.")],
     modes: PlantModes,
-    asked: AskedFor,
+    asked: RequirementFlags,
     force: Annotated[bool, typer.Option("--force", help="Write over files that are there.")] = False,
 ) -> None:
     """Write a first plant and requirement, with comments, from flags; at a terminal, what is missing is asked.
@@ -141,7 +148,7 @@ def _dated(start: str) -> dict[str, str]:
     return {**REQUIREMENT, "format": REQUIREMENT["format"].replace("midnight, of a Monday", zero)}
 
 
-def _asked(modes: PlantModes, asked: AskedFor) -> tuple[PlantModes, AskedFor]:
+def _asked(modes: PlantModes, asked: RequirementFlags) -> tuple[PlantModes, RequirementFlags]:
     """Ask at the terminal for what was not said; a slip is named at once, and asked again."""
     unit = modes.unit
     oscillation = _ask(

@@ -12,7 +12,7 @@ from rich.table import Table as RichTable
 
 import sampling_design as sd
 from sampling_design.checkers.strict import is_table
-from sampling_design.cli import reading
+from sampling_design.cli import files
 from sampling_design.cli.settings import (
     Settings,
     TimingOption,
@@ -53,7 +53,7 @@ def info(
 
     Example: sampling-design info examples/plants/oscillator.toml
     """
-    plant = settings.part(reading.plant(plant_file))
+    plant = settings.part(files.plant(plant_file))
     split = sd.plants.split_modes(plant, settings.decay_rate or 0.0)
     tables: list[RichTable | str] = [record_table(plant), _modes(split, plant.time_unit), split.explain()]
     data: dict[str, object] = {"plant": plant.to_dict(), "split": split.to_dict(), "counts": None}
@@ -96,7 +96,7 @@ def window_length(
 
 def schedule_for(settings: Settings, plant: sd.Plant, path: Path) -> AnySchedule:
     """Return the schedule of a file in the plant's unit of time, with a notice where it had another."""
-    schedule = reading.schedule(path)
+    schedule = files.schedule(path)
     if schedule.time_unit in (None, plant.time_unit):
         return schedule
     settings.notice(f"{path}: times in {schedule.time_unit} are converted to {plant.time_unit}.")
@@ -149,7 +149,7 @@ def design(
 
     Example: sampling-design design examples/plants/oscillator.toml examples/requirements/oscillator.toml -o out
     """
-    plant = reading.plant(plant_file)
+    plant = files.plant(plant_file)
     flags: dict[str, object] = {"window": window, "period": period, "spacing": spacing, "samples": samples}
     flags.update(target_sigma=target_sigma, cost_limit=cost_limit, decay_rate=settings.decay_rate)
     late = None if timing_tolerance is None else timing(timing_tolerance, timing_number)
@@ -159,7 +159,7 @@ def design(
     if zone is not None and start is None:
         raise ArgumentError(f"`--zone` {zone} says where --start is local time: give --start DATE with it.")
     zero = None if start is None else parse_date("--start", start, zone).isoformat()
-    requirement = reading.requirement(requirement_file)
+    requirement = files.requirement(requirement_file)
     requirement = requirement.replace(**{key: value for key, value in flags.items() if value is not None})
     with settings.progress("design") as progress:
         rng = np.random.default_rng(settings.seed)
@@ -205,8 +205,8 @@ def _write_design(settings: Settings, result: ScheduleDesign, zero: str | None, 
         return
     settings.write_json(folder / "design.json", result.to_dict())
     if result.schedule is not None and result.sigma > 0:
-        files, notes = sd.design.write_design(result, folder, start=zero, zone=zone)
-        for path in files:
+        paths, notes = sd.design.write_design(result, folder, start=zero, zone=zone)
+        for path in paths:
             settings.wrote(path)
         for note in notes:
             settings.notice(note)
@@ -234,7 +234,7 @@ def sigma(
 
     Example: sampling-design sigma examples/plants/oscillator.toml out/schedule.csv --window 6.28
     """
-    plant = settings.part(reading.plant(plant_file))
+    plant = settings.part(files.plant(plant_file))
     schedule = schedule_for(settings, plant, schedule_file)
     split = split_needed(plant, settings.decay_rate or 0.0)
     if not split.retained.n_states:

@@ -12,7 +12,7 @@ from rich.table import Table
 
 import sampling_design as sd
 from sampling_design.accuracy.readings import PartialReading, as_typed
-from sampling_design.cli import reading
+from sampling_design.cli import files
 from sampling_design.cli.settings import Settings, TimingOption, record_table, table, timing
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.dates import plan_dates
@@ -57,10 +57,10 @@ def plan(
 
     Example: sampling-design plan examples/plans/oscillator.toml -o out
     """
-    requirement, plant = reading.plan_requirement(plant_file, requirement_file)
+    requirement, plant = files.plan_requirement(plant_file, requirement_file)
     if timing_tolerance is not None:
         requirement = requirement.replace(timing_tolerance=timing(timing_tolerance, _duration))
-    other = None if compare is None else reading.plan(compare)
+    other = None if compare is None else files.plan(compare)
     with settings.progress("plan") as progress:
         result = sd.plan_samples(plant, requirement, search_seconds=search_seconds, progress=progress)
     dates = None
@@ -68,8 +68,8 @@ def plan(
         dates = plan_dates(result, periods)
     folder = settings.folder()
     if folder is not None:
-        files, notes = sd.planning.write_plan(result, folder, dates, person=person)
-        for path in files:
+        paths, notes = sd.planning.write_plan(result, folder, dates, person=person)
+        for path in paths:
             settings.wrote(path)
         for note in notes:
             settings.notice(note)
@@ -118,7 +118,7 @@ def next_sample(
 
     Example: sampling-design next out/plan.json --now 7
     """
-    result = reading.plan(plan_file)
+    result = files.plan(plan_file)
     record = None
     if measurements_file is not None:
         record = _record(settings, result, measurements_file)
@@ -136,7 +136,7 @@ def _record(settings: Settings, result: Plan, path: Path) -> list[tuple[float, l
     """The measurements in the time that has passed since the plan's start; dates without a zone are the plan's."""
     calendar = result.requirement.calendar
     zone = None if calendar is None else calendar.zone
-    rows = reading.measurements(settings, path, result.plant, result.schedule.origin, zone)
+    rows = files.measurements(settings, path, result.plant, result.schedule.origin, zone)
     found = dict[float, list[PartialReading | float]]()
     for k in np.flatnonzero(rows.measured.any(axis=1)).tolist():
         y = found.setdefault(float(rows.times[k]), [np.nan] * rows.y.shape[1])

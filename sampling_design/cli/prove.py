@@ -17,7 +17,7 @@ from sampling_design.certificates.compare.four_horizons import FourHorizons
 from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
 from sampling_design.certificates.exact.certificate import SampledCertificate
 from sampling_design.checkers.strict import Tree
-from sampling_design.cli import reading
+from sampling_design.cli import files
 from sampling_design.cli.plan import PlantFile, schedule_for
 from sampling_design.cli.settings import Settings, numbers, record_table, table, timing, timing_number
 from sampling_design.errors import ArgumentError
@@ -121,7 +121,7 @@ def certify(
 
     Example: sampling-design certify examples/plants/oscillator.toml out/schedule.csv --eta 0.3 -o out
     """
-    plant = settings.part(reading.plant(plant_file))
+    plant = settings.part(files.plant(plant_file))
     given = {"gap-range": gap_range, "spaced": spaced, "timing-tolerance": timing_tolerance, "lost": lost}
     families: dict[str, object] = {k: v for k, v in given.items() if v is not None}
     if horizons and (families or schedule_file is None):
@@ -180,7 +180,7 @@ def _detectability(
 
 def sampling_certificate(path: Path, plant: sd.Plant) -> SampledCertificate:
     """The certificate of a file, if it is about samples of this plant."""
-    certificate = reading.certificate(path, plant)
+    certificate = files.certificate(path, plant)
     if isinstance(certificate, sd.certificates.DetectabilityCertificate):
         raise ArgumentError(
             f"`CERTIFICATE` {path} proves that the plant is detectable, which promises nothing about samples: "
@@ -262,11 +262,11 @@ def verify(
 
     Example: sampling-design verify out/certificate.json --rigorous
     """
-    plant = None if plant_file is None else reading.plant(plant_file)
-    if reading.holds_interval(certificate_file):
+    plant = None if plant_file is None else files.plant(plant_file)
+    if files.holds_interval(certificate_file):
         _verify_interval(settings, certificate_file, plant)
         return
-    certificate = reading.certificate(certificate_file, plant)
+    certificate = files.certificate(certificate_file, plant)
     verdict = certificate.verify(rigorous=rigorous, budget=settings.budget)
     folder = settings.folder()
     if folder is not None:
@@ -280,7 +280,7 @@ def verify(
 
 def _verify_interval(settings: Settings, path: Path, plant: sd.Plant | None) -> None:
     """Prove the ends of an interval from its gains, every rounding included."""
-    found, verdict = reading.interval(path, plant)
+    found, verdict = files.interval(path, plant)
     folder = settings.folder()
     if folder is not None:
         settings.write_json(folder / "verdict.json", verdict.to_dict())

@@ -10,8 +10,8 @@ import typer
 
 import sampling_design as sd
 from sampling_design.certificates.exact.bound_weights import ErrorBoundArguments
-from sampling_design.cli import reading
-from sampling_design.cli.following import USUAL, EstimateOptions, followed
+from sampling_design.cli import files
+from sampling_design.cli.estimate_rows import USUAL, EstimateOptions, followed
 from sampling_design.cli.plan import PlantFile, ScheduleFile, schedule_for, window_length
 from sampling_design.cli.prove import UNBOUNDED, BoundOptions, sampling_certificate
 from sampling_design.cli.settings import (
@@ -62,19 +62,19 @@ def estimate(
         raise ArgumentError("`--tube` is for the picture: give a folder for it (-o DIR), and leave out --no-picture.")
     if how.tube and (how.most_outliers or how.smooth):
         raise ArgumentError("`--tube` is of estimates as they came: leave it out with --outliers and --smooth.")
-    whole = reading.plan_in(plant_file)
-    full = reading.plant(plant_file) if whole is None else whole.plant
+    whole = files.plan_in(plant_file)
+    full = files.plant(plant_file) if whole is None else whole.plant
     plant, schedule = settings.part(full), None
     if schedule_file is not None:
         schedule = schedule_for(settings, plant, schedule_file)
     elif whole is not None and certificate_file is None:
         schedule = whole.schedule
-    planned = reading.plan_in(schedule_file) if whole is None else whole
+    planned = files.plan_in(schedule_file) if whole is None else whole
     bounds = _bounds(settings, plant, full, typed.of(plant), planned)
     zero = None if schedule is None else schedule.origin
     calendar = None if planned is None else planned.requirement.calendar
     zone = None if calendar is None else calendar.zone
-    record = reading.measurements(settings, measurement_file, plant, zero, zone)
+    record = files.measurements(settings, measurement_file, plant, zero, zone)
     if schedule is not None:
         _check_origins(record, schedule)
     if not record.measured.any():
@@ -168,10 +168,10 @@ def validate(
 
     Example: sampling-design validate examples/plants/oscillator.toml out/schedule.csv -o out
     """
-    full = reading.plant(plant_file)
+    full = files.plant(plant_file)
     plant = settings.part(full)
     schedule = schedule_for(settings, plant, schedule_file)
-    bounds = _bounds(settings, plant, full, typed.of(plant), reading.plan_in(schedule_file))
+    bounds = _bounds(settings, plant, full, typed.of(plant), files.plan_in(schedule_file))
     if certificate_file is not None:
         certificate = sampling_certificate(certificate_file, plant)
     else:
@@ -245,9 +245,9 @@ def compare(
 
     Example: sampling-design compare examples/plants/oscillator.toml out/schedule.csv examples/data/oscillator.csv -o out
     """  # noqa: E501
-    plant = settings.part(reading.plant(plant_file))
+    plant = settings.part(files.plant(plant_file))
     schedule = schedule_for(settings, plant, schedule_file)
-    record = reading.measurements(settings, measurement_file, plant, schedule.origin)
+    record = files.measurements(settings, measurement_file, plant, schedule.origin)
     _check_origins(record, schedule)
     split = split_needed(plant, settings.decay_rate or 0.0)
     # where every mode decays no window is judged, so that none is chosen and told

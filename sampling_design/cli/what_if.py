@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 import sampling_design as sd
-from sampling_design.cli import reading
+from sampling_design.cli import files
 from sampling_design.cli.plan import PlantFile
 from sampling_design.cli.prove import sampling_certificate
 from sampling_design.cli.settings import (
@@ -46,7 +46,7 @@ def worst_case(
 
     Example: sampling-design worst-case examples/plants/oscillator.toml --window 4 --count 3 --spacing 0.5
     """
-    split = split_needed(settings.part(reading.plant(plant_file)), settings.decay_rate or 0.0)
+    split = split_needed(settings.part(files.plant(plant_file)), settings.decay_rate or 0.0)
     split = weighed_over(split, positive("window", window))
     if not split.retained.n_states:
         settings.show({"lower": None}, "No samples needed: every mode decays. Ask for more with --decay-rate.")
@@ -84,8 +84,8 @@ def pareto(
 
     Example: sampling-design pareto examples/plants/oscillator.toml --counts 2-8 -o out
     """
-    plant = reading.plant(plant_file)
-    requirement = reading.requirement(requirement_file)
+    plant = files.plant(plant_file)
+    requirement = files.requirement(requirement_file)
     requirement = _asked(settings, requirement)
     folder = settings.folder()
     resume = None if folder is None else folder / "pareto.json"
@@ -123,8 +123,8 @@ def losses(
 
     Example: sampling-design losses examples/plants/oscillator.toml examples/requirements/oscillator.toml
     """
-    plant = reading.plant(plant_file)
-    requirement = reading.requirement(requirement_file)
+    plant = files.plant(plant_file)
+    requirement = files.requirement(requirement_file)
     requirement = _asked(settings, requirement)
     with settings.progress("losses") as progress:
         design, result = sd.design.design_and_losses(
@@ -173,7 +173,7 @@ def robustness(
 
     Example: sampling-design robustness examples/plants/oscillator.toml out/certificate.json --budget 3 -o out
     """
-    plant = settings.part(reading.plant(plant_file))
+    plant = settings.part(files.plant(plant_file))
     certificate = sampling_certificate(certificate_file, plant)
     with settings.progress("robustness") as progress:
         result = sd.robustness(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sampling_design.design.bounds.evidence import UpperBound, first_bound, quick_bound
 from sampling_design.design.bounds.relaxation import Relaxation, relax_placed
 from sampling_design.design.problem.canonical import CanonicalDesign, canonical
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.posing import pose
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.search.costs import relax_costly

@@ -16,10 +16,10 @@ from sampling_design.design.count_problem import CountProblem, bounded, brought_
 from sampling_design.design.counts import rival_counts
 from sampling_design.design.folding import folded, parts, unfolded
 from sampling_design.design.problem.canonical import canonical
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem
+from sampling_design.design.problem.interrupt import DesignInterrupt
 from sampling_design.design.problem.posing import pose, resolve, split_for
 from sampling_design.design.problem.requirement import Requirement
-from sampling_design.design.problem.stopping import Interrupted
 from sampling_design.design.schedule_design import ScheduleDesign, designed_plant, prove
 from sampling_design.design.search.costs import affordable, relax_costly
 from sampling_design.design.search.fedorov_exchange import even, is_admissible
@@ -40,7 +40,7 @@ from sampling_design.records.progress import Progress
 from sampling_design.records.signatures import checked
 from sampling_design.schedules.schedule import PeriodicSchedule
 
-Held = TypeVar("Held")
+Best = TypeVar("Best")
 
 STARTS = 8  # starts that are refined by default
 
@@ -152,7 +152,7 @@ def design_schedule(
     check_size(pose(designed_plant(split), resolved, least, check=False))
     if count is None:  # refuses a mode that no output sees
         count = zero_count_bound(split.retained, float(resolved.window or 0))
-    run = _Run(
+    run = _DesignRun(
         plant=plant,
         split=split,
         requirement=resolved,
@@ -168,7 +168,7 @@ def design_schedule(
     return _aimed(run) if resolved.target_sigma is not None else run.best()
 
 
-def _aimed(run: _Run) -> ScheduleDesign:
+def _aimed(run: _DesignRun) -> ScheduleDesign:
     """The fewest samples for the target; an error's nearest requirement is tried, so that it reaches its target."""
     try:
         return run.fewest()
@@ -204,7 +204,7 @@ def _nothing(plant: Plant, split: ModalSplit, requirement: Requirement) -> Sched
 
 
 @dataclass(eq=False)
-class _Run:
+class _DesignRun:
     """One call of `design_schedule`: everything that its steps share, and what is known so far."""
 
     plant: Plant
@@ -234,13 +234,13 @@ class _Run:
             known += [f"gap {100 * max(1 - self.sigma / self.bound, 0.0):.1f} %"] if len(known) == 2 else []
             self.progress(fraction, ", ".join([*known, message]))
 
-    def guarded(self, step: Callable[[], Held]) -> Held:
+    def guarded(self, step: Callable[[], Best]) -> Best:
         """What a step gives; after an interrupt what it has by then, and every later step as if time were up."""
         try:
             return step()
-        except Interrupted as stop:
+        except DesignInterrupt as stop:
             self.interrupt()
-            found: Held = stop.held  # type: ignore[assignment]
+            found: Best = stop.best  # type: ignore[assignment]
             return found
         except KeyboardInterrupt:
             self.interrupt()
@@ -344,8 +344,8 @@ class _Run:
         time_left = not self.budget.over
         self.guarded(lambda: self.say(near, "proving sigma over all window positions"))
         times, chosen = brought_back(sized.canon, found.times, chosen)
-        asked = [*candidates(sized.problem, times, chosen), *((t, mask) for t, mask, _ in tied)]
-        proven = self.guarded(lambda: [self.proven(sized.problem, times, mask) for times, mask in asked])
+        proposed = [*candidates(sized.problem, times, chosen), *((t, mask) for t, mask, _ in tied)]
+        proven = self.guarded(lambda: [self.proven(sized.problem, times, mask) for times, mask in proposed])
         schedule, proof = max(proven, key=lambda pair: pair[1].lower)
         return ScheduleDesign(
             schedule=schedule,
@@ -454,10 +454,10 @@ def _enough(sized: CountProblem) -> float:
     return (sized.inner.value_for(exact) if sized.canon.inside.late else sized.inner.value) * (1 - _ENOUGH)
 
 
-def _cuts(problem: DesignProblem, asked: int | None) -> tuple[int, int, float]:
+def _cuts(problem: DesignProblem, proposed: int | None) -> tuple[int, int, float]:
     """How many boxes are cut, how many at most where the gap stays wide, and the gap that ends it."""
-    if asked is not None:
-        return asked, asked, 0.0
+    if proposed is not None:
+        return proposed, proposed, 0.0
     n = problem.plant.n_states
     share = min(1.0, (_PLAIN_STATES * (_PLAIN_STATES + 1) / (n * (n + 1))) ** 2)  # as inequalities have rows
     return int(BRANCHES * share), int(PATIENCE * share), GAP

@@ -12,8 +12,8 @@ from fractions import Fraction
 import numpy as np
 
 from sampling_design.design.problem.canonical import SAME_RATIO, joined
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.feasible import obstacle
-from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.records.arrays import Array, Mask
 
 

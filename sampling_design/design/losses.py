@@ -165,8 +165,8 @@ def sample_losses(
     for i in range(count):
         rest = without_sample(design.schedule, i, periods)
         share = proving.seconds_left(share=1 / (count - i))
-        asked = design.requirement
-        proofs.append(None if rest is None else prove(design.split, rest, asked, rtol, budget=share))
+        required = design.requirement
+        proofs.append(None if rest is None else prove(design.split, rest, required, rtol, budget=share))
         if progress:
             progress((i + 1) / len(design.schedule), f"without sample {i + 1}")
     lower, upper = (np.array([0.0 if w is None else getattr(w, key) for w in proofs]) for key in ("lower", "upper"))
@@ -233,13 +233,13 @@ def _bounds(design: ScheduleDesign, every_period: bool, budget: Budget, rng: See
     keys = [float(t) if np.any(requirement.fixed == t) else None for t in schedule.times]
     for key in set(keys):
         fixed = (requirement.fixed + schedule.period * np.arange(periods)[:, None]).ravel()
-        asked = repeated(requirement, periods).replace(fixed=fixed if key is None else fixed[fixed != key])
+        required = repeated(requirement, periods).replace(fixed=fixed if key is None else fixed[fixed != key])
         try:
             if every_period:
-                found = _fewer(design, asked, budget, rng)
+                found = _fewer(design, required, budget, rng)
             else:
-                found = bounded(plant, asked, periods * len(schedule) - 1, budget).bound.value
-            whole = pose(plant, asked, periods * len(schedule), check=False)
+                found = bounded(plant, required, periods * len(schedule) - 1, budget).bound.value
+            whole = pose(plant, required, periods * len(schedule), check=False)
             roomy = key is None and periods == 1 and whole.always_has_room  # else fewer may see more than the design
             known[key] = min(found, design.upper_bound) if roomy else found
         except InfeasibleRequirementError:  # too few measurements for the states, or none left
@@ -247,13 +247,13 @@ def _bounds(design: ScheduleDesign, every_period: bool, budget: Budget, rng: See
     return np.array([known[key] for key in keys])
 
 
-def _fewer(design: ScheduleDesign, asked: Requirement, budget: Budget, rng: Seed) -> float:
+def _fewer(design: ScheduleDesign, required: Requirement, budget: Budget, rng: Seed) -> float:
     """The bound of a design with one sample fewer in every period; 0 where none is left."""
     count = len(design.schedule or ()) - 1
     if count == 0:
         return 0.0
-    asked = asked.replace(samples=count, target_sigma=None)
-    found = design_schedule(design.plant, asked, rng=copy.deepcopy(rng), budget=budget.seconds_left())
+    required = required.replace(samples=count, target_sigma=None)
+    found = design_schedule(design.plant, required, rng=copy.deepcopy(rng), budget=budget.seconds_left())
     if found.status == "interrupted":
         raise KeyboardInterrupt
     return found.upper_bound

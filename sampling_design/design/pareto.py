@@ -212,8 +212,8 @@ def _rest(place: int, jobs: int, workers: Workers) -> float:
     if workers is None:
         return float(jobs - place)
     known = workers if isinstance(workers, int) and workers > 0 else getattr(workers, "_max_workers", None)
-    hands = int(known) if isinstance(known, int) else os.cpu_count() or 1
-    return max(1.0, (jobs - place) / hands)
+    n_workers = int(known) if isinstance(known, int) else os.cpu_count() or 1
+    return max(1.0, (jobs - place) / n_workers)
 
 
 def _point(job: tuple[Plant, Requirement, int, Tree, Budget, float]) -> ParetoPoint:
@@ -224,25 +224,25 @@ def _point(job: tuple[Plant, Requirement, int, Tree, Budget, float]) -> ParetoPo
     if np.isfinite(budget.seconds):
         options = {**options, "budget": budget.left / rounds}
     options = {key: copy.deepcopy(value) for key, value in options.items()}  # threads share what they were given
-    asked = requirement.replace(samples=count, target_sigma=None)
+    required = requirement.replace(samples=count, target_sigma=None)
     try:
-        design = design_schedule(plant, asked, **options)
+        design = design_schedule(plant, required, **options)
     except InfeasibleRequirementError as error:
         return ParetoPoint(count, 0.0, 0.0, (), str(error))
     if design.status == "interrupted":  # ends the front: what is finished is in `resume`
         raise KeyboardInterrupt
     if design.schedule is None:
         return ParetoPoint(count, 0.0, 0.0, (), NO_NEED)
-    unseen = "" if design.sigma > 0 else design.explain()
+    obstacle_found = "" if design.sigma > 0 else design.explain()
     times = tuple(design.schedule.times.tolist())
-    return ParetoPoint(count, design.sigma, design.upper_bound, times, unseen, design.deviations)
+    return ParetoPoint(count, design.sigma, design.upper_bound, times, obstacle_found, design.deviations)
 
 
 def _key(plant: Plant, requirement: Requirement, options: Tree) -> str:
     """Digest of everything that a point depends on but its count."""
-    asked = requirement.replace(samples=None, target_sigma=None).to_dict()
+    required = requirement.replace(samples=None, target_sigma=None).to_dict()
     given = {k: v.bit_generator.state if isinstance(v, np.random.Generator) else v for k, v in sorted(options.items())}
-    text = json.dumps([plant.to_dict(), asked, {k: repr(v) for k, v in given.items()}], sort_keys=True)
+    text = json.dumps([plant.to_dict(), required, {k: repr(v) for k, v in given.items()}], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

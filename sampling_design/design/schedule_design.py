@@ -10,7 +10,7 @@ import numpy as np
 
 from sampling_design.design.bounds.evidence import UpperBound
 from sampling_design.design.counts import rival_counts
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.posing import pose
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.design.search.fedorov_exchange import is_admissible
@@ -288,7 +288,7 @@ class ScheduleDesign(PlainRecord):
             entering = rows and f" that enters {rows}"
             rates = ". ".join(f"{what[0].upper()}{what[1:]}: {value}" for what, value in self._unobserved().items())
             return f"No samples needed: every mode{entering} decays by itself at the rate asked for. {rates}."
-        asked, unit = self.late, self.plant.time_unit
+        tolerance, unit = self.late, self.plant.time_unit
         many = self._what()
         if not self.sigma > 0:
             window = (
@@ -296,10 +296,10 @@ class ScheduleDesign(PlainRecord):
             )
             if self.upper_bound == 0:
                 return f"No admissible schedule with {many} makes {window} observable: sigma is 0 for all of them."
-            if asked and self.sigma_attained > 0:
+            if tolerance and self.sigma_attained > 0:
                 return (
-                    f"No schedule with {many}, each {asked.describe(unit)}, is proven to make {window} observable: of "
-                    f"the one found no sigma below {short(self.sigma_attained)} is known, and none exceeds "
+                    f"No schedule with {many}, each {tolerance.describe(unit)}, is proven to make {window} observable: "
+                    f"of the one found no sigma below {short(self.sigma_attained)} is known, and none exceeds "
                     f"{short(self.upper_bound)}. Ask for a smaller `timing_tolerance`."
                 )
             return (
@@ -307,7 +307,7 @@ class ScheduleDesign(PlainRecord):
                 f"{short(self.upper_bound)}, which does not show that there is none."
             )
         makes = "makes" if len(self.schedule) == 1 else "make"
-        late = f", each {asked.describe(unit)}" if asked else ""
+        late = f", each {tolerance.describe(unit)}" if tolerance else ""
         left = "" if self.deviations is None else f" {self.deviations.explain()}"
         return (
             f"{many} {makes} {rows or 'every state'} observable in every window, with sigma >= "

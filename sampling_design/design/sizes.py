@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.errors import ArgumentError
 
 MOST_GROWTH = 80.0

@@ -7,7 +7,7 @@ _NAMES = {
     "constraints.convex_set": ("ConvexSet",),
     "estimate_file": ("write_estimates",),
     "estimation": ("estimate",),
-    "for_record": ("RecordEstimator", "estimator_for"),
+    "estimator_choice": ("RecordEstimator", "estimator_for"),
     "gap_flows.cost_function": ("CostFunction",),
     "kalman": ("KalmanFilter",),
     "mhe": ("MovingHorizonEstimator",),

@@ -39,7 +39,7 @@ from sampling_design.estimators.online.verdict import (
     too_large,
 )
 from sampling_design.estimators.window.smoother import smooth
-from sampling_design.estimators.window.solution import Solution
+from sampling_design.estimators.window.window_estimate import WindowEstimate
 from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.estimators.windowed_estimator import WindowedEstimator, WindowStart
 from sampling_design.observability.count.functional import part_for
@@ -164,7 +164,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         maximum_delay: float | None = None,
         **rows: Unpack[RowArguments],
     ):
-        asked, cost = cost is not None, CostFunction() if cost is None else cost
+        cost_given, cost = cost is not None, CostFunction() if cost is None else cost
         plant = part_for(plant, rows.get("of"))
         self.certificate, self.arrival_cost, self.begins = certificate, cost.arrival, cost.begins
         self.horizon, note = choose_horizon(certificate, horizon, cost, "paper" if cost.form == "paper" else "improved")
@@ -183,7 +183,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         if table.constant_w:
             bounds.note = "No radius: a constant disturbance between nodes need not contain the true one."
         assumed = bounds.assumptions()
-        self.centres = assumed is not None and not asked
+        self.centres = assumed is not None and not cost_given
         self.prepare(Recorder(OpenLoop(table, bounds), claim, assumed and narrowed(assumed, sets)), input_side)
         self._keep_windows()
         self.state = self.initial_state(prior, prior_time)
@@ -243,7 +243,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         window = self._window(state, start, node.sample, (node.y, node.mask, node.feedthrough), node.limits)
         return problem_as_written(window, self.constraints)
 
-    def _solve(self, window: EstimationWindow) -> Solution:
+    def _solve(self, window: EstimationWindow) -> WindowEstimate:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what overflows is not finite
             free = smooth(window)
             if not (math.isfinite(free.cost) and np.isfinite(free.covariance).all()):
@@ -348,7 +348,7 @@ class MovingHorizonEstimator(WindowedEstimator):
         solution = self._solve(window)
         return solution.dual - terms if solution.status == "ok" else np.inf
 
-    def _noise_energy(self, window: EstimationWindow, solution: Solution) -> float:
+    def _noise_energy(self, window: EstimationWindow, solution: WindowEstimate) -> float:
         """Sum of the discounted noise bounds of the window's samples.
 
         Where no constraint was active, the cost is the one without v; else the truth must be held with a v of its own.

@@ -79,7 +79,7 @@ def estimates_despite_outliers(
         last = len(rows) - 1 if smooth else k
         known, unproven = int(read[last]), Estimate(t, x, freeze(np.eye(x.size)), window_start=start.t)
         if known > most:
-            proof = _DespiteOutliers(estimator.plant, rows[: last + 1], known, outliers, bounds, (start.t, start.x))
+            proof = _OutlierEvidence(estimator.plant, rows[: last + 1], known, outliers, bounds, (start.t, start.x))
             found.append(replace(unproven, proof=proof).centred())
         else:
             found.append(replace(unproven, status="prior", note=UNSURE))
@@ -92,7 +92,7 @@ def estimates_despite_outliers(
 
 
 @dataclass
-class _DespiteOutliers:
+class _OutlierEvidence:
     """What the interval of a row is proven from (`ProvesIntervals`)."""
 
     plant: Plant

@@ -141,11 +141,11 @@ class WindowedEstimator(LinearPlantEstimator):
         """
         if not self._slides or t <= start.s:
             return None
-        opening, nodes, s = None, state.nodes, start.s
+        initial, nodes, s = None, state.nodes, start.s
         first = len(nodes) - len(start.inside)
         while first < len(nodes) and nodes[first].t <= s:
-            opening, first = nodes[first], first + 1
-        sample = None if opening is None else (opening.y, opening.mask, opening.feedthrough)
+            initial, first = nodes[first], first + 1
+        sample = None if initial is None else (initial.y, initial.mask, initial.feedthrough)
         prior = self._fixed_prior if start.root is None else start.root @ start.root.T
         flow, drift = last_gap
         new = IncomingNode(t, *measured, flow, drift)
@@ -230,16 +230,16 @@ class WindowedEstimator(LinearPlantEstimator):
         """Return the window problem from `start` to a sample, `measured` = (y, mask, D u), with `limits` of C x."""
         t = sample.t
         inside = [node for node in start.inside if node.t > start.s]
-        opening = next(((n.y, n.mask, n.feedthrough) for n in start.inside if n.t <= start.s), None)
+        initial = next(((n.y, n.mask, n.feedthrough) for n in start.inside if n.t <= start.s), None)
         times = [start.s, *(node.t for node in inside)]
         rows = [(node.y, node.mask, node.feedthrough) for node in inside]
         if t > start.s:
             times.append(t)
             rows.append(measured)
         else:
-            opening = measured
+            initial = measured
         zero = np.zeros(self.plant.n_outputs)
-        rows.insert(0, opening or (zero, zero, zero))
+        rows.insert(0, initial or (zero, zero, zero))
         flows, drift, reference = self._path(state, start, inside, times)
         came = [*(node.sample for node in inside), sample]
         read = [(node.t, *mean) for node in came for mean in means_of(node) if mean[1] >= start.s]

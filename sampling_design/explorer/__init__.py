@@ -2,5 +2,10 @@
 
 from sampling_design.records.lazy import lazy
 
-_NAMES = {"bench": ("Bench",), "notebook": ("explore",), "scenes": ("SCENES", "scene"), "server": ("serve",)}
+_NAMES = {
+    "schedule_explorer": ("ScheduleExplorer",),
+    "notebook": ("explore",),
+    "scenes": ("SCENES", "scene"),
+    "server": ("serve",),
+}
 __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)

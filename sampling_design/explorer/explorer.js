@@ -12,7 +12,7 @@ const STYLE = `
 .sd button { font: inherit; margin: 6px 6px 6px 0; padding: 5px 14px; border: 1px solid #1f5fa8; border-radius: 6px; background: #fff; color: #1f5fa8; cursor: pointer; }
 .sd button:hover, .sd button:focus-visible { background: #1f5fa8; color: #fff; } .sd button:disabled { opacity: 0.5; cursor: wait; }
 .sd .mark { cursor: grab; } .sd .mark:focus { outline: none; } .sd .mark:focus circle { stroke: #000; stroke-width: 3; }
-.sd .told { color: ${COLOUR.failed}; min-height: 1.5em; } .sd .said { min-height: 1.5em; white-space: pre-wrap; }
+.sd .messages { color: ${COLOUR.failed}; min-height: 1.5em; } .sd .said { min-height: 1.5em; white-space: pre-wrap; }
 .sd .mend button { margin: 0 0 0 8px; padding: 1px 10px; } .sd .unknown { color: ${COLOUR.failed}; white-space: pre-wrap; } .sd .after { display: inline-block; margin-right: 14px; font-size: 13px; }
 .sd .stale { opacity: 0.3; } .sd svg:empty { display: none; }
 .sd .hint { color: #595959; font-size: 13px; }`;
@@ -54,12 +54,12 @@ export async function mount(element, ask) {
   // as many units as there are pixels, so that text keeps its size on a telephone
   const WIDE = Math.round(Math.min(Math.max((element.clientWidth || 884) - 24, 340), 860));
   const narrow = WIDE < 600;
-  if (opened.error) return html("p", { class: "told" }, root, opened.error);
+  if (opened.error) return html("p", { class: "messages" }, root, opened.error);
   html("style", {}, root, STYLE);
   html("h1", {}, root, opened.name);
   if (opened.words) html("p", { class: "words" }, root, opened.words);
   const line = node("svg", { role: "group", "aria-label": "samples of one period" }, root);
-  const told = html("p", { class: "told", role: "status", "aria-live": "polite" }, root);
+  const messages = html("p", { class: "messages", role: "status", "aria-live": "polite" }, root);
   const mend = html("p", { class: "mend", role: "status" }, root);
   const chart = node("svg", { class: "sigma", role: "img", "aria-label": "sigma over the window's position" }, root);
   const left = html("p", { class: "hint left", role: "status" }, root);
@@ -218,7 +218,7 @@ export async function mount(element, ask) {
   });
 
   function drawSigma(answer) {
-    told.textContent = answer.error || answer.told.join(" ");
+    messages.textContent = answer.error || answer.messages.join(" ");
     mend.replaceChildren();
     chart.replaceChildren();
     left.textContent = (!answer.error && answer.left && answer.left.said) || "";
@@ -247,7 +247,7 @@ export async function mount(element, ask) {
   function drawAccuracy(answer) {
     errors.replaceChildren();
     errors.classList.remove("stale");
-    unknown.textContent = answer.error ? `No error can be guaranteed: ${answer.error}` : answer.told.join("\n");
+    unknown.textContent = answer.error ? `No error can be guaranteed: ${answer.error}` : answer.messages.join("\n");
     if (answer.error) return;
     const one = 90;
     errors.setAttribute("viewBox", `0 0 ${WIDE} ${opened.states.length * (one + 26) + 42}`);
@@ -284,7 +284,7 @@ export async function mount(element, ask) {
   function drawProjection(answer) {
     set.replaceChildren();
     set.classList.remove("stale");
-    if (answer.error) return html("p", { class: "told" }, set, answer.error);
+    if (answer.error) return html("p", { class: "messages" }, set, answer.error);
     const seen = answer.steps.filter((step) => step.corners.length);
     html("p", {}, set, seen.length ? "What the samples leave possible at the end of the period, one after the other:" : "So few samples leave everything possible.");
     if (!seen.length) return undefined;

@@ -10,7 +10,7 @@ from sampling_design.accuracy.start import InitialError
 from sampling_design.checkers.strict import is_table
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import MissingExtraError
-from sampling_design.explorer.bench import Bench
+from sampling_design.explorer.schedule_explorer import ScheduleExplorer
 from sampling_design.explorer.server import MODULE
 from sampling_design.planning.requirement import PlanRequirement
 from sampling_design.plants.plant import Plant
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from anywidget import AnyWidget
 
 
-class BenchOptions(TypedDict, total=False):
-    """What a `Bench` takes beside plant, requirement and schedule."""
+class ExplorerOptions(TypedDict, total=False):
+    """What a `ScheduleExplorer` takes beside plant, requirement and schedule."""
 
     w_bound: npt.ArrayLike
     v_bound: npt.ArrayLike
@@ -35,24 +35,24 @@ class BenchOptions(TypedDict, total=False):
 
 @checked
 def explore(
-    plant: Plant | Bench,
+    plant: Plant | ScheduleExplorer,
     requirement: Requirement | PlanRequirement | None = None,
     schedule: PeriodicSchedule | None = None,
-    **wishes: Unpack[BenchOptions],
+    **options: Unpack[ExplorerOptions],
 ) -> AnyWidget:
     """Return a time line of samples to drag, with what they prove; a notebook shows it (extra `explore`).
 
     Parameters
     ----------
-    plant : Plant or Bench
-        A bench is shown as it stands, and holds afterwards what was dragged.
-    requirement, schedule, wishes
-        As for `Bench`.
+    plant : Plant or ScheduleExplorer
+        An explorer is shown as it stands, and holds afterwards what was dragged.
+    requirement, schedule, options
+        As for `ScheduleExplorer`.
 
     Returns
     -------
     anywidget.AnyWidget
-        Its `bench.schedule` is the schedule as it lies now.
+        Its `explorer.schedule` is the schedule as it lies now.
 
     Raises
     ------
@@ -64,14 +64,16 @@ def explore(
     except ImportError:
         raise MissingExtraError("anywidget", "explore") from None
 
-    bench = plant if isinstance(plant, Bench) else Bench(plant, requirement, schedule, **wishes)
+    explorer = (
+        plant if isinstance(plant, ScheduleExplorer) else ScheduleExplorer(plant, requirement, schedule, **options)
+    )
 
     widget = type("Explorer", (anywidget.AnyWidget,), {"_esm": MODULE.read_text(), "__module__": __name__})()
-    widget.bench = bench
+    widget.explorer = explorer
 
     def on_message(_: object, message: dict[str, object], buffers: object) -> None:
         question = message.get("question")
-        answer = bench.answer(question if is_table(question) else {})
+        answer = explorer.answer(question if is_table(question) else {})
         widget.send({"number": message.get("number"), "answer": answer})
 
     widget.on_msg(on_message)

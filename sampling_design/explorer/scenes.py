@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sampling_design.design.problem.requirement import Requirement
-from sampling_design.explorer.bench import Bench
+from sampling_design.explorer.schedule_explorer import ScheduleExplorer
 from sampling_design.planning.requirement import AccuracyGoal, PlanRequirement
 from sampling_design.plants.library import oscillator
 from sampling_design.plants.plant import Plant, Signals
@@ -15,9 +15,9 @@ from sampling_design.schedules.schedule import PeriodicSchedule
 from sampling_design.schedules.sensor import Sensor
 
 
-def _pathological() -> Bench:
+def _pathological() -> ScheduleExplorer:
     turn = float(2 * np.pi)
-    return Bench(
+    return ScheduleExplorer(
         oscillator(),
         Requirement(window=turn, period=turn),
         PeriodicSchedule.from_times([1.0, 1.0 + np.pi], turn, time_unit="s"),
@@ -27,13 +27,13 @@ def _pathological() -> Bench:
     )
 
 
-def _even() -> Bench:
+def _even() -> ScheduleExplorer:
     rates = [1.0, 2.5]
     A = np.zeros((4, 4))
     for k, rate in enumerate(rates):
         A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[0.0, rate], [-rate, 0.0]]
     plant = Plant(A, [[1.0, 0.0, 1.0, 0.0]], time_unit="s", outputs=["sum"], name="two tones")
-    return Bench(
+    return ScheduleExplorer(
         plant,
         Requirement(window=8.0, period=8.0, samples=6, spacing=0.2),
         PeriodicSchedule(np.full(6, 8.0 / 6), time_unit="s"),
@@ -41,7 +41,7 @@ def _even() -> Bench:
     )
 
 
-def _laboratory() -> Bench:
+def _laboratory() -> ScheduleExplorer:
     day = 2 * np.pi / 24
     plant = Plant(
         [[0.0, day, 0.0], [-day, 0.0, 0.0], [0.0, 0.0, 0.0]],
@@ -56,7 +56,7 @@ def _laboratory() -> Bench:
         "laboratory": Sensor(5.0, available=[[9.0, 16.0]]),
     }
     mask = [[True, False], [True, True], [True, False]]
-    return Bench(
+    return ScheduleExplorer(
         plant,
         Requirement(window=24.0, period=24.0, sensors=open_hours),
         PeriodicSchedule.from_times(
@@ -69,8 +69,8 @@ def _laboratory() -> Bench:
     )
 
 
-def _set() -> Bench:
-    return Bench(
+def _set() -> ScheduleExplorer:
+    return ScheduleExplorer(
         oscillator(),
         Requirement(window=4.5, period=4.5),
         PeriodicSchedule.from_times([0.4, 1.0, 1.6, 3.0], 4.5, time_unit="s"),
@@ -82,7 +82,7 @@ def _set() -> Bench:
     )
 
 
-def _plan() -> Bench:
+def _plan() -> ScheduleExplorer:
     wanted = PlanRequirement(
         {"position": AccuracyGoal(0.35)},
         period=6.4,
@@ -90,7 +90,7 @@ def _plan() -> Bench:
         w_bound=0.02,
         sensors={"position": Sensor(noise_bound=0.2)},
     )
-    return Bench(
+    return ScheduleExplorer(
         oscillator(),
         wanted,
         PeriodicSchedule.from_times([0.4, 1.2, 2.0], 6.4, time_unit="s"),
@@ -104,8 +104,8 @@ set shrinking sample by sample, the cheapest plan that keeps a tolerance."""
 
 
 @checked
-def scene(name: str) -> Bench:
-    """Return the bench of a ready-made scene.
+def scene(name: str) -> ScheduleExplorer:
+    """Return the explorer of a ready-made scene.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def scene(name: str) -> Bench:
 
     Returns
     -------
-    Bench
+    ScheduleExplorer
 
     Raises
     ------

@@ -13,7 +13,7 @@ from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 from sampling_design.errors import ArgumentError
-from sampling_design.explorer.bench import Bench
+from sampling_design.explorer.schedule_explorer import ScheduleExplorer
 from sampling_design.explorer.socket_frames import TEXT, accepted, frame, messages
 from sampling_design.records import checks
 from sampling_design.records.budget import now
@@ -69,11 +69,11 @@ class Server(ThreadingHTTPServer):
 
     daemon_threads = True
 
-    def __init__(self, bench: Bench, port: int = 0) -> None:
+    def __init__(self, explorer: ScheduleExplorer, port: int = 0) -> None:
         super().__init__(("127.0.0.1", port), Handler)
-        self.bench, self.token = bench, secrets.token_urlsafe(24)
-        self.turn = threading.Lock()
-        self.asked = now()
+        self.explorer, self.token = explorer, secrets.token_urlsafe(24)
+        self.lock = threading.Lock()
+        self.last_request = now()
         self.timeout = 0.2
 
     def handle_error(self, request: object, client_address: object) -> None:
@@ -171,21 +171,21 @@ class Handler(BaseHTTPRequestHandler):
         # a page may lie open for long between two questions
         self.connection.settimeout(None)
         for text in messages(self.rfile, self.wfile, LARGEST):
-            self.server.asked = now()
+            self.server.last_request = now()
             self.wfile.write(frame(TEXT, self._answer(text)))
             self.wfile.flush()
 
     def _answer(self, text: str) -> bytes:
-        """What the bench says; one at a time, since the samples on it are one."""
-        with self.server.turn:
-            return self.server.bench.answer_json(text).encode()
+        """What the explorer answers; one question at a time, since its samples are one."""
+        with self.server.lock:
+            return self.server.explorer.answer_json(text).encode()
 
     def _welcome(self, token: str) -> bool:
         """Whether this is for us: under our own name (no other site's name may lead here) and with our token."""
         own = {f"127.0.0.1:{self.server.server_port}", f"localhost:{self.server.server_port}"}
         good = self.headers.get("Host") in own and secrets.compare_digest(token.encode(), self.server.token.encode())
         if good:
-            self.server.asked = now()
+            self.server.last_request = now()
         else:
             self._send(403, "text/plain", b"Open the address that the explorer printed when it began.\n")
         return good
@@ -205,12 +205,14 @@ class Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
 
-def serve(bench: Bench, port: int = 0, idle: float = 3600.0, ready: Callable[[str], object] = print) -> None:
+def serve(
+    explorer: ScheduleExplorer, port: int = 0, idle: float = 3600.0, ready: Callable[[str], object] = print
+) -> None:
     """Serve the explorer until nobody has asked for `idle` seconds, or an interrupt.
 
     Parameters
     ----------
-    bench : Bench
+    explorer : ScheduleExplorer
     port : int
         0 takes a free one.
     idle : float [s]
@@ -224,10 +226,10 @@ def serve(bench: Bench, port: int = 0, idle: float = 3600.0, ready: Callable[[st
     """
     idle = checks.positive("idle", idle)
     try:
-        opened = Server(bench, port)
+        opened = Server(explorer, port)
     except (OSError, OverflowError) as error:
         raise ArgumentError(f"`port` {port} cannot be used here ({error}). Take another, or 0 for any.") from None
     with opened as server:
         ready(server.address)
-        while now() - server.asked < idle:
+        while now() - server.last_request < idle:
             server.handle_request()

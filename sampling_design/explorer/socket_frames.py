@@ -1,4 +1,4 @@
-"""The frames of a WebSocket (RFC 6455), as far as one browser that asks and one bench that answers need them."""
+"""The frames of a WebSocket (RFC 6455), as far as one browser that asks and one explorer that answers need them."""
 
 from __future__ import annotations
 

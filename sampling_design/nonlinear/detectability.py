@@ -215,9 +215,9 @@ def check_detectability(
     found = []
     for k in range(count):
         i = 1 + k % sets.distinct
-        seen = study.pair(sets.starting_at(i), left, rng, k < LINEARISED)
-        if seen is not None:
-            found.append((seen, PairWitness(k, i, seen.t, seen.difference * plant.signals["states"].scales)))
+        outcome = study.pair(sets.starting_at(i), left, rng, k < LINEARISED)
+        if outcome is not None:
+            found.append((outcome, PairWitness(k, i, outcome.t, outcome.difference * plant.signals["states"].scales)))
         if progress is not None:
             progress((k + 1) / count, f"{k + 1} of {count} pairs")
     return study.evidence(found, count - len(found))

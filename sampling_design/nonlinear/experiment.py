@@ -265,7 +265,9 @@ def _read(path: Path, settings: Tree) -> dict[tuple[str, int], Tree]:
     if not rows or rows[0].get("format") != FORMAT:
         raise FileFormatError(f"{path}: is no result file of this experiment (its first line must name {FORMAT}).")
     for key, plain in (("days", None), ("seed", None), ("degree", DEGREE)):
-        held, asked = (table.get(key, plain) for table in (rows[0], settings))
-        if held != asked:
-            raise ArgumentError(f"`path` {path} holds runs with {key} = {held}, asked for {asked}. Use another file.")
+        stored, requested = (table.get(key, plain) for table in (rows[0], settings))
+        if stored != requested:
+            raise ArgumentError(
+                f"`path` {path} holds runs with {key} = {stored}, asked for {requested}. Use another file."
+            )
     return {(row["case"], row["run"]): row for row in rows[1:]}

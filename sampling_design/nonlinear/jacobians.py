@@ -50,10 +50,10 @@ def symbols_of(plant: PlantEquations) -> SymbolicPlant:
     ca = casadi()
     x, u = ca.SX.sym("x", plant.n_states), ca.SX.sym("u", plant.n_inputs)
     w, v = ca.SX.sym("w", plant.n_disturbances), ca.SX.sym("v", plant.n_noises)
-    shown = plant.h_casadi(x, u, v)
+    outputs = plant.h_casadi(x, u, v)
     if not plant.adds_noise:
         raise ArgumentError("`measurement` must add one noise to each output, y = h(x, u) + v, for a certificate.")
-    quiet = ca.substitute(shown, v, ca.SX.zeros(plant.n_noises)) if plant.n_noises else shown
+    quiet = ca.substitute(outputs, v, ca.SX.zeros(plant.n_noises)) if plant.n_noises else outputs
     return SymbolicPlant(x, u, w, ca.densify(plant.f_casadi(x, u, w)), ca.densify(quiet))
 
 

@@ -19,7 +19,7 @@ from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.nlp import WindowProgram
 from sampling_design.nonlinear.open_loop import NonlinearLoop
-from sampling_design.nonlinear.outliers import Outliers, beyond
+from sampling_design.nonlinear.outliers import OutlierRejection, beyond
 from sampling_design.nonlinear.promise import InclusionPromise, WindowTrajectory, cost_for
 from sampling_design.nonlinear.region import StateRegion
 from sampling_design.nonlinear.simulation import require_inside
@@ -106,7 +106,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         Pieces of the window and degree of the polynomials; refined where the discretisation costs too much.
     solver : WindowSolver, optional
         Tolerance, iterations, and other starts where the cost is out of line with the noise.
-    outliers : Outliers, optional
+    outliers : OutlierRejection, optional
         A robust loss, or a gate for samples that fit nothing else.
     maximum_delay : float, optional
         How far back a late sample, a correction or a withdrawal may lie [time]. Default: the horizon.
@@ -176,7 +176,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         initial_error: npt.ArrayLike | None = None,
         collocation: Collocation | None = None,
         solver: WindowSolver | None = None,
-        outliers: Outliers | None = None,
+        outliers: OutlierRejection | None = None,
         maximum_delay: float | None = None,
     ):
         self.plant = plant
@@ -188,7 +188,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         self.scaled = scaled_weights(plant, cost)
         self.keep_for_late(maximum_delay)
         self._scale = plant.signals["states"].scales
-        self.outliers = Outliers() if outliers is None else outliers
+        self.outliers = OutlierRejection() if outliers is None else outliers
         self._region = StateRegion(*plant.bounds["states"]) if self.promise is None else self.promise.region
         self.loop = NonlinearLoop(plant, self.scaled, self.promise, given.inputs == "linear", claim_note)
         state = self.initial_state(prior, prior_time)
@@ -250,7 +250,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         if not self._scales_checked:
             self._scales_checked = True
             warn_of_scales(self.plant, "outputs", [sample.y])
-        taken, gated = self._without_outliers(state, sample)
+        taken, rejected_note = self._without_outliers(state, sample)
         refined, allowed = False, self.search.collocation.accuracy or np.inf
         while True:
             data, guess, start = self._window(state, taken)
@@ -266,7 +266,9 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         counted, scheduled = self._counted(state, taken)
         if solution.status != "ok" or answer.spread is None:
             x, Y, square, trouble = self.loop.ahead(state, state.last, sample.t)
-            note = f"The solver says: {solution.message}; open-loop prediction instead. {trouble} {gated}".strip()
+            note = (
+                f"The solver says: {solution.message}; open-loop prediction instead. {trouble} {rejected_note}".strip()
+            )
             if counted == sample.t and self.promise is not None:
                 counted = state.last.counted  # nothing was learned from it
             return self.loop.node(taken, x, solution.status, Y, square, counted, note, scheduled, **details)
@@ -280,7 +282,7 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
                 f"{self.search.degree} and pieces of {self.search.w_step:.3g}: choose a shorter horizon or w_step."
             )
         square = self._bound(state, data, answer, start, counted == sample.t)
-        note = " ".join(filter(None, (*words, gated)))
+        note = " ".join(filter(None, (*words, rejected_note)))
         return self.loop.node(taken, x, "ok", Y, square, counted, note, scheduled, cost=solution.cost, **details)
 
     def _counted(self, state: EstimatorState, sample: RecordRow) -> tuple[float, bool]:
@@ -334,20 +336,22 @@ class NonlinearMovingHorizonEstimator(OnlineEstimator):
         if self.search.program.keeps_v:
             misfit = misfit + solution.point.v * self.plant.signals["noises"].scales
         w = solution.point.w * self.plant.signals["disturbances"].scales
-        flown = WindowTrajectory(data.edges, nodes, w, misfit, counted, jumps * self._scale)
+        trajectory = WindowTrajectory(data.edges, nodes, w, misfit, counted, jumps * self._scale)
         last = start.counted
         if start.prior:
             last = promise.origin(start.t, next((t for t in data.edges[counted].tolist()), np.inf))
         square = min(start.square, promise.largest(start.t, last, start.prior))
-        return promise.radius(flown, start.x, square if not start.prior else promise.largest(start.t, last, True), last)
+        return promise.radius(
+            trajectory, start.x, square if not start.prior else promise.largest(start.t, last, True), last
+        )
 
     def _window(self, state: EstimatorState, sample: RecordRow) -> tuple[WindowData, WindowSolution, NonlinearStart]:
         """Return the window that ends with `sample`, and its open loop from the prior and the latest estimate."""
         start = self._start(state, sample.t)
         rows = {node.t: (node.y, node.mask) for node in start.inside}
-        seen = np.isfinite(sample.y)
+        measured = np.isfinite(sample.y)
         if sample.t > start.t or start.closed:
-            rows[sample.t] = (np.where(seen, sample.y, 0.0), seen.astype(np.float64))
+            rows[sample.t] = (np.where(measured, sample.y, 0.0), measured.astype(np.float64))
         changes = [t for t, _ in state.inputs if start.t < t < sample.t]
         edges = self._edges(sorted({start.t, sample.t, *rows, *changes}))
         zero = np.zeros(self.plant.n_outputs)

@@ -35,7 +35,7 @@ class ActiveBounds(NamedTuple):
     v: Array
 
 
-class Step(NamedTuple):
+class NewtonStep(NamedTuple):
     """A Newton step: the moves of the unknowns, and the slopes of the cost by active w and v (0 at a free one)."""
 
     move: ProgramPoint
@@ -44,8 +44,8 @@ class Step(NamedTuple):
     rows: Array
 
 
-class Least(NamedTuple):
-    """Where a quadratic model is least: moves (K+1, n+1) of the nodes and a 1, of w and v; slopes as in `Step`.
+class QuadraticMinimum(NamedTuple):
+    """Where a quadratic model is least: moves (K+1, n+1) of the nodes and a 1, of w and v; slopes as in `NewtonStep`.
 
     forces (K+1, n+1): slopes of what lies ahead by the state at a node.
     """
@@ -58,7 +58,7 @@ class Least(NamedTuple):
     forces: Array
 
 
-class Barrier(NamedTuple):
+class BarrierTerms(NamedTuple):
     """What interior points add to a quadratic model: steep d^2 / 2 + linear d for each move d of w and v."""
 
     steep_w: Array
@@ -67,7 +67,7 @@ class Barrier(NamedTuple):
     linear_v: Array
 
 
-class Eliminated(NamedTuple):
+class CondensedModel(NamedTuple):
     """A quadratic model after w and v are eliminated, as affine functions of the state at their node, (dx, 1).
 
     over (K, n+1, n+1+q): the next state; values (K+1, n+1, n+1): what lies ahead costs at least; the free ones move by
@@ -120,7 +120,7 @@ class CondensedNewton:
         root = np.zeros((data.prior.size, data.prior.size))
         root[np.triu_indices(data.prior.size)] = columns["P2"]
         weights = columns["w"][self.functions.capacity - K :, None, None] * self.weight
-        window = _Window(data, root, weights, tuple(_last(box, K) for box in self.boxes), self.functions)
+        window = _NewtonWindow(data, root, weights, tuple(_last(box, K) for box in self.boxes), self.functions)
         rows = guess.row_multipliers.reshape(guess.point.z.shape)
         point, active = window.first(guess)
         residual = np.inf
@@ -141,10 +141,10 @@ class CondensedNewton:
         else:
             return None
         # a bound whose multiplier is within the tolerance of 0 may be left either way
-        held = ActiveBounds(
+        active_bounds = ActiveBounds(
             *(np.where(np.abs(by) > self.tolerance, side, 0) for by, side in zip((by_w, by_v), active, strict=True))
         )
-        if not window.allows(point) or _Quadratic(window, forms, point, carried).eliminated(held) is None:
+        if not window.allows(point) or _QuadraticModel(window, forms, point, carried).eliminated(active_bounds) is None:
             return None
         solution = guess._replace(
             point=point,
@@ -161,7 +161,7 @@ class CondensedNewton:
         return solution, forms, carried
 
 
-class _Window:
+class _NewtonWindow:
     """One window: what is quadratic in its cost, its bounds, and a step of Newton's method."""
 
     def __init__(
@@ -234,9 +234,9 @@ class _Window:
 
     def step(
         self, forms: LocalForms, point: ProgramPoint, active: ActiveBounds, carried: Array
-    ) -> tuple[Step, ActiveBounds] | None:
+    ) -> tuple[NewtonStep, ActiveBounds] | None:
         """Return the step to the minimum of the quadratic model within the bounds of w and v, and what it holds."""
-        quadratic = _Quadratic(self, forms, point, carried)
+        quadratic = _QuadraticModel(self, forms, point, carried)
         for changes in range(MOST_CHANGES):
             found = quadratic.least(active)
             if found is None:
@@ -260,10 +260,10 @@ class _Window:
         return np.where(side == 0, free, np.where(side * slope <= 0, side, 0))
 
 
-class _Quadratic:
+class _QuadraticModel:
     """The quadratic model of a window at one point: of each interval in (dx, 1, dw), of each node in (dx, 1, dv)."""
 
-    def __init__(self, window: _Window, forms: LocalForms, point: ProgramPoint, carried: Array) -> None:
+    def __init__(self, window: _NewtonWindow, forms: LocalForms, point: ProgramPoint, carried: Array) -> None:
         self.window, self.forms, self.point = window, forms, point
         K, d, n = point.z.shape
         q, r, one = point.w.shape[1], point.v.shape[1], n + 1
@@ -283,7 +283,7 @@ class _Quadratic:
         self.node[np.ix_(range(K + 1), kept, kept)] = forms.bend
         self.node[:, n, kept] = self.node[:, kept, n] = forms.gradient
 
-    def least(self, active: ActiveBounds, barrier: Barrier | None = None) -> Least | None:
+    def least(self, active: ActiveBounds, barrier: BarrierTerms | None = None) -> QuadraticMinimum | None:
         """Return where the value is least with what is active at its bound; None where it is nowhere."""
         found = self.eliminated(active, barrier)
         if found is None:
@@ -300,9 +300,9 @@ class _Quadratic:
         by_w = _times(self.interval[:, one:], np.concatenate([moves[:-1], w], axis=1))
         by_w += _times(self.over[:, :, one:].transpose(0, 2, 1), forces[1:])
         by_v = _times(self.node[:, one:], np.concatenate([moves, v], axis=1))
-        return Least(moves, w, v, by_w, by_v, forces)
+        return QuadraticMinimum(moves, w, v, by_w, by_v, forces)
 
-    def interior(self, near: Least) -> ActiveBounds | None:
+    def interior(self, near: QuadraticMinimum) -> ActiveBounds | None:
         """Return which bounds hold where the model is least within them, found by interior points.
 
         None where they find no minimum. `near` says how large multipliers are.
@@ -318,7 +318,7 @@ class _Quadratic:
         room = CLOSER * np.minimum(high - low, 1.0)  # of what has one bound, in scaled units
         value, force = np.clip(start, low + room, high - room), float(np.abs(_flat(near.by_w, near.by_v)).max())
         under, over = force * has_low, force * has_high
-        held, least = ActiveBounds(*split(fixed.astype(np.float64))), 0.0
+        active_bounds, least = ActiveBounds(*split(fixed.astype(np.float64))), 0.0
         for _ in range(MOST_INTERIOR):
             below, above = np.where(has_low, value - low, 1.0), np.where(has_high, high - value, 1.0)
             gap = float(under @ below + over @ above) / count
@@ -326,11 +326,14 @@ class _Quadratic:
             if gap <= least:
                 (w, v), (by_w, by_v) = split(value), split(over - under)
                 found_w, found_v = self.window.active_of("w", w, by_w), self.window.active_of("v", v, by_v)
-                return ActiveBounds(np.where(held.w, held.w, found_w), np.where(held.v, held.v, found_v))
+                return ActiveBounds(
+                    np.where(active_bounds.w, active_bounds.w, found_w),
+                    np.where(active_bounds.v, active_bounds.v, found_v),
+                )
             aim_under, aim_over = CLOSER * gap * has_low / below, CLOSER * gap * has_high / above
             steep = under / below + over / above
             linear = aim_over - aim_under - steep * (value - start)
-            found = self.least(held, Barrier(*split(steep), *split(linear)))
+            found = self.least(active_bounds, BarrierTerms(*split(steep), *split(linear)))
             if found is None:
                 return None
             move = start + _flat(found.w, found.v) - value
@@ -348,7 +351,7 @@ class _Quadratic:
             value, under, over = value + share * move, under + share * by_under, over + share * by_over
         return None
 
-    def eliminated(self, active: ActiveBounds, barrier: Barrier | None = None) -> Eliminated | None:
+    def eliminated(self, active: ActiveBounds, barrier: BarrierTerms | None = None) -> CondensedModel | None:
         """Minimise over what is free from the last node to the first; None (or LinAlgError) if there is no minimum."""
         n = self.point.z0.size
         one, window = n + 1, self.window
@@ -375,7 +378,7 @@ class _Quadratic:
             return None
         slope = P[:n, n] + start @ (self.point.z0 - window.data.prior)
         _, first, trouble = lapack.dposv(P[:n, :n] + start, slope)
-        return None if trouble else Eliminated(over, values, w_gains, v_gains, w_moves, v_moves, -first)
+        return None if trouble else CondensedModel(over, values, w_gains, v_gains, w_moves, v_moves, -first)
 
     def _toward_bounds(self, key: str, side: Array, one: int) -> tuple[Array, Array]:
         """Return the map of what is free to (dx, 1, d) with what is active moved to its bound, and that move."""
@@ -390,7 +393,7 @@ class _Quadratic:
         into[:, one:, one - 1] = go
         return into, go
 
-    def whole(self, found: Least) -> Step:
+    def whole(self, found: QuadraticMinimum) -> NewtonStep:
         """Return the step of all unknowns."""
         K, d, n = self.point.z.shape
         known = np.concatenate([found.moves[:-1], found.w], axis=1)
@@ -399,7 +402,7 @@ class _Quadratic:
         by_z[:, -1] += found.forces[1:, :n]
         rows = -np.linalg.solve(self.forms.inside.transpose(0, 2, 1), by_z.reshape(K, d * n, 1))
         move = ProgramPoint(found.moves[0, :n], found.v, found.w, both[..., :n, 0])
-        return Step(move, found.by_w, found.by_v, rows.reshape(K, d, n))
+        return NewtonStep(move, found.by_w, found.by_v, rows.reshape(K, d, n))
 
 
 def _flat(w: Array, v: Array) -> Array:

@@ -34,7 +34,7 @@ WARM_PUSH = 1e-9  # how far a warm start is moved off its bounds: next to nothin
 APPROXIMATE_MINIMUM_DEGREE = 0
 """How IPOPT's linear solver orders a window: its own choice takes a sixth longer over a solve."""
 
-WARM_BARRIER = 1e-6  # Barrier parameter of a warm start: well below the cost of a sample, well above the tolerance
+WARM_BARRIER = 1e-6  # BarrierTerms parameter of a warm start: well below the cost of a sample, well above the tolerance
 
 
 class WindowProgram:
@@ -100,8 +100,8 @@ class WindowProgram:
                 "mumps_pivot_order": APPROXIMATE_MINIMUM_DEGREE,
             }
             if warm:
-                push = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
-                options |= {f"warm_start_{key}": WARM_PUSH for key in push}
+                push_options = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
+                options |= {f"warm_start_{key}": WARM_PUSH for key in push_options}
                 options |= {"warm_start_init_point": "yes", "mu_init": WARM_BARRIER}
             quiet = {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False, "ipopt": options}
             self._solvers[warm] = casadi().nlpsol("window", "ipopt", self._problem, quiet)
@@ -123,14 +123,14 @@ class WindowProgram:
         u, t, y = ca.SX.sym("u", plant.n_inputs), ca.SX.sym("t"), ca.SX.sym("y", p)
         entries, fit, v_weight = ca.SX.sym("root", self._fit_at[0].size), ca.SX.sym("fit"), ca.SX.sym("v_weight")
         physical_v = v * scale["noises"] if self.keeps_v else ca.SX.zeros(plant.n_noises)
-        shown = plant.output_casadi(x * scale["states"], u, physical_v, t) / scale["outputs"]
+        predicted = plant.output_casadi(x * scale["states"], u, physical_v, t) / scale["outputs"]
         root = ca.SX(p, p)
         for k, (row, column) in enumerate(zip(*self._fit_at, strict=True)):
             root[int(row), int(column)] = entries[k]
-        cost = fit * self._loss(ca.mtimes(root, shown - y))
+        cost = fit * self._loss(ca.mtimes(root, predicted - y))
         if self.n_noises:
             cost += v_weight * ca.bilin(self.weights.twice * self.weights.Qv, v, v)
-        found: Function = ca.Function("node", [x, v, u, t, y, entries, fit, v_weight], [cost, shown])
+        found: Function = ca.Function("node", [x, v, u, t, y, entries, fit, v_weight], [cost, predicted])
         return found
 
     @cached_property
@@ -172,8 +172,8 @@ class WindowProgram:
         n, p = self.plant.n_states, self.plant.n_outputs
         both = carried[:, -n:]
         roots = np.zeros((len(both) + 1, p, p))
-        seen = data.mask.any(axis=1, keepdims=True)
-        roots[:, self._fit_at[0], self._fit_at[1]] = np.where(seen, self._fit_rows(data.mask), 0.0)
+        is_measured = data.mask.any(axis=1, keepdims=True)
+        roots[:, self._fit_at[0], self._fit_at[1]] = np.where(is_measured, self._fit_rows(data.mask), 0.0)
         return WindowSlopes(both[:, :, :n], both[:, :, n + 1 :], forms.H, forms.outputs, roots)
 
     def _limited(self) -> Function:

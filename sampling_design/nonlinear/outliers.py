@@ -13,7 +13,7 @@ from sampling_design.records.record import Record, short
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Outliers(Record):
+class OutlierRejection(Record):
     """How samples that fit nothing else are kept from spoiling an estimate.
 
         huber:  sum_i 2 c^2 (sqrt(1 + e_i^2/c^2) - 1) in place of sum_i e_i^2,    e = U (y - h), U'U a sample's weight
@@ -41,7 +41,7 @@ class Outliers(Record):
 
     Examples
     --------
-    >>> Outliers(huber=2.0, gate=5.0).explain()
+    >>> OutlierRejection(huber=2.0, gate=5.0).explain()
     'Residuals beyond 2 standard deviations count linearly; an output beyond 5 is left out, at most 3 samples in a row.'
     """
 
@@ -49,7 +49,7 @@ class Outliers(Record):
     gate: float | None = None
     patience: int = 3
 
-    _slip: ClassVar[str] = "Use Outliers(huber=, gate=, patience=)."
+    _slip: ClassVar[str] = "Use OutlierRejection(huber=, gate=, patience=)."
 
     _table = {"huber": "{huber:or -}", "gate": "{gate:or -}", "patience": "{patience}"}
 

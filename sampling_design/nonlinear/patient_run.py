@@ -107,6 +107,6 @@ class PatientFigure(Record):
 
     def explain(self) -> str:
         """Say what the figure shows."""
-        shown = {1: "The noisy outputs and the samples", 2: "The measured states", 3: "The unmeasured states"}
+        titles = {1: "The noisy outputs and the samples", 2: "The measured states", 3: "The unmeasured states"}
         found = "" if self.number == 1 else f" {self.of.explain()}"
-        return f"{shown[self.number]} of run {self.of.run} ({self.of.case.replace('_', ' ')}).{found}"
+        return f"{titles[self.number]} of run {self.of.run} ({self.of.case.replace('_', ' ')}).{found}"

@@ -132,12 +132,12 @@ class InclusionPromise:
         grown = np.exp(-self.eta * length) * square + self.w_square * float(discounted_length(self.eta, length))
         return float(grown * (1 + ROUNDING))
 
-    def radius(self, flown: WindowTrajectory, prior: Array, square: float, last: float) -> float:
+    def radius(self, trajectory: WindowTrajectory, prior: Array, square: float, last: float) -> float:
         """Return the bound on V at the window's end; infinite where some gap is not certified.
 
         Parameters
         ----------
-        flown : WindowTrajectory
+        trajectory : WindowTrajectory
         prior : (n,) array
             Estimate at the window's start, before the sample there if that one counts.
         square : float
@@ -145,23 +145,27 @@ class InclusionPromise:
         last : float
             When the last sample before that counted.
         """
-        times, end = flown.times, flown.times[-1]
+        times, end = trajectory.times, trajectory.times[-1]
         decay = np.exp(-self.eta * (end - times))
         ages = np.empty(times.size)
         for k, t in enumerate(times.tolist()):
             ages[k] = self.age(t, last)
-            last = t if flown.counted[k] else last
+            last = t if trajectory.counted[k] else last
         if np.isnan(ages).any() or np.isinf(square):
             return float("inf")
         c = self.certificate
-        off = flown.x[0] - prior
+        off = trajectory.x[0] - prior
         lengths = np.diff(times)
         spent = discounted_length(self.eta, lengths) * decay[1:]
-        cost = decay[0] * off @ c.at(ages[0]) @ off + spent @ np.einsum("ki,ij,kj->k", flown.w, c.Qw, flown.w)
-        heard = decay * flown.counted
-        cost += heard @ np.einsum("ki,ij,kj->k", flown.misfit, c.Rtilde, flown.misfit)
-        truth = decay[0] * square + self.w_square * spent.sum() + self.v_square * heard.sum()
-        jumped = np.einsum("ki,kij,kj->k", flown.jumps, c.at(ages[1:]), flown.jumps) if len(lengths) else np.zeros(0)
+        cost = decay[0] * off @ c.at(ages[0]) @ off + spent @ np.einsum("ki,ij,kj->k", trajectory.w, c.Qw, trajectory.w)
+        weights_of_noise = decay * trajectory.counted
+        cost += weights_of_noise @ np.einsum("ki,ij,kj->k", trajectory.misfit, c.Rtilde, trajectory.misfit)
+        truth = decay[0] * square + self.w_square * spent.sum() + self.v_square * weights_of_noise.sum()
+        jumped = (
+            np.einsum("ki,kij,kj->k", trajectory.jumps, c.at(ages[1:]), trajectory.jumps)
+            if len(lengths)
+            else np.zeros(0)
+        )
         total = np.sqrt(cost) + np.sqrt(truth) + np.sqrt(decay[1:]) @ np.sqrt(np.maximum(jumped, 0.0))
         return float(total * (1 + ROUNDING)) ** 2
 

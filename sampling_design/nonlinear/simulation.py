@@ -160,8 +160,8 @@ class SpreadIntegrator:
         size = float(np.abs(scaled).max())
         if not (np.isfinite(size) and size > 0):
             return unknown(n)
-        push = np.zeros(self.unit.size) if w is None else w / self.unit
-        parameters = np.concatenate([u, later - u, push, [start, stop - start, size]])
+        disturbance = np.zeros(self.unit.size) if w is None else w / self.unit
+        parameters = np.concatenate([u, later - u, disturbance, [start, stop - start, size]])
         begin = np.concatenate([x / self.scale, (scaled / size).ravel()])
         try:
             found = np.array(self._step(x0=begin, p=parameters)["xf"]).ravel()[n:].reshape(n, n)

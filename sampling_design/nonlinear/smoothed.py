@@ -103,13 +103,13 @@ def smoothed_window(
     assert answer.spread is not None
     scale = plant.scales
     covariance = smoothed_covariances(answer.spread, answer.slopes, data.edges, weights.eta)
-    seen = np.where(data.mask > 0, data.y - answer.slopes.outputs, np.nan)
+    missed = np.where(data.mask > 0, data.y - answer.slopes.outputs, np.nan)
     return SmoothedWindow(
         plant=plant,
         times=freeze(data.edges),
         x=freeze(answer.solution.nodes * scale["states"]),
         w=freeze(answer.solution.point.w * scale["disturbances"]),
         outputs=freeze(answer.slopes.outputs * scale["outputs"]),
-        residuals=freeze(seen * scale["outputs"]),
+        residuals=freeze(missed * scale["outputs"]),
         covariance=freeze(covariance * scale["states"] * scale["states"][:, None]),
     )

@@ -62,8 +62,8 @@ def inflows(
     taken = p["G_D2"] / (p["K_M2"] + T4 / bound) / bound
     # 1/(1 + S TSH_c/(TSH_c + D)) and 1/(1 + L R/(D + R)) with 1/TSH_c and 1/T3_c taken out
     short = (TSH_c + p["D_S"]) / (1 + p["S_S"] + p["D_S"] * power(0, 0, 0, 0, 0, -1))
-    held = p["D_R"] + nuclear * T3_c
-    long = held / ((1 + p["L_S"] * p["G_R"]) * nuclear + p["D_R"] * power(0, 0, 0, -1, 0, 0))
+    bound_share = p["D_R"] + nuclear * T3_c
+    long = bound_share / ((1 + p["L_S"] * p["G_R"]) * nuclear + p["D_R"] * power(0, 0, 0, -1, 0, 0))
     release = p["G_H"] * p["TRH"] / (p["TRH"] + p["D_H"])
     made = p["alpha_31"]
     return [

@@ -79,7 +79,7 @@ class TightestPairs:
         """Y at the times looked at, as far as it can be followed."""
         n = own.shape[0]
         Y: Array = np.asarray(np.linalg.solve(self.weights.P2, np.eye(n)), dtype=np.float64)
-        seen = [(float(path.grid[0]), Y)]
+        covariances = [(float(path.grid[0]), Y)]
         for j, (start, stop) in enumerate(pairwise(path.grid.tolist())):
             if path.measured[j].any():
                 Y = self._sampled(Y, path, j)
@@ -87,16 +87,16 @@ class TightestPairs:
             if j == 0:
                 times = [start + s for s in np.geomspace(EARLIEST, 1.0, FIRST_INSTANTS) * (stop - start)]
             found = self._carried(path, j, Y, times, integrator)
-            seen += found
+            covariances += found
             if j == 0:
                 worst = max(range(len(found)), key=lambda k: _largest(found[k][1], own))
                 low, high = (found[k][0] - start for k in (max(worst - 1, 0), min(worst + 1, len(found) - 1)))
                 closer = [start + s for s in np.geomspace(low, high, CLOSER)]
-                seen += self._carried(path, j, Y, closer, integrator)
+                covariances += self._carried(path, j, Y, closer, integrator)
             Y = found[-1][1]
             if not np.isfinite(Y).all():
                 break
-        return [(t, Y) for t, Y in seen if np.isfinite(Y).all()]
+        return [(t, Y) for t, Y in covariances if np.isfinite(Y).all()]
 
     def _carried(
         self, path: SampledTrajectory, j: int, Y: Array, times: list[float], integrator: SpreadIntegrator

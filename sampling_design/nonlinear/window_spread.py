@@ -52,34 +52,34 @@ def spread_of(
     n, lengths = root.shape[0], np.diff(edges)
     upper = np.triu(np.ones((n, n)))
     S = lapack.dtrtri(root)[0]
-    push, growth = np.zeros((len(lengths), n, n)), np.exp(weights.eta * lengths / 2)[:, None, None] * slopes.F
+    noise_flow, growth = np.zeros((len(lengths), n, n)), np.exp(weights.eta * lengths / 2)[:, None, None] * slopes.F
     if len(lengths) and slopes.G.shape[2]:
         lower = np.linalg.cholesky(weights.twice * weights.Qw)
         worth = np.sqrt(discounted_length(weights.eta, lengths))[:, None, None]
         pushed = np.linalg.solve(lower, slopes.G.transpose(0, 2, 1)) / worth
         triangle: Array = np.asarray(np.linalg.qr(pushed, mode="r"), dtype=np.float64)
-        push[:, :, : triangle.shape[1]] = triangle.transpose(0, 2, 1)
+        noise_flow[:, :, : triangle.shape[1]] = triangle.transpose(0, 2, 1)
     filtered, grown = np.empty((len(edges), n, n)), np.empty((len(edges), n, n))
-    bias, seen = np.zeros(n), slopes.roots @ slopes.H
+    bias, whitened_rows = np.zeros(n), slopes.roots @ slopes.H
     measured: list[bool] = [bool(root.any()) for root in slopes.roots]
     for k in range(len(edges)):
         if k:
-            wide = np.concatenate([growth[k - 1].dot(S).T, push[k - 1].T])
+            wide = np.concatenate([growth[k - 1].dot(S).T, noise_flow[k - 1].T])
             factor = lapack.dgeqrf(wide)[0]
             S = (factor[:n] * upper).T
             if jumps is not None:
                 bias = slopes.F[k - 1].dot(bias) + jumps[k - 1]
         grown[k] = S
         if measured[k]:
-            A = seen[k].dot(S)
+            A = whitened_rows[k].dot(S)
             information = A.T.dot(A)
             information.flat[:: n + 1] += 1.0
             half = lapack.dtrtri(lapack.dpotrf(information, clean=1)[0])[0]
             S = S.dot(half)
             if jumps is not None:
-                bias = bias - S.dot(A.dot(half).T.dot(seen[k].dot(bias)))
+                bias = bias - S.dot(A.dot(half).T.dot(whitened_rows[k].dot(bias)))
         filtered[k] = S
-    return WindowSpread(filtered, grown, push, bias)
+    return WindowSpread(filtered, grown, noise_flow, bias)
 
 
 def smoothed_covariances(spread: WindowSpread, slopes: WindowSlopes, edges: Array, eta: float) -> Array:

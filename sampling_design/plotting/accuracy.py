@@ -82,10 +82,10 @@ def _draw_row(one: Axes, result: Accuracy, k: int, tolerance: float | None) -> N
             textcoords="offset points",
             fontsize="small",
         )
-    shown = [lower, upper] if tolerance is None else [lower, upper, np.array([tolerance])]
+    in_range = [lower, upper] if tolerance is None else [lower, upper, np.array([tolerance])]
     if result.deviation is not None and np.isfinite(result.deviation.worst[k]):
         curve = result.deviation.profile[k]
-        shown.append(curve)
+        in_range.append(curve)
         one.plot(
             result.deviation.times,
             np.where(np.isfinite(curve), curve, np.nan),
@@ -95,7 +95,7 @@ def _draw_row(one: Axes, result: Accuracy, k: int, tolerance: float | None) -> N
             label="standard deviation",
         )
     _mark_worst(one, result, k)
-    style.from_below(one, *_range(shown))
+    style.from_below(one, *_range(in_range))
     unit = result.rows.units[k]
     found = f"guaranteed within {short(result.upper[k], 4)} {unit}".rstrip()
     least = f"nobody guarantees less than {short(result.lower[k], 4)} {unit}".rstrip()

@@ -37,14 +37,16 @@ def draw_design(result: ScheduleDesign, ax: Axes | None = None, *, origin: str |
     rows = 1 if schedule.outputs is None else schedule.outputs.shape[1]
     figure, (top, bottom) = style.new_figure(2, ratios=(0.75 + 0.3 * rows, 2.4), row_height=2.6 + 0.1 * rows)
     _time_line(schedule, result, top)
-    shown = result.window
-    draw_window_sigma(shown, bottom, beside=False, origin=schedule.origin)
+    sigma_found = result.window
+    draw_window_sigma(sigma_found, bottom, beside=False, origin=schedule.origin)
     bottom.set_title("", loc="left")  # the whole picture has one
     note = f"no admissible schedule exceeds {short(result.upper_bound, 4)}"
     bottom.axhline(result.upper_bound, color=style.TRUTH, linestyle="--", linewidth=1.0, label=note)
     least = draw_deviations(result.deviations, bottom)
     style.legend(bottom, 2)
-    style.from_below(bottom, min(shown.lower, least), max(result.upper_bound, float(shown.profile.sigma.max())))
+    style.from_below(
+        bottom, min(sigma_found.lower, least), max(result.upper_bound, float(sigma_found.profile.sigma.max()))
+    )
     if schedule.origin is not None:
         label = bottom.get_xlabel()
         style.dates(bottom, schedule.time_unit, schedule.origin)

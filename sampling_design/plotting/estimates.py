@@ -11,7 +11,7 @@ from sampling_design.estimators.online.estimate import FAILURES
 from sampling_design.estimators.online.estimator import EstimateRecord
 from sampling_design.estimators.records.measurements import Measurements
 from sampling_design.plotting import style
-from sampling_design.plotting.readings import readings_of_state, state_panels
+from sampling_design.plotting.measurements import readings_of_state, state_panels
 from sampling_design.records.arrays import Array
 from sampling_design.records.record import counted
 

@@ -49,14 +49,14 @@ def draw_counterexample(found: Counterexample, ax: Axes | None = None) -> Axes:
     t = np.linspace(0.0, end, POINTS)
     curves = np.einsum("pn,tnm,m->tp", C, expm_batch(found.plant.A, t), np.array(found.direction))
     with np.errstate(over="ignore"):
-        turn = np.exp(-0.5j * np.angle(np.sum(curves**2)))  # the phase in which the outputs are largest
-    shown = np.real(turn * curves) / found.plant.outputs.scales
-    size = float(np.abs(shown).max()) or 1.0
+        phase = np.exp(-0.5j * np.angle(np.sum(curves**2)))  # the phase in which the outputs are largest
+    scaled = np.real(phase * curves) / found.plant.outputs.scales
+    size = float(np.abs(scaled).max()) or 1.0
     names = found.plant.outputs.names
     colours = (style.TRUTH, style.ESTIMATE, style.ALLOWED)  # none says how sure anything is
     for i, name in enumerate(names):
         colour = colours[i % len(colours)]
-        ax.plot(t, shown[:, i] / size, color=colour, linewidth=1.0, label=f"{name} along the unobservable state")
+        ax.plot(t, scaled[:, i] / size, color=colour, linewidth=1.0, label=f"{name} along the unobservable state")
     taken = np.concatenate([np.cumsum(schedule.gaps) + k * schedule.period for k in range(rounds)])
     ax.plot(taken, np.zeros_like(taken), "o", color=style.MEASURED, markersize=5, label="samples", zorder=3)
     ax.set_ylabel("outputs, largest 1")

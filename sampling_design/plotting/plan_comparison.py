@@ -50,8 +50,8 @@ def _goal(result: PlanComparison, name: str, ax: Axes) -> None:
             ax.stairs(upper, edges + shift * plan.schedule.period, baseline=None, color=style.PROVEN,
                       linestyle=line, linewidth=1.4, label=label if shift == 0 else None)  # fmt: skip
         tolerance = plan.goals[k].tolerance
-        asked = "--" if plan is result.first else ":"
-        ax.axhline(tolerance, color=style.FAILED, linewidth=1.2, linestyle=asked, label=f"tolerance, {label}")
+        dashes = "--" if plan is result.first else ":"
+        ax.axhline(tolerance, color=style.FAILED, linewidth=1.2, linestyle=dashes, label=f"tolerance, {label}")
         top = max(top, tolerance, float(np.max(upper)))
     unit = next(goal.unit for goal in result.shared() if goal.name == name)
     ax.set_ylim(0.0, 1.15 * top)

@@ -44,8 +44,8 @@ def draw_family(family: SamplingFamily, ax: Axes | None = None) -> Axes:
     nominal = family.nominal
     planned = nominal.between(0.0, end) if nominal.endless else nominal
     for row, member in enumerate([planned, *members]):
-        shown, colour = member.times[member.times <= end], style.TRUTH if row == 0 else style.MEASURED
-        ax.vlines(shown, -row - 0.32, -row + 0.32, color=colour, linewidth=1.8)
+        visible_times, colour = member.times[member.times <= end], style.TRUTH if row == 0 else style.MEASURED
+        ax.vlines(visible_times, -row - 0.32, -row + 0.32, color=colour, linewidth=1.8)
     ax.set_yticks([0, -(MEMBERS + 1) / 2], ["nominal", "at random"])
     ax.tick_params(axis="y", length=0)
     ax.set_xlim(0.0, 1.02 * end)

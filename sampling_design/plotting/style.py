@@ -96,7 +96,7 @@ def time_label(unit: str | None, what: str = "time") -> str:
     return f"{what} [{unit}]" if unit else what
 
 
-class _InUnit(MaxNLocator):
+class _UnitLocator(MaxNLocator):
     """Marks at whole numbers of another unit of time."""
 
     def __init__(self, factor: float) -> None:
@@ -129,7 +129,7 @@ def time_axis(ax: matplotlib.axes.Axes, unit: str | None, what: str = "time", or
     shown, factor = _unit_label(ax, unit)
     ax.set_xlabel(time_label(shown, what))
     if shown != unit:
-        ax.xaxis.set_major_locator(_InUnit(factor))
+        ax.xaxis.set_major_locator(_UnitLocator(factor))
         ax.xaxis.set_major_formatter(FuncFormatter(lambda t, _: f"{t * factor:.6g}"))
     dates(ax, unit, origin)
 
@@ -202,11 +202,11 @@ def not_ruled_by_the_start(
     t: Array,
     low: Array,
     high: Array,
-    held: Array | None = None,
+    include: Array | None = None,
 ) -> None:
     """Limit the y axis by what comes after the start, where the start alone would stretch it by half.
 
-    What must be seen all the same, what was read and what was made of it, is `held` within it.
+    What must be seen all the same, what was read and what was made of it, is `include` within it.
     Where the band goes on beyond the axis a triangle says up to which value.
     """
     known = np.isfinite(low) & np.isfinite(high)
@@ -216,7 +216,7 @@ def not_ruled_by_the_start(
         return
     near = high - low <= WIDER * float(np.median((high - low)[kept]))  # what is little wider is shown on both sides
     near[kept] = True
-    within = np.zeros(0) if held is None else held[np.isfinite(held)]
+    within = np.zeros(0) if include is None else include[np.isfinite(include)]
     bottom = float(min(low[near].min(), within.min(initial=np.inf)))
     top = float(max(high[near].max(), within.max(initial=-np.inf)))
     if not (top > bottom and float(high.max() - low.min()) > STRETCH * (top - bottom)):

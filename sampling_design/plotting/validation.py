@@ -36,13 +36,13 @@ def draw_validation(report: ValidationReport, ax: Axes | None = None) -> Axes | 
 
 def _errors(report: ValidationReport, ax: Axes) -> Axes:
     top = 0.0 if report.bound is None else float(np.max(report.bound))
-    for course, line in zip(report.courses, _LINES * len(report.courses), strict=False):
-        top = max(top, float(np.max(course.largest)))
-        largest = np.where(course.largest > 0, course.largest, np.nan)
-        ax.plot(report.times, largest, line, color=style.ATTAINED, linewidth=1.1, label=f"largest, {course.name}")
-        if course.name == "random noise":
-            median = np.where(course.median > 0, course.median, np.nan)
-            ax.plot(report.times, median, color=style.MEASURED, linewidth=1.1, label=f"median, {course.name}")
+    for error_curve, line in zip(report.error_curves, _LINES * len(report.error_curves), strict=False):
+        top = max(top, float(np.max(error_curve.largest)))
+        largest = np.where(error_curve.largest > 0, error_curve.largest, np.nan)
+        ax.plot(report.times, largest, line, color=style.ATTAINED, linewidth=1.1, label=f"largest, {error_curve.name}")
+        if error_curve.name == "random noise":
+            median = np.where(error_curve.median > 0, error_curve.median, np.nan)
+            ax.plot(report.times, median, color=style.MEASURED, linewidth=1.1, label=f"median, {error_curve.name}")
     if report.bound is not None:
         ax.plot(report.times, report.bound, color=style.PROVEN, linewidth=1.6, label="proven for every run")
     ax.set_yscale("log")
@@ -91,8 +91,8 @@ def draw_schedule_log(log: ScheduleLog, ax: Axes | None = None) -> Axes | style.
         (log.actual_sigma, style.MEASURED, 1.3, "actual"),
     ):
         label: str | None = f"{name}: at least {short(sigma.lower, 4)}"
-        seen = (low <= sigma.profile.t) & (sigma.profile.t <= high)
-        t, value, piece = sigma.profile.t[seen], sigma.profile.sigma[seen], sigma.profile.piece[seen]
+        in_view = (low <= sigma.profile.t) & (sigma.profile.t <= high)
+        t, value, piece = sigma.profile.t[in_view], sigma.profile.sigma[in_view], sigma.profile.piece[in_view]
         for index in np.unique(piece):
             here = piece == index
             bottom.plot(t[here], value[here], color=colour, linewidth=width, label=label)

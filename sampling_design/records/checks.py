@@ -321,8 +321,8 @@ def word(name: str, value: object, known: Iterable[str]) -> str:
     words = list(known)
     if is_text(value) and value in words:
         return value
-    shown = [f'"{each}"' if len(words) == 2 or " " in each else each for each in words]
-    expected = " or ".join(shown) if len(words) == 2 else f"one of {', '.join(shown)}"
+    quoted = [f'"{each}"' if len(words) == 2 or " " in each else each for each in words]
+    expected = " or ".join(quoted) if len(words) == 2 else f"one of {', '.join(quoted)}"
     raise ArgumentError(f"`{name}` must be {expected}, got {repr(value) if is_text(value) else described(value)}.")
 
 

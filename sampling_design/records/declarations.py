@@ -152,8 +152,8 @@ def short(value: object, digits: int = 6) -> str:
     if numbers.ndim == 0:
         return f"{float(numbers):.{digits}g}"
     flat = numbers.ravel()
-    shown = ", ".join(f"{v:.{digits}g}" for v in flat[:8])
-    return f"[{shown}{', ...' if flat.size > 8 else ''}]"
+    listed = ", ".join(f"{v:.{digits}g}" for v in flat[:8])
+    return f"[{listed}{', ...' if flat.size > 8 else ''}]"
 
 
 def moment(value: object) -> str:
@@ -204,8 +204,8 @@ def latex_matrix(values: Array) -> str:
     """
     for digits in (6, 4):
         cells = [[latex_number(float(v), digits) for v in row] for row in values]
-        shown = [[re.sub(r"[\\{}^ ]|cdot", "", cell) for cell in row] for row in cells]
-        width = sum(2 + max(map(len, column)) for column in zip(*shown, strict=True))
+        listed = [[re.sub(r"[\\{}^ ]|cdot", "", cell) for cell in row] for row in cells]
+        width = sum(2 + max(map(len, column)) for column in zip(*listed, strict=True))
         if width <= SMALL_LINE:
             rows = " \\\\ ".join(map(" & ".join, cells))
             kind, columns = ("array", f"{{{'r' * len(cells[0])}}}") if width <= LINE else ("smallmatrix", "")

@@ -52,7 +52,7 @@ TOO_BIG = ("array is too big", "Maximum allowed dimension exceeded", "Maximum al
 _inside = threading.local()
 
 
-class _Unchecked(Exception):
+class _UncheckedAnnotation(Exception):
     """An annotation that says nothing a door could check."""
 
 
@@ -134,12 +134,12 @@ def _arguments(
                 given[place] = value = check(given[place])
             except ArgumentError as error:
                 raise ArgumentError(f"{error}{_exchanged(function, places, arguments, place)}") from None
-            foreign = foreign or type(value) is _Foreign
+            foreign = foreign or type(value) is _ForeignSystem
         if known and not known.issuperset(options):
             raise misfit(function, arguments, options, TypeError())
         if options:
             named = {key: checks[key](value) if key in checks else value for key, value in options.items()}
-            foreign = foreign or any(type(value) is _Foreign for value in named.values())
+            foreign = foreign or any(type(value) is _ForeignSystem for value in named.values())
         if foreign:
             unit = _unit_of((*given, *named.values()))
             given = [_taken(value, unit) for value in given]
@@ -307,7 +307,7 @@ def _exchanged(
     return ""
 
 
-class _Foreign(NamedTuple):
+class _ForeignSystem(NamedTuple):
     """A system of another library on its way to being what the annotation says, once the unit of time is known."""
 
     take: Callable[[object, str], object]
@@ -315,7 +315,7 @@ class _Foreign(NamedTuple):
 
 
 def _taken(value: object, unit: str) -> object:
-    return value.take(value.value, unit) if isinstance(value, _Foreign) else value
+    return value.take(value.value, unit) if isinstance(value, _ForeignSystem) else value
 
 
 def _unit_of(values: tuple[object, ...]) -> str:
@@ -349,7 +349,7 @@ def _check(parameter: inspect.Parameter, hint: object) -> Check | None:
     """What turns an argument into one of the annotated kind, or raises; None if anything may pass."""
     try:
         kinds = _kinds(hint)
-    except _Unchecked:
+    except _UncheckedAnnotation:
         return None
     name, default = parameter.name, parameter.default
     words = " or ".join(dict.fromkeys(word for word, _ in kinds if word != "None")) or "None"
@@ -410,9 +410,9 @@ def _kinds(hint: object) -> list[tuple[str, Callable[[str, object], object]]]:
         listed = kind
         return [(_HELD[kind], lambda _, v: _as_typed(v, listed))]
     if not isinstance(kind, type) or kind in (Any, object, np.ndarray) or kind.__module__.startswith("numpy._typing"):
-        raise _Unchecked  # an array, or what becomes one
+        raise _UncheckedAnnotation  # an array, or what becomes one
     if getattr(kind, "_is_protocol", False) and not getattr(kind, "_is_runtime_protocol", False):
-        raise _Unchecked
+        raise _UncheckedAnnotation
     return [_instance(kind)]
 
 
@@ -449,7 +449,7 @@ def _instance(kind: type) -> tuple[str, Callable[[str, object], object]]:
                 )
             return value
         maker = None if foreign is None else foreign(value)
-        return _NO if maker is None else _Foreign(maker, value)
+        return _NO if maker is None else _ForeignSystem(maker, value)
 
     return label, take
 

@@ -29,7 +29,7 @@ class HasDict(Protocol):
         ...
 
 
-class _Answer(TypedDict):
+class _SweepAnswer(TypedDict):
     """An answer as plain data, or None and what stands in its way."""
 
     answer: dict[str, Plain] | None
@@ -134,7 +134,7 @@ def sweep(
     journal = None
     if resume is not None:
         journal = Journal(resume, digest(question, {name: named[name] for name in names}), _read)
-    known: dict[str, _Answer] = dict(journal.known) if journal is not None else {}
+    known: dict[str, _SweepAnswer] = dict(journal.known) if journal is not None else {}
     todo = [name for name in names if name not in known]
     for place, answer in numbered(_answered, [(question, named[name]) for name in todo], workers):
         name = todo[place]
@@ -150,21 +150,21 @@ def sweep(
     )
 
 
-def _answered(job: tuple[Callable[[Item], HasDict], Item]) -> _Answer:
+def _answered(job: tuple[Callable[[Item], HasDict], Item]) -> _SweepAnswer:
     """The answer as plain data, the same as it would be after a way through a file."""
     question, item = job
     try:
         found = question(item)
     except SamplingDesignError as error:
-        return _Answer(answer=None, obstacle=str(error) or type(error).__name__)
+        return _SweepAnswer(answer=None, obstacle=str(error) or type(error).__name__)
     if not isinstance(found, HasDict):
         raise ArgumentError(f"`question` must return a record with to_dict, got {checks.described(found)}.")
-    return _Answer(answer=from_json(to_json(found.to_dict()), "the answer"), obstacle="")
+    return _SweepAnswer(answer=from_json(to_json(found.to_dict()), "the answer"), obstacle="")
 
 
-def _read(value: object, place: str) -> _Answer:
+def _read(value: object, place: str) -> _SweepAnswer:
     """An answer as a journal holds it, or what stands in its way."""
     found = table({"answer": or_nothing(a_table), "obstacle": text})(value, place)
     if (found["answer"] is None) != bool(found["obstacle"]):
         raise refuse(place, "must hold an answer or an obstacle, and not both")
-    return _Answer(answer=found["answer"], obstacle=found["obstacle"])
+    return _SweepAnswer(answer=found["answer"], obstacle=found["obstacle"])

@@ -46,8 +46,8 @@ def readable_unit(length: float, unit: str) -> tuple[str, float]:
     """
     own = SECONDS[check_time_unit(unit)]
     longer = [u for u in ("s", "min", "h", "d") if own < SECONDS[u] <= length * own / FEW] if length > MANY else []
-    shown = longer[-1] if longer else unit
-    return shown, own / SECONDS[shown]
+    readable = longer[-1] if longer else unit
+    return readable, own / SECONDS[readable]
 
 
 def spoken(length: float, unit: str) -> str:

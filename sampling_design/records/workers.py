@@ -242,16 +242,16 @@ def _finished(
     futures: Iterable[Future[Result]], client: Client, ended: Callable[[str], SolverError]
 ) -> Iterator[Future[Result]]:
     """Yield futures as they end, unless the cluster is left without scheduler or without workers."""
-    waiting, seen = set(futures), now()
+    waiting, last_alive = set(futures), now()
     while waiting:
         found, waiting = wait(waiting, timeout=PATIENCE, return_when=FIRST_COMPLETED)
         yield from sorted(found, key=lambda future: future.cancelled() or future.exception() is not None)
         try:
             if found or client.nthreads():
-                seen = now()
+                last_alive = now()
         except (OSError, TimeoutError):
             raise ended("the Dask scheduler was lost") from None
-        if now() - seen > LONGEST_WITHOUT:
+        if now() - last_alive > LONGEST_WITHOUT:
             raise ended(f"the Dask cluster has had no worker for {LONGEST_WITHOUT:g} s")
 
 

@@ -128,14 +128,14 @@ class MismatchLoop(OpenLoop):
         speed = float(np.linalg.norm(A * self.weights.units / self.weights.units[:, None], 2))
         for a, b in pairwise(cuts):
             k = bisect_right(self._inputs, a, key=itemgetter(0)) - 1
-            push = self.plant.B @ self._inputs[k][1] if k >= 0 else np.zeros(len(x))
+            forcing = self.plant.B @ self._inputs[k][1] if k >= 0 else np.zeros(len(x))
             count = int(np.clip(np.ceil(speed * (b - a) / STEP), FEWEST, MOST))
             done, step = 0.0, (b - a) / count
             for _ in range(count * 2**HALVINGS):
                 if done >= (b - a) * (1 - 1e-12):
                     break
                 step = min(step, b - a - done)
-                found = self._stepped(x, Y, beta, push, step)
+                found = self._stepped(x, Y, beta, forcing, step)
                 if found is None:
                     step /= 2
                     if step * 2**HALVINGS * count < b - a:
@@ -145,11 +145,13 @@ class MismatchLoop(OpenLoop):
                 done += step
         return beta * ROUNDING
 
-    def _stepped(self, x: Array, Y: Array, beta: float, push: Array, step: float) -> tuple[Array, Array, float] | None:
+    def _stepped(
+        self, x: Array, Y: Array, beta: float, forcing: Array, step: float
+    ) -> tuple[Array, Array, float] | None:
         """State, covariance and radius after a step; None if no bound of the mismatch holds itself up over it."""
         A, eta, rows = self.plant.A, self.weights.eta, self._rows
         F, W = (M[0] for M in discounted_flow(A, self.weights.noise, [step], eta))
-        x_next = forced_flow(A, push[:, None], [step])[0] @ np.append(x, 1.0)
+        x_next = forced_flow(A, forcing[:, None], [step])[0] @ np.append(x, 1.0)
         Y_next = propagate(np.exp(eta * step) * Y, F, W)
         try:
             L = np.linalg.cholesky(Y)
@@ -160,9 +162,10 @@ class MismatchLoop(OpenLoop):
         own = np.maximum(np.linalg.norm(rows @ L, axis=1), np.linalg.norm(rows @ F @ L, axis=1))
         own = own + sag * np.linalg.norm(rows @ A @ A @ L, axis=1)
         spread = np.sqrt(np.exp(eta * step) * own**2 + np.einsum("ki,ij,kj->k", rows, W, rows))
-        pushed = float(np.linalg.norm(np.linalg.solve(L, A @ x + push)))
+        forced_size = float(np.linalg.norm(np.linalg.solve(L, A @ x + forcing)))
         centre = (
-            np.maximum(np.abs(rows @ x), np.abs(rows @ x_next)) + sag * np.linalg.norm(rows @ A @ L, axis=1) * pushed
+            np.maximum(np.abs(rows @ x), np.abs(rows @ x_next))
+            + sag * np.linalg.norm(rows @ A @ L, axis=1) * forced_size
         )
         known, m = self._known_size, len(rows)
         fixed = self.bounds.disturbance + float(self._q[m:] @ known**2)

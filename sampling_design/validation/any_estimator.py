@@ -42,7 +42,7 @@ class EstimatorStudy:
         self, scenarios: Sequence[str], settings: Mapping[str, object], progress: Progress | None
     ) -> ValidationReport:
         """Run the scenarios that are known here, and say of the others that they are not."""
-        findings, courses = list[Finding](), list[ErrorCurve]()
+        findings, error_curves = list[Finding](), list[ErrorCurve]()
         inputs: dict[str, Callable[[], ErrorSources]] = {
             "random": lambda: draw_inputs(self.line, self.bounds, self.seeds),
             "resonant": lambda: resonant_inputs(self.line, self.bounds)[0],
@@ -54,7 +54,7 @@ class EstimatorStudy:
                 progress(k / len(known), name)
             runs = self._runs(inputs[name]())
             size = np.linalg.norm([run.errors(self.rows) / self.line.plant.states.scales for run in runs], axis=2)
-            courses.append(ErrorCurve(name, size.max(axis=0), np.median(size, axis=0)))
+            error_curves.append(ErrorCurve(name, size.max(axis=0), np.median(size, axis=0)))
             findings += [*self._growth(name, size), *self._promised(name, runs)]
         if progress is not None:
             progress(1.0, "done")
@@ -64,7 +64,7 @@ class EstimatorStudy:
             times=self.rows.times,
             bound=None,
             norm="states over their scales",
-            courses=tuple(courses),
+            error_curves=tuple(error_curves),
             settings=settings,
             skipped=tuple(f"{name}: it needs a certificate's estimator." for name in scenarios if name not in known),
         )

@@ -175,7 +175,7 @@ def build_error_map(timeline: Timeline, estimator: LinearEstimator, bounds: Scen
     F, W = discounted_flow(line.plant.A, weights.noise, gaps, weights.eta)
     roots = weights.of(line.masks).y_root
     H = roots @ line.plant.C
-    builder = _Builder(estimator, line, F, W, np.exp(weights.eta * gaps), H, bounds)
+    builder = _ErrorMapBuilder(estimator, line, F, W, np.exp(weights.eta * gaps), H, bounds)
     windows, half, rows = builder.build()
     return ErrorMap(
         timeline=line,
@@ -192,7 +192,7 @@ def build_error_map(timeline: Timeline, estimator: LinearEstimator, bounds: Scen
     )
 
 
-class _Builder:
+class _ErrorMapBuilder:
     """Covariances and gains of all windows, in order of time."""
 
     def __init__(

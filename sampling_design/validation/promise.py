@@ -57,9 +57,9 @@ class Promise:
         """Return the right side at every row for the largest |e0|^2, |w|^2 and (per sample) |v|^2 in these weights."""
         e0, w, v = energies
         t, when = rows.times, line.times[line.samples]
-        heard = (when[None] < t[:, None]) | ((when[None] == t[:, None]) & rows.after[:, None])
+        counted = (when[None] < t[:, None]) | ((when[None] == t[:, None]) & rows.after[:, None])
         decay = np.exp(-self.rate * np.maximum(t[:, None] - when[None], 0.0))
-        total = np.exp(-self.rate * t) * e0 + w * discounted_length(self.rate, t) + np.where(heard, decay, 0.0) @ v
+        total = np.exp(-self.rate * t) * e0 + w * discounted_length(self.rate, t) + np.where(counted, decay, 0.0) @ v
         return np.asarray(self.gain * total)
 
     def size(self, e: Array) -> Array:

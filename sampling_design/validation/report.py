@@ -133,7 +133,7 @@ class ValidationReport(YesOrNo, ListRecord[Finding], PlainRecord):
         What the a-priori theorem promises for the largest noise, in the report's norm.
     norm : str
         Norm of the errors in words: the certificate's |.|_P1, or states over their scales.
-    courses : tuple of ErrorCurve
+    error_curves : tuple of ErrorCurve
     example : ExampleRun or None
     settings : dict
         Runs, duration, horizon, bounds, seed and versions.
@@ -146,13 +146,14 @@ class ValidationReport(YesOrNo, ListRecord[Finding], PlainRecord):
     times: Array
     bound: Array | None
     norm: str
-    courses: tuple[ErrorCurve, ...] = ()
+    error_curves: tuple[ErrorCurve, ...] = ()
     example: ExampleRun | None = None
     settings: Mapping[str, object] = field(default_factory=dict)
     skipped: tuple[str, ...] = ()
 
     _plain = (
-        "format:_format plant:plant.name passed findings skipped settings norm times bound courses{name largest median}"
+        "format:_format plant:plant.name passed findings skipped settings norm times bound "
+        "error_curves{name largest median}"
     )
     _format = "sampling-design/validation/1"
     _frame = "findings{claim scenario verdict predicted observed margin source strength}"

@@ -40,7 +40,7 @@ class ScheduleLog(TableRecord):
         Over the time of the log; `actual` holds the samples that measured something.
     match : (N,) integer array
         For each planned sample the actual one that stands for it, -1 where it was missed.
-    lacking : (N,) array of bool
+    incomplete : (N,) array of bool
         Taken, but without an output that was planned.
     planned_sigma, actual_sigma : WindowSigma or None
         Over every position of the window; None where the log is shorter than the window, or no mode must be observed.
@@ -53,13 +53,13 @@ class ScheduleLog(TableRecord):
     planned: Schedule
     actual: Schedule
     match: Index
-    lacking: Mask
+    incomplete: Mask
     planned_sigma: WindowSigma | None
     actual_sigma: WindowSigma | None
     time_unit: str
     decays: bool = False
 
-    _frame = "planned:planned.times deviation:deviations lacking"
+    _frame = "planned:planned.times deviation:deviations incomplete"
 
     @property
     def deviations(self) -> Array:
@@ -108,7 +108,7 @@ class ScheduleLog(TableRecord):
             "largest_deviation": self.largest_deviation,
             "missed": self.missed,
             "extra": self.extra,
-            "lacking": self.planned.times[self.lacking],
+            "incomplete": self.planned.times[self.incomplete],
             **{key: None if sigma is None else sigma.to_dict() for key, sigma in sigmas.items()},
             "kept": self.kept,
         }
@@ -130,7 +130,7 @@ class ScheduleLog(TableRecord):
         rows = [
             ("missed", f"{self.missed.size}" + (f" at {moment(self.missed)} {unit}" if self.missed.size else "")),
             ("not planned", f"{self.extra.size}" + (f" at {moment(self.extra)} {unit}" if self.extra.size else "")),
-            ("lacking an output", str(int(self.lacking.sum()))),
+            ("an output missing", str(int(self.incomplete.sum()))),
             ("largest deviation", spoken(self.largest_deviation, unit)),
             ("median deviation", typical),
         ]
@@ -240,8 +240,8 @@ def compare_schedule(
                 replace(sigma, profile=_around(judged, each, length, after.witness.t, start).profile)
                 for sigma, each in ((before, planned), (after, taken))
             )
-    lacking = _lost_samples(plant, planned, taken, match)
-    return ScheduleLog(planned, taken, match, lacking, before, after, plant.time_unit, not judged.n_states)
+    incomplete = _lost_samples(plant, planned, taken, match)
+    return ScheduleLog(planned, taken, match, incomplete, before, after, plant.time_unit, not judged.n_states)
 
 
 def _judged(

@@ -76,7 +76,7 @@ class ValidationStudy:
         self.journal: Journal[MonteCarloTrials] | None = None
         self.skipped: list[str] = []
         self.findings: list[Finding] = []
-        self.courses: list[ErrorCurve] = []
+        self.error_curves: list[ErrorCurve] = []
         self.example: ExampleRun | None = None
         estimator = self.estimator()
         self.horizon, self.begins = float(estimator.horizon), estimator.begins
@@ -139,7 +139,7 @@ class ValidationStudy:
             times=self.map.rows.times,
             bound=bound,
             norm=norm,
-            courses=tuple(self.courses),
+            error_curves=tuple(self.error_curves),
             example=self.example,
             settings=settings,
             skipped=tuple(self.skipped),
@@ -147,13 +147,13 @@ class ValidationStudy:
 
     def _largest(self, promise: Promise) -> Array:
         b = self.bounds
-        heard = [largest_square(weight, b.v) for weight in promise.sample_weights(self.line.masks)]
-        energies = largest_square(promise.prior, b.e0), largest_square(promise.w, b.w), np.array(heard)
+        noise_energies = [largest_square(weight, b.v) for weight in promise.sample_weights(self.line.masks)]
+        energies = largest_square(promise.prior, b.e0), largest_square(promise.w, b.w), np.array(noise_energies)
         return promise.at_most(self.line, self.map.rows, energies)
 
     def _judge(self, scenario: str, trials: MonteCarloTrials, strength: Strength = "sampled") -> None:
         """Findings that every linear scenario leaves: a-priori bound, plain bound, ellipsoids."""
-        self.courses.append(ErrorCurve(scenario, trials.size.max(axis=0), np.median(trials.size, axis=0)))
+        self.error_curves.append(ErrorCurve(scenario, trials.size.max(axis=0), np.median(trials.size, axis=0)))
         if self.promise is not None:
             worst, source = float(np.max(trials.promised)), self.promise.theorem
             self._find(

@@ -9,7 +9,7 @@ import pytest
 from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.design.bounds.relaxation import relax_placed
 from sampling_design.design.bounds.weak_duality import placed_bound
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.plants import library
 
 

@@ -8,7 +8,7 @@ import time
 import pytest
 
 import sampling_design as sd
-from sampling_design.explorer import Bench, scene
+from sampling_design.explorer import ScheduleExplorer, scene
 from sampling_design.explorer.server import Server
 
 TURN = 6.283185307179586
@@ -63,7 +63,7 @@ def drag(page, mark, by, steps=12):
 
 def test_a_drag_changes_the_curve_and_says_what_broke(explorer, page, shot):
     visit(page, explorer(scene("pathological")))
-    assert "alias the modes" in page.locator(".told").text_content()
+    assert "alias the modes" in page.locator(".messages").text_content()
     until(page, "document.querySelector('.mend').textContent.includes('Move the sample at')")
     assert proven(page) == pytest.approx(0.0, abs=1e-9)
     shot(page, "explorer-broken")
@@ -76,7 +76,7 @@ def test_a_drag_changes_the_curve_and_says_what_broke(explorer, page, shot):
         "what is no longer true is shown as if it were"
     )
     until(page, "document.querySelector('.accuracy path') && !document.querySelector('.stale')")
-    until(page, "document.querySelector('.told').textContent === ''")
+    until(page, "document.querySelector('.messages').textContent === ''")
     assert proven(page) > 0.1
     page.wait_for_selector(".accuracy path")
     assert "guaranteed within" in page.locator(".accuracy").text_content()
@@ -88,7 +88,7 @@ def test_a_drag_changes_the_curve_and_says_what_broke(explorer, page, shot):
 def test_the_move_that_is_proposed_mends(explorer, page, shot):
     visit(page, explorer(scene("pathological")))
     page.locator(".mend .move").click()
-    until(page, "document.querySelector('.told').textContent === '' && !document.querySelector('.mend button')")
+    until(page, "document.querySelector('.messages').textContent === '' && !document.querySelector('.mend button')")
     assert proven(page) > 0.1
     shot(page, "explorer-moved")
 
@@ -135,7 +135,7 @@ def test_closed_hours_are_grey_and_a_sample_in_them_is_told(explorer, page, shot
     shot(page, "explorer-laboratory")
     for _ in drag(page, 0, -160):
         page.wait_for_timeout(30)
-    until(page, "document.querySelector('.told').textContent.includes('cannot be read at')")
+    until(page, "document.querySelector('.messages').textContent.includes('cannot be read at')")
     shot(page, "explorer-closed")
 
 
@@ -163,7 +163,7 @@ def test_the_newest_position_wins_and_one_question_is_under_way(explorer, page):
     until(
         page,
         "window.answered === window.sent.length && window.sent.length > 2 && "
-        "document.querySelector('.told').textContent === ''",
+        "document.querySelector('.messages').textContent === ''",
     )
     assert page.evaluate("window.most") == 1
     first, last, *later = page.evaluate("window.sent")
@@ -180,7 +180,7 @@ def test_without_a_socket_questions_are_posted(explorer, page):
     visit(page, explorer(scene("pathological")))
     for _ in drag(page, 1, -90):
         page.wait_for_timeout(60)
-    until(page, "document.querySelector('.told').textContent === ''")
+    until(page, "document.querySelector('.messages').textContent === ''")
     assert proven(page) > 0.1
     assert page.broken == []
 
@@ -204,7 +204,7 @@ def test_a_socket_that_breaks_is_opened_anew(explorer, page):
 
 def test_design_save_and_reload(explorer, page, shot, tmp_path):
     wish = sd.Requirement(window=8.0, period=8.0, samples=6, spacing=0.2)
-    bench = Bench(scene("even").plant, wish, folder=tmp_path)
+    bench = ScheduleExplorer(scene("even").plant, wish, folder=tmp_path)
     address = explorer(bench)
     visit(page, address)
     before = proven(page)
@@ -301,7 +301,7 @@ def test_times_are_told_in_units_that_people_read_and_in_whole_numbers(explorer,
     """A day of seconds in hours; where the unit is the largest there is, no power of ten."""
     plant = sd.Plant([[0.0, 1e-4], [-1e-4, 0.0]], [[1.0, 0.0]], time_unit=unit)
     schedule = sd.PeriodicSchedule.from_times([12345.0, 61234.0], 86400.0, time_unit=unit)
-    visit(page, explorer(Bench(plant, sd.Requirement(window=86400.0, period=86400.0), schedule)))
+    visit(page, explorer(ScheduleExplorer(plant, sd.Requirement(window=86400.0, period=86400.0), schedule)))
     texts = page.locator("svg text").all_text_contents()
     assert ticks <= set(texts)
     assert not [text for text in texts if "e+" in text]

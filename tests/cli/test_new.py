@@ -7,7 +7,14 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.cli.new import PlantModes, flat
-from sampling_design.cli.wishes import AskedFor, by_name, plan_requirement, positive_times, requirement, week
+from sampling_design.cli.requirement_flags import (
+    RequirementFlags,
+    by_name,
+    plan_requirement,
+    positive_times,
+    requirement,
+    week,
+)
 from sampling_design.errors import ArgumentError
 from sampling_design.planning.requirement_file import read_plan_requirement
 from sampling_design.records.units import check_time_unit
@@ -45,7 +52,7 @@ def test_half_lives_names_and_units_are_taken(shell, tmp_path):
 
 def test_a_measurement_without_a_price_costs_one():
     """Of 0, which nobody typed, every plan would cost nothing."""
-    asked = AskedFor(within="0.5", noise="0.1", disturbance="0.01", prices="blood=12")
+    asked = RequirementFlags(within="0.5", noise="0.1", disturbance="0.01", prices="blood=12")
     modes = PlantModes(oscillation="24", sensors="blood,urine")
     terms = plan_requirement(asked, modes.plant(), modes.span()).sensors
     assert [each.price for each in terms.values()] == [12.0, 1.0]
@@ -61,7 +68,7 @@ def test_nobody_copies_thirty_closed_nights_by_hand(shell, tmp_path):
 
 def test_weekends_are_closed_and_other_units_are_converted():
     def closed(unit, period, hours="8-16", weekend=False, start=""):
-        return requirement(AskedFor(open_hours=hours, weekend=weekend, start=start), unit, period).forbidden
+        return requirement(RequirementFlags(open_hours=hours, weekend=weekend, start=start), unit, period).forbidden
 
     spans = closed("h", 168.0)
     assert spans[-1].tolist() == [112.0, 168.0]
@@ -82,7 +89,7 @@ def test_hours_are_said_as_people_say_them():
     assert "Sat" not in week("Mon-Wed 8:30-12, Sat 9-12", weekend=False)
     assert week("", weekend=False)["Fri"] == (("00:00", "24:00"),)
     # every minute of a fortnight is forbidden, or the place is open
-    typed = AskedFor(open_hours="Mon-Wed 8:30-12, 13-17.5, Sat 9-12", start="2026-03-04")
+    typed = RequirementFlags(open_hours="Mon-Wed 8:30-12, 13-17.5, Sat 9-12", start="2026-03-04")
     shut = requirement(typed, "min", 14 * 1440.0).forbidden
     opened = sd.PlanRequirement({"x": 1.0}, calendar={"start": "2026-03-04", "hours": told}).calendar
     for minute in range(0, 14 * 1440, 15):
@@ -90,13 +97,13 @@ def test_hours_are_said_as_people_say_them():
 
 
 def test_a_period_holds_whole_days_of_opening():
-    assert requirement(AskedFor(open_hours="7-19"), "h", 12.42).period == 24.0
-    assert requirement(AskedFor(weekend=False), "h", 30.0).period == 168.0
-    assert requirement(AskedFor(weekend=False), "d", 8.0).period == 14.0
-    assert requirement(AskedFor(open_hours="7-19"), "h", 48.0).period == 48.0
-    assert requirement(AskedFor(), "h", 12.42).period == 12.42
+    assert requirement(RequirementFlags(open_hours="7-19"), "h", 12.42).period == 24.0
+    assert requirement(RequirementFlags(weekend=False), "h", 30.0).period == 168.0
+    assert requirement(RequirementFlags(weekend=False), "d", 8.0).period == 14.0
+    assert requirement(RequirementFlags(open_hours="7-19"), "h", 48.0).period == 48.0
+    assert requirement(RequirementFlags(), "h", 12.42).period == 12.42
     with pytest.raises(ArgumentError, match="must be whole weeks, since opening hours repeat so: a multiple of 168 h"):
-        requirement(AskedFor(weekend=False, period=24.0), "h", 24.0)
+        requirement(RequirementFlags(weekend=False, period=24.0), "h", 24.0)
 
 
 LABORATORY = (
@@ -167,21 +174,23 @@ def test_from_flags_to_an_estimate_nobody_edits_a_file_but_the_form(shell, tmp_p
 
 def test_a_plan_without_dates_repeats_after_a_rhythm():
     plant = sd.Plant([[0.0]], [[1.0]], time_unit="h", states=["level"], outputs=["probe"])
-    asked = AskedFor(within="0.5", noise="0.1", disturbance="0.01")
+    asked = RequirementFlags(within="0.5", noise="0.1", disturbance="0.01")
     found = plan_requirement(asked, plant, 24.0)
     assert (found.period, found.calendar, found.grid) == (24.0, None, None)
     assert list(found.accuracy) == ["probe"]
-    assert plan_requirement(AskedFor(), plant, 24.0) is None
+    assert plan_requirement(RequirementFlags(), plant, 24.0) is None
     with pytest.raises(
         ArgumentError, match=r"`--prices` belongs to a plan\. Say how well what must be known: --within\."
     ):
-        plan_requirement(AskedFor(prices="3"), plant, 24.0)
+        plan_requirement(RequirementFlags(prices="3"), plant, 24.0)
     with pytest.raises(ArgumentError, match="`--within` makes a plan, which needs --disturbance: how strong"):
-        plan_requirement(AskedFor(within="0.5", noise="0.1"), plant, 24.0)
+        plan_requirement(RequirementFlags(within="0.5", noise="0.1"), plant, 24.0)
     with pytest.raises(ArgumentError, match="`--start` is missing: opening hours and holidays of a plan need a date"):
-        plan_requirement(AskedFor(within="0.5", noise="0.1", disturbance="0.01", open_hours="8-17"), plant, 24.0)
+        plan_requirement(
+            RequirementFlags(within="0.5", noise="0.1", disturbance="0.01", open_hours="8-17"), plant, 24.0
+        )
     with pytest.raises(ArgumentError, match=r"unknown key 'levl' in `--within`\. Did you mean 'level'"):
-        plan_requirement(AskedFor(within="levl=0.5", noise="0.1", disturbance="0.01"), plant, 24.0)
+        plan_requirement(RequirementFlags(within="levl=0.5", noise="0.1", disturbance="0.01"), plant, 24.0)
 
 
 def test_arrays_stand_on_a_line_each_and_mean_the_same():
@@ -269,19 +278,19 @@ def test_what_the_flags_refuse(tmp_path, monkeypatch):
         with pytest.raises(ArgumentError, match="must be a number, or blood=NUMBER with commas between"):
             by_name("--noise", text, ("blood", "urine"), ("blood",))
     with pytest.raises(ArgumentError, match="closes every day: a period of"):
-        requirement(AskedFor(open_hours="7-19"), "h", 24.0 * 500)
+        requirement(RequirementFlags(open_hours="7-19"), "h", 24.0 * 500)
     from sampling_design.cli.new import PlantModes, new
     from sampling_design.cli.settings import Settings
 
     monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
     with pytest.raises(ArgumentError, match="needs to know what moves"):
-        new(Settings("new"), tmp_path / "x", PlantModes(), AskedFor())
+        new(Settings("new"), tmp_path / "x", PlantModes(), RequirementFlags())
     (tmp_path / "file").write_text("")
     with pytest.raises(ArgumentError, match="cannot be made a folder"):
-        new(Settings("new"), tmp_path / "file" / "x", PlantModes(oscillation="24"), AskedFor())
+        new(Settings("new"), tmp_path / "file" / "x", PlantModes(oscillation="24"), RequirementFlags())
     (tmp_path / "plant.toml").write_text("")
     with pytest.raises(ArgumentError, match=r"already\. Take another folder, or --force"):
-        new(Settings("new"), tmp_path, PlantModes(oscillation="24"), AskedFor())
+        new(Settings("new"), tmp_path, PlantModes(oscillation="24"), RequirementFlags())
 
 
 def test_times_may_have_units_of_their_own(shell, tmp_path):

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import sampling_design as sd
-from sampling_design.cli import reading
+from sampling_design.cli import files
 from sampling_design.cli.app import COMMANDS, function_of, loaded
 from sampling_design.cli.plan import design
 from sampling_design.cli.settings import Settings, with_common_flags
@@ -163,4 +163,4 @@ def test_an_earlier_name_of_a_command_leads_to_the_one_of_today(shell, earlier, 
 
 def test_a_file_in_the_wrong_place_is_an_error_of_the_file():
     with pytest.raises(FileFormatError, match="is a plant file, expected a schedule file"):
-        reading.schedule(OSCILLATOR)
+        files.schedule(OSCILLATOR)

@@ -24,7 +24,7 @@ ENDING = {
     "sampling_design",
     "sampling_design.records",
     "sampling_design.records.lazy",
-    *(f"sampling_design.{n}" for n in ("cli", "cli.ending", "cli.version")),
+    *(f"sampling_design.{n}" for n in ("cli", "cli.exit_codes", "cli.version")),
 }
 LISTED = {*ENDING, "sampling_design.cli.app", "typer", "shellingham", "click", "annotated_doc", "typing_extensions"}
 PARSING = {"pydantic", "pydantic_core", "annotated_types", "typing_inspection"}

@@ -207,7 +207,7 @@ def test_limits_and_means_are_taken_samples(shell, tmp_path, schedule):
     )
     found = shell("compare", OSCILLATOR, schedule, tmp_path / "y.csv", "--window", "3", "--json")
     assert json.loads(found.out)["missed"] == []
-    assert json.loads(found.out)["lacking"] == []
+    assert json.loads(found.out)["incomplete"] == []
     assert "Limits and means count as taken" in found.err
 
 
@@ -330,7 +330,7 @@ def test_a_plant_without_inputs_can_be_followed(shell, tmp_path):
 
 def test_a_family_is_not_sought_in_passing_for_many_states(shell, tmp_path, monkeypatch):
     """The oscillator counts as large here; of eleven states the search took minutes and gigabytes."""
-    monkeypatch.setattr("sampling_design.estimators.for_record.FAMILY_STATES", 1)
+    monkeypatch.setattr("sampling_design.estimators.estimator_choice.FAMILY_STATES", 1)
     readings = write_readings(tmp_path / "y.csv", [1.0, 2.2, 3.2, 4.4, 5.4])
     result = shell("estimate", OSCILLATOR, readings, "--initial-error", "2")
     assert result.code == 0, result.err
@@ -343,7 +343,7 @@ def test_the_own_times_of_a_long_record_are_not_certified_in_passing(shell, tmp_
     """Gaps around half a turn hide a state, so that no family with them can be certified."""
     readings = write_readings(tmp_path / "y.csv", [1.0, 1.5, 4.7, 5.2, 8.4])
     short = shell("estimate", OSCILLATOR, readings, "--initial-error", "2")
-    monkeypatch.setattr("sampling_design.estimators.for_record.OWN_SAMPLES", 4)
+    monkeypatch.setattr("sampling_design.estimators.estimator_choice.OWN_SAMPLES", 4)
     long = shell("estimate", OSCILLATOR, readings, "--initial-error", "2")
     assert (short.code, long.code) == (0, 0)
     assert "Guarantee for the file's own times only" in " ".join(short.out.split())

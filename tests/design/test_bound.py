@@ -12,7 +12,7 @@ from sampling_design.design.bounds.local_bound import local_bound, relax_local
 from sampling_design.design.bounds.tied_windows import tied_windows
 from sampling_design.design.bounds.zone_bound import relax_zones, zone_bound
 from sampling_design.design.bounds.zones import begins, origin_zones, tightened, zoned
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem
 from tests.cases import few
 from tests.oracles.design import random_schedule, window_sigma_scan
 

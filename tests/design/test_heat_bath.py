@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 from sampling_design import Plant, design_schedule
 from sampling_design.design.bounds.relaxation import relax_placed, unsolved
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.search import heat_bath, local_search
 from sampling_design.design.search.fedorov_exchange import is_admissible
@@ -64,7 +64,7 @@ def test_what_is_seen_of_a_place_is_newtons_step_towards_the_least_eigenvalue_of
     case = problem(plant, 4, 7, window=window, available=available)
     rng = np.random.default_rng(3)
     spots = np.sort(np.array([d + h for d in range(4) for h in (0.0, 0.13, 0.29, 0.6, 0.71, 0.93)]))
-    bath = HeatBath(case, case.turning, spots, unit=2.0)
+    bath = HeatBath(case, case.orthogonal_flow, spots, unit=2.0)
     others = np.sort(rng.choice(spots, 6, replace=False) + 0.003)
     seen = bath.least_eigenvalues(others, *bath.rows(others))
     assert seen.shape == (spots.size, 7)
@@ -79,7 +79,7 @@ def test_what_is_seen_of_a_place_is_newtons_step_towards_the_least_eigenvalue_of
 
 def test_of_one_state_the_step_is_the_eigenvalue_itself():
     case = problem(Plant([[0.0]], [[2.0]]), 3, 5)
-    bath = HeatBath(case, case.turning, np.array([0.1, 0.7, 1.1, 2.9]), unit=1.0)
+    bath = HeatBath(case, case.orthogonal_flow, np.array([0.1, 0.7, 1.1, 2.9]), unit=1.0)
     others = np.array([0.0, 0.2, 1.2, 2.2])
     np.testing.assert_allclose(bath.least_eigenvalues(others, *bath.rows(others)), 20.0, rtol=1e-12)
 
@@ -92,7 +92,7 @@ def test_the_best_of_all_arrangements_is_found(plant):
     every = np.array([spots[list(chosen)] for chosen in combinations(range(15), 6)])
     values = worst_sigma2(case, every)
     best = float(values.max())
-    bath = HeatBath(case, case.turning, spots, unit=best)
+    bath = HeatBath(case, case.orthogonal_flow, spots, unit=best)
     start = every[int(np.argsort(values)[values.size // 20])]
     found = bath.run(start, np.random.default_rng(4), steps=1500)
     reached = worst_sigma2(case, np.array([times for _, times in found])).max()
@@ -178,7 +178,7 @@ def test_it_is_asked_once_for_the_best_that_differ_and_only_where_something_is_l
 def test_a_schedule_without_room_stays_where_it_is():
     """Six samples as far apart as six can be: from any place but its own each one would be too near to another."""
     case = problem(ALONE, 6, 6, spacing=1.0)
-    bath = HeatBath(case, case.turning, np.arange(6) + 0.25, unit=1.0)
+    bath = HeatBath(case, case.orthogonal_flow, np.arange(6) + 0.25, unit=1.0)
     assert bath.run(np.arange(6) + 0.1, np.random.default_rng(7), steps=30) == []
 
 

@@ -6,7 +6,7 @@ import pytest
 from sampling_design import Plant, Requirement, design_schedule
 from sampling_design.design.bounds.evidence import first_bound, placed_part
 from sampling_design.design.bounds.relaxation import grams_at, relax_placed, repeating, solve_relaxation
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.search.fedorov_exchange import at_shares, is_admissible
 from sampling_design.design.search.rotations import rotated

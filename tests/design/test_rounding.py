@@ -11,8 +11,8 @@ from sampling_design.design.bounds.derivatives import largest_derivatives
 from sampling_design.design.bounds.evidence import BoundPart
 from sampling_design.design.bounds.local_bound import _rounding
 from sampling_design.design.bounds.weak_duality import cell_count, piece_edges, profile, roofs, value_at
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.gram import ROUNDING
-from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.numerics.linalg import expm_batch
 from sampling_design.plants import library
 from tests.cases import few

@@ -10,8 +10,8 @@ import sampling_design as sd
 from sampling_design import Plant
 from sampling_design.design.bounds.relaxation import relax_placed
 from sampling_design.design.problem.canonical import canonical
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.gram import ScaledRows
-from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.search import local_search
 from sampling_design.design.search.fedorov_exchange import at_shares, is_admissible, packed, repaired, shares_of
@@ -231,7 +231,7 @@ def test_kicks_end_where_all_that_was_refined_ends_alike(monkeypatch):
 
     monkeypatch.setattr(local_search, "refined", the_same_again)
     case = problem(samples=4, spacing=0.05, window=12.0, period=11.0)
-    assert case.turning is None
+    assert case.orthogonal_flow is None
     times = at_shares(case, (np.arange(4) + 0.5) / 4)
     for found, most in ((trials(*[2.0] * 11), 0), (trials(*[2.0] * 8), 2 * 3), (trials(1.0, 1.5, 1.8, 2.0), 2 * 12)):
         tried.clear()

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 from sampling_design import Plant, Requirement, design_schedule
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.positions import positions, window_grams, worst_sigma2
 from tests.cases import few
 from tests.oracles.design import random_schedule, window_sigma_scan

@@ -15,7 +15,7 @@ from sampling_design.design.bounds.zones import (
     tightened,
     zoned,
 )
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem
 from tests.cases import few
 from tests.oracles.design import random_schedule
 

@@ -98,7 +98,8 @@ def test_what_is_defined_takes_the_words_of_the_table():
     assert {word: count for word, count in found.items() if count > LEFT.get(word, 0)} == {}
 
 
-PARTS = {"told": 1, "heard": 0, "seen": 5, "unseen": 0, "shown": 2, "faint": 0, "atoms": 3, "motion": 5, "due": 5}
+PARTS = {"told": 0, "lacking": 0, "wishes": 0, "heard": 0, "seen": 5, "unseen": 0, "shown": 2, "faint": 0}
+PARTS |= {"atoms": 3, "motion": 5, "due": 5}
 """How many functions, classes, fields and attributes still have such a word as a part of their name: only fewer."""
 
 

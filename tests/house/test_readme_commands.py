@@ -81,11 +81,11 @@ def test_the_flags_that_the_readme_gives_to_every_command_are_those_that_every_c
 
 def test_the_exit_codes_are_the_same_everywhere():
     from sampling_design import errors
-    from sampling_design.cli import ending
+    from sampling_design.cli import exit_codes
     from sampling_design.cli.app import app
 
     kinds = [kind for kind in vars(errors).values() if isinstance(kind, type)]
-    codes = {0, ending.DEFECT, ending.INTERRUPTED, *(getattr(kind, "exit_code", 0) for kind in kinds)}
+    codes = {0, exit_codes.DEFECT, exit_codes.INTERRUPTED, *(getattr(kind, "exit_code", 0) for kind in kinds)}
     table = (ROOT / "docs" / "conventions.md").read_text().split("(errors)=")[1].split("(tolerances)=")[0]
     assert {int(code) for code in re.findall(r"^\| (\d+) \|", table, flags=re.MULTILINE)} == codes
     for text in (README.split("Exit codes:")[1].split("\n\n")[0], app.info.epilog.split("Exit codes:")[1]):

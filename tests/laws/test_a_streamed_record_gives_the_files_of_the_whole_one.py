@@ -9,7 +9,7 @@ import pytest
 
 import sampling_design as sd
 from sampling_design.cli import following
-from sampling_design.cli.following import EstimateOptions
+from sampling_design.cli.estimate_rows import EstimateOptions
 from sampling_design.cli.settings import Settings
 from sampling_design.errors import ArgumentError, FileFormatError
 from sampling_design.estimators.online import in_order

@@ -14,7 +14,7 @@ from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.examples import stirred_reactor
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant, from_linear
-from sampling_design.nonlinear.outliers import Outliers
+from sampling_design.nonlinear.outliers import OutlierRejection
 from sampling_design.nonlinear.simulation import simulate
 from sampling_design.nonlinear.weights import ScaleWarning
 from tests.cases import few
@@ -246,8 +246,8 @@ def spoiled(**options):
 @pytest.mark.long
 def test_an_outlier_spoils_only_the_plain_estimate():
     _, plain = spoiled()
-    _, robust = spoiled(outliers=Outliers(huber=1.5))
-    gated, left_out = spoiled(outliers=Outliers(gate=5.0))
+    _, robust = spoiled(outliers=OutlierRejection(huber=1.5))
+    gated, left_out = spoiled(outliers=OutlierRejection(gate=5.0))
     assert plain[6:].max() > 0.4
     assert robust[6:].max() < 0.15
     assert left_out[6:].max() < 0.06
@@ -258,16 +258,16 @@ def test_an_outlier_spoils_only_the_plain_estimate():
 def test_a_gate_gives_in_where_the_estimate_is_what_is_off():
     scheme = NonlinearMovingHorizonEstimator(
         SLOW, horizon=3.0, prior=[2.5, 0.0], cost=likely_cost(**{**SPREAD, "prior": [0.05, 0.05]}),
-        outliers=Outliers(gate=4.0, patience=2), collocation=Collocation(0.5, 3),
+        outliers=OutlierRejection(gate=4.0, patience=2), collocation=Collocation(0.5, 3),
     )  # fmt: skip
     times = np.arange(0.0, 2.1, 0.5)
     truth = simulate(SLOW, [0.8, 0.0], times)
     found = scheme.run(zip(times[1:], truth[1:, :1], strict=True))
     assert ["outlier" in note for note in found.notes[:3]] == [True, True, False]
-    assert Outliers().explain() == "Every residual counts by its square."
-    assert "gate" in str(Outliers(gate=4.0))
+    assert OutlierRejection().explain() == "Every residual counts by its square."
+    assert "gate" in str(OutlierRejection(gate=4.0))
     with pytest.raises(ArgumentError, match="`huber` must be positive"):
-        Outliers(huber=0.0)
+        OutlierRejection(huber=0.0)
 
 
 def test_other_starts_find_what_the_first_one_misses():

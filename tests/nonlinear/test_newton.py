@@ -10,7 +10,7 @@ from sampling_design.nonlinear.collocation import Collocation, WindowSolver
 from sampling_design.nonlinear.mhe import NonlinearMovingHorizonEstimator
 from sampling_design.nonlinear.model import NonlinearPlant
 from sampling_design.nonlinear.nlp import WindowProgram
-from sampling_design.nonlinear.outliers import Outliers
+from sampling_design.nonlinear.outliers import OutlierRejection
 from sampling_design.nonlinear.window_records import WindowData
 from sampling_design.plants.plant import Signals
 from tests.cases import few
@@ -23,7 +23,7 @@ CASES = {
     "bounded v": ({"noises": (-0.05, 0.05)}, {}, {"newton"}),
     "bounded x": ({"states": ([-9.0, -0.55], [9.0, 9.0])}, {}, {"ipopt"}),
     "bounded y": ({"outputs": ([-9.0], [1.05])}, {}, {"ipopt"}),
-    "robust": ({}, {"outliers": Outliers(huber=1.5)}, {"newton"}),
+    "robust": ({}, {"outliers": OutlierRejection(huber=1.5)}, {"newton"}),
 }
 
 
@@ -169,7 +169,7 @@ HOLES = [[0.4, 0.1], [0.2, np.nan], [np.nan, -0.6], [0.1, np.nan], [-0.3, -0.9],
 BOUNDED = {"states": (-0.3, 0.3), "noises": (-0.1, 0.1), "disturbances": (-0.1, 0.1)}
 AWKWARD = {
     "holes and an outlier": (PAIR, {}),
-    "a gate": (PAIR, {"outliers": Outliers(gate=4.0)}),
+    "a gate": (PAIR, {"outliers": OutlierRejection(gate=4.0)}),
     "v at its bounds": (PAIR.with_bounds(noises=(-0.05, 0.05)), {}),
     "w at its bounds": (PENDULUM.with_bounds(disturbances=(-0.02, 0.02)), {}),
     "w has one bound": (PENDULUM.with_bounds(disturbances=(-0.01, np.inf)), {}),
@@ -178,7 +178,7 @@ AWKWARD = {
     "nothing meets the bounds": (PENDULUM.with_bounds(**BOUNDED), {"prior": [0.2, 0.2]}),
     "seconds from 1970 on": (PENDULUM.with_bounds(disturbances=(-0.02, 0.02)), {"prior_time": 1.7e9}),
     "1e-12": (SMALL.with_bounds(disturbances=(-0.02 * TINY, 0.02 * TINY)), {"prior": np.array(PRIOR) * TINY}),
-    "a robust loss": (PENDULUM.with_bounds(noises=(-0.1, 0.1)), {"outliers": Outliers(huber=1.5)}),
+    "a robust loss": (PENDULUM.with_bounds(noises=(-0.1, 0.1)), {"outliers": OutlierRejection(huber=1.5)}),
 }
 
 

@@ -25,7 +25,7 @@ from sampling_design.nonlinear.report import ThyroidReport
 from sampling_design.observability.count.critical_length import critical_length
 from sampling_design.plotting import draw
 from sampling_design.records import dispatch
-from sampling_design.records.signatures import _Foreign, _kinds, checked, checked_methods, hints_of, open_verb
+from sampling_design.records.signatures import _ForeignSystem, _kinds, checked, checked_methods, hints_of, open_verb
 from tests import front_door
 from tests.cases import few
 from tests.front_door import DOORS
@@ -263,7 +263,7 @@ def test_no_verb_that_takes_a_plant_was_forgotten():
                 assert beside[name] is None or verb(*beside[name]) == pytest.approx(np.pi)
                 continue
             taken = [take(argument, system) for _, take in _kinds(hint)]
-            assert any(isinstance(found, _Foreign) for found in taken) or name in asked, f"{name}({argument}=)"
+            assert any(isinstance(found, _ForeignSystem) for found in taken) or name in asked, f"{name}({argument}=)"
 
 
 def test_a_nonlinear_verb_takes_a_linear_plant():

@@ -147,7 +147,7 @@ def test_every_verb_takes_all_three(pendulum):
     assert not found.certified.any()
     report = sd.validate(pendulum, schedule, estimator=Luenberger(plant, GAIN), runs=3, duration=40.0)
     assert report.passed
-    assert [course.name for course in report.courses] == ["random", "resonant", "initial"]
+    assert [curve.name for curve in report.error_curves] == ["random", "resonant", "initial"]
 
 
 def test_an_estimator_is_given_what_the_protocol_says_of_inputs_and_of_outputs_that_were_not_measured():

@@ -48,11 +48,11 @@ def test_outputs_that_were_planned_and_not_measured():
     plan = Schedule([1.0, 2.0, 3.0], [[1, 1], [1, 0], [1, 1]])
     taken = np.array([[True, False], [True, False], [True, True]])
     log = compare_schedule(plant, plan, [1.0, 2.0, 3.0], window=9.0, outputs=taken)
-    assert list(log.lacking) == [True, False, False]
+    assert list(log.incomplete) == [True, False, False]
     assert log.planned_sigma is None
     assert log.kept is None
     assert "shorter than the window" in log.explain()
-    assert not compare_schedule(plant, plan, [1.0, 2.0, 3.0], window=9.0).lacking.any()
+    assert not compare_schedule(plant, plan, [1.0, 2.0, 3.0], window=9.0).incomplete.any()
 
 
 def test_a_blind_plan_is_said_to_be_blind():

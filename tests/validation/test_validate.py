@@ -39,7 +39,7 @@ def test_a_report_is_complete_and_says_the_same_in_every_form(name):
     assert all(f"- {key}:" in text for key in report.settings)
     assert "promises held" in report.explain()
     assert "least margin" in str(report)
-    assert np.all(report.courses[0].largest <= report.bound * (1 + 1e-9))
+    assert np.all(report.error_curves[0].largest <= report.bound * (1 + 1e-9))
 
 
 def test_seeds_repeat_a_report_and_change_it():

@@ -19,9 +19,9 @@ from sampling_design.design.bounds.tied_windows import growth_rate
 from sampling_design.design.bounds.zone_bound import NARROW, matters
 from sampling_design.design.bounds.zones import Side, halves, regions, sides, tightened, zoned
 from sampling_design.design.problem.choices import affordable_choices
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.feasible import changed
-from sampling_design.design.problem.numbers import DesignProblem
-from sampling_design.design.problem.stopping import Interrupted
+from sampling_design.design.problem.interrupt import DesignInterrupt
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
 
@@ -38,7 +38,7 @@ _INHERITS = 0.999  # of the wider box's bound: where a box gains less, the multi
 
 
 @dataclass(order=True)
-class _Box:
+class _ZoneBox:
     """A box of zones with its bound, where to cut it next, and the windows that mattered; largest bounds come first.
 
     `small` where only windows that follow their samples bound it, `cost` in relaxations.
@@ -70,7 +70,7 @@ def narrowed(
     """Cut boxes until the bound is within `rtol` of `target`, `steps` cuts are made or time is up.
 
     Where the bound is `near` is said, nothing is cut once it is that share above the target, and up to `most` cuts are
-    made before, as long as it comes nearer. An interrupt is raised as `Interrupted`, with the bound held by then.
+    made before, as long as it comes nearer. An interrupt is raised as `DesignInterrupt`, with the bound held by then.
     Nothing is cut where there are more samples than cuts: each sample wants one at least, and the plain
     bounds are near anyway where samples are many. Boxes know no price of cost: under a limit each choice of what the
     samples measure is bounded by itself, unless there are too many.
@@ -84,18 +84,18 @@ def narrowed(
     try:
         tree = _rooted(problem, posed or [problem], bound, target * (1 + rtol), budget, progress)
     except KeyboardInterrupt:
-        raise Interrupted(bound) from None
+        raise DesignInterrupt(bound) from None
     if tree is None:
         return bound
     try:
         _cut_on(tree, target, steps, most, near, progress)
     except KeyboardInterrupt:
-        raise Interrupted(tree.bound(bound)) from None
+        raise DesignInterrupt(tree.bound(bound)) from None
     return tree.bound(bound)
 
 
 def _cut_on(
-    tree: _BoxTree, target: float, steps: int, most: int | None, near: float, progress: ValueProgress | None
+    tree: _ZoneBoxTree, target: float, steps: int, most: int | None, near: float, progress: ValueProgress | None
 ) -> None:
     """Cut the box with the largest bound again and again."""
     limit, looked = float(steps), (0.0, np.inf)
@@ -120,12 +120,12 @@ def _rooted(
     enough: float,
     budget: Budget,
     progress: ValueProgress | None,
-) -> _BoxTree | None:
+) -> _ZoneBoxTree | None:
     """The tree before any cut, counted from the sample that promises most; None where time is up.
 
     `posed` are the problems that are one of them each: the problem itself, or its choices of what is measured.
     """
-    best: list[_Box] | None = None
+    best: list[_ZoneBox] | None = None
     tried = (bound.parts[0].side,) if bound.method == "zones" else sides(problem)
     for side in tried[:1] if len(posed) > 1 else tried:
         roots = []
@@ -138,7 +138,7 @@ def _rooted(
             best = roots
     if best is None or budget.over:
         return None
-    tree = _BoxTree(enough, budget)
+    tree = _ZoneBoxTree(enough, budget)
     for root in best:
         if problem.least_shift == 0 and root.part.side != "sorted" and len(posed) == 1:
             tree.split_by_lateness(root, progress)
@@ -147,12 +147,12 @@ def _rooted(
     return tree
 
 
-class _BoxTree:
+class _ZoneBoxTree:
     """Boxes that together hold every schedule: open ones as a heap, and parts whose bound is low enough."""
 
     def __init__(self, enough: float, budget: Budget = ENDLESS) -> None:
         self.enough, self.budget = enough, budget
-        self.open: list[_Box] = []
+        self.open: list[_ZoneBox] = []
         self.closed: list[BoundPart] = []
         self.made, self.spent = 0, 0.0
 
@@ -170,7 +170,7 @@ class _BoxTree:
         """The bound of all parts, unless the one that is known is smaller."""
         return UpperBound(self.value, self.parts) if self.value < known.value else known
 
-    def split_by_lateness(self, root: _Box, progress: ValueProgress | None) -> None:
+    def split_by_lateness(self, root: _ZoneBox, progress: ValueProgress | None) -> None:
         """Cut the root by the first sample that comes late (or early) by more than a share of the mean gap."""
         rest, late = root.part.zones, root.part.side == "late"
         mean, n = root.problem.period / root.problem.samples, root.problem.plant.n_states
@@ -202,19 +202,19 @@ class _BoxTree:
         heapq.heapify(self.open)
         return True
 
-    def add(self, zones: Array, wider: _Box) -> None:
+    def add(self, zones: Array, wider: _ZoneBox) -> None:
         """Bound the schedules in `zones`, part of the `wider` box, and keep them open where that is not enough."""
         box = self.bounded(zones, wider)
         if box is not None:
             self.keep(box)
 
-    def bounded(self, zones: Array, wider: _Box) -> _Box | None:
+    def bounded(self, zones: Array, wider: _ZoneBox) -> _ZoneBox | None:
         """The schedules in `zones`, part of the `wider` box, bounded; None where there are none."""
         box = _box(wider.problem, zones, wider.part.side, self.enough, wider, self.budget)
         self.spent += 0.0 if box is None else box.cost
         return box
 
-    def keep(self, box: _Box) -> None:
+    def keep(self, box: _ZoneBox) -> None:
         """Keep a bounded box, open where its bound is not enough."""
         self.made += 1
         if box.part.value > self.enough:
@@ -224,8 +224,13 @@ class _BoxTree:
 
 
 def _box(
-    problem: DesignProblem, zones: Array, side: Side, aim: float, wider: _Box | None = None, budget: Budget = ENDLESS
-) -> _Box | None:
+    problem: DesignProblem,
+    zones: Array,
+    side: Side,
+    aim: float,
+    wider: _ZoneBox | None = None,
+    budget: Budget = ENDLESS,
+) -> _ZoneBox | None:
     """The box with the smaller of its own bounds and that of the wider box's multipliers; None if it is empty."""
     tight = tightened(problem, zones, side)
     if tight is None:
@@ -239,7 +244,7 @@ def _box(
         part, relaxed = local
         found.append((part, relaxed.index, float(tight[relaxed.index].mean()), relaxed.width))
         if part.value <= aim:
-            return _Box(-part.value, 0, *found[0], np.zeros(0), small=True, cost=_LOCAL_COST, problem=problem)
+            return _ZoneBox(-part.value, 0, *found[0], np.zeros(0), small=True, cost=_LOCAL_COST, problem=problem)
     hints = np.zeros(0) if wider is None else wider.hints
     small = wider is not None and (wider.small or size <= _TINY_BOX or grown > _STEEP)
     if not small:
@@ -258,7 +263,7 @@ def _box(
         part = min(part, replace(bare, value=bare.value_for(problem)), key=lambda p: p.value)
     small = small or (part.method == "local" and part.value < _CLEARLY * found[-1][0].value)
     cost = (0.5 if len(found) == 2 or not small else 0.0) + _LOCAL_COST
-    return _Box(
+    return _ZoneBox(
         rank=-part.value,
         number=0,
         part=part,

@@ -45,9 +45,9 @@ def _slopes_of_bend(A: Array, c: Array, Y: Array, node: Index, width: Array) -> 
         rows = [c[part]]
         for _ in range(1, _ORDER_OF_BEND):
             rows.append(rows[-1] @ A)
-        seen = [row @ Y[node[part]] for row in rows]
+        row_derivatives = [row @ Y[node[part]] for row in rows]
         for q in range(3, _ORDER_OF_BEND):
-            derivative = sum(comb(q, i) * np.sum(seen[i] * rows[q - i], axis=2) for i in range(q + 1))
+            derivative = sum(comb(q, i) * np.sum(row_derivatives[i] * rows[q - i], axis=2) for i in range(q + 1))
             found[part] += np.abs(derivative) * (width[part, None] ** (q - 2) / factorial(q - 2))
     return found
 
@@ -57,10 +57,10 @@ def largest_derivatives(A: Array, C: Array, F: Array, reach: Array) -> Array:
 
     What is left is bounded by norms. That alone says little where C sees little of what is large in F.
     """
-    seen, state = [C @ F], F
+    row_derivatives, state = [C @ F], F
     for _ in range(1, _ORDER):
         state = A @ state
-        seen.append(C @ state)
+        row_derivatives.append(C @ state)
     unit = np.maximum(np.max(np.abs(F), axis=(1, 2)), np.finfo(float).tiny)
     F = F / unit[:, None, None]
     Y = F @ np.swapaxes(F, 1, 2)
@@ -72,7 +72,7 @@ def largest_derivatives(A: Array, C: Array, F: Array, reach: Array) -> Array:
         last = np.multiply(last, growth, out=np.zeros_like(last), where=last != 0)  # 0 however much it grows
     found = np.zeros((4, len(F)))
     for q in range(_ORDER + 1):
-        pairs = (comb(q, i) * np.einsum("spr,spr->s", seen[i], seen[q - i]) for i in range(q + 1))
+        pairs = (comb(q, i) * np.einsum("spr,spr->s", row_derivatives[i], row_derivatives[q - i]) for i in range(q + 1))
         size = last if q == _ORDER else np.abs(sum(pairs))
         for p in range(min(q, 3) + 1):
             found[p] += size * reach ** (q - p) / factorial(q - p)

@@ -20,10 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sampling_design.design.bounds.derivatives import largest_derivatives
-from sampling_design.design.bounds.tied_windows import SAME, Terms, growth_rate, terms_of, tied_windows
+from sampling_design.design.bounds.tied_windows import SAME, MeasurementTerms, growth_rate, terms_of, tied_windows
 from sampling_design.design.bounds.weak_duality import rooted
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.gram import EPS, ROUNDING_MARGIN
-from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.numerics import conic_programs
 from sampling_design.numerics.linalg import expm_batch
 from sampling_design.records.arrays import Array, Index, Mask
@@ -37,7 +37,7 @@ _AGAINST = 2  # rounds in which samples are moved against what a window sees lea
 _NOTHING = 1e-200  # of what windows see: a sigma^2 aimed at that is less is 0
 _WIDER = 0.05  # of the largest entry: how much the width of a zone speaks for a cut beside its share of the Hessian
 _PLACES = 9  # of a lag's range at which a form is looked at for its extremes
-_BLIND = 30.0  # times what is seen: where the norms of states are more, they say little
+_NORMS_SAY_LITTLE = 30.0  # times what is seen: where the norms of states are more, they say little
 _MOST_CHANGE = 0.5  # of a window's own state, relative: more, and its logarithm is not bounded
 
 
@@ -62,17 +62,17 @@ def relax_local(
     sigma2, half = sigma**2, (zones[:, 1] - zones[:, 0]) / 2
     every = tied_windows(problem, zones)
     terms = terms_of(problem, zones, every)
-    shown = _observed_rows(problem, terms, _against(problem, terms, len(every), sigma2))
-    grams, slopes, own, own_slopes = _linear(problem, terms, len(every), shown)
+    observed = _observed_rows(problem, terms, _against(problem, terms, len(every), sigma2))
+    grams, slopes, own, own_slopes = _linear(problem, terms, len(every), observed)
     if not sigma2 > _NOTHING * float(np.abs(grams).max()):
         return None  # what is aimed at is nothing beside what is seen: there is no scale to be linear in
-    _, seen = _balanced(grams / sigma2, own)
-    order = np.argsort(-seen, kind="stable")[:_MOST_WINDOWS]
-    posed = np.sort(order[seen[order] >= _LEAST_SEEN])
+    _, least_eigenvalues_of = _balanced(grams / sigma2, own)
+    order = np.argsort(-least_eigenvalues_of, kind="stable")[:_MOST_WINDOWS]
+    posed = np.sort(order[least_eigenvalues_of[order] >= _LEAST_SEEN])
     moved = np.flatnonzero(half > 0)
     if not posed.size:
         return None
-    each = np.maximum(1 / seen[posed] - 1, _LEAST_RATIO)  # sigma^2 in the middle, of what is aimed at
+    each = np.maximum(1 / least_eigenvalues_of[posed] - 1, _LEAST_RATIO)  # sigma^2 in the middle, of what is aimed at
     grams, slopes = grams[posed] / (sigma2 * each[:, None, None]), slopes[posed] / (sigma2 * each[:, None, None, None])
     own, own_slopes = own[posed], own_slopes[posed]
     T, _ = _balanced(grams, own)
@@ -101,8 +101,8 @@ def relax_local(
         return None
     windows = every[posed]
     if growth_rate(problem) > 0:
-        blind = [_without_last_sample(problem, roots, move) for move in problem.moves]
-        tried = [roots, *(each for each in blind if each is not None)]
+        unobserved = [_without_last_sample(problem, roots, move) for move in problem.moves]
+        tried = [roots, *(each for each in unobserved if each is not None)]
         roots = min(tried, key=lambda each: local_bound(problem, zones, windows, each, nu))
     expanded = _expansion(problem, zones, windows, roots)
     H = np.zeros((len(half), len(half))) if expanded is None else expanded.hessian * half[:, None] * half
@@ -113,12 +113,12 @@ def relax_local(
 def _without_last_sample(problem: DesignProblem, roots: Array, move: Array) -> Array | None:
     """The same multipliers less what the last sample of their window sees, moved; None where nothing is left."""
     C = problem.rows.C @ move
-    blind = np.linalg.svd(C)[2][len(C) :]
-    left = blind.T @ (blind @ roots)
+    unobserved = np.linalg.svd(C)[2][len(C) :]
+    left = unobserved.T @ (unobserved @ roots)
     return left if float(np.linalg.norm(left, axis=(1, 2)).min(initial=0.0)) > 0 else None
 
 
-def _against(problem: DesignProblem, terms: Terms, count: int, sigma2: float) -> Index:
+def _against(problem: DesignProblem, terms: MeasurementTerms, count: int, sigma2: float) -> Index:
     """Which move of each term leaves its window with the least that is seen: all alike, or each against a state."""
     found = []
     for each in range(len(problem.moves)):
@@ -134,23 +134,25 @@ def _against(problem: DesignProblem, terms: Terms, count: int, sigma2: float) ->
     return np.asarray(np.array([moved for _, moved in found])[best[terms.window], np.arange(terms.lag.size)])
 
 
-def _least_observed(problem: DesignProblem, terms: Terms, roots: Array) -> Index:
+def _least_observed(problem: DesignProblem, terms: MeasurementTerms, roots: Array) -> Index:
     """Which move of each term shows least of the roots F_m of its window's multiplier, at the middle of the box."""
     if len(problem.moves) == 1:
         return np.zeros(terms.lag.shape, dtype=np.intp)
     F = expm_batch(problem.rows.A, terms.lag) @ roots[terms.window]
-    shown = (problem.rows.C @ problem.moves)[:, None] * terms.weights[:, : len(problem.rows.C), None]
-    return np.asarray(np.argmin(np.sum((shown @ F) ** 2, axis=(2, 3)), axis=0))
+    observed = (problem.rows.C @ problem.moves)[:, None] * terms.weights[:, : len(problem.rows.C), None]
+    return np.asarray(np.argmin(np.sum((observed @ F) ** 2, axis=(2, 3)), axis=0))
 
 
-def _linear(problem: DesignProblem, terms: Terms, count: int, shown: Array) -> tuple[Array, Array, Array, Array]:
+def _linear(
+    problem: DesignProblem, terms: MeasurementTerms, count: int, observed: Array
+) -> tuple[Array, Array, Array, Array]:
     """Gram matrices of the windows and of their own states, and their slopes by each sample's time."""
     A, n, k = problem.rows.A, problem.plant.n_states, problem.samples
     E = expm_batch(A, terms.lag)
     grams, own = np.zeros((count, n, n)), np.zeros((count, n, n))
     slopes, own_slopes = np.zeros((count, k, n, n)), np.zeros((count, k, n, n))
     for total, change, used in ((grams, slopes, ~terms.own), (own, own_slopes, terms.own)):
-        y, dy = shown[used] @ E[used], shown[used] @ A @ E[used]
+        y, dy = observed[used] @ E[used], observed[used] @ A @ E[used]
         gram = np.swapaxes(y, 1, 2) @ y
         part = np.swapaxes(y, 1, 2) @ dy
         part = part + np.swapaxes(part, 1, 2)
@@ -183,7 +185,7 @@ class LogExpansion:
 
 
 @dataclass(frozen=True, eq=False)
-class _Forms:
+class _GramForms:
     """<V, G> per term without growth: value, two derivatives, and bounds of derivatives 0 to 3 over the box.
 
     A window's own state is worth `value` at least, what is measured `value` at most: rounding is on the safe side, as
@@ -204,7 +206,7 @@ def _rounding(A: Array, C: Array, E: Array, roots: Array, value: Array, lag: Arr
     return np.asarray((2 * np.sqrt(value) + lost) * lost)
 
 
-def _forms(problem: DesignProblem, terms: Terms, roots: Array) -> _Forms:
+def _forms(problem: DesignProblem, terms: MeasurementTerms, roots: Array) -> _GramForms:
     rows, n = problem.rows, problem.plant.n_states
     A = rows.A - growth_rate(problem) * np.eye(n)
     E = expm_batch(A, terms.lag)
@@ -226,23 +228,23 @@ def _forms(problem: DesignProblem, terms: Terms, roots: Array) -> _Forms:
     bend = 2 * np.einsum("spr,spr->s", dy, dy) + 2 * np.einsum("spr,spr->s", y, ddy)
     size = np.einsum("spn,spn->s", C, C) * spread
     most = size * np.stack([np.linalg.norm(M, axis=(1, 2)) for M in (Y, first, second, third)])
-    if np.sum(most[0]) > _BLIND * np.sum(value):
+    if np.sum(most[0]) > _NORMS_SAY_LITTLE * np.sum(value):
         most = np.minimum(most, largest_derivatives(A, C, F, terms.reach))
     most[0] = np.minimum(most[0], value + most[1] * terms.reach)
     most = np.where((terms.reach > 0) | (np.arange(4)[:, None] == 0), most, 0.0)
     turned = float(np.linalg.norm(A, 2)) * terms.reach
-    return _Forms(value, change, bend, most, rest=2 * rounded * turned * (1 + turned))
+    return _GramForms(value, change, bend, most, rest=2 * rounded * turned * (1 + turned))
 
 
-def _observed_rows(problem: DesignProblem, terms: Terms, moved: Index) -> Array:
+def _observed_rows(problem: DesignProblem, terms: MeasurementTerms, moved: Index) -> Array:
     """What each term shows of a state, as rows of one number: outputs, or the whole state of a window's own term.
 
     Outputs are those of the sample `moved` by one of the problem's moves: of early or late samples any will do.
     """
     height, (S, C) = terms.weights.shape[1], (problem.rows.S, problem.rows.C)
-    own, seen = (np.vstack([rows, np.zeros((height - len(rows), rows.shape[1]))]) for rows in (S, C))
-    seen = (seen @ problem.moves)[moved]
-    return np.asarray(np.where(terms.own[:, None, None], own, seen) * terms.weights[..., None])
+    own, least_eigenvalues_of = (np.vstack([rows, np.zeros((height - len(rows), rows.shape[1]))]) for rows in (S, C))
+    least_eigenvalues_of = (least_eigenvalues_of @ problem.moves)[moved]
+    return np.asarray(np.where(terms.own[:, None, None], own, least_eigenvalues_of) * terms.weights[..., None])
 
 
 def _expansion(problem: DesignProblem, zones: Array, windows: Index, roots: Array) -> LogExpansion | None:
@@ -295,7 +297,7 @@ def _expansion(problem: DesignProblem, zones: Array, windows: Index, roots: Arra
     return LogExpansion(float(constant), slope, hessian, remainder)
 
 
-def _extremes(problem: DesignProblem, terms: Terms, roots: Array) -> tuple[Array, Array]:
+def _extremes(problem: DesignProblem, terms: MeasurementTerms, roots: Array) -> tuple[Array, Array]:
     """Bounds below and above of the forms without growth, over the ranges of the lags: values and second order."""
     rows, n = problem.rows, problem.plant.n_states
     A = rows.A - growth_rate(problem) * np.eye(n)

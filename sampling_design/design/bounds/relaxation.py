@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.gram import lags
-from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.numerics import conic_programs
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import Budget
@@ -20,7 +20,7 @@ TOLERANCE = 1e-7
 JUST_BESIDE = 1e-9  # of the period: a window that ends this much earlier does not hold the sample
 _ENTRIES = 1600  # rows of all windows' inequalities together, about
 _PER_TURN = 96  # grid times at least, where what is allowed repeats: one repetition alone has weights then
-_SEEN = 1e-5  # a window whose sigma^2 falls short of the value by less than this share is seen well enough
+_OBSERVED_ENOUGH = 1e-5  # a window whose sigma^2 falls short of the value by less than this share is seen well enough
 _MOVED = 3  # times that samples are moved against the state that is seen least
 LEAST_SECONDS = 0.05  # granted to one of several relaxations when the time is up already
 
@@ -118,9 +118,9 @@ def _relax_repeating(problem: DesignProblem, shift: float, points: int | None, s
         parts = times, starts[posed], grams[posed], none[posed], linear, problem.samples / repeats
         left = budget.seconds_left(LEAST_SECONDS)
         found = solve_relaxation(problem, *parts, left)
-        seen, _ = problem.rows.least(np.einsum("mjab,j->mab", grams, found.weights))
-        worst = int(np.argmin(np.where(posed, np.inf, seen)))
-        if posed.all() or seen[worst] >= found.value * (1 - _SEEN) or budget.over:
+        least_sigma2, _ = problem.rows.least(np.einsum("mjab,j->mab", grams, found.weights))
+        worst = int(np.argmin(np.where(posed, np.inf, least_sigma2)))
+        if posed.all() or least_sigma2[worst] >= found.value * (1 - _OBSERVED_ENOUGH) or budget.over:
             break
         posed[worst] = True
     weights, Z = np.tile(found.weights, repeats), np.tile(found.Z / repeats, (repeats, 1, 1))
@@ -200,8 +200,8 @@ def sigma_of_moved(problem: DesignProblem, times: Array, mask: Mask) -> float:
     sigma2, z = rows.least(_summed(c))
     worst = sigma2.min()
     for _ in range(_MOVED if len(problem.moves) > 1 else 0):
-        shown = c @ (problem.moves @ z.T).transpose(0, 2, 1)[:, :, None, :, None]
-        least = problem.moves[np.argmin(np.sum(shown**2, axis=(3, 4)), axis=0)]
+        observed = c @ (problem.moves @ z.T).transpose(0, 2, 1)[:, :, None, :, None]
+        least = problem.moves[np.argmin(np.sum(observed**2, axis=(3, 4)), axis=0)]
         sigma2, z = rows.least(_summed(c @ least))
         worst = min(worst, sigma2.min())
     return float(np.sqrt(max(worst, 0.0)))

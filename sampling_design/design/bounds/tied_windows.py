@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.records.arrays import Array, Index, Mask
 
 SAME = 1e-11  # of the period: what lies this near to the end of a window lies on it
@@ -32,8 +32,8 @@ def tied_windows(problem: DesignProblem, zones: Array) -> Index:
     for j in range(problem.samples):
         for ends in (0,) if whole else (0, 1):
             for right in (0, 1):
-                held = _samples_within(problem, zones, j, ends, right)
-                rows.append((j, ends, right, int(held.max()) if grows and held.size else j))
+                inside_window = _samples_within(problem, zones, j, ends, right)
+                rows.append((j, ends, right, int(inside_window.max()) if grows and inside_window.size else j))
     return np.array(rows, dtype=np.intp)
 
 
@@ -51,15 +51,15 @@ def _samples_within(problem: DesignProblem, zones: Array, j: int, ends: int, rig
     farthest = np.where(order < 0, np.minimum(farthest, order * problem.spacing - offset), farthest)
     # no sample lies on a closing time itself: one that comes up to a whole window later than that is not seen
     shut = problem.closes(zones[:, 1])
-    held = (farthest >= np.where(shut[index % k], tiny, -tiny)) & (nearest <= T + (-tiny if shut[j] else tiny))
+    inside_window = (farthest >= np.where(shut[index % k], tiny, -tiny)) & (nearest <= T + (-tiny if shut[j] else tiny))
     own = order % k == 0
     lag = (order // k) * P - offset
     inside = (lag > tiny) & (lag <= T + tiny) if right else (lag >= -tiny) & (lag < T - tiny)
-    return np.asarray(index[np.where(own, inside, held)])
+    return np.asarray(index[np.where(own, inside, inside_window)])
 
 
 @dataclass(frozen=True, eq=False)
-class Terms:
+class MeasurementTerms:
     """All measurements of all windows: window, sample and anchor (both mod k), the lag at the middle of the box, half
     the range of its change, and which rows count; the term of the window's own state is one of them."""
 
@@ -79,25 +79,25 @@ class Terms:
         return own[np.argsort(self.window[own])][:count]
 
 
-def terms_of(problem: DesignProblem, zones: Array, windows: Index) -> Terms:
+def terms_of(problem: DesignProblem, zones: Array, windows: Index) -> MeasurementTerms:
     """The terms of `windows` for schedules in `zones`."""
     k, P = problem.samples, problem.period
     middle, half = zones.mean(axis=1), (zones[:, 1] - zones[:, 0]) / 2
-    seen = _can_measure(problem, zones)
+    measurable = _can_measure(problem, zones)
     n, p = problem.plant.n_states, problem.plant.n_outputs
-    seen = np.hstack([seen.astype(float), np.zeros((k, max(n - p, 0)))])
+    measurable = np.hstack([measurable.astype(float), np.zeros((k, max(n - p, 0)))])
     state = np.append(np.ones(n), np.zeros(max(p - n, 0)))
     window, first, second, lag, ahead, weights, own = [], [], [], [], [], [], []
     for m, (j, ends, right, anchor) in enumerate(windows.tolist()):
         at = middle[anchor % k] + P * (anchor // k)
-        held = _samples_within(problem, zones, j, ends, right)
-        for index in held.tolist():
+        inside_window = _samples_within(problem, zones, j, ends, right)
+        for index in inside_window.tolist():
             window.append(m)
             first.append(index % k)
             second.append(anchor % k)
             lag.append(middle[index % k] + P * (index // k) - at)
             ahead.append(index - anchor)
-            weights.append(seen[index % k])
+            weights.append(measurable[index % k])
             own.append(False)
         window.append(m)
         first.append(j)
@@ -111,7 +111,7 @@ def terms_of(problem: DesignProblem, zones: Array, windows: Index) -> Terms:
     mid, order = np.array(lag), np.array(ahead) * problem.spacing
     low = np.where(order > 0, np.maximum(mid - reach, order), mid - reach)
     high = np.where(order < 0, np.minimum(mid + reach, order), mid + reach)
-    return Terms(
+    return MeasurementTerms(
         window=np.array(window),
         first=i,
         second=a,

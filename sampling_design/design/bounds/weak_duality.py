@@ -17,9 +17,9 @@ from itertools import pairwise
 import numpy as np
 
 from sampling_design.design.bounds.derivatives import change_of_bend, remainder_of_bend
+from sampling_design.design.problem.design_problem import ON_AN_END, DesignProblem
 from sampling_design.design.problem.feasible import without_hours
 from sampling_design.design.problem.gram import lags
-from sampling_design.design.problem.numbers import ON_AN_END, DesignProblem
 from sampling_design.numerics.linalg import expm_batch, rows_ahead
 from sampling_design.records.arrays import Array, Mask
 
@@ -38,7 +38,7 @@ _FAMILIES = 16  # of first cells in a cycle: more would be exact, at a cost that
 
 
 @dataclass(frozen=True, eq=False)
-class Profile:
+class DualProfile:
     """g per output at both ends of every piece of [0, period], and a bound on -g'' inside (never negative).
 
     `beside` (2, pieces): whether what holds just before a piece, and just after it, may hold at its very end.
@@ -51,7 +51,7 @@ class Profile:
     beside: Mask
 
 
-def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Profile:
+def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> DualProfile:
     """Evaluate g on the pieces between `edges`, which must hold every jump of g.
 
     With Y(u) = sum e^{A(u-a_m)} Z_m e^{A'(u-a_m)} over the windows that hold the piece, g = CYC' inside it,
@@ -82,11 +82,11 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Pr
     begin = left - bases[used][home] - ahead * apart
     with np.errstate(over="ignore"):  # a piece so wide that nothing is known of it has an infinite roof
         growth = np.exp(2 * norm * (begin + width))[:, None] * np.sum(C**2, axis=1)
-    c, held = rows_ahead(C, A, begin), Y[node]
-    first, seen = c @ A, c @ held
-    bend = 2 * np.sum(seen * (first @ A) + (first @ held) * first, axis=2)
+    c, multiplier = rows_ahead(C, A, begin), Y[node]
+    first, weighted = c @ A, c @ multiplier
+    bend = 2 * np.sum(weighted * (first @ A) + (first @ multiplier) * first, axis=2)
     end = rows_ahead(C, A, begin + width)
-    g_left, g_right = np.sum(seen * c, axis=2), np.sum((end @ held) * end, axis=2)
+    g_left, g_right = np.sum(weighted * c, axis=2), np.sum((end @ multiplier) * end, axis=2)
     high = float(np.max([g_left, g_right], initial=0.0))
     sharpness = remainder_of_bend(A, Y, 3, node, width, growth)
     loose = np.any(sharpness * (width**2 / 8)[:, None] > _LOOSE * high, axis=1)
@@ -95,7 +95,7 @@ def profile(problem: DesignProblem, starts: Array, Z: Array, edges: Array) -> Pr
         sharpness[loose] = np.minimum(sharpness[loose], finer)
     rounded = rows.rounding * high
     beside = _beside(problem, starts, edges)
-    return Profile(edges, g_left + rounded, g_right + rounded, np.maximum(-bend, 0.0) + sharpness, beside)
+    return DualProfile(edges, g_left + rounded, g_right + rounded, np.maximum(-bend, 0.0) + sharpness, beside)
 
 
 def _beside(problem: DesignProblem, starts: Array, edges: Array) -> Mask:
@@ -111,10 +111,10 @@ def _beside(problem: DesignProblem, starts: Array, edges: Array) -> Mask:
     return np.stack([np.roll(there, 1) | ended, np.roll(there, -1)])
 
 
-def roofs(g: Profile, mask: Mask, prices: Array | None = None) -> Array:
+def roofs(g: DualProfile, mask: Mask, prices: Array | None = None) -> Array:
     """Upper bounds of g on the closed pieces, summed over the outputs measured there; both limits count at an end.
 
-    What holds beside a piece counts only where it may hold at its end (`Profile.beside`).
+    What holds beside a piece counts only where it may hold at its end (`DualProfile.beside`).
 
     With `prices` per output each measurement costs that much, and the best choice of outputs counts.
     """
@@ -181,8 +181,8 @@ def _moved(problem: DesignProblem, Y: Array, ahead: Array | None = None) -> Arra
     if len(problem.moves) == 1:
         return Y
     C = problem.rows.C if ahead is None else problem.rows.C @ ahead
-    shown = C @ problem.moves[:, None]
-    least = problem.moves[np.argmin(np.sum((shown @ Y) * shown, axis=(2, 3)), axis=0)]
+    observed = C @ problem.moves[:, None]
+    least = problem.moves[np.argmin(np.sum((observed @ Y) * observed, axis=(2, 3)), axis=0)]
     return np.asarray(least @ Y @ np.swapaxes(least, 1, 2))
 
 

@@ -32,7 +32,7 @@ from sampling_design.design.bounds.weak_duality import (
 )
 from sampling_design.design.bounds.zones import TINY
 from sampling_design.design.problem.canonical import joined
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.records.arrays import Array, Index, Mask
 from sampling_design.records.budget import ENDLESS, Budget
 
@@ -45,7 +45,7 @@ _FINEST = 20000  # cells per period at most
 _FIRST, _ADDED = 10, 8  # windows of the first round where no hints are given, and of each further round
 _ROUNDS, _FIRST_ROUNDS = 2, 6  # with and without hints: what mattered for a wider box mostly matters again
 _MISSED = 0.02  # short by that share of the value, a window was missed by the hints: more rounds, as without
-_SEEN = 1e-3  # a window whose sigma^2 falls short of the value by less than this share is seen well enough
+_OBSERVED_ENOUGH = 1e-3  # a window whose sigma^2 falls short of the value by less than this share is seen well enough
 NARROW = 1e-4  # of a mean gap: zones no longer than that are cut no further
 _MARGIN = 0.15  # of a zone: a cut leaves at least that much on either side
 _MATTERS = 1e-3  # share of all multipliers below which a window has no say
@@ -82,10 +82,10 @@ def relax_zones(problem: DesignProblem, zones: Array, hints: Array, budget: Budg
         found = solve_relaxation(problem, times[used], starts[posed], *parts, left, tolerance=_TOLERANCE)
         if budget.over:
             break
-        seen = np.einsum("mjab,j->mab", grams[:, used], found.weights)
-        sigma2 = np.where(posed, np.inf, problem.rows.least(seen)[0])
+        summed = np.einsum("mjab,j->mab", grams[:, used], found.weights)
+        sigma2 = np.where(posed, np.inf, problem.rows.least(summed)[0])
         worst = np.argsort(sigma2, kind="stable")[:_ADDED]
-        worst = worst[sigma2[worst] < found.value * (1 - _SEEN)]
+        worst = worst[sigma2[worst] < found.value * (1 - _OBSERVED_ENOUGH)]
         if not worst.size or (hints.size and done >= _ROUNDS and sigma2[worst[0]] > found.value * (1 - _MISSED)):
             break
         posed[worst] = True
@@ -103,7 +103,7 @@ def _window_starts(problem: DesignProblem, zones: Array, hints: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class _Points:
+class _ZonePoints:
     """Times at which samples may lie, kind by kind (see `DesignProblem.kinds`), and what they measure there.
 
     `owner` is the window start just after which the time lies, or -1.
@@ -114,12 +114,12 @@ class _Points:
     owner: Index
     mask: Mask
 
-    def of(self, used: Mask) -> _Points:
+    def of(self, used: Mask) -> _ZonePoints:
         """Some of them."""
-        return _Points(self.times[used], self.kind[used], self.owner[used], self.mask[used])
+        return _ZonePoints(self.times[used], self.kind[used], self.owner[used], self.mask[used])
 
 
-def _points(problem: DesignProblem, zones: Array, starts: Array) -> tuple[_Points, float]:
+def _points(problem: DesignProblem, zones: Array, starts: Array) -> tuple[_ZonePoints, float]:
     """Allowed times in the zones, every end included, and the widest step between them.
 
     Just after each window start, where what it sees jumps up, there is one more.
@@ -132,18 +132,18 @@ def _points(problem: DesignProblem, zones: Array, starts: Array) -> tuple[_Point
     step = max((b - a) / (count - 1) for (a, b), count in zip(stretches, counts, strict=True))
     fixed = np.unique(np.concatenate([*grid, zones.ravel(), _ends(problem, zones)]))
     after = np.concatenate([starts, starts + problem.period]) + 2 * JUST_BESIDE * problem.period
-    held = np.any((after[:, None] > zones[:, 0]) & (after[:, None] < zones[:, 1]), axis=1)
-    times = np.concatenate([fixed, after[held]])
-    owner = np.concatenate([np.full(fixed.size, -1), np.flatnonzero(held) % starts.size])
+    kept_here = np.any((after[:, None] > zones[:, 0]) & (after[:, None] < zones[:, 1]), axis=1)
+    times = np.concatenate([fixed, after[kept_here]])
+    owner = np.concatenate([np.full(fixed.size, -1), np.flatnonzero(kept_here) % starts.size])
     order = np.argsort(times, kind="stable")
     there = problem.mask(times[order])
     found = []
     for kind, outputs in enumerate(problem.kinds[0]):
         kept = np.any(there & outputs, axis=1)
         i = order[kept]
-        found.append(_Points(times[i], np.full(i.size, kind), owner[i], there[kept] & outputs))
+        found.append(_ZonePoints(times[i], np.full(i.size, kind), owner[i], there[kept] & outputs))
     joint = (np.concatenate([getattr(part, name) for part in found]) for name in ("times", "kind", "owner", "mask"))
-    return _Points(*joint), step
+    return _ZonePoints(*joint), step
 
 
 def _ends(problem: DesignProblem, zones: Array) -> Array:
@@ -156,7 +156,7 @@ def _ends(problem: DesignProblem, zones: Array) -> Array:
     return ends[np.any((ends[:, None] > zones[:, 0]) & (ends[:, None] < zones[:, 1]), axis=1)]
 
 
-def _order_rows(problem: DesignProblem, zones: Array, points: _Points, step: float) -> tuple[Array, Array]:
+def _order_rows(problem: DesignProblem, zones: Array, points: _ZonePoints, step: float) -> tuple[Array, Array]:
     """Rows and limits: spacing, and as many samples of a kind before each zone's end as have to lie there."""
     tiny, roof = 1e-9 * problem.period, max(1.0, step / problem.spacing)
     t = points.times[None, :]
@@ -179,7 +179,9 @@ def matters(problem: DesignProblem, found: Relaxation) -> Array:
     return np.asarray(found.starts[shares > _MATTERS])
 
 
-def _most_divided(problem: DesignProblem, zones: Array, found: Relaxation, points: _Points) -> tuple[int, float, float]:
+def _most_divided(
+    problem: DesignProblem, zones: Array, found: Relaxation, points: _ZonePoints
+) -> tuple[int, float, float]:
     """The sample whose early and late shares differ most for the windows that matter, its mean time, its zone's width.
 
     The relaxation gains from mixing schedules what the least eigenvalue is concave. Were sample i early
@@ -187,8 +189,8 @@ def _most_divided(problem: DesignProblem, zones: Array, found: Relaxation, point
     lies above them by <Z, D W^-1 D> to second order: what a cut between the two takes away.
     """
     k = problem.samples
-    held = np.isin(found.starts, matters(problem, found))
-    starts, Z = found.starts[held], found.Z[held]
+    kept_here = np.isin(found.starts, matters(problem, found))
+    starts, Z = found.starts[kept_here], found.Z[kept_here]
     grams = grams_at(problem, points.times, starts, points.mask)
     W = np.einsum("mjab,j->mab", grams, found.weights)
     size = float(np.trace(W, axis1=1, axis2=2).max(initial=0.0))  # a window may see nothing at all

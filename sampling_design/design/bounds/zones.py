@@ -19,7 +19,7 @@ from typing import Literal
 
 import numpy as np
 
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.records.arrays import Array, Mask
 
 Side = Literal["late", "early", "sorted"]

@@ -16,7 +16,7 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from sampling_design.design.problem.numbers import ON_AN_END, DesignProblem
+from sampling_design.design.problem.design_problem import ON_AN_END, DesignProblem
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Mask
 

@@ -13,7 +13,7 @@ from math import comb, factorial, prod
 
 import numpy as np
 
-from sampling_design.design.problem.numbers import SLACK, DesignProblem
+from sampling_design.design.problem.design_problem import SLACK, DesignProblem
 from sampling_design.records.arrays import Mask
 
 Outputs = tuple[bool, ...]

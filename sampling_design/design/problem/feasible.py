@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sampling_design.design.problem.numbers import SLACK, DesignProblem
+from sampling_design.design.problem.design_problem import SLACK, DesignProblem
 from sampling_design.errors import InfeasibleRequirementError
 from sampling_design.records.arrays import Array
 

@@ -142,9 +142,9 @@ class ScaledRows:
     def _side_by_side(self, values: Array, slopes: Array) -> Array:
         """Values and slopes at both ends of each step, in one row: a view, every node is held once."""
         h = self.window / (_NODES - 1)
-        held = np.stack([values.reshape(_NODES, -1), h * slopes.reshape(_NODES, -1)], axis=1)
-        size = held[0].size
-        return np.lib.stride_tricks.sliding_window_view(held.ravel(), 2 * size)[::size]
+        node_values = np.stack([values.reshape(_NODES, -1), h * slopes.reshape(_NODES, -1)], axis=1)
+        size = node_values[0].size
+        return np.lib.stride_tricks.sliding_window_view(node_values.ravel(), 2 * size)[::size]
 
     def _between(self, table: Array, r: Array) -> Array:
         place = np.minimum(np.maximum(r / (self.window / (_NODES - 1)), 0.0), _NODES - 1)

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sampling_design.design.problem.design_problem import SLACK, DesignProblem
 from sampling_design.design.problem.feasible import check_feasible
-from sampling_design.design.problem.numbers import SLACK, DesignProblem
 from sampling_design.design.problem.requirement import Requirement
 from sampling_design.errors import ArgumentError, InfeasibleRequirementError
 from sampling_design.observability.count.default_window import default_window
@@ -68,10 +68,10 @@ def resolve(split: ModalSplit, requirement: Requirement) -> ResolvedRequirement:
     if r.window != longer:
         used["window"] = r.window
     if not r.samples:
-        held = _sure_window(r)
-        count = zero_count_bound(retained, held)
+        sure_window = _sure_window(r)
+        count = zero_count_bound(retained, sure_window)
         needed = count.samples
-        per_period = max(1, int(np.ceil(needed * _known(r.period) / held - SLACK)))
+        per_period = max(1, int(np.ceil(needed * _known(r.period) / sure_window - SLACK)))
         kind = "exactly" if r.target_sigma is None else "at_most"
         most = min(per_period, MOST_DEFAULT_SAMPLES) if r.target_sigma is None else MOST_DEFAULT_SAMPLES
         r = r.replace(samples={kind: max(most, r.fixed.size)})

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem
+from sampling_design.design.problem.orthogonal_flow import BATCH_NUMBERS
 from sampling_design.design.problem.sliding import SlidingSums
-from sampling_design.design.problem.turning import BATCH_NUMBERS
 from sampling_design.records.arrays import Array, Index, Mask
 
 
@@ -69,9 +69,9 @@ def window_grams(problem: DesignProblem, times: Array, where: WindowPositions, u
 
 def worst_sigma2(problem: DesignProblem, times: Array, inner: int = 1, used: Mask | None = None) -> Array:
     """Least sigma^2 over the positions, for each schedule (B, k) of sorted times; `used` as for `window_grams`."""
-    if problem.turning is None or not times.size:
+    if problem.orthogonal_flow is None or not times.size:
         return _worst_of_positions(problem, times, inner, used)
-    result, sure = problem.turning.worst(times, problem.measured(times) if used is None else used)
+    result, sure = problem.orthogonal_flow.worst(times, problem.measured(times) if used is None else used)
     if not sure.all():
         result[~sure] = _worst_of_positions(problem, times[~sure], inner, None if used is None else used[~sure])
     return result

@@ -69,13 +69,13 @@ class SlidingSums:
         tiny, T = _WHOLE * self.period, self.length
         a = np.mod(starts, self.period) + np.where(left & self.repeats, -tiny, tiny)
         first, stop = self._places(a, left), self._places(a + T, left)
-        row, held = np.arange(a.shape[0])[:, None], stop > first
+        row, nonempty = np.arange(a.shape[0])[:, None], stop > first
         i, j = np.minimum(first, self.s.shape[1] - 1), np.maximum(stop - 1, 0)
         own, last = self.block[row, i], self.block[row, j]
         # samples of one block only: its start, where the window begins before it, or else its end
         begins = a < (own - 1) * T
-        tail = self._carried(self.tail[row, i], self.s[row, i] - a, held & ((last > own) | ~begins))
-        head = self._carried(self.head[row, j], (last - 1) * T - a, held & ((last > own) | begins))
+        tail = self._carried(self.tail[row, i], self.s[row, i] - a, nonempty & ((last > own) | ~begins))
+        head = self._carried(self.head[row, j], (last - 1) * T - a, nonempty & ((last > own) | begins))
         return np.asarray(tail + head)
 
     def _places(self, at: Array, left: Mask) -> Index:

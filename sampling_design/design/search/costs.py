@@ -17,8 +17,8 @@ from sampling_design.design.bounds.relaxation import (
     unsolved,
 )
 from sampling_design.design.problem.choices import affordable_choices
+from sampling_design.design.problem.design_problem import SLACK, DesignProblem
 from sampling_design.design.problem.feasible import changed
-from sampling_design.design.problem.numbers import SLACK, DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.search.fedorov_exchange import at_shares, even, is_admissible, rounded
 from sampling_design.design.search.local_search import FIRST_STEPS, HOPELESS, FoundSchedule, SearchTrial
@@ -28,7 +28,7 @@ from sampling_design.numerics import conic_programs
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import ENDLESS, Budget
 
-_FAINT = 0.1  # of a row: what is left out still counts so much where every choice is blind
+_WEAK = 0.1  # of a row: what is left out still counts so much where every choice is blind
 _PAIRS = 400  # exchanges that are looked at in one round
 _ROUNDS = 6  # exchanges after which the sum of costs has settled
 _DRAWN = 8  # random schedules with which every choice is looked at, where choices are few
@@ -66,8 +66,8 @@ def relax_costly(problem: DesignProblem, seconds: float | None = None) -> Relaxa
     ]
     roof = conic_programs.svec(problem.rows.N)[:, None]
     for m in range(M):
-        seen = conic_programs.svec(grams[m].reshape(N * p, *grams.shape[-2:])).T
-        blocks.append(("psd", np.hstack([np.zeros((roof.size, N)), -seen, roof]), np.zeros(roof.size)))
+        vectorised = conic_programs.svec(grams[m].reshape(N * p, *grams.shape[-2:])).T
+        blocks.append(("psd", np.hstack([np.zeros((roof.size, N)), -vectorised, roof]), np.zeros(roof.size)))
     cost = np.zeros(N + N * p + 1)
     cost[-1] = -1.0
     found = conic_programs.solve_cone_program(cost, blocks, tolerance=1e-7, budget=seconds)
@@ -224,8 +224,8 @@ def _values(problem: DesignProblem, times: Array, choices: Mask) -> Array:
     values = worst_sigma2(problem, spread, inner=0, used=choices)
     if values.max() > 0:
         return values
-    faint = np.where(choices, 1.0, _FAINT) * problem.mask(times)
-    return worst_sigma2(problem, spread, inner=0, used=faint)
+    weights_of_choice = np.where(choices, 1.0, _WEAK) * problem.mask(times)
+    return worst_sigma2(problem, spread, inner=0, used=weights_of_choice)
 
 
 def _exchanged(problem: DesignProblem, times: Array, used: Mask, budget: Budget) -> Mask:

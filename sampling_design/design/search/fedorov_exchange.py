@@ -15,7 +15,7 @@ from bisect import bisect_left, bisect_right
 import numpy as np
 
 from sampling_design.design.bounds.relaxation import Relaxation
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
@@ -81,7 +81,7 @@ def repaired(problem: DesignProblem, times: Array) -> Array | None:
     if t.size + problem.fixed.size != problem.samples or not (t.size == 0 or problem.free.size):
         return None
     best: tuple[float, list[float]] | None = None if t.size else (0.0, [])
-    allowed = _Allowed(problem)
+    allowed = _AllowedTimes(problem)
     for lead in np.argsort(-np.diff(np.append(t[-1:] - period, t)), kind="stable")[:_LEADS]:
         turned = np.concatenate([t[lead:], t[:lead] + period]).tolist()
         found = _moved_least(turned, allowed, problem.gap, apart)
@@ -92,7 +92,7 @@ def repaired(problem: DesignProblem, times: Array) -> Array | None:
     return None if best is None else np.sort(np.mod(np.concatenate([problem.fixed, best[1]]), period))
 
 
-class _Allowed:
+class _AllowedTimes:
     """Allowed times of free samples, on a line of some periods."""
 
     def __init__(self, problem: DesignProblem) -> None:
@@ -115,7 +115,9 @@ class _Allowed:
         return early if t - early <= late - t else late
 
 
-def _moved_least(wished: list[float], allowed: _Allowed, gap: float, apart: float) -> tuple[float, list[float]] | None:
+def _moved_least(
+    wished: list[float], allowed: _AllowedTimes, gap: float, apart: float
+) -> tuple[float, list[float]] | None:
     """By how much the samples have to be moved together, of the choices of `repaired`, and where to."""
     later, earlier = [allowed.after(wished[0])], [allowed.before(wished[-1])]
     for wish in wished[1:]:

@@ -25,8 +25,8 @@ from collections.abc import Callable
 import numpy as np
 
 from sampling_design.design.bounds.relaxation import Relaxation
-from sampling_design.design.problem.numbers import DesignProblem
-from sampling_design.design.problem.turning import TurningWindows
+from sampling_design.design.problem.design_problem import DesignProblem
+from sampling_design.design.problem.orthogonal_flow import OrthogonalFlowWindows
 from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import ENDLESS, Budget
 
@@ -56,9 +56,9 @@ def annealed(
     None where flow or relaxation do not serve, or a run would not come to every sample. A run that is not over by the
     `budget` is cut short. `progress` is called with the share that is done, after each run.
     """
-    if problem.turning is None or problem.samples < 2 or not 0 < found.value < np.inf:
+    if problem.orthogonal_flow is None or problem.samples < 2 or not 0 < found.value < np.inf:
         return []
-    bath = HeatBath(problem, problem.turning, places(problem, found), found.value)
+    bath = HeatBath(problem, problem.orthogonal_flow, places(problem, found), found.value)
     if bath.steps < problem.samples:
         return []
     found_by: list[list[Valued]] = []
@@ -97,8 +97,10 @@ def places(problem: DesignProblem, found: Relaxation) -> Array:
 class HeatBath:
     """Schedules whose samples are drawn anew one by one over some `places`; `unit` is the sigma^2 that is hoped for."""
 
-    def __init__(self, problem: DesignProblem, turning: TurningWindows, places: Array, unit: float) -> None:
-        self.problem, self.turning, self.places, self.unit = problem, turning, places, unit
+    def __init__(
+        self, problem: DesignProblem, orthogonal_flow: OrthogonalFlowWindows, places: Array, unit: float
+    ) -> None:
+        self.problem, self.orthogonal_flow, self.places, self.unit = problem, orthogonal_flow, places, unit
         self.early, self.late = self.rows(places)
         self._forms = np.hstack([_products(self.early), _products(self.late)])
         self._upper = np.triu_indices(self.early.shape[-1])
@@ -111,8 +113,8 @@ class HeatBath:
 
     def rows(self, times: Array) -> tuple[Array, Array]:
         """What samples at `times` show to windows that begin before them, and behind them, (m, q, n) each."""
-        turned = times[:, None] + np.arange(self.turning.repeats + 1) * self.problem.period
-        every = self.turning.rows(turned, self.problem.mask(times)[:, None, :])
+        turned = times[:, None] + np.arange(self.orthogonal_flow.repeats + 1) * self.problem.period
+        every = self.orthogonal_flow.rows(turned, self.problem.mask(times)[:, None, :])
         shape = (times.size, -1, every.shape[-1])
         return every[:, :-1].reshape(shape), every[:, 1:].reshape(shape)
 
@@ -158,9 +160,9 @@ class HeatBath:
             free = np.flatnonzero(room[:, rest].all(axis=1))
             if not free.size:
                 continue
-            seen = self.least_eigenvalues(others, early[rest], late[rest])[free] / self.unit
-            least = seen.min(axis=1)
-            soft = least - np.log(np.exp(-_SHARPNESS * (seen - least[:, None])).sum(axis=1)) / _SHARPNESS
+            eigenvalues = self.least_eigenvalues(others, early[rest], late[rest])[free] / self.unit
+            least = eigenvalues.min(axis=1)
+            soft = least - np.log(np.exp(-_SHARPNESS * (eigenvalues - least[:, None])).sum(axis=1)) / _SHARPNESS
             heat = _WARM * (_COOL / _WARM) ** (step / steps) / times.size
             odds = np.cumsum(np.exp((soft - soft.max()) / heat))
             drawn = int(np.searchsorted(odds, rng.uniform() * odds[-1], side="right"))

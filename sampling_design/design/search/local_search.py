@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sampling_design.design.bounds.relaxation import Relaxation, repeating
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.gram import MANY_STATES
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.interrupt import DesignInterrupt
+from sampling_design.design.problem.orthogonal_flow import OrthogonalFlowWindows
 from sampling_design.design.problem.positions import worst_sigma2
-from sampling_design.design.problem.stopping import Interrupted
-from sampling_design.design.problem.turning import TurningWindows
 from sampling_design.design.search.fedorov_exchange import (
     at_shares,
     even,
@@ -95,7 +95,7 @@ def search(
 ) -> FoundSchedule:
     """Refine the best starts and return the best schedule.
 
-    Stops at `budget`, and where sigma is `enough`: none can be better. An interrupt is raised as `Interrupted`, with
+    Stops at `budget`, and where sigma is `enough`: none can be better. An interrupt is a `DesignInterrupt`, with
     the best schedule found by then. Raises SolverError if no admissible start was found although the requirement leaves
     room for one.
     """
@@ -111,7 +111,7 @@ def search(
         _search_from(run, relaxation, rng, pool, starts, progress)
         _kick(run, rng, most, progress)
     except KeyboardInterrupt:
-        raise Interrupted(run.found(complete=False)) from None
+        raise DesignInterrupt(run.found(complete=False)) from None
     return run.found(complete=run.is_best or not budget.over)
 
 
@@ -125,8 +125,8 @@ def _search_from(
 ) -> None:
     """Refine the best starts, exchange samples of the best, and draw anew where all are blind."""
     problem, budget, enough = run.problem, run.budget, run.enough
-    if problem.turning is not None:
-        pool = _led(run, problem.turning, pool, starts)
+    if problem.orthogonal_flow is not None:
+        pool = _led(run, problem.orthogonal_flow, pool, starts)
         if progress:
             progress(0.0, run.reached)
         if repeating(problem) and run.highest < (_NEAR * enough) ** 2:
@@ -138,12 +138,12 @@ def _search_from(
 
             led = annealed(problem, relaxation, begun, rng, budget, cooled)
             bathed = [("heat bath", times) for times in led]
-            pool += _led(run, problem.turning, bathed, len(bathed)) if bathed else []
+            pool += _led(run, problem.orthogonal_flow, bathed, len(bathed)) if bathed else []
         starts = min(starts, _FEW)
     values = worst_sigma2(problem, np.array([t for _, t in pool]))
     order = _ranked(values)[:starts]
     named = [i for i, (name, _) in enumerate(pool) if name not in ("random", "packed") and i not in order]
-    chosen = [*order, *(named if problem.turning is None else [])]
+    chosen = [*order, *(named if problem.orthogonal_flow is None else [])]
     for done, i in enumerate(chosen):
         if run.trials and run.is_over:
             break
@@ -165,7 +165,7 @@ def _ranked(values: Array) -> Index:
 
 
 def _led(
-    run: _Refinement, turning: TurningWindows, pool: list[tuple[str, Array]], starts: int
+    run: _Refinement, orthogonal_flow: OrthogonalFlowWindows, pool: list[tuple[str, Array]], starts: int
 ) -> list[tuple[str, Array]]:
     """The starts worth it, led on by the quasi-Newton method. Without time, as they are."""
     problem = run.problem
@@ -176,7 +176,7 @@ def _led(
         if run.budget.over:
             break
         name, times = pool[i]
-        near = smoothed(problem, turning, times, HOPELESS_START * run.highest, run.budget)
+        near = smoothed(problem, orthogonal_flow, times, HOPELESS_START * run.highest, run.budget)
         if near is not None:
             run.keep(near)
             found.append((name, near))
@@ -271,14 +271,14 @@ def _kick(run: _Refinement, rng: np.random.Generator, most: int, progress: Value
     problem, idle = run.problem, 0
     free = problem.samples - problem.fixed.size
     patience = _PATIENCE * _share(problem) * min(1.0, _MANY_SAMPLES / problem.samples)
-    if problem.turning is not None:
+    if problem.orthogonal_flow is not None:
         most, patience = most * _CHEAPER, patience * _CHEAPER
     if free == 0:
         return
     for done in range(most):
         if run.is_over or idle >= patience or run.value >= (_NEAR * run.enough) ** 2:
             return
-        if problem.turning is None and run.other_optima <= _OTHER_OPTIMA:
+        if problem.orthogonal_flow is None and run.other_optima <= _OTHER_OPTIMA:
             return
         if progress:
             progress(_BEFORE_KICKS + (1 - _BEFORE_KICKS) * done / most, run.reached)
@@ -298,11 +298,11 @@ def _kick(run: _Refinement, rng: np.random.Generator, most: int, progress: Value
 def _first_steps(run: _Refinement, times: Array, before: float) -> tuple[Array, float] | None:
     """The schedule after a first refinement and its sigma^2; None where it is not worth a second one."""
     problem = run.problem
-    if problem.turning is None:
+    if problem.orthogonal_flow is None:
         times, value = refined(problem, times, before, steps=FIRST_STEPS, budget=run.budget)
         return (times, value) if value > HOPELESS * run.value else None
     highest = run.highest
-    near = smoothed(problem, problem.turning, times, HOPELESS_KICK * highest, run.budget)
+    near = smoothed(problem, problem.orthogonal_flow, times, HOPELESS_KICK * highest, run.budget)
     if near is None:
         return None
     value = run.keep(near)
@@ -311,13 +311,13 @@ def _first_steps(run: _Refinement, times: Array, before: float) -> tuple[Array, 
 
 def _kicked(problem: DesignProblem, times: Array, rng: np.random.Generator) -> Array | None:
     """A few free samples moved at once, near or far; or where hours repeat, two samples' times of day exchanged."""
-    held = times[~np.isin(times, problem.fixed)]
+    free_times = times[~np.isin(times, problem.fixed)]
     parts = round(problem.period / problem.least_shift) if repeating(problem) else 1
-    if parts > 1 and held.size > 1 and rng.uniform() < _EXCHANGED:
-        return exchanged_hours(problem, times, *rng.choice(held.size, 2, replace=False))
-    shares = shares_of(problem, held)
-    moved = rng.choice(held.size, min(_KICKED, held.size), replace=False)
-    near = shares[moved] + rng.normal(size=moved.size) / held.size
+    if parts > 1 and free_times.size > 1 and rng.uniform() < _EXCHANGED:
+        return exchanged_hours(problem, times, *rng.choice(free_times.size, 2, replace=False))
+    shares = shares_of(problem, free_times)
+    moved = rng.choice(free_times.size, min(_KICKED, free_times.size), replace=False)
+    near = shares[moved] + rng.normal(size=moved.size) / free_times.size
     if parts > 1:  # another hour of the same day
         near = (np.floor(shares[moved] * parts) + rng.uniform(size=moved.size)) / parts
     shares[moved] = (near if rng.uniform() < 0.5 else rng.uniform(size=moved.size)) % 1.0
@@ -358,8 +358,8 @@ def _starts(
     found: list[tuple[str, Array | None]] = [("even", even(problem, 0.5))]
     found.append(("packed", packed(problem)))
     if repeating(problem):
-        count = ROTATIONS if problem.turning is None else CHEAP_ROTATIONS
-        steps = 1.0 if problem.turning is None else _MORE_STEPS
+        count = ROTATIONS if problem.orthogonal_flow is None else CHEAP_ROTATIONS
+        steps = 1.0 if problem.orthogonal_flow is None else _MORE_STEPS
         turned = rotated(problem, relaxation, count, _share(problem), budget, steps)
         found += [("rotated", times) for times in turned]
     else:

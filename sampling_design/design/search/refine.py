@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.gram import lags
-from sampling_design.design.problem.numbers import DesignProblem
 from sampling_design.design.problem.positions import WindowPositions, positions, window_grams, worst_sigma2
 from sampling_design.design.search.fedorov_exchange import is_admissible
 from sampling_design.numerics import conic_programs

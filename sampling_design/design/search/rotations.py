@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from sampling_design.design.bounds.relaxation import Relaxation
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem
 from sampling_design.design.problem.positions import worst_sigma2
 from sampling_design.design.search.fedorov_exchange import is_admissible, repaired
 from sampling_design.records.arrays import Array

@@ -1,6 +1,6 @@
 """All times at once by a quasi-Newton method, for plants whose flow stretches no state.
 
-The least eigenvalue over all windows is made smooth, and ever less so (`TurningWindows.soft`). Where several
+The least eigenvalue over all windows is made smooth, and ever less so (`OrthogonalFlowWindows.soft`). Where several
 eigenvalues tie that ends a little below what small semidefinite programs reach (`refine`), from far away and at a
 tenth of their time: many starts can be led to their best schedules.
 """
@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sampling_design.design.problem.numbers import DesignProblem
-from sampling_design.design.problem.turning import TurningWindows
+from sampling_design.design.problem.design_problem import DesignProblem
+from sampling_design.design.problem.orthogonal_flow import OrthogonalFlowWindows
 from sampling_design.design.search.fedorov_exchange import is_admissible, repaired
 from sampling_design.records.arrays import Array
 from sampling_design.records.budget import ENDLESS, Budget
@@ -24,7 +24,11 @@ _INSIDE = 1e-9  # of the period: how far a time stays from the end of an interva
 
 
 def smoothed(
-    problem: DesignProblem, turning: TurningWindows, times: Array, wanted: float = 0.0, budget: Budget = ENDLESS
+    problem: DesignProblem,
+    orthogonal_flow: OrthogonalFlowWindows,
+    times: Array,
+    wanted: float = 0.0,
+    budget: Budget = ENDLESS,
 ) -> Array | None:
     """Admissible times near a best schedule that `times` lead to, or on the way there at the `budget`.
 
@@ -35,14 +39,14 @@ def smoothed(
     low, high = _room(problem, times)
     mask, first = problem.measured(times), True
     for sharpness, steps in zip(_SHARPNESS, _STEPS, strict=True):
-        grams = turning.grams(times[None], mask[None])
+        grams = orthogonal_flow.grams(times[None], mask[None])
         mean, least = float(np.trace(grams[0, 0])) / grams.shape[-1], float(np.linalg.eigvalsh(grams).min())
         if not first and least < wanted:
             return None
         first, unit = False, max(least, _BLIND * mean)
 
         def loss(t: Array, sharpness: float = sharpness / unit, unit: float = unit) -> tuple[float, Array]:
-            value, slope = turning.soft(t, mask, sharpness)
+            value, slope = orthogonal_flow.soft(t, mask, sharpness)
             price, push = _crowding(problem, t)
             return price - value / unit, push - slope / unit
 

@@ -56,5 +56,7 @@ def narrowed(found: EstimateAssumptions, sets: WindowConstraints) -> EstimateAss
     noise = common("v", DisturbanceSet(found.noise.centre, np.diag(found.noise.size), found.noise.ball), sets.v)
     size = np.linalg.norm(noise.root, axis=1)
     straight = bool(np.all(noise.root == np.diag(size))) if noise.root.shape == (size.size,) * 2 else False
-    heard = SetBounds(noise.centre, size, noise.ball and straight)
-    return replace(found, disturbance=common("w", found.disturbance, sets.w), noise=heard, state=one_sided(sets.x))
+    noise_bound = SetBounds(noise.centre, size, noise.ball and straight)
+    return replace(
+        found, disturbance=common("w", found.disturbance, sets.w), noise=noise_bound, state=one_sided(sets.x)
+    )

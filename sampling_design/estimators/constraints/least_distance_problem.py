@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sampling_design.estimators.constraints.constrained_signals import ConstrainedSignal, ConstraintRows, rows_of
-from sampling_design.estimators.window.solution import SolutionSpread
+from sampling_design.estimators.window.window_estimate import EstimateDeviations
 from sampling_design.records.arrays import Array, Mask
 
 
@@ -48,7 +48,7 @@ class ConstraintDemands:
     x = x* + T z for the smoother's `spread` T; where signals have noise of their own, z has that after it.
     """
 
-    def __init__(self, spread: SolutionSpread, signals: Sequence[ConstrainedSignal], nodes: int, n: int):
+    def __init__(self, spread: EstimateDeviations, signals: Sequence[ConstrainedSignal], nodes: int, n: int):
         self.spread, self.signals = spread, signals
         self.rows = [rows for signal in signals for rows in rows_of(signal)]
         noisy = [signal.own.shape[::2] for signal in signals if signal.own is not None]

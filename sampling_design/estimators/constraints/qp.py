@@ -13,7 +13,7 @@ import numpy as np
 from sampling_design.estimators.constraints.least_distance import NearestPoint, active_set, conic, find_obstacle
 from sampling_design.estimators.constraints.least_distance_problem import ConstraintDemands
 from sampling_design.estimators.constraints.window_constraints import WindowConstraints
-from sampling_design.estimators.window.solution import Solution
+from sampling_design.estimators.window.window_estimate import WindowEstimate
 from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.records.arrays import Mask
 
@@ -22,8 +22,8 @@ SATISFIED = 1e-10  # excess, relative to the size of the values, up to which a s
 
 
 def solve_constrained(
-    window: EstimationWindow, constraints: WindowConstraints, free: Solution, engine: str = "auto"
-) -> Solution:
+    window: EstimationWindow, constraints: WindowConstraints, free: WindowEstimate, engine: str = "auto"
+) -> WindowEstimate:
     """Return the minimiser under the constraints, given the one without.
 
     Notes

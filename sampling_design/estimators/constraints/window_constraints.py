@@ -15,7 +15,7 @@ from sampling_design.estimators.constraints.least_distance_problem import Constr
 from sampling_design.estimators.gap_flows.cost_weights import stretches
 from sampling_design.estimators.gap_flows.flows import FlowTable
 from sampling_design.estimators.window.sliding import OptimalTrajectory
-from sampling_design.estimators.window.solution import Solution
+from sampling_design.estimators.window.window_estimate import WindowEstimate
 from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.records.arrays import Array
 
@@ -69,7 +69,7 @@ class WindowConstraints:
             return False
         return self.y is None or all_inside(self.y, nodes @ self.plant.C.T + feedthrough + v, measured)
 
-    def demands(self, window: EstimationWindow, free: Solution) -> ConstraintDemands:
+    def demands(self, window: EstimationWindow, free: WindowEstimate) -> ConstraintDemands:
         """Return what the constraints ask of all trajectories around the minimiser without them."""
         nodes = free.nodes
         signals = []
@@ -103,7 +103,7 @@ class WindowConstraints:
             )
         return ConstraintDemands(free.spread, signals, *nodes.shape)
 
-    def _limited_signal(self, window: EstimationWindow, free: Solution, limits: Array) -> ConstrainedSignal:
+    def _limited_signal(self, window: EstimationWindow, free: WindowEstimate, limits: Array) -> ConstrainedSignal:
         """C x where limits of detection were read."""
         measured = np.isfinite(limits[:, 0]) | np.isfinite(limits[:, 1])
         at, C = np.flatnonzero(measured.any(axis=1)), self.plant.C
@@ -120,7 +120,7 @@ class WindowConstraints:
             measured=measured[at],
         )
 
-    def _noisy_signals(self, window: EstimationWindow, free: Solution) -> list[ConstrainedSignal]:
+    def _noisy_signals(self, window: EstimationWindow, free: WindowEstimate) -> list[ConstrainedSignal]:
         """The noise v = gain (y - C x - D u) + its own part, and the output C x + D u + v, at the samples."""
         plant, at, found, nodes = self.plant, window.samples, [], free.nodes
         unit = np.linalg.norm(self.weights.at(np.ones(plant.n_outputs)).v_root, axis=1)

@@ -188,11 +188,11 @@ def marginal_root(weight: Array, measured: Mask) -> Array:
 
     The last block of the Cholesky factor of the weight with what is not measured put first.
     """
-    hidden, shown = np.flatnonzero(~measured), np.flatnonzero(measured)
-    order = np.concatenate([hidden, shown])
+    hidden, visible = np.flatnonzero(~measured), np.flatnonzero(measured)
+    order = np.concatenate([hidden, visible])
     factor = np.linalg.cholesky(weight[np.ix_(order, order)])
     root = np.zeros_like(weight)
-    root[np.ix_(shown, shown)] = factor[hidden.size :, hidden.size :].T
+    root[np.ix_(visible, visible)] = factor[hidden.size :, hidden.size :].T
     return root
 
 
@@ -261,8 +261,8 @@ def _weighed(plant: Plant, bounds: WeighedBounds, rate: float) -> dict[str, Arra
     given = zip(sizes, bounds, strict=True)
     read = {name: checks.bound(name, value, sizes[name]) for name, value in given if value is not None}
     usable = {name for name, bound in read.items() if np.all((bound >= 1 / LARGEST) & (bound <= LARGEST))}
-    asked = [read[name] if name in usable else 1.0 for name in sizes]
-    found = weights_from_bounds(plant, rate, *asked)
+    wanted = [read[name] if name in usable else 1.0 for name in sizes]
+    found = weights_from_bounds(plant, rate, *wanted)
     belong = {"P2": "initial_error", "Qw": "w_bound", "R": "v_bound", "Qv": "v_bound"}
     return {key: found[key] for key, name in belong.items() if name in usable}
 

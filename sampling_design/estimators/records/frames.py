@@ -119,15 +119,15 @@ def _written(frame: object) -> str:
 
 def _lines(text: str) -> Iterator[str]:
     """The rows of a file; an end of a line within quotes ends none, and none is a comment."""
-    held = ""
+    pending = ""
     for line in text.split("\n"):
-        held += line
-        if held.count('"') % 2:
-            held += "\n"
+        pending += line
+        if pending.count('"') % 2:
+            pending += "\n"
         else:
-            cell, comma, rest = held.partition(",")
-            yield f'"{cell}"{comma}{rest}' if cell.lstrip().startswith("#") else held
-            held = ""
+            cell, comma, rest = pending.partition(",")
+            yield f'"{cell}"{comma}{rest}' if cell.lstrip().startswith("#") else pending
+            pending = ""
 
 
 def _stamp_of(index: _Index, alone: bool) -> str:

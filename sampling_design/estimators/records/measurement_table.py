@@ -60,8 +60,8 @@ def read_table(
             "read.",
             where,
         )
-    held = ((k, line) for k, line in enumerate(chain([opening], lines), 1) if _counts(line))
-    first = next(held, None)
+    numbered = ((k, line) for k, line in enumerate(chain([opening], lines), 1) if _counts(line))
+    first = next(numbered, None)
     if first is None:
         raise FileFormatError(f"{where}: is empty, expected a header line.", where)
     mark = file_io.separator(first[1])
@@ -70,14 +70,14 @@ def read_table(
     header = [name.lower() if name.lower() in STAMPS and name not in own else name for name in found]
     stamp = _check_header(where, header, plant)
     own_zone = UTC if zone is None else time_zone(zone)
-    clock = _Clock(where, plant, None if origin is None else date_of(where, 0, origin, own_zone), zone, stamp)
+    clock = _DateConverter(where, plant, None if origin is None else date_of(where, 0, origin, own_zone), zone, stamp)
     table = MeasurementTable(where, plant, header, mark, clock, stamp)
-    while block := list(islice(held, BLOCK)):
+    while block := list(islice(numbered, BLOCK)):
         table.add_block(block)
     return table
 
 
-class _Clock:
+class _DateConverter:
     """Turns dates into times since the origin, by default the first date.
 
     A date without a zone is one of `zone` (its IANA name), else of the origin's own offset, else of UTC; `naive` says
@@ -131,7 +131,9 @@ class _Clock:
 class MeasurementTable:
     """Rows that were read so far, eight bytes a cell; a time may come twice if the rows agree."""
 
-    def __init__(self, where: str, plant: MeasuredPlant, header: list[str], mark: str, clock: _Clock, stamp: str):
+    def __init__(
+        self, where: str, plant: MeasuredPlant, header: list[str], mark: str, clock: _DateConverter, stamp: str
+    ):
         self.where, self.plant, self.header, self.mark = where, plant, header, mark
         self.clock, self.stamp = clock, stamp
         self.read = clock.date if stamp == "date" else clock.time
@@ -260,7 +262,7 @@ class MeasurementTable:
         """Refuse what needs a time in a row that has none."""
         if any(each.since is not None for each in censored):
             raise FileFormatError(f"{self.where}: line {line} holds a mean, whose end must be one time.", self.where)
-        if any(not np.isnan(value) and value != held for value, held in zip(inputs, self._held, strict=True)):
+        if any(not np.isnan(value) and value != last for value, last in zip(inputs, self._held, strict=True)):
             raise FileFormatError(
                 f"{self.where}: line {line} changes an input at a time that is not known. Give it a row of its own.",
                 self.where,
@@ -275,7 +277,7 @@ class MeasurementTable:
                 raise FileFormatError(
                     f"{self.where}: input {name} has no value in line {line}, the first row.", self.where
                 )
-        return [float(held) if np.isnan(value) else value for value, held in zip(inputs, self._held, strict=True)]
+        return [float(last) if np.isnan(value) else value for value, last in zip(inputs, self._held, strict=True)]
 
     def _close(self) -> None:
         """Put the rows that were read one by one among the others, as numbers."""

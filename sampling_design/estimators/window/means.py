@@ -24,7 +24,7 @@ from sampling_design.accuracy.readings import RecordRow
 from sampling_design.estimators.gap_flows.cost_weights import CostWeights
 from sampling_design.estimators.gap_flows.flows import FlowTable, noise_root
 from sampling_design.estimators.online.history import EstimatorState, InputDrift
-from sampling_design.estimators.window.solution import DUAL_MARGIN, Solution, SolutionSpread
+from sampling_design.estimators.window.window_estimate import DUAL_MARGIN, EstimateDeviations, WindowEstimate
 from sampling_design.numerics.filtering import propagate
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array
@@ -109,7 +109,7 @@ class IntegralFlows:
         """Return means as rows; residual and masks are those of the window's plain readings."""
         n, weights, count = self.n, self.weights, len(readings)
         p = weights.plant.n_outputs
-        rows, shown = np.zeros((count, len(times), n)), np.zeros(count)
+        rows, predicted_means = np.zeros((count, len(times), n)), np.zeros(count)
         length = np.array([times[r.end] - times[r.begin] for r in readings])
         picked = np.zeros((count, p))
         picked[np.arange(count), [r.output for r in readings]] = 1 / length
@@ -127,7 +127,7 @@ class IntegralFlows:
             moved = reference[j + 1] - F[:n, :n] @ reference[j] - drift[:n]
             rest = W[n:, n:] - gain @ W[:n, n:]
             take = picked[inside]
-            shown[inside] += take @ (F[n:, :n] @ reference[j] + drift[n:] + gain @ moved)
+            predicted_means[inside] += take @ (F[n:, :n] @ reference[j] + drift[n:] + gain @ moved)
             rows[inside, j] += take @ (F[n:, :n] - gain @ F[:n, :n])
             rows[inside, j + 1] += take @ gain
             at = np.ix_(inside, inside)
@@ -135,7 +135,7 @@ class IntegralFlows:
         together, y = np.zeros_like(masks), np.zeros_like(masks)
         for r in readings:
             together[r.end, r.output], y[r.end, r.output] = 1.0, r.value
-        target = np.array([r.value for r in readings]) - shown
+        target = np.array([r.value for r in readings]) - predicted_means
         for end in {r.end for r in readings}:
             own = [k for k, r in enumerate(readings) if r.end == end]
             outputs = [readings[k].output for k in own]
@@ -148,7 +148,7 @@ class IntegralFlows:
         return MeanRows(tuple(readings), rows, target, (spread + spread.T) / 2, together, y)
 
 
-def with_means(solution: Solution, reference: Array, means: MeanRows) -> Solution:
+def with_means(solution: WindowEstimate, reference: Array, means: MeanRows) -> WindowEstimate:
     """Return the minimiser with the means, given that without them.
 
     Notes
@@ -167,24 +167,24 @@ def with_means(solution: Solution, reference: Array, means: MeanRows) -> Solutio
     # |r|^2 - sum s^2/(1 + s^2) inside^2, without cancellation
     beside = r - U @ inside
     added = float(beside @ beside + np.sum(inside**2 / (1 + s**2)))
-    shown = np.linalg.solve(root, means.target)
-    spread = _ReducedSpread(solution.spread, Z, 1 - 1 / np.sqrt(1 + s**2))
+    predicted_means = np.linalg.solve(root, means.target)
+    spread = _ReducedDeviations(solution.spread, Z, 1 - 1 / np.sqrt(1 + s**2))
     last = spread.maps()[-1]
     return replace(
         solution,
         nodes=solution.nodes + solution.spread.states(z),
         covariance=last @ last.T,
         cost=solution.cost + added,
-        dual=solution.dual + added - DUAL_MARGIN * (added + float(shown @ shown)),
+        dual=solution.dual + added - DUAL_MARGIN * (added + float(predicted_means @ predicted_means)),
         spread=spread,
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _ReducedSpread:
+class _ReducedDeviations:
     """T Q of a spread T, Q = I - Z' diag(loss) Z with orthonormal rows Z."""
 
-    base: SolutionSpread
+    base: EstimateDeviations
     Z: Array
     loss: Array
 

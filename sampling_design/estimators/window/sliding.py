@@ -23,7 +23,7 @@ from sampling_design.estimators.online.history import HistoryNode
 from sampling_design.estimators.online.rounding import CovariancePrecision
 from sampling_design.estimators.online.verdict import LARGEST_RESIDUAL
 from sampling_design.estimators.window.smoother import PIVOT_LIMIT
-from sampling_design.estimators.window.solution import DUAL_MARGIN
+from sampling_design.estimators.window.window_estimate import DUAL_MARGIN
 from sampling_design.numerics.filtering import covariance_root, root_update
 from sampling_design.records.arrays import Array
 
@@ -314,14 +314,14 @@ class SlidingBand:
         return work
 
     def solve(
-        self, first: int, opening: InitialNode, gap: tuple[GapFlow, Array], whole: bool = False
+        self, first: int, initial: InitialNode, gap: tuple[GapFlow, Array], whole: bool = False
     ) -> WindowOptimum | None:
         """Return the optimum over the nodes from number `first` on; None where that would lose digits.
 
         Parameters
         ----------
         first : int
-        opening : InitialNode
+        initial : InitialNode
         gap : (GapFlow, (n,) array)
             From the window's start to the first node, with the inputs' part.
         whole : bool
@@ -334,14 +334,14 @@ class SlidingBand:
         """
         known, eta, zero = self._known, self._eta, self._zero
         last, start = known[-1], known[first]
-        if eta * max(last.t - zero, zero - opening.t) > WIDEST:
+        if eta * max(last.t - zero, zero - initial.t) > WIDEST:
             return None
         d, end = math.exp(eta * (start.t - zero)), math.exp(eta * (last.t - zero))
-        x, Y, size, noise, heard = opening.x, opening.Y, 0.0, 0.0, 0.0
+        x, Y, size, noise, initial_noise = initial.x, initial.Y, 0.0, 0.0, 0.0
         self._places[first] = x
-        if opening.sample is not None:
-            begin = math.exp(eta * (opening.t - zero))
-            x, Y, size, noise, heard = self._opened(opening)
+        if initial.sample is not None:
+            begin = math.exp(eta * (initial.t - zero))
+            x, Y, size, noise, initial_noise = self._opened(initial)
             size, noise = size * begin, noise * begin
         flow, drift = gap
         arrival = flow.arrival_information(Y)
@@ -384,7 +384,7 @@ class SlidingBand:
             cost / end,
             dual / end,
             (energy + noise) / end,
-            read + heard,
+            read + initial_noise,
             kept,
             path=path,
         )
@@ -405,11 +405,11 @@ class SlidingBand:
         flows = [flow, *(new.flow for new in self._known[first + 1 :] if new.flow is not None)]
         return OptimalTrajectory(places + away, away, defect, flows)
 
-    def samples(self, first: int, opening: InitialNode) -> tuple[Array, Array, Array]:
+    def samples(self, first: int, initial: InitialNode) -> tuple[Array, Array, Array]:
         """Return y - D u, the masks and D u at the samples from node `first` on, that at the window's start first."""
         rows = self._measured[first : len(self._known)]
-        if opening.sample is not None:
-            rows = np.concatenate([np.array(opening.sample)[None], rows])
+        if initial.sample is not None:
+            rows = np.concatenate([np.array(initial.sample)[None], rows])
         y, masks, feedthrough = rows.transpose(1, 0, 2)
         return y - feedthrough, masks, feedthrough
 
@@ -424,18 +424,18 @@ class SlidingBand:
         so_many, came, gains = self._gains
         return gains if so_many == count and all(map(is_, came, self._with(flow, Y))) else None
 
-    def _opened(self, opening: InitialNode) -> tuple[Array, Array, float, float, float]:
+    def _opened(self, initial: InitialNode) -> tuple[Array, Array, float, float, float]:
         """Return state and covariance after the sample at the start, its cost, noise bound and what was read."""
-        assert opening.sample is not None
-        y, mask, feedthrough = opening.sample
+        assert initial.sample is not None
+        y, mask, feedthrough = initial.sample
         kind = self.output_information(mask)
-        innovation = kind.root @ (y - feedthrough) - kind.rows @ opening.x
-        if self._absorbed is None or self._absorbed[0] is not opening.Y or self._absorbed[1] is not kind:
-            root, gain, half = root_update(covariance_root(opening.Y), kind.rows, np.eye(innovation.size))
-            self._absorbed = opening.Y, kind, root @ root.T, gain, half
+        innovation = kind.root @ (y - feedthrough) - kind.rows @ initial.x
+        if self._absorbed is None or self._absorbed[0] is not initial.Y or self._absorbed[1] is not kind:
+            root, gain, half = root_update(covariance_root(initial.Y), kind.rows, np.eye(innovation.size))
+            self._absorbed = initial.Y, kind, root @ root.T, gain, half
         _, _, Y, gain, half = self._absorbed
         missed, read = half.dot(innovation), kind.size @ np.abs(y)
-        return opening.x + gain.dot(innovation), Y, float(missed @ missed), kind.energy, float(read @ read)
+        return initial.x + gain.dot(innovation), Y, float(missed @ missed), kind.energy, float(read @ read)
 
 
 def _solved(work: Array, right: Array, end: float) -> tuple[Array, float, WindowGains] | None:

@@ -18,8 +18,8 @@ import numpy as np
 from scipy.linalg import lapack
 
 from sampling_design.estimators.window.means import with_means
-from sampling_design.estimators.window.solution import DUAL_MARGIN, SmootherKernel, Solution
 from sampling_design.estimators.window.square_root import solve_square_root
+from sampling_design.estimators.window.window_estimate import DUAL_MARGIN, SmootherKernel, WindowEstimate
 from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.records.arrays import Array
 
@@ -27,7 +27,7 @@ PIVOT_LIMIT = 1e-5
 """A Cholesky pivot below this share of its diagonal entry has lost five digits: the other route is taken."""
 
 
-def smooth(window: EstimationWindow) -> Solution:
+def smooth(window: EstimationWindow) -> WindowEstimate:
     """Return the minimiser by the cheaper route that keeps its digits.
 
     Notes
@@ -76,7 +76,7 @@ def information_band(window: EstimationWindow) -> tuple[Array, Array] | None:
     return band.reshape(count * n, 2 * n).T, rhs.ravel()
 
 
-def solve_banded(window: EstimationWindow) -> Solution | None:
+def solve_banded(window: EstimationWindow) -> WindowEstimate | None:
     """Return the minimiser by one banded Cholesky factorisation, None where that would lose digits."""
     assembled = information_band(window)
     if assembled is None:
@@ -90,7 +90,7 @@ def solve_banded(window: EstimationWindow) -> Solution | None:
     spread, cost = _kernel(factor, n), _cost(window, deviation)
     last = spread.roots[-1]  # from the factor's last block, the root of the last node's marginal information
     dual = cost - DUAL_MARGIN * (cost + abs(float(rhs @ solution)))
-    return Solution(window.reference + deviation, last @ last.T, cost, dual, "banded", spread)
+    return WindowEstimate(window.reference + deviation, last @ last.T, cost, dual, "banded", spread)
 
 
 @lru_cache(maxsize=64)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import lapack
 
-from sampling_design.estimators.window.solution import DUAL_MARGIN, SmootherKernel, Solution
+from sampling_design.estimators.window.window_estimate import DUAL_MARGIN, SmootherKernel, WindowEstimate
 from sampling_design.estimators.window.window_problem import EstimationWindow
 from sampling_design.numerics.filtering import root_update
 from sampling_design.records.arrays import Array
 
 
-def solve_square_root(window: EstimationWindow) -> Solution:
+def solve_square_root(window: EstimationWindow) -> WindowEstimate:
     """Return the minimiser by orthogonal factorisations, forward and backward.
 
     Notes
@@ -48,7 +48,7 @@ def solve_square_root(window: EstimationWindow) -> Solution:
         nodes[j] += gains[j] @ (nodes[j + 1] - predicted[j + 1])
     margin = DUAL_MARGIN * (cost + _cost_of_reference(window))
     found = SmootherKernel(roots, gains)
-    return Solution(window.reference + nodes, root @ root.T, cost, cost - margin, "square root", found)
+    return WindowEstimate(window.reference + nodes, root @ root.T, cost, cost - margin, "square root", found)
 
 
 def _absorb(window: EstimationWindow, j: int, root: Array, mean: Array, scale: float) -> tuple[Array, Array, float]:

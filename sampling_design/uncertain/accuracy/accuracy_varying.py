@@ -30,7 +30,7 @@ LOOKED = 4
 """Times of each gap at which the error is bracketed: just after its sample, in between, and just before the next."""
 CELLS = (8, 16, 32)
 """Cells of a gap on which the adversary's w is constant, one number after the other until the bracket closes."""
-UNSEEN = 1e-9  # share of a row that readings may leave of a free start and that counts as rounding
+UNOBSERVABLE = 1e-9  # share of a row that readings may leave of a free start and that counts as rounding
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -209,8 +209,8 @@ class _ScaledProblem:
             )
         still = plant.at(0.0)
         self.plant, self.schedule, self.rows = plant, meet(still, schedule), requested_rows(still, of)
-        asked = row_arguments(of)
-        if isinstance(asked, tuple) and not set(asked) <= set(still.states.names):
+        wanted = row_arguments(of)
+        if isinstance(wanted, tuple) and not set(wanted) <= set(still.states.names):
             raise ArgumentError("`of` must name states, or be rows of a matrix: the rows of outputs vary in time.")
         times = self.schedule.times
         first, last = (float(edge if end is None else checks.number(name, end))
@@ -273,7 +273,7 @@ class _CellProgram:
         self.late, self.whole = transitions.F[1::2], transitions.F[1::2] @ transitions.F[::2]
         self.h, self.G = np.diff(grid[::2]), G
         ends = self.whole @ G[:-1:2], 4 * self.late @ G[1::2], G[2::2]
-        self.push = (ends[0] + ends[1] + ends[2]) * self.h[:, None, None] / 6
+        self.disturbance_flow = (ends[0] + ends[1] + ends[2]) * self.h[:, None, None] / 6
         self.read: dict[int, tuple[Array, Array]] = {}
         for node, j in problem.sample.items():
             measured = np.isfinite(problem.v[j])
@@ -283,7 +283,7 @@ class _CellProgram:
         self.states = [state]
         for k in range(count):
             state = self.whole[k] @ state
-            state[:, n + k * q : n + (k + 1) * q] += self.push[k]
+            state[:, n + k * q : n + (k + 1) * q] += self.disturbance_flow[k]
             self.states.append(state)
 
     def bracket(self, row: Array, at: int, taken: bool) -> tuple[float, float]:
@@ -294,22 +294,26 @@ class _CellProgram:
         R = np.vstack([np.zeros((0, width)), *(self.read[k][0] @ self.states[k][:, :width] for k in used)])
         v = np.concatenate([np.zeros(0), *(self.read[k][1] for k in used)])
         c = row @ self.states[at][:, :width]
-        shown, unseen = R[:, :n][:, problem.free], c[:n][problem.free]
+        observed_rows, unobserved = R[:, :n][:, problem.free], c[:n][problem.free]
         unit = np.where(v > 0, v, np.maximum(np.linalg.norm(R, axis=1), 1e-300))
-        left = unseen - (np.linalg.pinv(shown / unit[:, None]) @ (shown / unit[:, None]) @ unseen if len(v) else 0.0)
-        if np.linalg.norm(left) > UNSEEN * np.linalg.norm(c):
+        left = unobserved - (
+            np.linalg.pinv(observed_rows / unit[:, None]) @ (observed_rows / unit[:, None]) @ unobserved
+            if len(v)
+            else 0.0
+        )
+        if np.linalg.norm(left) > UNOBSERVABLE * np.linalg.norm(c):
             return np.inf, np.inf
         if not np.any(c):
             return 0.0, 0.0
         z, gains = self._solved(c, R / unit[:, None], v / unit)
         gains = gains / unit
-        if len(v) and len(unseen):  # what the gains leave of a free start is rounding, and is taken away
-            off = unseen - gains @ shown
-            gains = gains + np.linalg.lstsq((shown / unit[:, None]).T, off, rcond=None)[0] / unit
+        if len(v) and len(unobserved):  # what the gains leave of a free start is rounding, and is taken away
+            off = unobserved - gains @ observed_rows
+            gains = gains + np.linalg.lstsq((observed_rows / unit[:, None]).T, off, rcond=None)[0] / unit
         inside = np.concatenate([np.abs(z[n:]), np.abs(z[:n][~problem.free]), np.abs(R @ z)[v > 0] / v[v > 0], [1.0]])
         exact = np.abs(R @ z)[v == 0] / unit[v == 0]
-        held = float(inside.max()) + float(exact.max(initial=0.0))
-        return float(c @ z) / held, self._guaranteed(row, c, R, v, gains, used, at)
+        bounded_by = float(inside.max()) + float(exact.max(initial=0.0))
+        return float(c @ z) / bounded_by, self._guaranteed(row, c, R, v, gains, used, at)
 
     def _solved(self, c: Array, R: Array, v: Array) -> tuple[Array, Array]:
         """The adversary's start and w, and the multipliers of the readings."""

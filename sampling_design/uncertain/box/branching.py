@@ -16,11 +16,11 @@ from sampling_design.uncertain.box.expansion import BoxCells
 
 Judge = Callable[[BoxCells], tuple[Array, Array, Array]]
 Value = Callable[[Array, float, int], float]
-Unseen = Callable[[Array, float, int], bool]
+IsUnobservable = Callable[[Array, float, int], bool]
 
 MOST_CELLS = 100_000  # cells after which a search without a budget ends as well
 TOGETHER = 512  # cells judged in one batch
-UNSEEN = 1e-8
+UNOBSERVABLE = 1e-8
 """What this share of the outputs shows at most, in balanced coordinates, counts as unseen where a descent ends."""
 DESCENTS = 3  # rounds between two descents
 STEPS = 400
@@ -51,13 +51,13 @@ def branch(
     start: BoxCells,
     judge: Judge,
     value: Value | None,
-    unseen: Unseen,
+    is_unobservable: IsUnobservable,
     rtol: float,
     seconds: float,
     ends: tuple[Array, Array],
     progress: Progress | None,
 ) -> BoxBounds:
-    """Halve cells until lower >= (1 - rtol) upper; `value` is exact at one point, `unseen`: where it counts as zero.
+    """Halve cells until lower >= (1 - rtol) upper; `value` is exact at one point, `is_unobservable`: zero sigma.
 
     Without `value` the centres of cells alone are met.
     """
@@ -75,7 +75,7 @@ def branch(
             best = descended(best, value, ends)
         rounds += 1
         search.meet(np.array([best[0]]))
-        return None if unseen(*best[1:]) else (lower[:, None], effect)
+        return None if is_unobservable(*best[1:]) else (lower[:, None], effect)
 
     def look() -> bool:
         if progress is not None and rounds:

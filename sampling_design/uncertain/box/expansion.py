@@ -73,7 +73,7 @@ class ExpansionRemainder(NamedTuple):
     effect: Array  # (K, m + 1): relative size of what each parameter, and the position, does to the flow
 
 
-class Expansion(NamedTuple):
+class RowExpansion(NamedTuple):
     """Rows of K cells in balanced coordinates z: value, derivatives, and bounds of the rest for each basis tried."""
 
     A: Array  # (K, n, n)
@@ -84,7 +84,7 @@ class Expansion(NamedTuple):
     lost: Array | None = None
 
 
-def expanded(model: BoxModel, cells: BoxCells, times: Array, measured: Mask, late: float = 0.0) -> Expansion:
+def expanded(model: BoxModel, cells: BoxCells, times: Array, measured: Mask, late: float = 0.0) -> RowExpansion:
     """Expand the rows of samples at `times` (K, N) after the cell's window start; `measured` (K, N, p).
 
     Each sample may be up to `late` early or late: what that does is part of the rest, but for the cell's centre.
@@ -125,7 +125,7 @@ def expanded(model: BoxModel, cells: BoxCells, times: Array, measured: Mask, lat
     if late:
         with np.errstate(over="ignore", invalid="ignore"):
             lost = np.nan_to_num(UP * lost_to_time(flat, A, late), nan=np.inf, posinf=np.inf)
-    return Expansion(A, flat, slopes.reshape(K, m, N * p, n), tuple(rests), lost)
+    return RowExpansion(A, flat, slopes.reshape(K, m, N * p, n), tuple(rests), lost)
 
 
 def norms_in(

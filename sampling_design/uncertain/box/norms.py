@@ -22,7 +22,7 @@ from sampling_design.records.arrays import Array
 Number = TypeVar("Number", Ball, Array)
 
 
-class Arithmetic(NamedTuple, Generic[Number]):
+class BoundArithmetic(NamedTuple, Generic[Number]):
     """What bounds need beside sums and products; none of it smaller than it is."""
 
     exp: Callable[[Number], Number]
@@ -34,8 +34,8 @@ def _beyond_first(x: Array) -> Array:
     return np.where(x < 1e-3, 0.5 * x * x * (1 + 0.34 * x), np.expm1(x) - x + 1e-15 * x)
 
 
-FLOATS: Arithmetic[Array] = Arithmetic(np.exp, _beyond_first)
-BALLS: Arithmetic[Ball] = Arithmetic(lambda x: x.exp(), lambda x: x.expm1() - x)
+FLOATS: BoundArithmetic[Array] = BoundArithmetic(np.exp, _beyond_first)
+BALLS: BoundArithmetic[Ball] = BoundArithmetic(lambda x: x.exp(), lambda x: x.expm1() - x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class CellNorms(Generic[Number]):
     moved: Number  # |(A(theta) - A) x| <= moved |x|
     output_size: Number  # c: |C x| <= c |x|, outputs in the plain norm
     output_moved: Number  # f: |(C(theta) - C) x| <= f |x|
-    arithmetic: Arithmetic[Number]
+    arithmetic: BoundArithmetic[Number]
 
     def rows(self, r: Number, rate: Number) -> tuple[Number, Number]:
         """First order, and what is beyond it, of a sample r >= 0 after the window's start."""

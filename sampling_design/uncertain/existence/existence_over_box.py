@@ -104,7 +104,7 @@ def existence_over_box(
         nominal = {each.name: each.nominal for each in plant.parameters}
         return ExistenceOverBox(True, nominal, np.inf, "a finite schedule is certified to its last time", 0, plant)
     model, margin = BoxModel.of(plant, "certificate_exists"), margin_on(schedule, eta)
-    gaps, budget = GainedGaps(model, schedule, eta), Budget(seconds)
+    gaps, budget = FilteredErrors(model, schedule, eta), Budget(seconds)
     worst, proven, looked = looked_at(model, margin, model.start, None), 0, 0
 
     def parts_of(cell: BoxCells) -> list[BoxCells] | None:
@@ -161,7 +161,7 @@ def descended(model: BoxModel, margin: Margin, best: CellAnswer) -> CellAnswer:
     return found
 
 
-class GainedGaps:
+class FilteredErrors:
     """The error e -> (I - K C(theta)) e^{(A(theta) + eta/2) h} e over every gap of a period, with gains of a centre."""
 
     def __init__(self, model: BoxModel, schedule: PeriodicSchedule, eta: float) -> None:

@@ -23,7 +23,7 @@ from sampling_design.uncertain.box.branching import TOGETHER, bisected
 from sampling_design.uncertain.box.branching import descended as descended_sigma
 from sampling_design.uncertain.box.expansion import BoxCells
 from sampling_design.uncertain.box.model import BoxModel, at_parameters
-from sampling_design.uncertain.existence.existence_over_box import GainedGaps, descended, looked_at, margin_on
+from sampling_design.uncertain.existence.existence_over_box import FilteredErrors, descended, looked_at, margin_on
 from sampling_design.uncertain.observability.windows_over_box import WindowsOverBox
 from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
@@ -152,11 +152,11 @@ def largest_box(
     tolerance = checks.positive("rtol", rtol)
     if window is not None:
         least = checks.nonnegative("at_least", at_least)
-        asked = WindowsOverBox(model, window_pieces(aligned, checks.positive("window", window)))
+        over_box = WindowsOverBox(model, window_pieces(aligned, checks.positive("window", window)))
         question = f"sigma is above {short(least)} in every window of {short(window)} {plant.time_unit}"
-        cells = asked.cells()
-        search, together = _by_sigma(asked, least), TOGETHER
-        if asked.too_few() is not None:
+        cells = over_box.cells()
+        search, together = _by_sigma(over_box, least), TOGETHER
+        if over_box.too_few() is not None:
             return _found(model, 0.0, 0.0, model.start, False, question, 0)
     else:
         repeated = period_of(
@@ -169,26 +169,26 @@ def largest_box(
     return _searched(model, cells, search, together, tolerance, checks.positive("budget", budget), question)
 
 
-def _by_sigma(asked: WindowsOverBox, floor: float) -> Search:
+def _by_sigma(over_box: WindowsOverBox, floor: float) -> Search:
     """Sigma of every window above a number."""
 
     def judge(cells: BoxCells) -> Judged:
-        lower, centre, effect = asked.judge(cells)
+        lower, centre, effect = over_box.judge(cells)
         lost, k = np.asarray(centre <= floor), int(np.argmin(centre))
-        lost[k] |= asked.unobservable(cells.u[k], float(cells.s[k]), int(cells.piece[k]))
+        lost[k] |= over_box.unobservable(cells.u[k], float(cells.s[k]), int(cells.piece[k]))
         return lower > floor, lost, effect
 
     def failing(cell: BoxCells) -> Array | None:
         start = (np.inf, cell.u[0], float(cell.s[0]), int(cell.piece[0]))
-        value, u, s, piece = descended_sigma(start, asked.value, (asked.pieces.left, asked.pieces.right))
-        return u if value <= floor or asked.unobservable(u, s, piece) else None
+        value, u, s, piece = descended_sigma(start, over_box.value, (over_box.pieces.left, over_box.pieces.right))
+        return u if value <= floor or over_box.unobservable(u, s, piece) else None
 
     return judge, failing
 
 
 def _by_gains(model: BoxModel, schedule: PeriodicSchedule, eta: float) -> Search:
     """Certificates that exist."""
-    gaps, margin = GainedGaps(model, schedule, eta), margin_on(schedule, eta)
+    gaps, margin = FilteredErrors(model, schedule, eta), margin_on(schedule, eta)
 
     def judge(cells: BoxCells) -> Judged:
         every = cells.each()

@@ -18,7 +18,7 @@ from sampling_design.records.arrays import Array, Mask
 from sampling_design.records.budget import ENDLESS, Budget
 from sampling_design.schedules.family import SamplingFamily
 from sampling_design.uncertain.inclusion.layout import Schedules, WordLayout, family_of, layout_of
-from sampling_design.uncertain.inclusion.program import PosedProgram
+from sampling_design.uncertain.inclusion.program import InclusionData
 from sampling_design.uncertain.plants.inclusion import InclusionMembers, LinearInclusion, MemberHull
 
 INFLATED = (0.002, 0.02, 0.1)
@@ -30,7 +30,7 @@ FAR = 1e4  # size, in inner coordinates, from which on what the states' scales c
 FASTEST = 1e3  # rates per longest gap beyond which a plant is stiff
 
 
-class PosedMembers:
+class InclusionPlants:
     """Linear plants that stand for one that is not exactly known, those in the program, and how it is posed.
 
     `chosen` and `chosen_outputs` are the members (A, G) and C in the program: those that bind.
@@ -60,7 +60,7 @@ class PosedMembers:
         self._sampled = (self.members, self.chosen, self.chosen_outputs)
         self.hull: MemberHull | None = None
 
-    def inner(self, eta: float, pieces: int, T: Array | None = None) -> tuple[PosedProgram, Array]:
+    def inner(self, eta: float, pieces: int, T: Array | None = None) -> tuple[InclusionData, Array]:
         """The program in inner coordinates, and the T with P = T P_inner T': by default that of the rate."""
         layout, b = self.layout(pieces), self.longest
         T = self.coordinates(eta) if T is None else T
@@ -84,7 +84,7 @@ class PosedMembers:
             multiplied = axes[list(self.columns.at)]
             self.sizes = np.linalg.norm(multiplied, axis=1)
             columns, multiplied = b * (T.T @ self.columns.add) * self.sizes, multiplied / self.sizes[:, None]
-        posed = PosedProgram(
+        posed = InclusionData(
             dynamics=np.concatenate([A, G], axis=2), outputs=outputs, Qw=np.eye(q), unit=unit, eta=eta * b,
             nodes=layout.nodes / b, pieces=layout.pieces, later=layout.later, base=layout.base, pattern=pattern.ravel(),
             columns=columns, multiplied=multiplied,
@@ -142,8 +142,8 @@ class PosedMembers:
             pass  # the centre alone may have no certificate, or none at this rate
         return np.diag(1 / balance(self.centre.A).d)
 
-    def pushed(self, posed: PosedProgram) -> Array:
-        """Members pushed away from their middle."""
+    def inflated(self, posed: InclusionData) -> Array:
+        """Members moved away from their middle by the share `inflation`."""
         M = posed.dynamics
         middle = (M.max(axis=0) + M.min(axis=0)) / 2
         return np.asarray(middle + (1 + self.inflation) * (M - middle))

@@ -30,7 +30,7 @@ SMALLEST = 1e-7  # information below this fraction of the nominal counts as none
 
 
 @dataclass(frozen=True, eq=False)
-class PosedProgram:
+class InclusionData:
     """The numbers of one program, in inner coordinates and inner time.
 
     dynamics (K, n, n + q); outputs (patterns, L, p, n), for each pattern of measured outputs in units in which R~ is I
@@ -65,7 +65,7 @@ class PosedProgram:
         slope = (P[j] - P[i]) / (self.nodes[j] - self.nodes[i])[:, None, None]
         return np.stack([P[i], P[j]], axis=1).reshape(-1, self.n, self.n), np.repeat(slope, 2, axis=0)
 
-    def turned(self, T: Array) -> PosedProgram:
+    def turned(self, T: Array) -> InclusionData:
         """The same program in coordinates T'z, T (n, n): P = T P_new T'."""
         inverse = np.linalg.inv(T)
         n, q = self.n, self.dynamics.shape[2] - self.n
@@ -91,7 +91,7 @@ class PosedProgram:
 class InclusionSolution:
     """A solution in inner coordinates, not proven: P at the nodes between s I and q I; T brings it to physical ones."""
 
-    posed: PosedProgram
+    posed: InclusionData
     P: Array
     T: Array
     diagonals: Array | None
@@ -122,7 +122,7 @@ def worst_violated(least: Array, chosen: list[int], most: int) -> list[int]:
     return [int(k) for k in np.argsort(least)[:most] if least[k] < 0 and int(k) not in chosen]
 
 
-def flow_scale(posed: PosedProgram) -> Array:
+def flow_scale(posed: InclusionData) -> Array:
     """N^-1/2, N the size of A + A' where rates are fast, in all coordinates that flow conditions have; else I.
 
     A congruence with it changes no definiteness. Rates up to `BEARABLE` per longest gap are left as they are.
@@ -143,7 +143,7 @@ def scaling_of(A: Array) -> Array:
 class InclusionProgram:
     """The blocks of a program that do not depend on what is minimised."""
 
-    def __init__(self, posed: PosedProgram, budget: float | None = None) -> None:
+    def __init__(self, posed: InclusionData, budget: float | None = None) -> None:
         self.posed, self.budget = posed, budget
         n = posed.n
         self.pairs = n * (n + 1) // 2
@@ -368,7 +368,7 @@ def vector(matrix: Array) -> Array:
     return np.asarray(conic_programs.svec(matrix), dtype=np.float64)
 
 
-def flow_slacks(posed: PosedProgram, P: Array) -> Array:
+def flow_slacks(posed: InclusionData, P: Array) -> Array:
     """The least eigenvalue of the flow condition in its own size over both ends of all pieces, for each member."""
     n, ends = posed.n, 2 * posed.pieces.size
     scale = flow_scale(posed)
@@ -384,7 +384,7 @@ def flow_slacks(posed: PosedProgram, P: Array) -> Array:
     return np.concatenate(least)
 
 
-def jump_slacks(posed: PosedProgram, P: Array, gains: Array) -> Array:
+def jump_slacks(posed: InclusionData, P: Array, gains: Array) -> Array:
     """The least eigenvalue of the jump condition over all jumps with their gains, for each C."""
     gained = P[posed.later] - P[posed.base] - np.swapaxes(gains, 1, 2) @ gains
     cross = np.swapaxes(posed.outputs[posed.pattern], 2, 3) @ gains[:, None]

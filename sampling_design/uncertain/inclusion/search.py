@@ -16,12 +16,12 @@ from sampling_design.records.arrays import Array
 from sampling_design.records.budget import Budget
 from sampling_design.records.record import Plain
 from sampling_design.uncertain.inclusion.inclusion_certificate import InclusionCertificate
-from sampling_design.uncertain.inclusion.members import INFLATED, PosedMembers
+from sampling_design.uncertain.inclusion.members import INFLATED, InclusionPlants
 from sampling_design.uncertain.inclusion.program import (
     SMALLEST,
+    InclusionData,
     InclusionProgram,
     InclusionSolution,
-    PosedProgram,
     flow_slacks,
     in_coordinates,
     jump_slacks,
@@ -42,7 +42,7 @@ ROOM = 1e-6  # by which P1 and P2 stand off from P, relatively
 Attempt = tuple[InclusionCertificate | None, Verification | None]
 
 
-class InclusionSearch(PosedMembers):
+class InclusionSearch(InclusionPlants):
     """The programs of one plant, range of gaps and choice of weights, under a budget for lambda."""
 
     def solve(self, eta: float, pieces: int, narrow: bool = True) -> InclusionSolution | None:
@@ -56,7 +56,7 @@ class InclusionSearch(PosedMembers):
             found = self._solve_once(posed, T, narrow)
             if found is None:
                 return None
-            own = replace(posed, dynamics=self.pushed(posed)).turned(np.asarray(np.linalg.solve(T, found.T)))
+            own = replace(posed, dynamics=self.inflated(posed)).turned(np.asarray(np.linalg.solve(T, found.T)))
             bad, hidden = list[int](), list[int]()
             if len(self.chosen) < len(self.members.dynamics):
                 bad = worst_violated(flow_slacks(own, found.P), self.chosen, JOINING)
@@ -67,8 +67,8 @@ class InclusionSearch(PosedMembers):
             self.chosen, self.chosen_outputs = sorted({*self.chosen, *bad}), sorted({*self.chosen_outputs, *hidden})
         return None
 
-    def _solve_once(self, posed: PosedProgram, T: Array, narrow: bool) -> InclusionSolution | None:
-        dynamics = self.pushed(posed)[self.chosen]
+    def _solve_once(self, posed: InclusionData, T: Array, narrow: bool) -> InclusionSolution | None:
+        dynamics = self.inflated(posed)[self.chosen]
         some = replace(posed, dynamics=dynamics, outputs=posed.outputs[:, self.chosen_outputs])
         search = InclusionProgram(some, self.budget.seconds_left())
         floor, x, record = search.floor()

@@ -16,11 +16,11 @@ import numpy as np
 
 from sampling_design.records.arrays import Array
 from sampling_design.records.evidence import SolverRecord
-from sampling_design.uncertain.inclusion.members import PosedMembers
+from sampling_design.uncertain.inclusion.members import InclusionPlants
 from sampling_design.uncertain.inclusion.program import (
+    InclusionData,
     InclusionProgram,
     InclusionSolution,
-    PosedProgram,
     flow_scale,
     flow_slacks,
     in_coordinates,
@@ -28,7 +28,7 @@ from sampling_design.uncertain.inclusion.program import (
     worst_violated,
 )
 
-Posing = Callable[[Array], tuple[PosedProgram, Array]]
+Posing = Callable[[Array], tuple[InclusionData, Array]]
 Solver = Callable[[InclusionProgram], tuple[Array | None, float, SolverRecord]]
 
 TURNS = 6  # turns in which coordinates are found
@@ -45,7 +45,7 @@ LEAST_SLACK = 0.05
 
 
 def fitted(
-    search: PosedMembers, posing: Posing, T: Array, solve: Solver, share: float, join: bool
+    search: InclusionPlants, posing: Posing, T: Array, solve: Solver, share: float, join: bool
 ) -> tuple[InclusionSolution, float, Array] | None:
     """Solve for the members chosen, drawn to their mean; those that the solution violates join until none does.
 
@@ -89,7 +89,7 @@ def fitted(
     return None
 
 
-def drawn(search: PosedMembers, posed: PosedProgram, share: float) -> PosedProgram:
+def drawn(search: InclusionPlants, posed: InclusionData, share: float) -> InclusionData:
     """Members drawn to their mean by a share, and pushed outwards by the search's inflation."""
     if search.hull is not None and share == 1:  # whose directions are inflated instead
         return posed
@@ -97,7 +97,7 @@ def drawn(search: PosedMembers, posed: PosedProgram, share: float) -> PosedProgr
     return replace(posed, dynamics=middle + share * (1 + search.inflation) * (posed.dynamics - middle))
 
 
-def adversaries(search: PosedMembers, posed: PosedProgram, P: Array, T: Array) -> Array:
+def adversaries(search: InclusionPlants, posed: InclusionData, P: Array, T: Array) -> Array:
     """Corners of the hull's cells at which the flow condition fails most, found by turns of vector and signs."""
     if search.hull is None:
         return np.zeros((0, *search.members.dynamics.shape[1:]))
@@ -134,10 +134,10 @@ def adversaries(search: PosedMembers, posed: PosedProgram, P: Array, T: Array) -
     return np.array(list(found.values())).reshape(len(found), *search.hull.middle.shape[1:])
 
 
-def solve_stiff(search: PosedMembers, eta: float, pieces: int, narrow: bool) -> InclusionSolution | None:
+def solve_stiff(search: InclusionPlants, eta: float, pieces: int, narrow: bool) -> InclusionSolution | None:
     """A P(tau) of large slack, or the narrowest that leaves some."""
 
-    def posing(T: Array) -> tuple[PosedProgram, Array]:
+    def posing(T: Array) -> tuple[InclusionData, Array]:
         return search.inner(eta, pieces, T)
 
     best: InclusionSolution | None = None

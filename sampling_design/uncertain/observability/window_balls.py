@@ -36,39 +36,41 @@ SMALLEST = 2.0**-40  # cells below this share of the box and of their piece are 
 
 
 def prove_over_box(
-    asked: WindowsOverBox, schedule: Schedule | PeriodicSchedule, guess: float, seconds: float
+    over_box: WindowsOverBox, schedule: Schedule | PeriodicSchedule, guess: float, seconds: float
 ) -> ProvenSigma:
     """Prove a lower bound of sigma over a box and all real window positions: see `nearest_proven`.
 
-    The floats of `asked` choose the cells and prove nothing; the doubles of its schedule are what the theorem is about.
+    The floats of `over_box` choose the cells and prove nothing; the doubles of its schedule are what is proven.
     """
-    exact = exact_times(schedule, asked.pieces)
-    slack = needed_slack(schedule, asked.pieces, exact)
-    return nearest_proven(guess, seconds, lambda clock: WindowCells(asked, schedule, exact, clock).proves, slack=slack)
+    exact = exact_times(schedule, over_box.pieces)
+    slack = needed_slack(schedule, over_box.pieces, exact)
+    return nearest_proven(
+        guess, seconds, lambda clock: WindowCells(over_box, schedule, exact, clock).proves, slack=slack
+    )
 
 
 class WindowCells:
     """Cells of parameters and window starts; a start is a dyadic share of its piece, so that no cell is rounded."""
 
     def __init__(
-        self, asked: WindowsOverBox, schedule: Schedule | PeriodicSchedule, exact: list[Fraction], clock: Budget
+        self, over_box: WindowsOverBox, schedule: Schedule | PeriodicSchedule, exact: list[Fraction], clock: Budget
     ) -> None:
-        self.asked, self.clock, self.box = asked, clock, BallBox(asked.model)
-        pieces = asked.pieces
+        self.over_box, self.clock, self.box = over_box, clock, BallBox(over_box.model)
+        pieces = over_box.pieces
         self.ends = [piece_ends(schedule, pieces, g) for g in range(len(pieces))]
         self.times = [exact[pieces.first[g] : pieces.stop[g]] for g in range(len(pieces))]
         self.signs = list(product((-1, 1), repeat=self.box.m))
 
     def proves(self, mu: float) -> bool:
         """Whether sigma >= mu is proven for all plants and positions."""
-        pieces, m = self.asked.pieces, self.box.m
+        pieces, m = self.over_box.pieces, self.box.m
         count = len(pieces)
         wide = np.array([float(right > left) for left, right in self.ends])
         whole = np.zeros((count, m))
         start = BoxCells(whole, whole + 1, np.zeros(count), wide, np.arange(count))
 
         def parts_of(some: BoxCells) -> list[BoxCells] | None:
-            lower, centre, effect = self.asked.judge(self._in_time(some))
+            lower, centre, effect = self.over_box.judge(self._in_time(some))
             if np.any(centre < mu * (1 - FALSE)):
                 return None
             open_ = np.array(
@@ -83,7 +85,7 @@ class WindowCells:
 
     def _in_time(self, cells: BoxCells) -> BoxCells:
         """The same with window starts in time, as floats."""
-        pieces = self.asked.pieces
+        pieces = self.over_box.pieces
         left, right = pieces.left[cells.piece], pieces.right[cells.piece]
         half = (right - left) / 2
         return cells._replace(s=(left + right) / 2 + half * cells.s, h=half * cells.h + pieces.tolerance)
@@ -98,7 +100,7 @@ class WindowCells:
         h = rational(half * Fraction(float(one.h[0])))
         cell = self.box.cell(one.u[0], one.half[0])
         after = [rational(t - middle) for t in self.times[g]]
-        G, slopes = self._gram(cell, self.times[g], middle, self.asked.pieces.measured(g))
+        G, slopes = self._gram(cell, self.times[g], middle, self.over_box.pieces.measured(g))
         eye = identity(self.box.n)
         moved = [self.box.unit * (eye + cell.A * h * sign) for sign in ((1, -1) if h > 0 else (1,))]
         starts = [X.transpose() * X for X in moved]

@@ -8,7 +8,7 @@ import numpy as np
 
 from sampling_design.observability.windows.pieces import WindowPieces
 from sampling_design.records.arrays import Array, Mask
-from sampling_design.uncertain.box.branching import UNSEEN
+from sampling_design.uncertain.box.branching import UNOBSERVABLE
 from sampling_design.uncertain.box.expansion import BoxCells
 from sampling_design.uncertain.box.least import least_sigma
 from sampling_design.uncertain.box.model import BoxModel
@@ -18,7 +18,7 @@ class WindowsOverBox:
     """Sigma of the windows of one schedule, for cells of a box."""
 
     def __init__(
-        self, model: BoxModel, pieces: WindowPieces, *, losing: bool = False, unobservable_share: float = UNSEEN
+        self, model: BoxModel, pieces: WindowPieces, *, losing: bool = False, unobservable_share: float = UNOBSERVABLE
     ) -> None:
         """With `losing` every piece once for each of its samples, without that: of the number `lost`."""
         held = np.maximum(pieces.stop - pieces.first, 0) if losing else np.ones(len(pieces), dtype=np.intp)

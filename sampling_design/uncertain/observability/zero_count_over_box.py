@@ -22,7 +22,7 @@ from sampling_design.uncertain.plants.uncertain_plant import UncertainPlant
 
 SLOWEST = 1e-3  # frequencies below this share of |A| are not told from none: the count is taken with this much more
 CLOSE = 1e-3  # relative width of a bracket of frequencies
-UNSEEN = 1e-12  # what is below this share of the outputs counts as unseen: short windows see slow modes little
+UNOBSERVABLE = 1e-12  # what is below this share of the outputs counts as unseen: short windows see slow modes little
 SECONDS = 60.0  # of each bracket, which the count needs only to the next whole number
 
 
@@ -156,7 +156,7 @@ def require_every_plant_observable(model: BoxModel) -> None:
         tolerance=0.0,
         start=0.0,
     )
-    asked = WindowsOverBox(model, window, unobservable_share=UNSEEN)
+    asked = WindowsOverBox(model, window, unobservable_share=UNOBSERVABLE)
     found = branch(asked.cells(), asked.judge, asked.value, asked.unobservable, 0.9, SECONDS, (start, start), None)
     if found.lower > 0:
         return

@@ -19,7 +19,7 @@ UNSURE = 1e-5
 """Of the largest eigenvalue of a window's Gram matrix: a least one below it has lost digits to the sums here."""
 
 
-class TurningWindows:
+class OrthogonalFlowWindows:
     """Gram matrices, in the plant's own coordinates, of the windows that begin just before each of k samples."""
 
     def __init__(self, plant: Plant, window: float, period: float) -> None:
@@ -29,7 +29,7 @@ class TurningWindows:
         self.period, self.repeats = period, round(window / period)
 
     @classmethod
-    def of(cls, plant: Plant, window: float, period: float) -> TurningWindows | None:
+    def of(cls, plant: Plant, window: float, period: float) -> OrthogonalFlowWindows | None:
         """None where the flow stretches, or the window holds no whole number of periods."""
         ratio = window / period
         stretch = float(np.linalg.norm(plant.A + plant.A.T, 2)) * window / 2
@@ -50,9 +50,9 @@ class TurningWindows:
 
     def _windows(self, rows: list[Array]) -> Array:
         """The Gram matrices of the windows, of the rows of each repetition."""
-        seen = [_squares(each) for each in rows]
-        first = np.sum(seen[:-1], axis=(0, 2))[:, None]
-        moved = np.cumsum((seen[-1] - seen[0])[:, :-1], axis=1)
+        grams_of_repeats = [_squares(each) for each in rows]
+        first = np.sum(grams_of_repeats[:-1], axis=(0, 2))[:, None]
+        moved = np.cumsum((grams_of_repeats[-1] - grams_of_repeats[0])[:, :-1], axis=1)
         return np.concatenate([first, first + moved], axis=1)
 
     def worst(self, times: Array, mask: Mask) -> tuple[Array, Mask]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 
-class Interrupted(KeyboardInterrupt):
+class DesignInterrupt(KeyboardInterrupt):
     """An interrupt (Ctrl-C) of a step of a design, with the best that the step had by then."""
 
-    def __init__(self, held: object) -> None:
+    def __init__(self, best: object) -> None:
         super().__init__()
-        self.held = held
+        self.best = best

@@ -27,7 +27,7 @@ _SPAN = re.compile(rf"\s*(?:([A-Z][a-z]{{2}}(?:-[A-Z][a-z]{{2}})?)\s+)?{_HOUR}\s
 
 
 @dataclass(frozen=True)
-class AskedFor:
+class RequirementFlags:
     """The flags of `new` that say what is wanted, as they were typed."""
 
     period: Annotated[
@@ -127,7 +127,7 @@ def _clock(text: str) -> int:
     return int(hour) * 60 + int(minute) if colon else round(float(text) * 60)
 
 
-def requirement(asked: AskedFor, unit: str, span: float) -> sd.Requirement:
+def requirement(asked: RequirementFlags, unit: str, span: float) -> sd.Requirement:
     """Return what a schedule must keep: a window and, unless told, a period of one oscillation, in whole days."""
     hours = week(asked.open_hours, asked.weekend)
     period = span if asked.period is None else asked.period
@@ -168,7 +168,7 @@ def whole_days(period: float, unit: str, hours: WeekHours, *, given: bool) -> fl
 NEEDED = {"noise": "how far a reading may be off", "disturbance": "how strong what disturbs may be"}
 
 
-def plan_requirement(asked: AskedFor, plant: sd.Plant, span: float) -> sd.PlanRequirement | None:
+def plan_requirement(asked: RequirementFlags, plant: sd.Plant, span: float) -> sd.PlanRequirement | None:
     """Return what a plan must keep; None where nothing was said of accuracy."""
     if not asked.within.strip():
         for flag in ("noise", "prices", "disturbance", "holidays", "grid"):

@@ -18,7 +18,7 @@ ONE_THREAD = "OPENBLAS_NUM_THREADS"
 """Matrices here have 2 to 20 rows: a second thread of the BLAS waits, and takes half as many seconds again."""
 
 
-class _Interrupt:
+class _InterruptHandler:
     """Remembers that it was rung: some libraries turn KeyboardInterrupt into errors of their own, or swallow it."""
 
     def __init__(self) -> None:
@@ -52,7 +52,7 @@ class _Interrupt:
 def main() -> None:
     """Run the command line; every expected error is one sentence on stderr."""
     os.environ.setdefault(ONE_THREAD, "1")  # read by the BLAS when numpy is imported, here and in worker processes
-    interrupt = _Interrupt()
+    interrupt = _InterruptHandler()
     try:
         code = _run()
         if interrupt.rung:

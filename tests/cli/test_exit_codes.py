@@ -118,8 +118,8 @@ def test_a_full_device_is_one_sentence_and_exit_code_2(more):
 def test_a_reader_that_goes_away_is_no_error():
     code = "from sampling_design.cli import main; main()"
     command = [sys.executable, "-c", code, "info", str(OSCILLATOR), "--quiet", "--json"]
-    reading, writing = os.pipe()
-    os.close(reading)
+    files, writing = os.pipe()
+    os.close(files)
     found = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True, check=False)
     os.close(writing)
     assert (found.returncode, found.stderr) == (0, "")
@@ -133,12 +133,12 @@ def test_a_folder_that_is_full_is_one_sentence(shell):
 
 
 def test_a_defect_is_told_apart_from_a_no(shell, monkeypatch):
-    from sampling_design.cli import reading
+    from sampling_design.cli import files
 
     def broken(*_, **__):
         raise AttributeError("no such thing\nat all")
 
-    monkeypatch.setattr(reading, "plant", broken)
+    monkeypatch.setattr(files, "plant", broken)
     result = shell("info", OSCILLATOR)
     assert result.code == 70
     assert result.err.splitlines()[-1].startswith("sampling-design: a defect of this program, please report it")
@@ -146,12 +146,12 @@ def test_a_defect_is_told_apart_from_a_no(shell, monkeypatch):
 
 
 def test_memory_and_numbers_of_processes(shell, monkeypatch):
-    from sampling_design.cli import reading
+    from sampling_design.cli import files
 
     def greedy(*_, **__):
         raise MemoryError("Unable to allocate 60 GiB")
 
-    monkeypatch.setattr(reading, "plant", greedy)
+    monkeypatch.setattr(files, "plant", greedy)
     result = shell("info", OSCILLATOR)
     assert (result.code, "needs more memory than there is (Unable to allocate 60 GiB)" in result.err) == (3, True)
 

@@ -1,4 +1,4 @@
-"""The samples of one period on a bench: questions about them, answered in plain data."""
+"""The samples of one period as a user places them: questions about them, answered in plain data."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ MOST_MARKS = 400  # samples of a period beyond which a time line is no picture a
 PLAN_SECONDS = 15.0  # seconds that the search of a plan may take on a press of its button; its proof comes on top
 MOVES = (0.05, 0.1, 0.2)  # shares of the mean gap by which a sample is moved to mend what broke, the smallest first
 MENDED = 0.5  # share of the best sigma among those moves that a smaller one must reach to be proposed
-MOST_SHADOWS = 6  # polygons that are still told apart
+MOST_POLYGONS = 6  # that are still distinguished
 MOST_MOVED = 6  # samples of a period up to which every one is tried
 TOGETHER = 1e-9  # share of the period within which the marks of two sensors are one sample
 
 
-class Bench:
+class ScheduleExplorer:
     """A plant, what is required of its schedule, and the samples of a period as they lie now.
 
     Parameters
@@ -107,7 +107,7 @@ class Bench:
                 period=posed.period, time_unit=plant.time_unit, timing_tolerance=posed.timing_tolerance.plain
             )
         given = in_unit(requirement or Requirement(), plant.time_unit)
-        self.asked = given.timing_tolerance
+        self.timing_tolerance = given.timing_tolerance
         self.split = split_for(plant, given)
         # windows, opening hours and tolerance are those for which a design would be proven; its counts and gaps bind it
         counted = given if schedule is None or given.samples else given.replace(samples=len(schedule))
@@ -253,9 +253,9 @@ class Bench:
         return [(float(a), float(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]
 
     def _sigma(self, moving: bool = False) -> Reply:
-        told = self._rules()
+        messages = self._rules()
         if not self.split.retained.n_states:
-            return {"t": [], "sigma": [], "piece": [], "lower": None, "told": [*told, self.split.explain()]}
+            return {"t": [], "sigma": [], "piece": [], "lower": None, "messages": [*messages, self.split.explain()]}
         shown = self._window_sigma(self.schedule)
         profile = shown.profile
         broken = [] if shown.lower > self.clear else self._broken(shown, moving)
@@ -269,7 +269,7 @@ class Bench:
             "scaled": shown.coordinates == "scaled",
             "late": shown._late(),
             "left": None if moving or shown.deviations is None else _left(shown.deviations),
-            "told": [*told, *broken],
+            "messages": [*messages, *broken],
             "broken": bool(broken),
         }
 
@@ -285,7 +285,7 @@ class Bench:
 
     def _rules(self) -> list[Plain]:
         """What the requirement says of these samples, where it says no."""
-        told: list[Plain] = []
+        messages: list[Plain] = []
         times, gaps = self.schedule.times % self.period, self.schedule.gaps
         closed = [t for t in times if any(a <= t < b for a, b in self.requirement.forbidden)]
         mask = self.schedule.outputs
@@ -293,20 +293,20 @@ class Bench:
             read = times if mask is None else times[mask[:, k]]
             shut = [t for t in read if any(a <= t < b for a, b in hours)]
             if shut:
-                told.append(f"{name} cannot be read at {', '.join(self._at(t) for t in shut[:4])}.")
+                messages.append(f"{name} cannot be read at {', '.join(self._at(t) for t in shut[:4])}.")
         if closed:
-            told.append(f"Closed at {', '.join(self._at(t) for t in closed[:4])}: no sample is allowed there.")
+            messages.append(f"Closed at {', '.join(self._at(t) for t in closed[:4])}: no sample is allowed there.")
         late = TimingTolerance.of(self.requirement.timing_tolerance)
         if late and late.span >= gaps.min():
-            told.append(f"Samples {late.describe(self.plant.time_unit)} could change places: shown as if on time.")
+            messages.append(f"Samples {late.describe(self.plant.time_unit)} could change places: shown as if on time.")
         least = self.requirement.spacing
         if least and len(gaps) and gaps.min() < least * (1 - TOGETHER):
             at = int(np.argmin(gaps))
-            told.append(
+            messages.append(
                 f"The samples before and at {self._at(times[at])} are {self._at(gaps[at])} apart; "
                 f"at least {self._at(least)} is required."
             )
-        return told
+        return messages
 
     def _broken(self, found: WindowSigma, moving: bool) -> list[Plain]:
         """Why sigma is zero, or nearly: which modes the period does not tell apart.
@@ -366,7 +366,7 @@ class Bench:
             v_bound=self.v_bound,
             of=self.rows,
             rtol=0.05,
-            timing_tolerance=self._kept(self.asked, self.schedule),
+            timing_tolerance=self._kept(self.timing_tolerance, self.schedule),
         )
         profile = found.profile
         finite = np.isfinite(found.upper)
@@ -374,21 +374,21 @@ class Bench:
             "edges": profile.edges.tolist(),
             "upper": [row.tolist() if ok else None for row, ok in zip(profile.upper, finite, strict=True)],
             "worst": [float(x) if ok else None for x, ok in zip(found.upper, finite, strict=True)],
-            "told": [*([] if finite.all() else [found.explain()]), *self._late(profile.edges, profile.upper)],
+            "messages": [*([] if finite.all() else [found.explain()]), *self._late(profile.edges, profile.upper)],
         }
 
     def _late(self, edges: Array, upper: Array) -> list[Plain]:
         """Which tolerance is broken, from when to when, and what would keep it."""
-        told: list[Plain] = []
+        messages: list[Plain] = []
         if self.tolerance is None:
-            return told
+            return messages
         for label, wanted, row in zip(self.labels, self.tolerance.tolist(), upper, strict=True):
             over = row > wanted
             if not over.any() or not np.all(np.isfinite(row)):
                 continue
             text = f"{label}: {short(float(row.max()), 3)} is guaranteed, {short(wanted, 3)} wanted; "
             if over.all():
-                told.append(f"{text}at no time is it kept.")
+                messages.append(f"{text}at no time is it kept.")
                 continue
             at = [self._at(float(t) % self.period) for t in edges]
             # the last cell of a period is followed by the first
@@ -398,8 +398,8 @@ class Bench:
             pairs = sorted(zip(starts, ends, strict=True), key=lambda pair: edges[pair[0]] % self.period)
             spans = [f"from {at[a]} to {at[b + 1]}" for a, b in pairs]
             help_at = f"A sample shortly before {at[int(np.argmax(row))]}, where it is worst, would help."
-            told.append(f"{text}not kept {' and '.join(spans)}. {help_at}")
-        return told
+            messages.append(f"{text}not kept {' and '.join(spans)}. {help_at}")
+        return messages
 
     def _projection(self) -> Reply:
         """What the first sample, the first two, ... of a period leave possible at its end: a polygon for each."""
@@ -409,7 +409,7 @@ class Bench:
         order = np.argsort(self.schedule.times % self.period)
         steps: list[Plain] = []
         names: tuple[str, ...] = self.projection
-        for k in range(1, min(times.size, MOST_SHADOWS) + 1):
+        for k in range(1, min(times.size, MOST_POLYGONS) + 1):
             kept = None if mask is None else mask[order][:k]
             labels = None if mask is None else self.plant.outputs.names
             first = Schedule(times[:k], outputs=kept, output_names=labels, time_unit=self.plant.time_unit)

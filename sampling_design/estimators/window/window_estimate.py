@@ -15,7 +15,7 @@ DUAL_MARGIN = 1e-11
 """Share of the reference trajectory's cost by which a computed optimum may exceed the exact one (see `smooth`)."""
 
 
-class SolutionSpread(Protocol):
+class EstimateDeviations(Protocol):
     """All trajectories x = x* + T z around a minimiser x*; each costs |z|^2 more."""
 
     def covariances(self) -> Array:
@@ -75,7 +75,7 @@ class SmootherKernel:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class WindowEstimate:
     """The minimiser of a window problem."""
 
     nodes: Array  # (N+1, n): smoothed states
@@ -83,6 +83,6 @@ class Solution:
     cost: float  # cost, dual: cost at the minimiser, and a lower bound on the least cost
     dual: float
     engine: str
-    spread: SolutionSpread  # every other trajectory relative to this one
+    spread: EstimateDeviations  # every other trajectory relative to this one
     status: Status = "ok"  # "ok", "infeasible" or "solver failed"
     note: str = ""  # what could not be met

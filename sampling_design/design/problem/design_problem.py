@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from sampling_design.design.problem.gram import ScaledRows
-from sampling_design.design.problem.turning import TurningWindows
+from sampling_design.design.problem.orthogonal_flow import OrthogonalFlowWindows
 from sampling_design.numerics.linalg import expm_batch
 from sampling_design.plants.plant import Plant
 from sampling_design.records.arrays import Array, Index, Mask
@@ -54,9 +54,9 @@ class DesignProblem:
         return expm_batch(self.rows.A, np.array([0.0, -self.late, self.late] if self.late else [0.0]))
 
     @cached_property
-    def turning(self) -> TurningWindows | None:
+    def orthogonal_flow(self) -> OrthogonalFlowWindows | None:
         """Cheaper windows, where the plant's flow stretches no state."""
-        return TurningWindows.of(self.plant, self.window, self.period)
+        return OrthogonalFlowWindows.of(self.plant, self.window, self.period)
 
     @property
     def is_shift_invariant(self) -> bool:

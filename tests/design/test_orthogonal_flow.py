@@ -5,9 +5,9 @@ import pytest
 from scipy.linalg import expm
 
 from sampling_design import Plant
-from sampling_design.design.problem.numbers import DesignProblem
+from sampling_design.design.problem.design_problem import DesignProblem
+from sampling_design.design.problem.orthogonal_flow import UNSURE
 from sampling_design.design.problem.positions import _worst_of_positions, worst_sigma2
-from sampling_design.design.problem.turning import UNSURE
 from sampling_design.design.search import smooth
 from sampling_design.design.search.fedorov_exchange import at_shares, is_admissible
 from sampling_design.design.search.refine import refined
@@ -53,8 +53,8 @@ def test_every_window_is_the_plain_sum_and_no_window_between_samples_sees_less(w
     case = problem(window=window, period=period)
     times = np.array([random_schedule(rng, period, 0.1, 7) for _ in range(5)])
     used = rng.random((5, 7, 2)) < 0.8
-    assert case.turning is not None
-    found, sure = case.turning.worst(times, used)
+    assert case.orthogonal_flow is not None
+    found, sure = case.orthogonal_flow.worst(times, used)
     assert sure.all()
     for b in range(5):
         assert found[b] == pytest.approx(plain(times[b], used[b], window, period), rel=1e-9)
@@ -64,26 +64,26 @@ def test_every_window_is_the_plain_sum_and_no_window_between_samples_sees_less(w
 
 
 def test_a_batch_is_its_schedules_one_by_one(monkeypatch):
-    monkeypatch.setattr("sampling_design.design.problem.turning.BATCH_NUMBERS", 400)
+    monkeypatch.setattr("sampling_design.design.problem.orthogonal_flow.BATCH_NUMBERS", 400)
     rng, case = np.random.default_rng(5), problem()
     times = np.array([random_schedule(rng, 6.0, 0.2, 7) for _ in range(9)])
     np.testing.assert_allclose(worst_sigma2(case, times), [worst_sigma2(case, t[None])[0] for t in times], rtol=1e-12)
 
 
 def test_flows_that_stretch_and_windows_of_no_whole_number_of_periods_have_none():
-    assert problem().turning is not None
+    assert problem().orthogonal_flow is not None
     for changes in ({"window": 7.0}, {"window": 3.0}, {"period": 6.0 * (1 + 1e-9)}):
-        assert problem(**changes).turning is None
+        assert problem(**changes).orthogonal_flow is None
     scaled = np.diag([1.0, 2.0])
     for stretched in (np.array(TURN) + 1e-9 * np.eye(2), scaled @ TURN @ np.linalg.inv(scaled), np.eye(2, k=1)):
-        assert problem(Plant(stretched, [[1.0, 0.0]])).turning is None
+        assert problem(Plant(stretched, [[1.0, 0.0]])).orthogonal_flow is None
 
 
 def test_what_has_lost_its_digits_is_worked_out_the_other_way():
     close = Plant(np.kron(np.diag([1.0, 1.001, 1.002]), TURN), np.tile([[1.0, 0.0]], 3))
     case = problem(close)
     times = np.array([random_schedule(np.random.default_rng(6), 6.0, 0.2, 7)])
-    least, sure = case.turning.worst(times, case.mask(times))
+    least, sure = case.orthogonal_flow.worst(times, case.mask(times))
     assert not sure.any()
     assert worst_sigma2(case, times)[0] == _worst_of_positions(case, times, 1, None)[0] != least[0]
     blind = problem(Plant(TURN, [[1.0, 0.0]]), window=np.pi, period=np.pi, samples=1)
@@ -96,12 +96,12 @@ def test_the_smooth_function_lies_just_below_and_its_slope_is_its_own(period):
     case = problem(period=period)
     times = random_schedule(np.random.default_rng(7), period, 0.1, 7)
     mask = np.random.default_rng(8).random((7, 2)) < 0.8
-    least = float(case.turning.worst(times[None], mask[None])[0][0])
+    least = float(case.orthogonal_flow.worst(times[None], mask[None])[0][0])
     for sharpness in (0.1, 5.0):
-        value, slope = case.turning.soft(times, mask, sharpness)
+        value, slope = case.orthogonal_flow.soft(times, mask, sharpness)
         assert least - np.log(7 * 5) / sharpness <= value < least
         step = 1e-6 * np.eye(7)
-        either = [[case.turning.soft(times + s * e, mask, sharpness)[0] for s in (1, -1)] for e in step]
+        either = [[case.orthogonal_flow.soft(times + s * e, mask, sharpness)[0] for s in (1, -1)] for e in step]
         np.testing.assert_allclose(slope, [(a - b) / 2e-6 for a, b in either], atol=1e-5 * np.abs(slope).max())
 
 
@@ -127,7 +127,7 @@ def test_it_leads_as_far_as_semidefinite_programs_mostly_and_keeps_to_what_is_as
         if times is None or not is_admissible(case, times):
             continue
         before = float(worst_sigma2(case, times[None])[0])
-        near = smoothed(case, case.turning, times)
+        near = smoothed(case, case.orthogonal_flow, times)
         assert is_admissible(case, near)
         ratios.append(float(worst_sigma2(case, near[None])[0]) / refined(case, times, before)[1])
     assert np.median(ratios) > 0.97
@@ -136,8 +136,8 @@ def test_it_leads_as_far_as_semidefinite_programs_mostly_and_keeps_to_what_is_as
 def test_what_is_not_wanted_is_left_early_and_a_deadline_is_kept():
     case = problem()
     times = random_schedule(np.random.default_rng(10), 6.0, 0.2, 7)
-    assert smoothed(case, case.turning, times, wanted=1e3) is None
-    late = smoothed(case, case.turning, times, budget=Budget(-1.0))
+    assert smoothed(case, case.orthogonal_flow, times, wanted=1e3) is None
+    late = smoothed(case, case.orthogonal_flow, times, budget=Budget(-1.0))
     np.testing.assert_array_equal(late, times)
     crowded = problem(spacing=0.85)
     assert smooth._crowding(crowded, times)[0] > 0
